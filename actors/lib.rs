@@ -1,0 +1,1 @@
+//! The five actors of foveal, their messages and wiring.

@@ -1,0 +1,2 @@
+//! The program `foveal`.
+fn main() {}

@@ -1,0 +1,1 @@
+//! A lock-free actor runtime that records and replays.

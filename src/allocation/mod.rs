@@ -1,0 +1,1 @@
+//! Decision theory: actions, costs, qualities and budgets.

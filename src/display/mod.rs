@@ -1,0 +1,1 @@
+//! Frame buffers and the CPU twin of every GPU pass.

@@ -1,0 +1,1 @@
+//! Rays, watertight triangles and the BVH.

@@ -1,0 +1,1 @@
+//! View-independent diffuse illumination: atlas, density estimation, cache.

@@ -1,0 +1,135 @@
+//! Two-dimensional maps, linear RGB and luminance.
+
+use glam::Vec3;
+
+/// A row-major map of `width × height` values.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct Map2d<T> {
+    width: usize,
+    height: usize,
+    data: Vec<T>,
+}
+
+impl<T: Copy> Map2d<T> {
+    /// A map filled with `value`.
+    pub fn new(width: usize, height: usize, value: T) -> Self {
+        Self { width, height, data: vec![value; width * height] }
+    }
+
+    /// A map of given values in rows.
+    ///
+    /// # Panics
+    /// If `data.len() != width * height`: a bug of the caller.
+    pub fn from_vec(width: usize, height: usize, data: Vec<T>) -> Self {
+        assert_eq!(data.len(), width * height, "a map of {width} × {height} values");
+        Self { width, height, data }
+    }
+
+    /// A map of `f(x, y)`.
+    pub fn from_fn(width: usize, height: usize, mut f: impl FnMut(usize, usize) -> T) -> Self {
+        let mut data = Vec::with_capacity(width * height);
+        for y in 0..height {
+            data.extend((0..width).map(|x| f(x, y)));
+        }
+        Self { width, height, data }
+    }
+
+    /// Columns.
+    #[inline]
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows.
+    #[inline]
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// The value at column `x`, row `y`.
+    #[inline]
+    pub fn at(&self, x: usize, y: usize) -> T {
+        debug_assert!(x < self.width);
+        self.data[y * self.width + x]
+    }
+
+    /// The value at the nearest pixel inside the map.
+    #[inline]
+    pub fn clamped(&self, x: isize, y: isize) -> T {
+        let x = x.clamp(0, self.width as isize - 1) as usize;
+        let y = y.clamp(0, self.height as isize - 1) as usize;
+        self.data[y * self.width + x]
+    }
+
+    /// The place of the value at column `x`, row `y`.
+    #[inline]
+    pub fn at_mut(&mut self, x: usize, y: usize) -> &mut T {
+        debug_assert!(x < self.width);
+        &mut self.data[y * self.width + x]
+    }
+
+    /// All values, rows one after another.
+    #[inline]
+    pub fn data(&self) -> &[T] {
+        &self.data
+    }
+
+    /// All values, to be changed.
+    #[inline]
+    pub fn data_mut(&mut self) -> &mut [T] {
+        &mut self.data
+    }
+
+    /// Row `y`.
+    #[inline]
+    pub fn row(&self, y: usize) -> &[T] {
+        &self.data[y * self.width..(y + 1) * self.width]
+    }
+
+    /// The values, without the shape.
+    pub fn into_vec(self) -> Vec<T> {
+        self.data
+    }
+
+    /// A map of `f(value)`, of the same shape.
+    pub fn map<U: Copy>(&self, f: impl FnMut(T) -> U) -> Map2d<U> {
+        Map2d { width: self.width, height: self.height, data: self.data.iter().copied().map(f).collect() }
+    }
+}
+
+/// Luminance of linear RGB with Rec. 709 primaries (REFERENCE §8.1). Same unit as the input.
+#[inline]
+pub fn luminance(rgb: Vec3) -> f32 {
+    rgb.dot(Vec3::new(0.212_672_9, 0.715_152_2, 0.072_175_0))
+}
+
+/// sRGB opto-electronic transfer: linear [0, 1] to display value [0, 1].
+#[inline]
+pub fn srgb_from_linear(v: f32) -> f32 {
+    if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+}
+
+/// sRGB electro-optical transfer: display value [0, 1] to linear [0, 1].
+#[inline]
+pub fn linear_from_srgb(v: f32) -> f32 {
+    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn srgb_round_trips_every_byte() {
+        for byte in 0..=255u8 {
+            let v = f32::from(byte) / 255.0;
+            let back = srgb_from_linear(linear_from_srgb(v));
+            assert_eq!((back * 255.0).round() as u8, byte);
+        }
+    }
+
+    #[test]
+    fn luminance_of_white_is_one() {
+        assert!((luminance(Vec3::ONE) - 1.0).abs() < 1e-6);
+    }
+}

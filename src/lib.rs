@@ -1,0 +1,22 @@
+//! The pure core of foveal: algorithms as functions of their arguments.
+//!
+//! Modules in the order data flows: [`scene`] (load, materials, object hierarchy, cameras, plan) →
+//! [`geometry`] (rays, watertight triangles, BVH) → [`transport`] (BSDFs, lights, the recursive
+//! tracer, the reference path tracer, particles) → [`illumination`] (atlas, density estimation) →
+//! [`display`] (frame buffers, the CPU twin) → [`perception`] → [`sampling`] (√5 lattice) →
+//! [`splatting`] (footprints, sample cache, ageing, warp) → [`allocation`] → [`metrics`].
+//!
+//! Nothing in here knows an actor, a channel, a clock or a GPU, and nothing prints.
+
+pub mod allocation;
+pub mod display;
+pub mod geometry;
+pub mod illumination;
+pub mod image;
+pub mod metrics;
+pub mod perception;
+pub mod rng;
+pub mod sampling;
+pub mod scene;
+pub mod splatting;
+pub mod transport;

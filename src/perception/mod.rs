@@ -1,0 +1,1 @@
+//! Models of the human eye, on maps.

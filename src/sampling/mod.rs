@@ -1,0 +1,1 @@
+//! The √5 lattice and low-discrepancy points.

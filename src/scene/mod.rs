@@ -1,0 +1,153 @@
+//! The scene: geometry, materials, lights, cameras. Immutable once built.
+//!
+//! Lengths in scene units, angles in radians, colours linear RGB (Rec. 709), radiance in
+//! W·sr⁻¹·m⁻² per band. `load` turns files into a [`Scene`] and warnings, or an error that names
+//! file, line and remedy.
+
+pub mod camera;
+pub mod material;
+
+use glam::{Vec2, Vec3};
+
+pub use camera::{Camera, CameraPath, NamedCamera};
+pub use material::{Distribution, Material, MaterialId, Model, Reflectance, Roughness, Texture, TextureId};
+
+/// Index of a triangle in [`Mesh::triangles`].
+pub type TriangleIndex = u32;
+
+/// The joined triangles of all files. All vectors of vertices have the same length.
+#[derive(Clone, Debug, Default)]
+pub struct Mesh {
+    /// Positions, scene units, all finite.
+    pub positions: Vec<Vec3>,
+    /// Shading normals, unit length, or zero where the file gave none (then the face is flat).
+    pub normals: Vec<Vec3>,
+    /// Texture coordinates, origin at the lower left as in OBJ; zero where the file gave none.
+    pub uvs: Vec<Vec2>,
+    /// Vertex indices, counter-clockwise seen from the front.
+    pub triangles: Vec<[u32; 3]>,
+    /// Material of each triangle.
+    pub materials: Vec<MaterialId>,
+    /// Object id of each triangle: 0 for every diffuse one, ≥ 1 for each non-diffuse group
+    /// (REFERENCE §10); an index into [`Scene::objects`].
+    pub objects: Vec<u32>,
+}
+
+impl Mesh {
+    /// The three corners of triangle `t`.
+    #[inline]
+    pub fn corners(&self, t: TriangleIndex) -> [Vec3; 3] {
+        self.triangles[t as usize].map(|v| self.positions[v as usize])
+    }
+}
+
+/// A group of triangles of one material in one neighbourhood (Haber 2001 §4.1).
+#[derive(Clone, Debug)]
+pub struct Object {
+    /// The OBJ group or object it came from, or the material's name.
+    pub name: String,
+    /// Its material; for object 0 that of the first diffuse triangle.
+    pub material: MaterialId,
+    /// Its triangles, ascending. Object 0 holds every diffuse triangle.
+    pub triangles: Vec<TriangleIndex>,
+    /// Bounds.
+    pub bounds: [Vec3; 2],
+    /// Surface area, square scene units.
+    pub area: f32,
+    /// The object it stands on, if one was found.
+    pub parent: Option<u32>,
+}
+
+/// A light without area. Area lights are the triangles whose material emits.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Light {
+    /// Equal intensity in all directions, W/sr.
+    Point { position: Vec3, intensity: Vec3 },
+    /// A cone with a smooth edge between the half angles `inner` and `outer`, radians.
+    Spot { position: Vec3, direction: Vec3, intensity: Vec3, inner: f32, outer: f32 },
+    /// Parallel light travelling along `direction`; irradiance at perpendicular incidence, W/m².
+    Directional { direction: Vec3, irradiance: Vec3 },
+}
+
+/// The surrounding: a constant radiance, or an equirectangular map times `scale`.
+#[derive(Clone, Debug)]
+pub struct Environment {
+    /// Radiance where there is no map, and the factor of the map otherwise.
+    pub radiance: Vec3,
+    /// Equirectangular radiance; column = atan2(d.x, −d.z) / 2π in the frame where `up` is +y,
+    /// after turning by `rotate_up`; row 0 is straight up.
+    pub map: Option<crate::image::Map2d<Vec3>>,
+    /// Rotation about up, right-handed, radians.
+    pub rotate_up: f32,
+    /// The scene's up axis, unit.
+    pub up: Vec3,
+}
+
+/// How the picture is shown (sidecar `[display]`).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Display {
+    /// Factor on radiance before the tone curve.
+    pub exposure: f32,
+    /// Luminance of display white, cd/m², for the perceptual metrics.
+    pub white_cd_m2: f32,
+}
+
+impl Default for Display {
+    fn default() -> Self {
+        Self { exposure: 1.0, white_cd_m2: 100.0 }
+    }
+}
+
+/// Limits of the sidecar (`[budget]`).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Budget {
+    /// Bytes of resident textures.
+    pub texture_bytes: Option<u64>,
+    /// Frames per second.
+    pub fps: Option<f32>,
+}
+
+/// Everything the core needs to know of a scene.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// Name for reports: the file's stem.
+    pub name: String,
+    /// Title of the sidecar, or the name.
+    pub title: String,
+    /// Geometry.
+    pub mesh: Mesh,
+    /// Materials; never empty.
+    pub materials: Vec<Material>,
+    /// Textures with their mip chains.
+    pub textures: Vec<Texture>,
+    /// Lights without area.
+    pub lights: Vec<Light>,
+    /// The surrounding.
+    pub environment: Option<Environment>,
+    /// Cameras; never empty, the first is the start view.
+    pub cameras: Vec<NamedCamera>,
+    /// Camera paths; may be empty.
+    pub paths: Vec<CameraPath>,
+    /// Groups; index 0 is everything diffuse.
+    pub objects: Vec<Object>,
+    /// Bounds of all triangles.
+    pub bounds: [Vec3; 2],
+    /// Metres per scene unit.
+    pub metres_per_unit: f32,
+    /// Up axis, unit.
+    pub up: Vec3,
+    /// How it is shown.
+    pub display: Display,
+    /// Its limits.
+    pub budget: Budget,
+    /// BLAKE3 of everything that was read: geometry, materials, textures, sidecar.
+    pub content_hash: [u8; 32],
+}
+
+impl Scene {
+    /// Length of the diagonal of the bounds; 1 for an empty scene.
+    pub fn diagonal(&self) -> f32 {
+        let d = (self.bounds[1] - self.bounds[0]).length();
+        if d.is_finite() && d > 0.0 { d } else { 1.0 }
+    }
+}

@@ -1,0 +1,1 @@
+//! Footprints, the sample cache, ageing and warping.

@@ -1,0 +1,1 @@
+//! BSDFs, lights and the tracers.

@@ -1,1 +1,21 @@
 //! View-independent diffuse illumination: atlas, density estimation, cache.
+
+use glam::Vec3;
+
+/// Irradiance known everywhere on the surfaces: what the display multiplies with albedo / π, and
+/// what rays read where they end on a diffuse surface.
+pub trait Irradiance: Sync + Send {
+    /// Irradiance in W/m² per band at barycentrics (1 − `b1` − `b2`, `b1`, `b2`) of a triangle, on its
+    /// front side or, if `back`, on its back side. Finite and not negative.
+    fn irradiance(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3;
+}
+
+/// The same irradiance everywhere.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Uniform(pub Vec3);
+
+impl Irradiance for Uniform {
+    fn irradiance(&self, _triangle: u32, _b1: f32, _b2: f32, _back: bool) -> Vec3 {
+        self.0
+    }
+}

@@ -1,1 +1,5 @@
-//! The √5 lattice and low-discrepancy points.
+//! Where samples go: the √5 lattice on the picture plane and low-discrepancy points in the unit cube.
+
+pub mod sqrt5;
+
+pub use sqrt5::{Cursor, Lattice, Rect};

@@ -1,0 +1,282 @@
+//! The splat layer: which sample each pixel shows (Haber 2001 §4.3; REFERENCE §3.5–3.6, §11).
+
+use glam::Vec3;
+
+use super::{SampleBatch, WarpedSample};
+use crate::image::Map2d;
+use crate::sampling::Lattice;
+
+/// The area a fresh sample paints until finer ones come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+pub enum Footprint {
+    /// The exact tile of 5ᵏ pixels: no overlap, so no dependence on order.
+    #[default]
+    Tile,
+    /// The square of side Lₖ: the paper's look.
+    Square,
+}
+
+/// Colour and rank per pixel. A splat replaces what has a lower or equal rank.
+///
+/// Ranks, from low to high: old (warped) samples, the coarser below the finer, the older below the
+/// newer; fresh samples, each rank worth `FRESH_BONUS` levels more than an old one of its level;
+/// and above all a fresh sample on its own pixel, so that a converged view shows only those.
+///
+/// The paper paints every fresh splat over every old one, so a level-1 splat wipes thousands of
+/// valid warped samples off the screen for some frames. Weighing age against size keeps them.
+#[derive(Clone, Debug)]
+pub struct SplatLayer {
+    color: Map2d<Vec3>,
+    rank: Map2d<u32>,
+    tiles: Vec<Vec<(i16, i16)>>,
+}
+
+/// A fresh sample paints over old ones up to this many levels finer.
+const FRESH_BONUS: u32 = 1;
+/// Rank of a fresh sample on its own pixel.
+const EXACT: u32 = u32::MAX;
+
+/// Rank of a sample of level set `k`; `age` is 0 for fresh ones.
+fn rank(k: u32, age: u32) -> u32 {
+    let fineness = Lattice::K_LIMIT - k.min(Lattice::K_LIMIT) + if age == 0 { FRESH_BONUS } else { 0 };
+    ((fineness + 1) << 16) + (0xffff - age.min(0xffff))
+}
+
+impl SplatLayer {
+    /// An empty layer for pictures of `width × height` and level sets up to `k_max`.
+    pub fn new(width: usize, height: usize, k_max: u32, footprint: Footprint) -> Self {
+        let tiles = (0..=k_max)
+            .map(|k| match footprint {
+                Footprint::Tile => Lattice::tile(k),
+                Footprint::Square => {
+                    let r = (Lattice::square_side(k) / 2) as i16;
+                    (-r..=r).flat_map(|y| (-r..=r).map(move |x| (x, y))).collect()
+                }
+            })
+            .collect();
+        Self { color: Map2d::new(width, height, Vec3::ZERO), rank: Map2d::new(width, height, 0), tiles }
+    }
+
+    /// Forgets all splats.
+    pub fn clear(&mut self) {
+        self.rank.data_mut().fill(0);
+        self.color.data_mut().fill(Vec3::ZERO);
+    }
+
+    /// View-dependent radiance of a pixel, zero where no splat lies.
+    #[inline]
+    pub fn color(&self, x: usize, y: usize) -> Vec3 {
+        self.color.at(x, y)
+    }
+
+    /// All colours.
+    pub fn colors(&self) -> &Map2d<Vec3> {
+        &self.color
+    }
+
+    /// Whether a splat lies on the pixel.
+    #[inline]
+    pub fn is_covered(&self, x: usize, y: usize) -> bool {
+        self.rank.at(x, y) != 0
+    }
+
+    /// Whether the pixel shows its own ray.
+    #[inline]
+    pub fn is_exact(&self, x: usize, y: usize) -> bool {
+        self.rank.at(x, y) == EXACT
+    }
+
+    /// Level set shown at the pixel, and whether it is fresh; `None` without splat.
+    pub fn shown_level(&self, x: usize, y: usize) -> Option<(u32, bool)> {
+        let r = self.rank.at(x, y);
+        match r {
+            0 => None,
+            EXACT => Some((0, true)),
+            _ => {
+                let fresh = r & 0xffff == 0xffff;
+                let fineness = (r >> 16) - 1 - if fresh { FRESH_BONUS } else { 0 };
+                Some((Lattice::K_LIMIT - fineness, fresh))
+            }
+        }
+    }
+
+    /// Splats fresh samples onto the pixels of their object. Returns the sum over the samples of
+    /// |new − shown before| on their own pixels, where something was shown: the residual of
+    /// REFERENCE §13.1 in radiance, and the number of such pixels.
+    pub fn splat_fresh(&mut self, batch: &SampleBatch, objects: &Map2d<u32>) -> (f32, u32) {
+        let (width, height) = (self.color.width() as i32, self.color.height() as i32);
+        let own = rank(batch.k, 0);
+        let tile = &self.tiles[(batch.k as usize).min(self.tiles.len() - 1)];
+        let (ids, ranks, colors) = (objects.data(), self.rank.data_mut(), self.color.data_mut());
+        let (mut residual, mut compared) = (0.0, 0);
+        for (pixel, &color) in batch.pixels.iter().zip(&batch.colors) {
+            let (px, py) = (i32::from(pixel[0]), i32::from(pixel[1]));
+            for &(dx, dy) in tile {
+                let (x, y) = (px + i32::from(dx), py + i32::from(dy));
+                if x < 0 || y < 0 || x >= width || y >= height {
+                    continue;
+                }
+                let i = (y * width + x) as usize;
+                if ids[i] != batch.object {
+                    continue;
+                }
+                if (dx, dy) == (0, 0) {
+                    if ranks[i] != 0 {
+                        residual += (color - colors[i]).abs().element_sum();
+                        compared += 1;
+                    }
+                    ranks[i] = EXACT;
+                    colors[i] = color;
+                } else if ranks[i] <= own {
+                    ranks[i] = own;
+                    colors[i] = color;
+                }
+            }
+        }
+        (residual, compared)
+    }
+
+    /// Splats warped samples onto pixels of their object at their depth. Returns how many of them
+    /// painted at least one pixel.
+    ///
+    /// A sample is rejected where no pixel of the 3 × 3 around it has its object at its depth
+    /// (within 1 % or two pixel slopes, REFERENCE §11): it is hidden now.
+    pub fn splat_warped(
+        &mut self,
+        samples: &[WarpedSample],
+        objects: &Map2d<u32>,
+        depths: &Map2d<f32>,
+    ) -> usize {
+        let (width, height) = (self.color.width() as i32, self.color.height() as i32);
+        let (ids, depths) = (objects.data(), depths.data());
+        let (ranks, colors) = (self.rank.data_mut(), self.color.data_mut());
+        let mut painted = 0;
+        for s in samples {
+            let (cx, cy) = (i32::from(s.x), i32::from(s.y));
+            let matches = |x: i32, y: i32| {
+                let i = (y * width + x) as usize;
+                ids[i] == s.object && (depths[i] - s.depth).abs() <= s.depth_tolerance
+            };
+            let visible = matches(cx, cy)
+                || (cy - 1..=cy + 1).any(|y| {
+                    (cx - 1..=cx + 1).any(|x| x >= 0 && y >= 0 && x < width && y < height && matches(x, y))
+                });
+            if !visible {
+                continue;
+            }
+            let own = rank(u32::from(s.k), u32::from(s.age).max(1));
+            let r = i32::from(s.half_side);
+            let mut any = false;
+            for y in (cy - r).max(0)..(cy + r + 1).min(height) {
+                for x in (cx - r).max(0)..(cx + r + 1).min(width) {
+                    let i = (y * width + x) as usize;
+                    if ids[i] == s.object && ranks[i] <= own {
+                        ranks[i] = own;
+                        colors[i] = s.color;
+                        any = true;
+                    }
+                }
+            }
+            painted += usize::from(any);
+        }
+        painted
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng;
+    use crate::sampling::Rect;
+    use crate::splatting::Sample;
+
+    fn fresh(lattice: &Lattice, level: u32, rect: Rect, ids: &Map2d<u32>) -> SampleBatch {
+        let mut batch = SampleBatch::new(1, 1, lattice.k_of(level), 0);
+        for (x, y) in lattice.all_samples(level, rect).filter(|&(x, y)| ids.at(x as usize, y as usize) == 1) {
+            batch.push(Sample {
+                pixel: [x as u16, y as u16],
+                position: Vec3::ZERO,
+                normal: Vec3::Z,
+                view: Vec3::Z,
+                color: Vec3::new(x as f32, y as f32, 1.0),
+                pixel_width: 1.0,
+            });
+        }
+        batch
+    }
+
+    /// Whatever order the levels and batches come in, the converged layer is each pixel's own sample,
+    /// and nothing lies outside the object.
+    #[test]
+    fn converged_layer_is_every_pixels_own_sample_in_any_order() {
+        let (w, h) = (70, 53);
+        let lattice = Lattice::new(4, [35, 26]);
+        let ids =
+            Map2d::from_fn(w, h, |x, y| u32::from((x as i32 - 30).pow(2) + (y as i32 - 25).pow(2) < 400));
+        for footprint in [Footprint::Tile, Footprint::Square] {
+            for seed in 0..6 {
+                let mut layer = SplatLayer::new(w, h, 4, footprint);
+                let mut levels: Vec<u32> = (1..=5).collect();
+                levels.sort_by_key(|&l| rng::hash(seed, u64::from(l), 0));
+                for l in levels {
+                    layer.splat_fresh(&fresh(&lattice, l, Rect::of_size(w as u32, h as u32), &ids), &ids);
+                }
+                for y in 0..h {
+                    for x in 0..w {
+                        if ids.at(x, y) == 1 {
+                            assert!(layer.is_exact(x, y));
+                            assert_eq!(layer.color(x, y), Vec3::new(x as f32, y as f32, 1.0));
+                        } else {
+                            assert!(!layer.is_covered(x, y));
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn each_level_alone_covers_a_full_screen_object_with_tiles() {
+        let lattice = Lattice::new(3, [0, 0]);
+        let (w, h) = (80, 60);
+        let ids = Map2d::new(w, h, 1);
+        let mut layer = SplatLayer::new(w, h, 3, Footprint::Tile);
+        layer.splat_fresh(&fresh(&lattice, 1, Rect::of_size(w as u32, h as u32), &ids), &ids);
+        // Away from the rim: tiles of samples outside the picture are not traced.
+        let r = Lattice::square_side(3) as usize / 2;
+        for y in r..h - r {
+            for x in r..w - r {
+                assert_eq!(
+                    layer.shown_level(x, y).map(|s| s.0),
+                    Some(if layer.is_exact(x, y) { 0 } else { 3 })
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn hidden_warped_samples_paint_nothing() {
+        let ids = Map2d::new(9, 9, 1);
+        let depths = Map2d::new(9, 9, 1.0);
+        let mut layer = SplatLayer::new(9, 9, 2, Footprint::Tile);
+        let mut s = WarpedSample {
+            x: 4,
+            y: 4,
+            depth: 2.0,
+            depth_tolerance: 0.02,
+            color: Vec3::ONE,
+            object: 1,
+            age: 1,
+            half_side: 1,
+            k: 1,
+        };
+        assert_eq!(layer.splat_warped(&[s], &ids, &depths), 0);
+        s.depth = 1.01;
+        assert_eq!(layer.splat_warped(&[s], &ids, &depths), 1);
+        assert_eq!(
+            (0..9).flat_map(|y| (0..9).map(move |x| (x, y))).filter(|p| layer.is_covered(p.0, p.1)).count(),
+            9
+        );
+        assert_eq!(layer.shown_level(4, 4), Some((1, false)));
+    }
+}

@@ -115,7 +115,7 @@ mod tests {
     #[test]
     fn samples_warped_into_their_own_view_land_on_their_pixel() {
         let frame = camera(Vec3::new(0.3, 0.2, 3.0));
-        let mut cache = SampleCache::new(10_000);
+        let mut cache = SampleCache::new(20_000);
         let mut batch = SampleBatch::new(1, 1, 0, 0);
         for y in 0..101 {
             for x in 0..101 {

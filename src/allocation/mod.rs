@@ -1,1 +1,3 @@
 //! Decision theory: actions, costs, qualities and budgets.
+
+pub mod jobs;

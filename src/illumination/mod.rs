@@ -1,5 +1,14 @@
 //! View-independent diffuse illumination: atlas, density estimation, cache.
 
+pub mod atlas;
+pub mod bins;
+pub mod clusters;
+pub mod density;
+mod raster;
+mod smoothing;
+#[cfg(test)]
+pub(crate) mod test_scenes;
+
 use glam::Vec3;
 
 /// Irradiance known everywhere on the surfaces: what the display multiplies with albedo / π, and

@@ -4,5 +4,6 @@
 //! reflection), depth along the view axis, object id, texture id with mip level, and the primary hit.
 
 pub mod buffers;
+pub mod tone;
 
 pub use buffers::{FrameBuffers, PrimaryHit, TextureLevel};

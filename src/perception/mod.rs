@@ -6,6 +6,7 @@
 //! In: pictures, object ids. Out: saliency and importance, numbers without unit. Nothing here knows
 //! scenes, rays or textures.
 
+pub mod color_difference;
 pub mod importance;
 pub mod pyramid;
 pub mod saliency;

@@ -2,10 +2,12 @@
 
 pub mod atlas;
 pub mod bins;
+pub mod cache;
 pub mod clusters;
 pub mod density;
 mod raster;
 mod smoothing;
+pub mod stored;
 #[cfg(test)]
 pub(crate) mod test_scenes;
 

@@ -1,0 +1,356 @@
+//! Irradiance as it is read: one fetch from vertices or a bilinear lookup in the lightmap.
+
+use glam::{Vec2, Vec3, Vec4};
+use serde::{Deserialize, Serialize};
+
+use super::Irradiance;
+use super::atlas::{Atlas, Corners, NEIGHBOURS};
+
+/// Elements that share one decision whether their back is stored.
+const BLOCK: usize = 64;
+/// A block whose back is dark.
+const DARK: u32 = u32::MAX;
+
+/// What a bake came to.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// Particles emitted.
+    pub particles: u64,
+    /// Times a particle was stored on a diffuse surface.
+    pub stored: u64,
+    /// Surfaces the particles met, stored there or not.
+    pub bounces: u64,
+    /// Rounds of direct light at the elements.
+    pub direct_rounds: u32,
+    /// Root of the area-weighted mean squared error of the luminance of irradiance, relative to the
+    /// root mean square irradiance. Noise and kernel bias; not the interpolation between elements.
+    pub relative_error: f32,
+    /// Its part from the noise of direct light.
+    pub direct_error: f32,
+    /// Its part from the noise of particles.
+    pub particle_error: f32,
+    /// Its part from the width of kernels, estimated by doubling their area.
+    pub bias_error: f32,
+    /// Area-weighted mean irradiance per band, W/m².
+    pub mean: [f32; 3],
+    /// Whether light arrives anywhere after a diffuse reflection.
+    pub has_indirect: bool,
+    /// What did not go as asked, for the user.
+    pub notes: Vec<String>,
+}
+
+/// Irradiance on all surfaces, front and back, with its standard error.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Illumination {
+    width: u32,
+    height: u32,
+    corners: Vec<Corners>,
+    /// Per element red, green, blue, and the standard error of the luminance.
+    front: Vec<[f32; 4]>,
+    /// Per block of elements, the block of `back` that holds its back, or `DARK`.
+    back_blocks: Vec<u32>,
+    back: Vec<[f32; 4]>,
+    /// What the bake came to.
+    pub summary: Summary,
+}
+
+/// Values of one side of an element: irradiance and the standard error of its luminance, or `None` where
+/// nothing is known, so that neighbours speak for it.
+pub type Value = Option<Vec4>;
+
+impl Illumination {
+    /// Stores values per element of `atlas`, front and back. Texels without a value take the mean of
+    /// their neighbours, so that no lookup reads outside of its chart.
+    pub fn new(atlas: &Atlas, mut front: Vec<Value>, mut back: Vec<Value>, summary: Summary) -> Self {
+        assert!(front.len() == atlas.elements.len() && back.len() == front.len(), "values per element");
+        fill_unknown(atlas, &mut front);
+        fill_unknown(atlas, &mut back);
+        let stored = |v: &Value| {
+            let v = v.unwrap_or_default();
+            if v.is_finite() { v.max(Vec4::ZERO).to_array() } else { [0.0; 4] }
+        };
+        let mut back_blocks = Vec::with_capacity(back.len().div_ceil(BLOCK));
+        let mut lit_back = Vec::new();
+        for block in back.chunks(BLOCK) {
+            if block.iter().any(|v| v.is_some_and(|v| v.truncate().max_element() > 0.0)) {
+                back_blocks.push((lit_back.len() / BLOCK) as u32);
+                lit_back.extend(block.iter().map(stored));
+                lit_back.resize(lit_back.len().next_multiple_of(BLOCK), [0.0; 4]);
+            } else {
+                back_blocks.push(DARK);
+            }
+        }
+        Self {
+            width: atlas.width,
+            height: atlas.height,
+            corners: atlas.corners.clone(),
+            front: front.iter().map(stored).collect(),
+            back_blocks,
+            back: lit_back,
+            summary,
+        }
+    }
+
+    /// Columns and rows of the lightmap.
+    pub fn lightmap_size(&self) -> [u32; 2] {
+        [self.width, self.height]
+    }
+
+    /// Texels and vertices.
+    pub fn element_count(&self) -> usize {
+        self.front.len()
+    }
+
+    /// Triangles.
+    pub fn triangle_count(&self) -> usize {
+        self.corners.len()
+    }
+
+    /// Values stored for backs.
+    pub fn back_count(&self) -> usize {
+        self.back.len()
+    }
+
+    /// Bytes in memory.
+    pub fn bytes(&self) -> usize {
+        self.corners.len() * size_of::<Corners>()
+            + (self.front.len() + self.back.len()) * size_of::<[f32; 4]>()
+            + self.back_blocks.len() * 4
+    }
+
+    /// Irradiance and the standard error of its luminance.
+    pub fn lookup(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec4 {
+        let Some(corners) = self.corners.get(triangle as usize) else {
+            return Vec4::ZERO;
+        };
+        match corners {
+            Corners::Vertices(v) => {
+                self.value(v[0] as usize, back) * (1.0 - b1 - b2).max(0.0)
+                    + self.value(v[1] as usize, back) * b1.max(0.0)
+                    + self.value(v[2] as usize, back) * b2.max(0.0)
+            }
+            Corners::Texels(uv) => self.bilinear(uv[0] * (1.0 - b1 - b2) + uv[1] * b1 + uv[2] * b2, back),
+        }
+    }
+
+    fn bilinear(&self, p: Vec2, back: bool) -> Vec4 {
+        let last = Vec2::new(self.width as f32 - 1.0, self.height as f32 - 1.0);
+        let p = (p - 0.5).max(Vec2::ZERO).min(last);
+        let (x, y) = (p.x as usize, p.y as usize);
+        let (x1, y1) = ((x + 1).min(self.width as usize - 1), (y + 1).min(self.height as usize - 1));
+        let f = p - Vec2::new(x as f32, y as f32);
+        let at = |x: usize, y: usize| self.value(y * self.width as usize + x, back);
+        at(x, y).lerp(at(x1, y), f.x).lerp(at(x, y1).lerp(at(x1, y1), f.x), f.y)
+    }
+
+    #[inline]
+    fn value(&self, element: usize, back: bool) -> Vec4 {
+        if !back {
+            return Vec4::from_array(self.front[element]);
+        }
+        match self.back_blocks[element / BLOCK] {
+            DARK => Vec4::ZERO,
+            block => Vec4::from_array(self.back[block as usize * BLOCK + element % BLOCK]),
+        }
+    }
+
+    /// Values of the front, per element.
+    pub fn front_values(&self) -> &[[f32; 4]] {
+        &self.front
+    }
+
+    /// Whether all indices are inside and all values finite and not negative: what a file must
+    /// prove before it is read from.
+    pub fn is_sound(&self) -> bool {
+        let texels = u64::from(self.width) * u64::from(self.height);
+        let elements = self.front.len() as u64;
+        let texel_corners_allowed = self.width > 0 && self.height > 0;
+        texels <= elements
+            && self.back_blocks.len() == self.front.len().div_ceil(BLOCK)
+            && self.back_blocks.iter().all(|&b| b == DARK || (b as usize + 1) * BLOCK <= self.back.len())
+            && self.front.iter().chain(&self.back).flatten().all(|v| v.is_finite() && *v >= 0.0)
+            && self.corners.iter().all(|c| match c {
+                Corners::Vertices(v) => v.iter().all(|&e| u64::from(e) < elements),
+                Corners::Texels(uv) => texel_corners_allowed && uv.iter().all(|p| p.is_finite()),
+            })
+    }
+
+    /// This illumination moved towards `target` by `share` in [0, 1]: what a display shows while a better
+    /// one arrives. `None` if they are stored differently.
+    pub fn blended(&self, target: &Self, share: f32) -> Option<Self> {
+        if self.corners != target.corners || self.front.len() != target.front.len() {
+            return None;
+        }
+        let mix = |a: Vec4, b: Vec4| a.lerp(b, share).to_array();
+        let mut blended = target.clone();
+        for (e, out) in blended.front.iter_mut().enumerate() {
+            *out = mix(self.value(e, false), target.value(e, false));
+        }
+        // Backs that either one knows.
+        blended.back.clear();
+        for (i, block) in blended.back_blocks.iter_mut().enumerate() {
+            if *block == DARK && self.back_blocks[i] == DARK {
+                continue;
+            }
+            *block = (blended.back.len() / BLOCK) as u32;
+            for e in i * BLOCK..((i + 1) * BLOCK).min(target.front.len()) {
+                blended.back.push(mix(self.value(e, true), target.value(e, true)));
+            }
+            blended.back.resize(blended.back.len().next_multiple_of(BLOCK), [0.0; 4]);
+        }
+        Some(blended)
+    }
+}
+
+impl Irradiance for Illumination {
+    fn irradiance(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {
+        self.lookup(triangle, b1, b2, back).truncate()
+    }
+}
+
+/// Texels of a chart that know nothing take the mean of their neighbours, again and again; then those
+/// around charts, once: charts are two texels apart, so that none takes from another.
+fn fill_unknown(atlas: &Atlas, values: &mut [Value]) {
+    let surface = |e: usize| atlas.elements[e].area > 0.0;
+    let mut open: Vec<usize> =
+        (0..atlas.texel_count()).filter(|&e| values[e].is_none() && surface(e)).collect();
+    while !open.is_empty() {
+        let found: Vec<(usize, Value)> = open.iter().map(|&e| (e, mean_around(atlas, values, e))).collect();
+        let before = open.len();
+        open.clear();
+        for (e, value) in found {
+            values[e] = value;
+            if value.is_none() {
+                open.push(e);
+            }
+        }
+        if open.len() == before {
+            break;
+        }
+    }
+    let border: Vec<(usize, Value)> = (0..atlas.texel_count())
+        .filter(|&e| !surface(e))
+        .map(|e| (e, mean_around(atlas, values, e)))
+        .collect();
+    for (e, value) in border {
+        values[e] = value;
+    }
+}
+
+/// Mean of the nearest neighbours that are known: those beside, else those across a corner.
+fn mean_around(atlas: &Atlas, values: &[Value], e: usize) -> Value {
+    let width = atlas.width as usize;
+    let (x, y) = ((e % width) as i32, (e / width) as i32);
+    for ring in [&NEIGHBOURS[..4], &NEIGHBOURS[4..]] {
+        let (mut sum, mut count) = (Vec4::ZERO, 0.0);
+        for &(dx, dy) in ring {
+            let (nx, ny) = (x + dx, y + dy);
+            if nx < 0 || ny < 0 || nx >= atlas.width as i32 || ny >= atlas.height as i32 {
+                continue;
+            }
+            let n = ny as usize * width + nx as usize;
+            if atlas.elements[n].area <= 0.0 {
+                continue;
+            }
+            if let Some(v) = values[n] {
+                sum += v;
+                count += 1.0;
+            }
+        }
+        if count > 0.0 {
+            return Some(sum / count);
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::illumination::atlas::ConformalCharts;
+    use crate::illumination::test_scenes::{grid, join, quad};
+
+    fn atlas() -> (crate::scene::Mesh, Atlas) {
+        let mut mesh = quad(Vec3::ZERO, Vec3::X * 2.0, Vec3::Y);
+        join(&mut mesh, &quad(Vec3::Z, Vec3::X, Vec3::Y * 0.4), 0);
+        join(&mut mesh, &grid(40, 40, |x, y| Vec3::new(x * 0.1, y * 0.1, 3.0)), 0);
+        let atlas = Atlas::build(&mesh, 1000, &ConformalCharts);
+        (mesh, atlas)
+    }
+
+    #[test]
+    fn lookups_follow_a_linear_field_and_never_leave_their_chart() {
+        let (mesh, atlas) = atlas();
+        let f = |p: Vec3| 1.0 + p.x + 2.0 * p.y + 10.0 * p.z;
+        let values: Vec<Value> = atlas
+            .elements
+            .iter()
+            .map(|e| (e.area > 0.0).then(|| Vec4::new(f(e.position), 1.0, 2.0, 0.1)))
+            .collect();
+        let dark = vec![None; values.len()];
+        let map = Illumination::new(&atlas, values, dark, Summary::default());
+        assert!(map.is_sound());
+        assert_eq!(map.back_count(), 0);
+        let texel = 1.0 / atlas.texels_per_unit;
+        let mut stream = crate::rng::Stream::new(5, 5, 5);
+        for _ in 0..20_000 {
+            let t = (stream.next_u64() % mesh.triangles.len() as u64) as u32;
+            let [u, v] = stream.next_2d();
+            let s = u.sqrt();
+            let (b1, b2) = (s * (1.0 - v), s * v);
+            let [a, b, c] = mesh.corners(t);
+            let p = a * (1.0 - b1 - b2) + b * b1 + c * b2;
+            let found = map.irradiance(t, b1, b2, false);
+            // The border is constant in the last texel; another chart would be off by 10.
+            assert!((found.x - f(p)).abs() < 2.5 * texel, "{p}: {} {}", found.x, f(p));
+            assert!((found.y - 1.0).abs() < 1e-5 && (found.z - 2.0).abs() < 1e-5);
+            assert_eq!(map.irradiance(t, b1, b2, true), Vec3::ZERO);
+        }
+    }
+
+    #[test]
+    fn only_lit_backs_are_stored_and_unknown_texels_are_filled() {
+        let (_, atlas) = atlas();
+        let front: Vec<Value> = atlas
+            .elements
+            .iter()
+            .enumerate()
+            .map(|(i, e)| (e.area > 0.0 && i % 5 != 0).then_some(Vec4::splat(3.0)))
+            .collect();
+        let texels = atlas.texel_count();
+        let back: Vec<Value> = (0..front.len()).map(|i| (i >= texels).then_some(Vec4::ONE * 0.5)).collect();
+        let map = Illumination::new(&atlas, front, back, Summary::default());
+        assert!(map.back_count() < map.element_count());
+        assert!((map.irradiance(0, 0.3, 0.3, false) - Vec3::splat(3.0)).length() < 1e-5);
+        let dense = map.triangle_count() as u32 - 1;
+        assert!((map.irradiance(dense, 0.3, 0.3, true) - Vec3::splat(0.5)).length() < 1e-5);
+        let half = map.blended(
+            &Illumination { back: Vec::new(), back_blocks: vec![DARK; map.back_blocks.len()], ..map.clone() },
+            0.5,
+        );
+        let half = half.unwrap();
+        assert!(half.is_sound());
+        assert!((half.irradiance(dense, 0.3, 0.3, true) - Vec3::splat(0.25)).length() < 1e-5);
+    }
+    #[test]
+    fn impossible_indices_and_values_are_not_sound() {
+        let (_, atlas) = atlas();
+        let n = atlas.elements.len();
+        let map =
+            Illumination::new(&atlas, vec![Some(Vec4::ONE); n], vec![Some(Vec4::ONE); n], Summary::default());
+        assert!(map.is_sound());
+        let broken: [fn(&mut Illumination); 6] = [
+            |m| m.corners[0] = Corners::Vertices([0, 1, m.front.len() as u32]),
+            |m| m.corners[0] = Corners::Texels([Vec2::NAN; 3]),
+            |m| m.front[3][1] = f32::NAN,
+            |m| m.back[3][2] = -1.0,
+            |m| m.back_blocks[0] = (m.back.len() / BLOCK) as u32,
+            |m| m.width = 1 << 20,
+        ];
+        for (i, breaks) in broken.iter().enumerate() {
+            let mut other = map.clone();
+            breaks(&mut other);
+            assert!(!other.is_sound(), "{i}");
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! Threshold versus intensity: the smallest luminance difference that is seen at an adaptation luminance.
+
+/// Below this luminance (cd/m²) the threshold is that of absolute darkness; also keeps the base of the power positive.
+const DARK: f32 = 1.148e-4;
+
+/// Threshold ΔL in cd/m² at adaptation luminance `luminance` in cd/m². Positive and finite for any input; a negative
+/// luminance or NaN counts as darkness.
+///
+/// Source: Ward Larson, Rushmeier & Piatko 1997, Table 1, after Ferwerda et al. 1996 (REFERENCE §8.2). Jumps by
+/// 3 % at 10^−1.44 cd/m² and 0.7 % at 10^1.9 cd/m², as the source does.
+pub fn tvi(luminance: f32) -> f32 {
+    if luminance.is_nan() || luminance < DARK {
+        return 10f32.powf(-2.86);
+    }
+    if luminance == f32::INFINITY {
+        return f32::MAX;
+    }
+    let a = luminance.log10();
+    let log_threshold = if a < -1.44 {
+        (0.405 * a + 1.6).powf(2.18) - 2.86
+    } else if a < -0.0184 {
+        a - 0.395
+    } else if a < 1.9 {
+        (0.249 * a + 0.65).powf(2.7) - 0.72
+    } else {
+        a - 1.255
+    };
+    10f32.powf(log_threshold)
+}
+
+/// How many just noticeable differences `shown` is from `wanted`, both displayed luminances in cd/m², to an eye
+/// adapted to the brighter of the two.
+pub fn just_noticeable_differences(shown: f32, wanted: f32) -> f32 {
+    (shown - wanted).abs() / tvi(shown.max(wanted))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_of_the_reference() {
+        for (luminance, threshold) in [
+            (1e-6, 1.380_384e-3),
+            (1e-4, 1.380_384e-3),
+            (1e-3, 1.840_034e-3),
+            (0.01, 5.472_343e-3),
+            (0.1, 4.027_17e-2),
+            (1.0, 0.391_301_5),
+            (10.0, 1.071_902),
+            (100.0, 5.559_043),
+            (1000.0, 55.590_43),
+        ] {
+            assert!((tvi(luminance) / threshold - 1.0).abs() < 1e-5, "{luminance}: {}", tvi(luminance));
+        }
+    }
+
+    #[test]
+    fn any_luminance_has_a_threshold() {
+        for v in [0.0, -1.0, f32::NAN, f32::NEG_INFINITY, f32::INFINITY, f32::MAX, f32::MIN_POSITIVE] {
+            assert!(tvi(v) > 0.0 && tvi(v).is_finite(), "{v}");
+        }
+    }
+
+    #[test]
+    fn a_threshold_is_one_just_noticeable_difference() {
+        assert!((just_noticeable_differences(100.0 - tvi(100.0), 100.0) - 1.0).abs() < 1e-5);
+        assert_eq!(just_noticeable_differences(3.0, 3.0), 0.0);
+    }
+}

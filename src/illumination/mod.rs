@@ -6,6 +6,7 @@ pub mod cache;
 pub mod clusters;
 pub mod density;
 mod raster;
+pub mod simplify;
 mod smoothing;
 pub mod stored;
 #[cfg(test)]

@@ -20,6 +20,11 @@ pub trait Irradiance: Sync + Send {
     /// Irradiance in W/m² per band at barycentrics (1 − `b1` − `b2`, `b1`, `b2`) of a triangle, on its
     /// front side or, if `back`, on its back side. Finite and not negative.
     fn irradiance(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3;
+
+    /// The stored values behind it, where there are some: for displays that interpolate themselves.
+    fn stored(&self) -> Option<&stored::Illumination> {
+        None
+    }
 }
 
 /// The same irradiance everywhere.

@@ -154,6 +154,16 @@ impl Illumination {
         }
     }
 
+    /// Where each triangle's illumination is found.
+    pub fn corners(&self) -> &[Corners] {
+        &self.corners
+    }
+
+    /// Value of the back of an element.
+    pub fn back_value(&self, element: usize) -> Vec4 {
+        self.value(element, true)
+    }
+
     /// Values of the front, per element.
     pub fn front_values(&self) -> &[[f32; 4]] {
         &self.front
@@ -205,6 +215,10 @@ impl Illumination {
 impl Irradiance for Illumination {
     fn irradiance(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {
         self.lookup(triangle, b1, b2, back).truncate()
+    }
+
+    fn stored(&self) -> Option<&Illumination> {
+        Some(self)
     }
 }
 

@@ -1,1 +1,3 @@
 //! BSDFs, lights and the tracers.
+
+pub mod radiosity;

@@ -1,0 +1,228 @@
+//! Which textures and mip levels a view wants, and what it would lose by coarser ones (Dumont 2003 §5.2.4;
+//! REFERENCE §8.7).
+//!
+//! In: the texture-id map of a view with the illumination at each pixel, and the spatial errors of each texture. Out:
+//! pixels per level and visible error per coarsest allowed level, in just noticeable differences times pixels.
+
+use crate::display::TextureLevel;
+use crate::image::Map2d;
+use crate::perception::tvi::{TviTable, tvi};
+
+use super::decision::{Approximation, Resource};
+use super::spatial_error::SpatialErrors;
+
+/// Most levels a texture can have: sides up to 2^31.
+pub const LEVELS_MAX: usize = 32;
+
+/// f_D of Eqs. (7) and (11), in just noticeable differences: an error of `spatial` relative to a surface that shows
+/// `luminance` cd/m² under `environment` cd/m² of reflection.
+pub fn visible_error(luminance: f32, environment: f32, spatial: f32) -> f32 {
+    luminance / tvi(luminance + environment) * spatial
+}
+
+/// What a view shows of one texture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TextureUse {
+    /// A: pixels that want each level; a pixel between two levels counts in both by its share.
+    pub pixels: [f32; LEVELS_MAX],
+    /// Σ L / TVI(L + L_e) over these pixels: the luminance part of f_D, times A.
+    pub visibility: [f32; LEVELS_MAX],
+}
+
+impl Default for TextureUse {
+    fn default() -> Self {
+        Self { pixels: [0.0; LEVELS_MAX], visibility: [0.0; LEVELS_MAX] }
+    }
+}
+
+impl TextureUse {
+    /// A_i, all pixels that show the texture.
+    pub fn total_pixels(&self) -> f32 {
+        self.pixels.iter().sum()
+    }
+
+    /// v_i, the finest level wanted; none where the texture is not visible.
+    pub fn finest(&self) -> Option<usize> {
+        self.pixels.iter().position(|&pixels| pixels > 0.0)
+    }
+
+    /// −q_i(j) of Eqs. (3)–(5): the visible error if no level finer than `coarsest` is there. The areas of the paper
+    /// cancel (correction D3), so a texture that is not visible has none.
+    pub fn error(&self, spatial: &SpatialErrors, coarsest: usize) -> f64 {
+        let wanted = self.visibility.iter().enumerate().take(coarsest.min(LEVELS_MAX));
+        wanted
+            .filter(|(_, visibility)| **visibility > 0.0)
+            .map(|(m, visibility)| f64::from(*visibility) * f64::from(spatial.error(m, coarsest)))
+            .sum()
+    }
+}
+
+/// Gathers [`TextureUse`] in one pass over the buffers of a view.
+#[derive(Clone, Debug, Default)]
+pub struct TextureScan {
+    thresholds: TviTable,
+}
+
+impl TextureScan {
+    /// What a view shows of each texture.
+    ///
+    /// `wanted`: texture and level per pixel. `illumination`: I, the displayed illumination of the pixel in cd/m², so that
+    /// T·I is what a texel T shows. `environment`: L_e, the luminance of non-diffuse reflection in cd/m², if there is any.
+    /// `mean_luminances`: T̃ per texture; textures without one are passed over.
+    ///
+    /// Sums over pixels, not over a mean illumination: a texture on several objects or under several lights adds up
+    /// (the additive form of REFERENCE §8.7).
+    ///
+    /// # Panics
+    /// If the maps' sizes differ: a bug of the caller.
+    pub fn gather(
+        &self,
+        wanted: &Map2d<TextureLevel>,
+        illumination: &Map2d<f32>,
+        environment: Option<&Map2d<f32>>,
+        mean_luminances: &[f32],
+    ) -> Vec<TextureUse> {
+        assert_eq!(wanted.data().len(), illumination.data().len(), "maps of one view");
+        assert!(environment.is_none_or(|map| map.data().len() == wanted.data().len()), "maps of one view");
+        let mut uses = vec![TextureUse::default(); mean_luminances.len()];
+        for (i, (word, &light)) in wanted.data().iter().zip(illumination.data()).enumerate() {
+            let Some(texture) = word.texture().map(|texture| texture.0 as usize) else { continue };
+            let (Some(used), Some(&mean)) = (uses.get_mut(texture), mean_luminances.get(texture)) else {
+                continue;
+            };
+            let luminance = mean * light;
+            let reflection = environment.map_or(0.0, |map| map.data()[i].max(0.0));
+            let visibility = luminance / self.thresholds.threshold(luminance + reflection);
+            let visibility = if visibility > 0.0 && visibility.is_finite() { visibility } else { 0.0 };
+            let level = word.level();
+            let fine = (level as usize).min(LEVELS_MAX - 1);
+            let share = if fine + 1 < LEVELS_MAX { level - fine as f32 } else { 0.0 };
+            used.pixels[fine] += 1.0 - share;
+            used.visibility[fine] += (1.0 - share) * visibility;
+            if share > 0.0 {
+                used.pixels[fine + 1] += share;
+                used.visibility[fine + 1] += share * visibility;
+            }
+        }
+        uses
+    }
+}
+
+/// Textures under a limit of memory: state j of texture i keeps levels j and coarser.
+#[derive(Clone, Copy, Debug)]
+pub struct TextureChoices<'a> {
+    /// Bytes of each level of each texture, the finest first.
+    pub bytes: &'a [Vec<u64>],
+    /// What the view shows of each.
+    pub uses: &'a [TextureUse],
+    /// What coarser levels lose.
+    pub spatial: &'a [SpatialErrors],
+}
+
+/// Error of each level that is not there where nobody would see it, so that free memory is still used.
+const UNSEEN: f64 = 1e-9;
+
+impl Resource for TextureChoices<'_> {
+    fn action_count(&self) -> usize {
+        self.bytes.len()
+    }
+
+    fn saliency(&self, _action: usize) -> f64 {
+        1.0
+    }
+
+    fn approximations(&self, action: usize, out: &mut Vec<Approximation>) {
+        let mut cost: u64 = self.bytes[action].iter().fold(0, |sum, &bytes| sum.saturating_add(bytes));
+        for (coarsest, &bytes) in self.bytes[action].iter().enumerate() {
+            let seen = match (self.uses.get(action), self.spatial.get(action)) {
+                (Some(used), Some(spatial)) => used.error(spatial, coarsest),
+                _ => 0.0,
+            };
+            out.push(Approximation { cost, error: seen + UNSEEN * coarsest as f64 });
+            cost = cost.saturating_sub(bytes);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::allocation::decision::{Constraint, decide};
+    use crate::allocation::spatial_error::SpatialSettings;
+    use crate::rng;
+    use crate::scene::TextureId;
+    use glam::Vec3;
+
+    #[test]
+    fn the_worked_example_of_the_reference() {
+        // T̃ = .5, I = 100: L = 50.
+        assert!((50.0 / tvi(50.0) - 16.191_99).abs() < 1e-4);
+        assert!((visible_error(50.0, 0.0, 0.2375) - 3.845_598).abs() < 1e-4);
+    }
+
+    fn word(texture: u32, level: f32) -> TextureLevel {
+        TextureLevel::new(TextureId(texture), level)
+    }
+
+    #[test]
+    fn pixels_are_split_between_levels() {
+        let wanted =
+            Map2d::from_vec(4, 1, vec![word(0, 1.25), word(0, 1.0), TextureLevel::NONE, word(7, 0.0)]);
+        let light = Map2d::new(4, 1, 100.0);
+        let uses = TextureScan::default().gather(&wanted, &light, None, &[0.5, 0.5]);
+        assert_eq!(uses.len(), 2);
+        assert_eq!(&uses[0].pixels[..4], &[0.0, 1.75, 0.25, 0.0]);
+        assert_eq!((uses[0].total_pixels(), uses[0].finest()), (2.0, Some(1)));
+        assert_eq!((uses[1].total_pixels(), uses[1].finest()), (0.0, None));
+        let factor = uses[0].visibility[1] / uses[0].pixels[1];
+        assert!((factor / 16.191_99 - 1.0).abs() < 5e-3, "{factor}");
+        // A bright reflection hides errors of the texture under it.
+        let bright = TextureScan::default().gather(&wanted, &light, Some(&Map2d::new(4, 1, 500.0)), &[0.5]);
+        assert!(bright[0].visibility[1] < 0.2 * uses[0].visibility[1]);
+        let dark = TextureScan::default().gather(&wanted, &Map2d::new(4, 1, f32::NAN), None, &[0.5]);
+        assert_eq!(dark[0].visibility[1], 0.0);
+    }
+
+    fn mips(side: usize, contrast: f32) -> Vec<Map2d<Vec3>> {
+        let levels = side.ilog2() + 1;
+        let noise = |x: usize, y: usize| rng::unit_f32(rng::hash(x as u64, y as u64, 3)) - 0.5;
+        (0..levels)
+            .map(|l| {
+                let n = 1usize << l;
+                Map2d::from_fn(side / n, side / n, |x, y| {
+                    let sum: f32 = (0..n * n).map(|i| noise(x * n + i % n, y * n + i / n)).sum();
+                    Vec3::splat(0.5 + contrast * sum / (n * n) as f32)
+                })
+            })
+            .collect()
+    }
+
+    #[test]
+    fn memory_goes_where_it_shows() {
+        let settings = SpatialSettings::new(10.8, 100.0);
+        let spatial: Vec<SpatialErrors> =
+            [0.9, 0.9, 0.01, 0.9].map(|c| SpatialErrors::of_levels(&mips(32, c), &settings)).to_vec();
+        let bytes: Vec<Vec<u64>> = vec![(0..6).map(|l| 4u64 << (2 * (5 - l))).collect(); 4];
+        // Texture 0 fills the view, 1 is far away, 2 is nearly flat, 3 is not visible.
+        let wanted = Map2d::from_fn(100, 10, |x, y| match (x, y) {
+            (0..60, _) => word(0, 0.0),
+            (60..65, _) => word(1, 3.0),
+            _ => word(2, 0.0),
+        });
+        let light = Map2d::new(100, 10, 80.0);
+        let uses = TextureScan::default().gather(&wanted, &light, None, &[0.5; 4]);
+        assert_eq!(uses[1].error(&spatial[1], 3), 0.0);
+        assert!(uses[1].error(&spatial[1], 5) > 0.0);
+        let choices = TextureChoices { bytes: &bytes, uses: &uses, spatial: &spatial };
+        let decided = |limit| decide(&choices, Constraint::Bytes(limit), None);
+        let all: u64 = bytes.iter().flatten().sum();
+        assert_eq!(decided(all).unwrap().states, [0; 4], "without pressure everything is loaded");
+        let smallest = decided(15).unwrap_err();
+        assert_eq!(smallest.smallest, 16);
+        // Room for one full texture and little more.
+        let tight = decided(bytes[0].iter().sum::<u64>() + 400).unwrap();
+        assert_eq!(tight.states[0], 0);
+        assert!(tight.states[1] <= 3 && tight.states[3] > 0, "{:?}", tight.states);
+        assert!(tight.quality > -uses[2].error(&spatial[2], 5) - 1e-3);
+    }
+}

@@ -2,7 +2,7 @@
 //!
 //! [`decision`] is Dumont's framework (2003 §3): constraint, action, approximation, cost, quality; [`knapsack`] its
 //! optimiser. Textures: [`spatial_error`] (a pre-process) and [`texture_demand`] (per view). Environment maps:
-//! [`environment`]. Rays: [`policy`] ranks (object, level) pairs, [`jobs`] cuts them into sample jobs. Pure functions and
+//! [`environment`]. Rays: [`rays`] estimates what they bring, [`policy`] ranks (object, level) pairs, [`jobs`] cuts them into sample jobs. Pure functions and
 //! plain data: the allocator actor feeds them.
 
 pub mod decision;
@@ -10,5 +10,6 @@ pub mod environment;
 pub mod jobs;
 pub mod knapsack;
 pub mod policy;
+pub mod rays;
 pub mod spatial_error;
 pub mod texture_demand;

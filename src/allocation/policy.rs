@@ -23,7 +23,7 @@ pub enum Policy {
     Uniform,
     /// Any order.
     Random,
-    /// Expected drop of visible error per time (REFERENCE §13.2).
+    /// Expected drop of visible error per time ([`super::rays`], REFERENCE §13.2).
     Utility,
 }
 
@@ -71,7 +71,7 @@ pub struct Demand {
     /// Share of the picture's pixels that show the object, in [0, 1].
     pub coverage: f32,
     /// Expected drop of visible error per time relative to the best object's, in [0, 1]
-    ///; read by [`Policy::Utility`] alone.
+    /// ([`super::rays::RayLedger::utilities`]); read by [`Policy::Utility`] alone.
     pub utility: f32,
     /// Frame or view number: the random policy draws anew for each.
     pub frame: u64,

@@ -1,0 +1,20 @@
+//! Cut-out opacity: whether a surface is there at a point.
+
+use super::{Scene, TriangleIndex};
+
+impl Scene {
+    /// Whether the surface of a triangle is there at barycentrics (1 − `b1` − `b2`, `b1`, `b2`): its opacity
+    /// times its mask (the map's alpha if it has one, else its grey) is at least one half.
+    pub fn is_opaque_at(&self, t: TriangleIndex, b1: f32, b2: f32) -> bool {
+        let material = &self.materials[self.mesh.materials[t as usize].0 as usize];
+        let Some(map) = material.opacity_map else { return material.opacity >= 0.5 };
+        let texture = &self.textures[map.0 as usize];
+        let [i, j, k] = self.mesh.triangles[t as usize].map(|v| self.mesh.uvs[v as usize]);
+        let uv = i * (1.0 - b1 - b2) + j * b1 + k * b2;
+        let level = &texture.levels[0];
+        let wrap = |v: f32, n: usize| ((v - v.floor()) * n as f32) as usize % n.max(1);
+        let [r, g, b, a] = level.at(wrap(uv.x, level.width()), wrap(1.0 - uv.y, level.height()));
+        let mask = if texture.has_alpha { a } else { (r + g + b) / 3.0 };
+        material.opacity * mask >= 0.5
+    }
+}

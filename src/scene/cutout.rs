@@ -11,10 +11,7 @@ impl Scene {
         let texture = &self.textures[map.0 as usize];
         let [i, j, k] = self.mesh.triangles[t as usize].map(|v| self.mesh.uvs[v as usize]);
         let uv = i * (1.0 - b1 - b2) + j * b1 + k * b2;
-        let level = &texture.levels[0];
-        let wrap = |v: f32, n: usize| ((v - v.floor()) * n as f32) as usize % n.max(1);
-        let [r, g, b, a] = level.at(wrap(uv.x, level.width()), wrap(1.0 - uv.y, level.height()));
-        let mask = if texture.has_alpha { a } else { (r + g + b) / 3.0 };
+        let mask = texture.mask(uv, 0.0);
         material.opacity * mask >= 0.5
     }
 }

@@ -6,14 +6,18 @@
 
 pub mod camera;
 mod cutout;
+pub mod environment;
 pub mod material;
 #[cfg(test)]
 pub mod test_scenes;
+pub mod texture;
 
 use glam::{Vec2, Vec3};
 
 pub use camera::{Camera, CameraPath, NamedCamera};
-pub use material::{Distribution, Material, MaterialId, Model, Reflectance, Roughness, Texture, TextureId};
+pub use environment::Environment;
+pub use material::{Distribution, Material, MaterialId, Model, Reflectance, Roughness, TextureId};
+pub use texture::Texture;
 
 /// Index of a triangle in [`Mesh::triangles`].
 pub type TriangleIndex = u32;
@@ -64,26 +68,33 @@ pub struct Object {
 /// A light without area. Area lights are the triangles whose material emits.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Light {
-    /// Equal intensity in all directions, W/sr.
-    Point { position: Vec3, intensity: Vec3 },
-    /// A cone with a smooth edge between the half angles `inner` and `outer`, radians.
-    Spot { position: Vec3, direction: Vec3, intensity: Vec3, inner: f32, outer: f32 },
-    /// Parallel light travelling along `direction`; irradiance at perpendicular incidence, W/m².
-    Directional { direction: Vec3, irradiance: Vec3 },
-}
-
-/// The surrounding: a constant radiance, or an equirectangular map times `scale`.
-#[derive(Clone, Debug)]
-pub struct Environment {
-    /// Radiance where there is no map, and the factor of the map otherwise.
-    pub radiance: Vec3,
-    /// Equirectangular radiance; column = atan2(d.x, −d.z) / 2π in the frame where `up` is +y,
-    /// after turning by `rotate_up`; row 0 is straight up.
-    pub map: Option<crate::image::Map2d<Vec3>>,
-    /// Rotation about up, right-handed, radians.
-    pub rotate_up: f32,
-    /// The scene's up axis, unit.
-    pub up: Vec3,
+    /// Equal intensity in all directions.
+    Point {
+        /// Position, scene units.
+        position: Vec3,
+        /// Radiant intensity per band, W/sr.
+        intensity: Vec3,
+    },
+    /// A cone with a smooth edge between two half angles.
+    Spot {
+        /// Position, scene units.
+        position: Vec3,
+        /// Axis of the cone, unit.
+        direction: Vec3,
+        /// Radiant intensity inside `inner`, per band, W/sr.
+        intensity: Vec3,
+        /// Half angle of full intensity, radians.
+        inner: f32,
+        /// Half angle beyond which nothing is emitted, radians; ≥ `inner`.
+        outer: f32,
+    },
+    /// Parallel light.
+    Directional {
+        /// Direction of travel, unit.
+        direction: Vec3,
+        /// Irradiance at perpendicular incidence per band, W/m².
+        irradiance: Vec3,
+    },
 }
 
 /// How the picture is shown (sidecar `[display]`).

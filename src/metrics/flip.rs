@@ -299,7 +299,7 @@ const EXPOSURES_MAX: f64 = 32.0;
 /// Start exposure, stop exposure (both log2 factors) and their number, from the reference's luminances.
 ///
 /// Source: Andersson et al. 2021 §3. Deviation: the median is that of the luminances above zero, so that a mostly
-/// black picture has one; at most [`EXPOSURES_MAX`] exposures.
+/// black picture has one; at most 32 exposures.
 pub fn exposures(reference: &Map2d<Vec3>) -> (f64, f64, usize) {
     let mut lit: Vec<f32> =
         reference.data().iter().map(|&rgb| luminance(rgb)).filter(|l| *l > 0.0 && l.is_finite()).collect();

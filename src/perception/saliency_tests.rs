@@ -108,6 +108,35 @@ fn red_among_grey_pops_out_at_any_exposure() {
     }
 }
 
+/// Cells (row, column, saliency) of waves in all channels, from the script c01 in double precision; sizes that are
+/// no powers of two.
+#[test]
+fn agrees_with_the_script_in_double_precision() {
+    let waves = |w, h| {
+        Map2d::from_fn(w, h, |x, y| {
+            let (x, y) = (x as f32, y as f32);
+            let r = 0.5 + 0.3 * (x / 9.0).sin() + 0.2 * (y / 5.0).cos();
+            let g = 0.4 + 0.3 * ((x + y) / 13.0).sin();
+            let b = 0.5 + 0.4 * ((x - 2.0 * y) / 17.0).cos();
+            Vec3::new(r, g, b).clamp(Vec3::ZERO, Vec3::ONE)
+        })
+    };
+    let check = |w, h, conspicuities: [f32; 2], cells: [(usize, usize, f32); 5]| {
+        let s = saliency(&waves(w, h));
+        near(maximum(s.intensity.data()), conspicuities[0], 1e-4);
+        near(maximum(s.colour.data()), conspicuities[1], 1e-4);
+        for (row, column, value) in cells {
+            near(s.map.at(column, row), value, 1e-5);
+        }
+    };
+    let cells =
+        [(0, 0, 0.015_974), (2, 3, 0.014_816), (6, 9, 0.018_673), (1, 5, 0.013_385), (4, 4, 0.011_507)];
+    check(150, 97, [0.475_369, 1.093_124], cells);
+    let cells =
+        [(0, 0, 0.033_48), (2, 3, 0.032_422), (12, 20, 0.036_481), (1, 5, 0.030_609), (4, 4, 0.028_845)];
+    check(333, 200, [0.463_16, 1.093_292], cells);
+}
+
 #[test]
 fn a_red_patch_on_green_does_not_light_up_the_rest() {
     let mut image = Map2d::new(512, 512, Vec3::new(0.2, 0.5, 0.2));

@@ -28,6 +28,8 @@ pub enum Footprint {
 pub struct SplatLayer {
     color: Map2d<Vec3>,
     rank: Map2d<u32>,
+    /// Who traced the sample shown, as told to `splat_fresh`; 0 for warped ones.
+    source: Map2d<u8>,
     tiles: Vec<Vec<(i16, i16)>>,
 }
 
@@ -54,13 +56,19 @@ impl SplatLayer {
                 }
             })
             .collect();
-        Self { color: Map2d::new(width, height, Vec3::ZERO), rank: Map2d::new(width, height, 0), tiles }
+        Self {
+            color: Map2d::new(width, height, Vec3::ZERO),
+            rank: Map2d::new(width, height, 0),
+            source: Map2d::new(width, height, 0),
+            tiles,
+        }
     }
 
     /// Forgets all splats.
     pub fn clear(&mut self) {
         self.rank.data_mut().fill(0);
         self.color.data_mut().fill(Vec3::ZERO);
+        self.source.data_mut().fill(0);
     }
 
     /// View-dependent radiance of a pixel, zero where no splat lies.
@@ -78,6 +86,12 @@ impl SplatLayer {
     #[inline]
     pub fn is_covered(&self, x: usize, y: usize) -> bool {
         self.rank.at(x, y) != 0
+    }
+
+    /// Who traced the sample that the pixel shows: the `source` of `splat_fresh`, 0 for a warped one.
+    #[inline]
+    pub fn source(&self, x: usize, y: usize) -> u8 {
+        self.source.at(x, y)
     }
 
     /// Whether the pixel shows its own ray.
@@ -103,11 +117,12 @@ impl SplatLayer {
     /// Splats fresh samples onto the pixels of their object. Returns the sum over the samples of
     /// |new − shown before| on their own pixels, where something was shown: the residual of
     /// REFERENCE §13.1 in radiance, and the number of such pixels.
-    pub fn splat_fresh(&mut self, batch: &SampleBatch, objects: &Map2d<u32>) -> (f32, u32) {
+    pub fn splat_fresh(&mut self, batch: &SampleBatch, objects: &Map2d<u32>, source: u8) -> (f32, u32) {
         let (width, height) = (self.color.width() as i32, self.color.height() as i32);
         let own = rank(batch.k, 0);
         let tile = &self.tiles[(batch.k as usize).min(self.tiles.len() - 1)];
-        let (ids, ranks, colors) = (objects.data(), self.rank.data_mut(), self.color.data_mut());
+        let (ids, sources) = (objects.data(), self.source.data_mut());
+        let (ranks, colors) = (self.rank.data_mut(), self.color.data_mut());
         let (mut residual, mut compared) = (0.0, 0);
         for (pixel, &color) in batch.pixels.iter().zip(&batch.colors) {
             let (px, py) = (i32::from(pixel[0]), i32::from(pixel[1]));
@@ -127,9 +142,11 @@ impl SplatLayer {
                     }
                     ranks[i] = EXACT;
                     colors[i] = color;
+                    sources[i] = source;
                 } else if ranks[i] <= own {
                     ranks[i] = own;
                     colors[i] = color;
+                    sources[i] = source;
                 }
             }
         }
@@ -149,7 +166,7 @@ impl SplatLayer {
     ) -> usize {
         let (width, height) = (self.color.width() as i32, self.color.height() as i32);
         let (ids, depths) = (objects.data(), depths.data());
-        let (ranks, colors) = (self.rank.data_mut(), self.color.data_mut());
+        let (ranks, colors, sources) = (self.rank.data_mut(), self.color.data_mut(), self.source.data_mut());
         let mut painted = 0;
         for s in samples {
             let (cx, cy) = (i32::from(s.x), i32::from(s.y));
@@ -173,6 +190,7 @@ impl SplatLayer {
                     if ids[i] == s.object && ranks[i] <= own {
                         ranks[i] = own;
                         colors[i] = s.color;
+                        sources[i] = 0;
                         any = true;
                     }
                 }
@@ -219,7 +237,7 @@ mod tests {
                 let mut levels: Vec<u32> = (1..=5).collect();
                 levels.sort_by_key(|&l| rng::hash(seed, u64::from(l), 0));
                 for l in levels {
-                    layer.splat_fresh(&fresh(&lattice, l, Rect::of_size(w as u32, h as u32), &ids), &ids);
+                    layer.splat_fresh(&fresh(&lattice, l, Rect::of_size(w as u32, h as u32), &ids), &ids, 1);
                 }
                 for y in 0..h {
                     for x in 0..w {
@@ -241,7 +259,7 @@ mod tests {
         let (w, h) = (80, 60);
         let ids = Map2d::new(w, h, 1);
         let mut layer = SplatLayer::new(w, h, 3, Footprint::Tile);
-        layer.splat_fresh(&fresh(&lattice, 1, Rect::of_size(w as u32, h as u32), &ids), &ids);
+        layer.splat_fresh(&fresh(&lattice, 1, Rect::of_size(w as u32, h as u32), &ids), &ids, 1);
         // Away from the rim: tiles of samples outside the picture are not traced.
         let r = Lattice::square_side(3) as usize / 2;
         for y in r..h - r {

@@ -1,3 +1,5 @@
 //! BSDFs, lights and the tracers.
 
 pub mod radiosity;
+
+pub mod interaction;

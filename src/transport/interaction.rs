@@ -1,0 +1,237 @@
+//! Where a ray meets a surface: position with its error, frames, texture coordinates, side.
+
+use glam::{Vec2, Vec3};
+
+use crate::geometry::{Hit, Ray};
+use crate::scene::{Material, MaterialId, Scene};
+
+/// γ(7) = 7u / (1 − 7u) with u = 2⁻²⁴ (REFERENCE §5.1).
+const GAMMA_7: f32 = 4.172_327e-7;
+
+/// A point on a surface, seen along a ray.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Interaction {
+    /// Position, from the barycentrics.
+    pub position: Vec3,
+    /// Bound of the position's rounding error per axis (REFERENCE §5.4 a).
+    pub error: Vec3,
+    /// Unit normal of the triangle's front (counter-clockwise) side.
+    pub geometric_normal: Vec3,
+    /// Unit shading normal, with bumps, in the hemisphere of `geometric_normal`.
+    pub shading_normal: Vec3,
+    /// Unit tangent along ∂p/∂u, perpendicular to the shading normal.
+    pub tangent: Vec3,
+    /// shading_normal × tangent.
+    pub bitangent: Vec3,
+    /// Texture coordinates.
+    pub uv: Vec2,
+    /// Texture coordinates per scene unit: √(uv area / area); 0 where the triangle has none.
+    pub uv_density: f32,
+    /// Triangle.
+    pub triangle: u32,
+    /// Barycentric weight of the second corner.
+    pub b1: f32,
+    /// Barycentric weight of the third corner.
+    pub b2: f32,
+    /// Material.
+    pub material: MaterialId,
+    /// Object id, 0 for diffuse surfaces.
+    pub object: u32,
+    /// Whether the ray met the back side.
+    pub back: bool,
+    /// Unit vector against the ray's direction.
+    pub wo: Vec3,
+    /// Distance along the ray, in its own units.
+    pub t: f32,
+}
+
+/// Which mip level a texture is read at, from the width of the ray's footprint.
+#[inline]
+pub fn mip_level(uv_density: f32, footprint: f32, texture_size: [usize; 2]) -> f32 {
+    let texels = footprint * uv_density * texture_size[0].max(texture_size[1]) as f32;
+    if texels > 1.0 { texels.log2().min(31.0) } else { 0.0 }
+}
+
+impl Interaction {
+    /// The interaction of a hit of `ray`.
+    pub fn at(scene: &Scene, ray: &Ray, hit: &Hit) -> Self {
+        let mesh = &scene.mesh;
+        let vertices = mesh.triangles[hit.triangle as usize].map(|v| v as usize);
+        let [a, b, c] = vertices.map(|v| mesh.positions[v]);
+        let (b1, b2) = (hit.b1, hit.b2);
+        let b0 = 1.0 - b1 - b2;
+        let position = a * b0 + b * b1 + c * b2;
+        let error = ((a * b0).abs() + (b * b1).abs() + (c * b2).abs()) * GAMMA_7;
+        let (e1, e2) = (b - a, c - a);
+        let cross = e1.cross(e2);
+        let doubled_area = cross.length();
+        // Hit triangles have an area, but its square may underflow.
+        let geometric_normal = if doubled_area > 0.0 {
+            cross / doubled_area
+        } else {
+            let scale = e1.abs().max(e2.abs()).max_element().max(f32::MIN_POSITIVE);
+            (e1 / scale).cross(e2 / scale).try_normalize().unwrap_or(-ray.direction.normalize())
+        };
+        let [na, nb, nc] = vertices.map(|v| mesh.normals[v]);
+        let mut shading_normal = (na * b0 + nb * b1 + nc * b2).try_normalize().unwrap_or(geometric_normal);
+        if !shading_normal.is_finite() {
+            shading_normal = geometric_normal;
+        }
+        if shading_normal.dot(geometric_normal) < 0.0 {
+            shading_normal = -shading_normal;
+        }
+        let [ta, tb, tc] = vertices.map(|v| mesh.uvs[v]);
+        let uv = ta * b0 + tb * b1 + tc * b2;
+        let (d1, d2) = (tb - ta, tc - ta);
+        let determinant = d1.perp_dot(d2);
+        let uv_density = if doubled_area > 0.0 { (determinant.abs() / doubled_area).sqrt() } else { 0.0 };
+        let along_u = if determinant != 0.0 { (e1 * d2.y - e2 * d1.y) / determinant } else { e1 };
+        let wo = -ray.direction.normalize();
+        let material = mesh.materials[hit.triangle as usize];
+        let mut at = Self {
+            position,
+            error,
+            geometric_normal,
+            shading_normal,
+            tangent: Vec3::ZERO,
+            bitangent: Vec3::ZERO,
+            uv: if uv.is_finite() { uv } else { Vec2::ZERO },
+            uv_density: if uv_density.is_finite() { uv_density } else { 0.0 },
+            triangle: hit.triangle,
+            b1,
+            b2,
+            material,
+            object: mesh.objects[hit.triangle as usize],
+            back: wo.dot(geometric_normal) < 0.0,
+            wo,
+            t: hit.t,
+        };
+        at.set_frame(along_u);
+        let m = at.material(scene);
+        if m.normal_map.is_some() || m.bump_map.is_some() {
+            at.perturb(scene, along_u);
+        }
+        at.keep_visible();
+        at
+    }
+
+    /// The material.
+    #[inline]
+    pub fn material<'s>(&self, scene: &'s Scene) -> &'s Material {
+        &scene.materials[self.material.0 as usize]
+    }
+
+    /// Geometric normal on the viewer's side.
+    #[inline]
+    pub fn facing_geometric(&self) -> Vec3 {
+        if self.back { -self.geometric_normal } else { self.geometric_normal }
+    }
+
+    /// Shading normal on the viewer's side.
+    #[inline]
+    pub fn facing_shading(&self) -> Vec3 {
+        if self.back { -self.shading_normal } else { self.shading_normal }
+    }
+
+    fn set_frame(&mut self, along_u: Vec3) {
+        let n = self.shading_normal;
+        self.tangent =
+            (along_u - n * n.dot(along_u)).try_normalize().unwrap_or_else(|| n.any_orthonormal_vector());
+        self.bitangent = n.cross(self.tangent);
+    }
+
+    /// Normal maps and height fields.
+    fn perturb(&mut self, scene: &Scene, along_u: Vec3) {
+        let m = &scene.materials[self.material.0 as usize];
+        let mut normal = self.shading_normal;
+        if let Some(map) = m.normal_map {
+            let [x, y, z, _] = scene.textures[map.0 as usize].sample(self.uv, 0.0);
+            let (x, y, z) = (2.0 * x - 1.0, 2.0 * y - 1.0, 2.0 * z - 1.0);
+            normal = self.tangent * x + self.bitangent * y + self.shading_normal * z.max(0.05);
+        } else if let Some(map) = m.bump_map {
+            let texture = &scene.textures[map.0 as usize];
+            let [w, h] = texture.size(0);
+            let step = Vec2::new(1.0 / w.max(1) as f32, 1.0 / h.max(1) as f32);
+            let height = |uv: Vec2| {
+                let [r, g, b, _] = texture.sample(uv, 0.0);
+                (r + g + b) / 3.0
+            };
+            let here = height(self.uv);
+            let gradient = Vec2::new(
+                (height(self.uv + Vec2::X * step.x) - here) / step.x,
+                (height(self.uv + Vec2::Y * step.y) - here) / step.y,
+            ) * (m.bump_scale * self.uv_density);
+            normal = self.shading_normal - self.tangent * gradient.x - self.bitangent * gradient.y;
+        }
+        if let Some(normal) = normal.try_normalize()
+            && normal.is_finite()
+            && normal.dot(self.geometric_normal) > 0.0
+        {
+            self.shading_normal = normal;
+            self.set_frame(along_u);
+        }
+    }
+
+    /// Where interpolation or bumps turned the shading normal away from the viewer, tilts it back until
+    /// the view just grazes it, so that reflections do not go black (as Keller et al. 2017 do for bumps).
+    fn keep_visible(&mut self) {
+        const GRAZING: f32 = 0.01;
+        let side = if self.back { -1.0 } else { 1.0 };
+        let cosine = side * self.shading_normal.dot(self.wo);
+        if cosine < GRAZING {
+            let tilted = self.shading_normal + self.wo * (side * (GRAZING - cosine));
+            if let Some(n) = tilted.try_normalize() {
+                self.shading_normal = n;
+                self.set_frame(self.tangent);
+            }
+        }
+    }
+
+    /// A ray that leaves the surface along `direction`: its origin lies outside the error bounds, on the side that
+    /// it goes to (REFERENCE §5.4 a).
+    #[inline]
+    pub fn spawn(&self, direction: Vec3) -> Ray {
+        Ray::new(self.offset_origin(direction), direction)
+    }
+
+    /// A ray to `target` that ends just before it: `t` = 1 at the target.
+    #[inline]
+    pub fn spawn_to(&self, target: Vec3) -> Ray {
+        let origin = self.offset_origin(target - self.position);
+        Ray { origin, direction: target - origin, t_min: 0.0, t_max: 1.0 - 1e-4 }
+    }
+
+    fn offset_origin(&self, direction: Vec3) -> Vec3 {
+        let n = self.geometric_normal;
+        let distance = n.abs().dot(self.error);
+        let offset = if direction.dot(n) < 0.0 { -n * distance } else { n * distance };
+        let p = self.position + offset;
+        // One ulp further away, so that rounding the sum does not undo it.
+        let step = |p: f32, o: f32| {
+            if o > 0.0 {
+                p.next_up()
+            } else if o < 0.0 {
+                p.next_down()
+            } else {
+                p
+            }
+        };
+        Vec3::new(step(p.x, offset.x), step(p.y, offset.y), step(p.z, offset.z))
+    }
+}
+
+/// Radiance that the surface emits towards the viewer: from the front side only.
+#[inline]
+pub fn emission(scene: &Scene, at: &Interaction) -> Vec3 {
+    let m = at.material(scene);
+    if at.back || !m.is_emissive() {
+        return Vec3::ZERO;
+    }
+    match m.emission.map {
+        None => m.emission.color,
+        Some(map) => {
+            let [r, g, b, _] = scene.textures[map.0 as usize].sample(at.uv, 0.0);
+            m.emission.color * Vec3::new(r, g, b)
+        }
+    }
+}

@@ -4,6 +4,7 @@
 //! are counted per element, irradiance is estimated per element and interpolated between them.
 
 use glam::{Vec2, Vec3};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::raster::{Coverage, rasterise};
@@ -16,6 +17,8 @@ pub const PADDING: u32 = 1;
 const UNWRAPPED_TRIANGLES_MAX: usize = 120_000;
 /// A triangle whose longest edge is below this many texels is stored per vertex.
 const DENSE_EDGE_TEXELS: f32 = 1.5;
+/// Longest edge and area of a triangle for which nothing is stored.
+const NOT_STORED: (f32, f32) = (-1.0, 0.0);
 /// Share of the page that packed charts cover, before it is known.
 const UTILISATION: f32 = 0.7;
 
@@ -147,11 +150,21 @@ impl Atlas {
     /// Divides the triangles of `mesh` between a lightmap of about `texels` texels and vertices.
     ///
     /// The page never exceeds four times `texels`: where charts are so many that their padding would
-    /// need more, texels become coarser and a note says so.
-    pub fn build(mesh: &Mesh, texels: u32, unwrap: &dyn Unwrap) -> Self {
+    /// need more, texels become coarser and a note says so. Triangles that `is_diffuse` denies share one
+    /// element without area: nothing is stored for them.
+    pub fn build(
+        mesh: &Mesh,
+        texels: u32,
+        is_diffuse: &(dyn Fn(u32) -> bool + Sync),
+        unwrap: &dyn Unwrap,
+    ) -> Self {
         let triangles = mesh.triangles.len() as u32;
         let sizes: Vec<(f32, f32)> = (0..triangles)
+            .into_par_iter()
             .map(|t| {
+                if !is_diffuse(t) {
+                    return NOT_STORED;
+                }
                 let corners = mesh.corners(t);
                 (longest_edge(corners), triangle_area(corners))
             })
@@ -201,16 +214,27 @@ impl Atlas {
     fn place(&mut self, mesh: &Mesh, placed: &[Option<[Vec2; 3]>], sizes: &[(f32, f32)]) {
         self.elements =
             rasterise(mesh, placed, self.width, self.height).iter().map(Coverage::element).collect();
-        let dense: Vec<u32> = (0..placed.len() as u32).filter(|&t| placed[t as usize].is_none()).collect();
+        let is_stored = |t: usize| sizes[t] != NOT_STORED;
+        let dense: Vec<u32> = (0..placed.len() as u32)
+            .filter(|&t| placed[t as usize].is_none() && is_stored(t as usize))
+            .collect();
         let first = self.elements.len() as u32;
         let (corner_vertices, vertices) = smooth_corners(mesh, &dense, sizes);
         self.elements.extend(vertices);
+        let nothing = self.elements.len() as u32;
+        if dense.len() < placed.len() {
+            self.elements.push(Element::default());
+        }
         let mut dense_corners = corner_vertices.into_iter();
         self.corners = placed
             .iter()
-            .map(|uv| match uv {
+            .enumerate()
+            .map(|(t, uv)| match uv {
                 Some(uv) => Corners::Texels(*uv),
-                None => Corners::Vertices(dense_corners.next().unwrap_or_default().map(|v| v + first)),
+                None if is_stored(t) => {
+                    Corners::Vertices(dense_corners.next().unwrap_or_default().map(|v| v + first))
+                }
+                None => Corners::Vertices([nothing; 3]),
             })
             .collect();
     }
@@ -314,7 +338,7 @@ mod tests {
     #[test]
     fn a_large_quad_gets_texels_whose_areas_sum_to_its_area() {
         let mesh = quad(Vec3::ZERO, Vec3::X * 3.0, Vec3::Y * 2.0);
-        let atlas = Atlas::build(&mesh, 4096, &ConformalCharts);
+        let atlas = Atlas::build(&mesh, 4096, &|_| true, &ConformalCharts);
         assert!(atlas.corners.iter().all(|c| matches!(c, Corners::Texels(_))));
         assert!((area_of(&atlas) - 6.0).abs() < 1e-3, "{}", area_of(&atlas));
         let covered = atlas.elements.iter().filter(|e| e.area > 0.0).count();
@@ -330,7 +354,7 @@ mod tests {
     #[test]
     fn a_dense_mesh_is_stored_per_vertex_and_keeps_its_area() {
         let mesh = grid(60, 60, |x, y| Vec3::new(x, y, 0.0));
-        let atlas = Atlas::build(&mesh, 64, &ConformalCharts);
+        let atlas = Atlas::build(&mesh, 64, &|_| true, &ConformalCharts);
         assert!(atlas.corners.iter().all(|c| matches!(c, Corners::Vertices(_))));
         assert_eq!(atlas.elements.len(), 61 * 61);
         assert!((area_of(&atlas) - 1.0).abs() < 1e-4);
@@ -339,7 +363,7 @@ mod tests {
     #[test]
     fn every_point_of_a_triangle_has_a_covered_element_nearby() {
         let mesh = grid(4, 3, |x, y| Vec3::new(x * 2.0, y, (x * 3.0).sin() * 0.3));
-        let atlas = Atlas::build(&mesh, 2048, &ConformalCharts);
+        let atlas = Atlas::build(&mesh, 2048, &|_| true, &ConformalCharts);
         let mut stream = crate::rng::Stream::new(1, 2, 3);
         for _ in 0..20_000 {
             let t = (stream.next_u64() % mesh.triangles.len() as u64) as u32;
@@ -363,18 +387,29 @@ mod tests {
             mesh.positions.extend([at, at + Vec3::X * 0.3, at + Vec3::Y * 0.3]);
             mesh.triangles.push([n, n + 1, n + 2]);
         }
-        let atlas = Atlas::build(&mesh, 4096, &ConformalCharts);
+        let atlas = Atlas::build(&mesh, 4096, &|_| true, &ConformalCharts);
         assert!(atlas.texel_count() <= 4 * 4096, "{}", atlas.texel_count());
         assert!((area_of(&atlas) - 2000.0 * 0.045).abs() < 0.1);
     }
 
     #[test]
+    fn nothing_is_stored_for_mirrors() {
+        let mesh = grid(4, 4, |x, y| Vec3::new(x, y, 0.0));
+        let atlas = Atlas::build(&mesh, 1000, &|t| t >= 16, &ConformalCharts);
+        assert!((area_of(&atlas) - 0.5).abs() < 1e-3);
+        for t in 0..16 {
+            let Corners::Vertices([e, ..]) = atlas.corners[t] else { panic!("a mirror with texels") };
+            assert_eq!(atlas.elements[e as usize], Element::default());
+        }
+    }
+
+    #[test]
     fn degenerate_and_empty_meshes_have_an_atlas() {
-        let empty = Atlas::build(&Mesh::default(), 1024, &ConformalCharts);
+        let empty = Atlas::build(&Mesh::default(), 1024, &|_| true, &ConformalCharts);
         assert!(empty.elements.is_empty());
         let mut line = quad(Vec3::ZERO, Vec3::X, Vec3::X * 2.0);
         line.positions[2] = Vec3::ZERO;
-        let atlas = Atlas::build(&line, 1024, &ConformalCharts);
+        let atlas = Atlas::build(&line, 1024, &|_| true, &ConformalCharts);
         assert_eq!(atlas.corners.len(), line.triangles.len());
     }
 }

@@ -76,8 +76,13 @@ fn node_count(n: usize) -> usize {
 impl ClusterTree {
     /// A tree over the elements that have an area.
     pub fn build(elements: &[Element]) -> Self {
+        Self::build_where(elements, &|_| true)
+    }
+
+    /// A tree over those of them that `counts` accepts.
+    pub fn build_where(elements: &[Element], counts: &dyn Fn(u32) -> bool) -> Self {
         let mut order: Vec<u32> =
-            (0..elements.len() as u32).filter(|&e| elements[e as usize].area > 0.0).collect();
+            (0..elements.len() as u32).filter(|&e| elements[e as usize].area > 0.0 && counts(e)).collect();
         let mut nodes = vec![Node::default(); node_count(order.len())];
         if !order.is_empty() {
             split(elements, &mut order, 0, &mut nodes, 0);

@@ -1,16 +1,22 @@
 //! View-independent diffuse illumination: atlas, density estimation, cache.
 
 pub mod atlas;
+pub mod bake;
+#[cfg(test)]
+mod bake_tests;
 pub mod bins;
 pub mod cache;
 pub mod clusters;
 pub mod density;
+pub mod direct;
 mod raster;
 pub mod simplify;
 mod smoothing;
 pub mod stored;
 #[cfg(test)]
 pub(crate) mod test_scenes;
+#[cfg(test)]
+pub(crate) mod test_transport;
 
 use glam::Vec3;
 

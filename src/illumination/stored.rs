@@ -288,7 +288,7 @@ mod tests {
         let mut mesh = quad(Vec3::ZERO, Vec3::X * 2.0, Vec3::Y);
         join(&mut mesh, &quad(Vec3::Z, Vec3::X, Vec3::Y * 0.4), 0);
         join(&mut mesh, &grid(40, 40, |x, y| Vec3::new(x * 0.1, y * 0.1, 3.0)), 0);
-        let atlas = Atlas::build(&mesh, 1000, &ConformalCharts);
+        let atlas = Atlas::build(&mesh, 1000, &|_| true, &ConformalCharts);
         (mesh, atlas)
     }
 

@@ -1,5 +1,6 @@
 //! BSDFs, lights and the tracers.
 
+pub mod particle;
 pub mod radiosity;
 
 pub mod interaction;

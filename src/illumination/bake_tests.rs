@@ -1,0 +1,275 @@
+//! Bakes with closed forms (REFERENCE §6.6).
+
+use glam::Vec3;
+
+use super::bake::{BakeSettings, Baker, DirectLight, bake, quick_direct};
+use super::stored::Illumination;
+use super::test_scenes::{cube, join, lambert, quad, scene};
+use super::test_transport::Lambertian;
+use super::{Irradiance, cache};
+use crate::scene::{Mesh, Scene};
+
+fn settings(texels: u32, particles: u64, direct: DirectLight) -> BakeSettings {
+    BakeSettings { texels, seed: 3, direct, particles: Some(particles), error: None }
+}
+
+fn baked(scene: &Scene, settings: &BakeSettings) -> Illumination {
+    bake(scene, &Lambertian::new(scene), settings, &|_| true).illumination
+}
+
+/// A unit light of radiosity 1 facing down at height 1, over a floor of 5 × 5.
+fn light_over_floor(albedo: f32) -> Scene {
+    let mut mesh = quad(Vec3::new(-2.5, 0.0, 2.5), Vec3::X * 5.0, Vec3::NEG_Z * 5.0);
+    join(&mut mesh, &quad(Vec3::new(-0.5, 1.0, -0.5), Vec3::X, Vec3::Z), 1);
+    scene(mesh, vec![lambert(albedo, 0.0), lambert(0.01, 1.0 / std::f32::consts::PI)], Vec::new())
+}
+
+/// Irradiance of the floor at (x, 0, z).
+fn on_floor(map: &Illumination, mesh: &Mesh, x: f32, z: f32) -> Vec3 {
+    for t in 0..mesh.triangles.len() as u32 {
+        let [a, b, c] = mesh.corners(t);
+        let n = (b - a).cross(c - a);
+        let p = Vec3::new(x, 0.0, z);
+        if n.y <= 0.0 || (p - a).dot(n).abs() > 1e-4 {
+            continue;
+        }
+        let b1 = (p - a).cross(c - a).dot(n) / n.length_squared();
+        let b2 = (b - a).cross(p - a).dot(n) / n.length_squared();
+        if b1 >= -1e-6 && b2 >= -1e-6 && b1 + b2 <= 1.0 + 1e-6 {
+            return map.irradiance(t, b1, b2, false);
+        }
+    }
+    panic!("no floor at {x}, {z}");
+}
+
+/// Irradiance under the light at distances x from the middle.
+const UNDER_LIGHT: [(f32, f32); 5] =
+    [(0.0, 0.239_456), (0.25, 0.222_966), (0.5, 0.180_369), (1.0, 0.084_354), (2.0, 0.013_924)];
+
+#[test]
+fn irradiance_under_a_square_light_has_its_closed_form() {
+    let scene = light_over_floor(1e-6);
+    for (direct, allowed) in [(DirectLight::NextEvent, 0.006), (DirectLight::Particles, 0.02)] {
+        let transport = Lambertian::new(&scene);
+        let settings = settings(20_000, 1 << 20, direct);
+        let mut baker = Baker::new(&scene, &transport, &settings);
+        for _ in 0..24 {
+            baker.gather_direct();
+        }
+        let map = baker.run(&|_| true, &mut |_| {}).illumination;
+        for (x, exact) in UNDER_LIGHT {
+            // Four points by symmetry.
+            let mean = [(x, 0.003), (-x, -0.003), (0.003, x), (-0.003, -x)]
+                .into_iter()
+                .map(|(x, z)| on_floor(&map, &scene.mesh, x, z).x)
+                .sum::<f32>()
+                / 4.0;
+            let allowed = if x >= 2.0 { 2.0 * allowed } else { allowed };
+            assert!((mean / exact - 1.0).abs() < allowed, "{direct:?} {x}: {mean} {exact}");
+        }
+        assert!(map.summary.relative_error < 0.025, "{:?}", map.summary);
+    }
+}
+
+fn furnace(rho: f32) -> Scene {
+    scene(cube(Vec3::ZERO, 1.0, false), vec![lambert(rho, 1.0 / std::f32::consts::PI)], Vec::new())
+}
+
+#[test]
+fn a_closed_furnace_is_even_up_to_its_corners() {
+    for (rho, exact) in [(0.5, 2.0), (0.8, 5.0)] {
+        let scene = furnace(rho);
+        let map = baked(&scene, &settings(6_000, 1 << 21, DirectLight::Particles));
+        let mut stream = crate::rng::Stream::new(9, 0, 0);
+        let (mut sum, mut worst) = (0.0, 0.0f32);
+        let points = 4000;
+        for i in 0..points {
+            let t = (stream.next_u64() % 12) as u32;
+            let [u, v] = stream.next_2d();
+            // Every fourth point in a corner or on an edge.
+            let s = if i % 4 == 0 { 1.0 } else { u.sqrt() };
+            let value = map.irradiance(t, s * (1.0 - v), s * v, false).x;
+            sum += value;
+            worst = worst.max((value / exact - 1.0).abs());
+        }
+        let mean = sum / points as f32;
+        assert!((mean / exact - 1.0).abs() < 0.004, "{rho}: {mean}");
+        assert!(worst < 0.05, "{rho}: {worst}");
+        assert!(map.summary.relative_error < 0.015, "{:?}", map.summary);
+        assert_eq!(map.back_count(), 0);
+    }
+}
+
+#[test]
+fn a_furnace_with_direct_light_at_the_elements_agrees() {
+    let scene = furnace(0.5);
+    let transport = Lambertian::new(&scene);
+    let settings = settings(3_000, 1 << 20, DirectLight::NextEvent);
+    let mut baker = Baker::new(&scene, &transport, &settings);
+    for _ in 0..30 {
+        baker.gather_direct();
+    }
+    let map = baker.run(&|_| true, &mut |_| {}).illumination;
+    let mean = map.summary.mean[0];
+    // The lights' samples miss some of the singular light across the shared edges.
+    assert!((mean / 2.0 - 1.0).abs() < 0.01, "{mean}");
+}
+
+#[test]
+fn a_cube_lit_by_its_ceiling_has_its_means_per_face() {
+    let mut scene = furnace(0.5);
+    scene.materials.push(lambert(0.5, 0.0));
+    for t in 0..12 {
+        scene.mesh.materials[t].0 = u32::from(!(6..8).contains(&t));
+    }
+    let map = baked(&scene, &settings(6_000, 1 << 20, DirectLight::Particles));
+    for face in 0..6u32 {
+        // Points on a grid over both triangles.
+        let n = 40;
+        let mut sum = 0.0;
+        for i in 0..n * n {
+            let (x, y) = ((i % n) as f32 + 0.5, (i / n) as f32 + 0.5);
+            let (x, y) = (x / n as f32, y / n as f32);
+            let (b1, b2) = if x + y < 1.0 { (x, y) } else { (1.0 - x, 1.0 - y) };
+            sum += map.irradiance(2 * face + i % 2, b1, b2, false).x;
+        }
+        let emission = if face == 3 { 1.0 } else { 0.0 };
+        let radiosity = emission + 0.5 * sum / (n * n) as f32;
+        // Exact form factors between 12 × 12 patches per face, extrapolated; REFERENCE §6.6 has the numbers of
+        // one patch per face: 1.090909, .181746, .181837.
+        let exact = [0.1811, 0.1811, 0.1713, 1.1040, 0.1811, 0.1811][face as usize];
+        assert!((radiosity / exact - 1.0).abs() < 0.01, "{face}: {radiosity} {exact}");
+    }
+}
+
+#[test]
+fn the_same_bits_for_any_number_of_threads() {
+    let scene = light_over_floor(0.5);
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| baked(&scene, &settings(2_000, 60_000, DirectLight::NextEvent)))
+    };
+    let one = run(1);
+    for threads in [2, 3, 5] {
+        assert!(run(threads) == one, "{threads} threads");
+    }
+}
+
+#[test]
+fn an_interrupted_bake_that_goes_on_equals_an_uninterrupted_one() {
+    let scene = light_over_floor(0.5);
+    let transport = Lambertian::new(&scene);
+    let settings = settings(1_000, 300_000, DirectLight::NextEvent);
+    let whole = bake(&scene, &transport, &settings, &|_| true);
+    assert!(whole.complete);
+    let mut first = Baker::new(&scene, &transport, &settings);
+    let cut = first.run(&|p| p.particles < 100_000, &mut |_| {});
+    assert!(!cut.complete && cut.illumination.is_sound());
+    assert!(cut.illumination.summary.particles < 200_000);
+    let bytes = cache::encode(&[1; 32], &first.state()).unwrap();
+    let mut second = Baker::new(&scene, &transport, &settings);
+    assert!(second.restore(&cache::decode(&[1; 32], &bytes).unwrap()));
+    let resumed = second.run(&|_| true, &mut |_| {});
+    assert!(resumed.complete);
+    assert!(resumed.illumination == whole.illumination);
+}
+
+#[test]
+fn error_falls_with_particles_as_the_theory_says() {
+    let scene = furnace(0.5);
+    let error = |particles: u64| {
+        let map = baked(&scene, &settings(2_000, particles, DirectLight::Particles));
+        let values = map.front_values().iter().filter(|v| v[0] > 0.0);
+        let (sum, n) =
+            values.fold((0.0f64, 0u32), |(s, n), v| (s + f64::from(v[0] / 2.0 - 1.0).powi(2), n + 1));
+        ((sum / f64::from(n)).sqrt(), f64::from(map.summary.relative_error))
+    };
+    // Every wall alike: no bias, so the radius stays wide and only noise remains.
+    let (few, many) = (error(16_384), error(1 << 20));
+    let slope = (many.0 / few.0).ln() / 64f64.ln();
+    assert!((-0.55..-0.28).contains(&slope), "{slope}: {few:?} {many:?}");
+    for (real, claimed) in [few, many] {
+        assert!((0.5..2.0).contains(&(claimed / real)), "{real} {claimed}");
+    }
+}
+
+#[test]
+fn a_quad_split_into_two_charts_shows_no_step() {
+    // The same floor as one quad and as two that share no vertex; each becomes a chart of its own.
+    let one = light_over_floor(0.3);
+    let mut mesh = quad(Vec3::new(-2.5, 0.0, 2.5), Vec3::X * 2.5, Vec3::NEG_Z * 5.0);
+    join(&mut mesh, &quad(Vec3::new(0.0, 0.0, 2.5), Vec3::X * 2.5, Vec3::NEG_Z * 5.0), 0);
+    // Lifting one edge vertex by the smallest step keeps the unwrapper from welding the halves.
+    for p in &mut mesh.positions[4..] {
+        p.y = 1e-6;
+    }
+    join(&mut mesh, &quad(Vec3::new(-0.5, 1.0, -0.5), Vec3::X, Vec3::Z), 1);
+    let two = scene(mesh, one.materials.clone(), Vec::new());
+    let map = baked(&two, &settings(10_000, 1 << 19, DirectLight::Particles));
+    let (mut step, mut noise, n) = (0.0f64, 0.0f64, 100);
+    for i in 0..n {
+        let z = -1.2 + 2.4 * i as f32 / n as f32;
+        let at = |x: f32| f64::from(on_floor(&map, &two.mesh, x, z).x);
+        step += at(0.02) - at(-0.02);
+        noise += (at(0.02) - at(-0.02)).abs();
+    }
+    let middle = 0.15;
+    assert!((step / f64::from(n)).abs() < 0.01 * middle, "{}", step / f64::from(n));
+    assert!(noise / f64::from(n) < 0.02 * middle, "{}", noise / f64::from(n));
+}
+
+#[test]
+fn a_wall_lit_on_one_side_is_dark_on_the_other() {
+    // A closed box with a light, divided by a single sheet.
+    let mut mesh = cube(Vec3::ZERO, 2.0, false);
+    for m in &mut mesh.materials {
+        m.0 = 0;
+    }
+    join(&mut mesh, &quad(Vec3::new(1.0, 0.0, 0.0), Vec3::Y * 2.0, Vec3::Z * 2.0), 0);
+    join(&mut mesh, &quad(Vec3::new(0.3, 1.9, 0.7), Vec3::X * 0.4, Vec3::Z * 0.4), 1);
+    let mut closed = scene(mesh, vec![lambert(0.5, 0.0), lambert(0.1, 5.0)], Vec::new());
+    // The light faces down.
+    let last = closed.mesh.triangles.len();
+    assert!({
+        let [a, b, c] = closed.mesh.corners(last as u32 - 1);
+        (b - a).cross(c - a).y < 0.0
+    });
+    closed.mesh.objects.fill(0);
+    for direct in [DirectLight::NextEvent, DirectLight::Particles] {
+        let map = baked(&closed, &settings(8_000, 200_000, direct));
+        // The sheet's normal is y × z = +x, away from the light.
+        let (mut lit, mut dark) = (0.0f32, 0.0f32);
+        for i in 0..200 {
+            let [u, v] = crate::rng::Stream::new(2, i, 0).next_2d();
+            let s = u.sqrt();
+            for t in [12, 13] {
+                lit += map.irradiance(t, s * (1.0 - v), s * v, true).x;
+                dark = dark.max(map.irradiance(t, s * (1.0 - v), s * v, false).x);
+            }
+        }
+        assert!(lit / 400.0 > 0.1, "{lit}");
+        assert_eq!(dark, 0.0);
+    }
+}
+
+#[test]
+fn the_first_picture_has_shadows_that_are_not_black() {
+    let scene = light_over_floor(0.5);
+    let map = quick_direct(&scene, &Lambertian::new(&scene), 1);
+    let (under, far) = (on_floor(&map, &scene.mesh, 0.0, 0.0).x, on_floor(&map, &scene.mesh, 2.4, 2.4).x);
+    assert!(under > 0.2 && far > 0.005 && under > 3.0 * far, "{under} {far}");
+    assert_eq!(map.summary.relative_error, 1.0);
+}
+
+#[test]
+fn a_scene_without_light_or_surfaces_is_dark_and_done() {
+    let dark = scene(quad(Vec3::ZERO, Vec3::X, Vec3::Y), vec![lambert(0.5, 0.0)], Vec::new());
+    let empty = scene(Mesh::default(), vec![lambert(0.5, 0.0)], Vec::new());
+    for scene in [dark, empty] {
+        let transport = Lambertian::new(&scene);
+        let open_end = BakeSettings { particles: None, ..settings(100, 1, DirectLight::NextEvent) };
+        let done = bake(&scene, &transport, &open_end, &|_| true);
+        assert!(done.complete && !done.illumination.summary.has_indirect);
+        assert_eq!(done.illumination.irradiance(0, 0.3, 0.3, false), Vec3::ZERO);
+    }
+}

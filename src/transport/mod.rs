@@ -3,4 +3,5 @@
 pub mod particle;
 pub mod radiosity;
 
+pub mod bsdf;
 pub mod interaction;

@@ -1,0 +1,115 @@
+//! Microfacet distributions in the local frame, n = (0, 0, 1) (REFERENCE §4.1, §4.2).
+
+use glam::{Vec2, Vec3};
+
+use crate::scene::Distribution;
+
+/// A distribution of facet normals with slopes along two axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Microfacet {
+    /// α along x.
+    pub ax: f32,
+    /// α along y.
+    pub ay: f32,
+    /// Shape.
+    pub distribution: Distribution,
+    /// V-groove shadowing (Cook–Torrance 1982) instead of Smith's.
+    pub v_groove: bool,
+}
+
+impl Microfacet {
+    /// D(h): ∫ D h_z dω = 1.
+    pub fn d(&self, h: Vec3) -> f32 {
+        let z2 = h.z * h.z;
+        if !(h.z > 1e-4) {
+            return 0.0;
+        }
+        let e = ((h.x / self.ax).powi(2) + (h.y / self.ay).powi(2)) / z2;
+        let norm = std::f32::consts::PI * self.ax * self.ay * z2 * z2;
+        match self.distribution {
+            Distribution::Ggx => 1.0 / (norm * (1.0 + e) * (1.0 + e)),
+            Distribution::Beckmann => (-e).exp() / norm,
+        }
+    }
+
+    /// Smith's Λ.
+    fn lambda(&self, w: Vec3) -> f32 {
+        let z2 = w.z * w.z;
+        let a2tan2 = ((w.x * self.ax).powi(2) + (w.y * self.ay).powi(2)) / z2;
+        if !a2tan2.is_finite() {
+            return f32::INFINITY;
+        }
+        match self.distribution {
+            Distribution::Ggx => 0.5 * ((1.0 + a2tan2).sqrt() - 1.0),
+            Distribution::Beckmann => {
+                let x = 1.0 / a2tan2.sqrt();
+                if x >= 1.6 { 0.0 } else { (1.0 - 1.259 * x + 0.396 * x * x) / (3.535 * x + 2.181 * x * x) }
+            }
+        }
+    }
+
+    /// Smith's G₁.
+    pub fn g1(&self, w: Vec3) -> f32 {
+        1.0 / (1.0 + self.lambda(w))
+    }
+
+    /// D G / (4 co ci), never dividing by the small cosine alone.
+    pub fn reflection(&self, wo: Vec3, wi: Vec3, h: Vec3) -> f32 {
+        let (co, ci, oh) = (wo.z, wi.z, wo.dot(h));
+        if !(co > 0.0 && ci > 0.0 && oh > 0.0) {
+            return 0.0;
+        }
+        let d = self.d(h);
+        let value = if self.v_groove {
+            d * (0.25 / (co * ci)).min(0.5 * h.z / (oh * ci)).min(0.5 * h.z / (oh * co))
+        } else {
+            d / (4.0 * co * ci * (1.0 + self.lambda(wo) + self.lambda(wi)))
+        };
+        if value.is_finite() { value } else { 0.0 }
+    }
+
+    /// A facet normal and nothing else, distributed as visible from `wo` for GGX (Heitz 2018), as D h_z for
+    /// Beckmann.
+    pub fn sample(&self, wo: Vec3, u: [f32; 2]) -> Vec3 {
+        match self.distribution {
+            Distribution::Ggx => {
+                let v = Vec3::new(self.ax * wo.x, self.ay * wo.y, wo.z).normalize();
+                let length2 = v.x * v.x + v.y * v.y;
+                let t1 = if length2 > 0.0 { Vec3::new(-v.y, v.x, 0.0) / length2.sqrt() } else { Vec3::X };
+                let t2 = v.cross(t1);
+                let r = u[0].sqrt();
+                let phi = std::f32::consts::TAU * u[1];
+                let p = Vec2::new(r * phi.cos(), r * phi.sin());
+                let s = 0.5 * (1.0 + v.z);
+                let y = (1.0 - s) * (1.0 - p.x * p.x).max(0.0).sqrt() + s * p.y;
+                let n = t1 * p.x + t2 * y + v * (1.0 - p.x * p.x - y * y).max(0.0).sqrt();
+                Vec3::new(self.ax * n.x, self.ay * n.y, n.z.max(1e-6)).normalize()
+            }
+            Distribution::Beckmann => {
+                let phi = (self.ay * (std::f32::consts::TAU * u[1]).sin())
+                    .atan2(self.ax * (std::f32::consts::TAU * u[1]).cos());
+                let (s, c) = phi.sin_cos();
+                let slope = (c / self.ax).powi(2) + (s / self.ay).powi(2);
+                let tan2 = -(1.0 - u[0]).max(f32::MIN_POSITIVE).ln() / slope;
+                let z = 1.0 / (1.0 + tan2).sqrt();
+                let r = (1.0 - z * z).max(0.0).sqrt();
+                Vec3::new(r * c, r * s, z)
+            }
+        }
+    }
+
+    /// Density of wi over solid angle when the facet normal comes from `sample`; `sum` = wo + wi. ⟨wo, h⟩ is half
+    /// the sum's length: where both graze, the scalar product loses its sign to rounding.
+    pub fn pdf(&self, wo: Vec3, sum: Vec3) -> f32 {
+        let oh = 0.5 * sum.length();
+        let h = sum.normalize_or_zero();
+        if !(wo.z > 0.0 && oh > 0.0) {
+            return 0.0;
+        }
+        let pdf = match self.distribution {
+            Distribution::Ggx => self.g1(wo) * self.d(h) / (4.0 * wo.z),
+            Distribution::Beckmann => self.d(h) * h.z / (4.0 * oh),
+        };
+        if pdf.is_finite() { pdf } else { 0.0 }
+    }
+}

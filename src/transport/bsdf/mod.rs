@@ -1,0 +1,513 @@
+//! Reflectance at a point: a view-independent diffuse part and a view-dependent rest.
+//!
+//! The split carries the whole program: the display shows `diffuse_albedo / π × irradiance`, the
+//! tracer adds the rest. For plastic the base's light has to cross the coat, more of it straight on than
+//! at grazing angles; the mean over directions is the diffuse part, and what a given direction shows
+//! more or less than that ([`Bsdf::coat_factor`] − 1) belongs to the view-dependent rest.
+//!
+//! Directions are world space, unit, and point away from the surface. Absent on purpose: subsurface
+//! scattering, layers beyond one coat, dispersion.
+
+pub mod fresnel;
+pub mod microfacet;
+
+use std::f32::consts::{FRAC_1_PI, PI};
+
+use glam::Vec3;
+
+use super::interaction::Interaction;
+use crate::image::luminance;
+use crate::scene::{Distribution, Model, Reflectance, Roughness, Scene};
+use microfacet::Microfacet;
+
+/// One sampled direction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BsdfSample {
+    /// Direction that light comes from.
+    pub wi: Vec3,
+    /// f · |cos| / pdf, per band.
+    pub weight: Vec3,
+    /// Density over solid angle; the lobe's probability for a delta lobe.
+    pub pdf: f32,
+    /// The direction has no neighbours that light sampling could find.
+    pub delta: bool,
+    /// Light comes through the surface.
+    pub transmitted: bool,
+    /// (n_i / n_t)² of a refraction: radiance is multiplied by it, particles' flux is not.
+    pub radiance_scale: f32,
+}
+
+/// Fresnel reflectance of a facet.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Facet {
+    Conductor { eta: Vec3, k: Vec3 },
+    Schlick { f0: Vec3 },
+    Dielectric { eta: f32 },
+}
+
+impl Facet {
+    fn reflectance(&self, cosine: f32) -> Vec3 {
+        match *self {
+            Self::Conductor { eta, k } => Vec3::new(
+                fresnel::conductor(cosine, eta.x, k.x),
+                fresnel::conductor(cosine, eta.y, k.y),
+                fresnel::conductor(cosine, eta.z, k.z),
+            ),
+            Self::Schlick { f0 } => fresnel::schlick(cosine, f0),
+            Self::Dielectric { eta } => Vec3::splat(fresnel::dielectric(cosine, eta)),
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Lobe {
+    None,
+    Mirror {
+        reflectance: Vec3,
+    },
+    Smooth {
+        facet: Facet,
+    },
+    Glossy {
+        facet: Facet,
+        microfacet: Microfacet,
+    },
+    Ward {
+        specular: Vec3,
+        microfacet: Microfacet,
+    },
+    /// `eta` = n_t / n_i seen from the viewer's side. Rough where there is a microfacet.
+    Glass {
+        eta: f32,
+        microfacet: Option<Microfacet>,
+    },
+    Pane {
+        eta: f32,
+        transmittance: Vec3,
+    },
+}
+
+/// The reflectance at one point, for one side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bsdf {
+    normal: Vec3,
+    tangent: Vec3,
+    bitangent: Vec3,
+    geometric: Vec3,
+    diffuse: Vec3,
+    /// Index of the coat over the diffuse part, 1 where there is none.
+    coat: f32,
+    lobe: Lobe,
+}
+
+fn lookup(scene: &Scene, at: &Interaction, r: &Reflectance) -> Vec3 {
+    let color = match r.map {
+        None => r.color,
+        Some(map) => {
+            let [red, green, blue, _] = scene.textures[map.0 as usize].sample(at.uv, 0.0);
+            r.color * Vec3::new(red, green, blue)
+        }
+    };
+    color.clamp(Vec3::ZERO, Vec3::ONE)
+}
+
+fn microfacet(r: &Roughness, v_groove: bool) -> Option<Microfacet> {
+    (!r.is_smooth()).then(|| Microfacet {
+        ax: r.alpha_x.clamp(Roughness::SMOOTH, 1.0),
+        ay: r.alpha_y.clamp(Roughness::SMOOTH, 1.0),
+        distribution: r.distribution,
+        v_groove,
+    })
+}
+
+impl Bsdf {
+    /// The reflectance at an interaction, seen from its `wo`.
+    pub fn at(scene: &Scene, at: &Interaction) -> Self {
+        let m = at.material(scene);
+        let side = if at.back { -1.0 } else { 1.0 };
+        let mut bsdf = Self {
+            normal: at.facing_shading(),
+            tangent: at.tangent,
+            bitangent: at.bitangent * side,
+            geometric: at.facing_geometric(),
+            diffuse: Vec3::ZERO,
+            coat: 1.0,
+            lobe: Lobe::None,
+        };
+        // The back of a one-sided surface is black.
+        if at.back && !m.two_sided {
+            return bsdf;
+        }
+        let facet_lobe = |facet: Facet, r: &Roughness, v_groove: bool| match microfacet(r, v_groove) {
+            None => Lobe::Smooth { facet },
+            Some(microfacet) => Lobe::Glossy { facet, microfacet },
+        };
+        match &m.model {
+            Model::Lambert { albedo } => bsdf.diffuse = lookup(scene, at, albedo),
+            Model::Mirror { specular } => {
+                bsdf.lobe = Lobe::Mirror { reflectance: lookup(scene, at, specular) }
+            }
+            Model::Conductor { eta, k, roughness } => {
+                bsdf.lobe = facet_lobe(Facet::Conductor { eta: *eta, k: *k }, roughness, false);
+            }
+            Model::Metal { specular, roughness } => {
+                bsdf.lobe = facet_lobe(Facet::Schlick { f0: lookup(scene, at, specular) }, roughness, false);
+            }
+            Model::Dielectric { ior, transmittance, thin, roughness } => {
+                let ior = ior.clamp(1.0, 10.0);
+                bsdf.lobe = if *thin {
+                    Lobe::Pane { eta: ior, transmittance: *transmittance }
+                } else {
+                    let eta = if at.back { 1.0 / ior } else { ior };
+                    Lobe::Glass { eta, microfacet: microfacet(roughness, false) }
+                };
+            }
+            Model::Plastic { albedo, ior, roughness } => {
+                let ior = ior.clamp(1.0, 3.0);
+                let base = lookup(scene, at, albedo);
+                // Into the coat, any number of reflections below it, and out again.
+                let outer = fresnel::dielectric_mean(ior);
+                let escape = (1.0 - outer) / (ior * ior);
+                bsdf.diffuse = base * ((1.0 - outer) * escape) / (Vec3::ONE - base * (1.0 - escape));
+                bsdf.coat = ior;
+                if ior > 1.0 {
+                    bsdf.lobe = facet_lobe(Facet::Dielectric { eta: ior }, roughness, false);
+                }
+            }
+            Model::CookTorrance { diffuse, specular, roughness } => {
+                bsdf.diffuse = lookup(scene, at, diffuse);
+                let f0 = lookup(scene, at, specular);
+                if f0.max_element() > 0.0 {
+                    let v_groove = roughness.distribution == Distribution::Beckmann;
+                    bsdf.lobe = facet_lobe(Facet::Schlick { f0 }, roughness, v_groove);
+                }
+            }
+            Model::Ward { diffuse, specular, roughness } => {
+                bsdf.diffuse = lookup(scene, at, diffuse);
+                let specular = lookup(scene, at, specular);
+                if specular.max_element() > 0.0 {
+                    let beckmann = Roughness { distribution: Distribution::Beckmann, ..*roughness };
+                    bsdf.lobe = match microfacet(&beckmann, false) {
+                        None => Lobe::Mirror { reflectance: specular },
+                        Some(microfacet) => Lobe::Ward { specular, microfacet },
+                    };
+                }
+            }
+        }
+        bsdf
+    }
+
+    /// Albedo of the view-independent part, per band.
+    pub fn diffuse_albedo(&self) -> Vec3 {
+        self.diffuse
+    }
+
+    /// How much more or less of the diffuse light leaves towards `wo` than on average: (1 − F(wo)) / (1 − F̄)
+    /// under a coat, 1 otherwise.
+    pub fn coat_factor(&self, wo: Vec3) -> f32 {
+        if self.coat <= 1.0 {
+            return 1.0;
+        }
+        let cosine = wo.dot(self.normal).max(0.0);
+        (1.0 - fresnel::dielectric(cosine, self.coat)) / (1.0 - fresnel::dielectric_mean(self.coat))
+    }
+
+    /// Whether anything depends on the view.
+    pub fn has_view_dependent(&self) -> bool {
+        self.lobe != Lobe::None || self.coat > 1.0
+    }
+
+    /// Whether the view-dependent lobes have single directions only, so that sampling lights is in vain.
+    pub fn is_delta(&self) -> bool {
+        !matches!(self.lobe, Lobe::Glossy { .. } | Lobe::Ward { .. })
+    }
+
+    fn local(&self, w: Vec3) -> Vec3 {
+        Vec3::new(w.dot(self.tangent), w.dot(self.bitangent), w.dot(self.normal))
+    }
+
+    fn world(&self, w: Vec3) -> Vec3 {
+        self.tangent * w.x + self.bitangent * w.y + self.normal * w.z
+    }
+
+    fn reflected(&self, wo: Vec3) -> Vec3 {
+        (self.normal * (2.0 * wo.dot(self.normal)) - wo).normalize_or(self.normal)
+    }
+
+    fn refracted(&self, wo: Vec3, eta: f32) -> Option<Vec3> {
+        refract(wo, self.normal, eta)
+    }
+
+    /// All directions of delta lobes, each with its full weight (not divided by a probability): a caller that
+    /// branches follows all of them.
+    pub fn delta_lobes(&self, wo: Vec3) -> [Option<BsdfSample>; 2] {
+        let reflection = |weight: Vec3| {
+            let wi = self.reflected(wo);
+            (wi.dot(self.geometric) > 0.0 && weight.max_element() > 0.0).then_some(BsdfSample {
+                wi,
+                weight,
+                pdf: 1.0,
+                delta: true,
+                transmitted: false,
+                radiance_scale: 1.0,
+            })
+        };
+        let cosine = wo.dot(self.normal).max(0.0);
+        match self.lobe {
+            Lobe::Mirror { reflectance } => [reflection(reflectance), None],
+            Lobe::Smooth { facet } => [reflection(facet.reflectance(cosine)), None],
+            Lobe::Glass { eta, microfacet: None } => {
+                let f = fresnel::dielectric(cosine, eta);
+                let through = self.refracted(wo, eta).filter(|wi| f < 1.0 && wi.dot(self.geometric) < 0.0);
+                let refraction = through.map(|wi| BsdfSample {
+                    wi,
+                    weight: Vec3::splat(1.0 - f),
+                    pdf: 1.0,
+                    delta: true,
+                    transmitted: true,
+                    radiance_scale: 1.0 / (eta * eta),
+                });
+                [reflection(Vec3::splat(f)), refraction]
+            }
+            Lobe::Pane { eta, transmittance } => {
+                let (r, t) = pane(cosine, eta, transmittance);
+                let through = BsdfSample {
+                    wi: -wo,
+                    weight: t,
+                    pdf: 1.0,
+                    delta: true,
+                    transmitted: true,
+                    radiance_scale: 1.0,
+                };
+                [reflection(r), Some(through)]
+            }
+            Lobe::None | Lobe::Glossy { .. } | Lobe::Ward { .. } | Lobe::Glass { .. } => [None, None],
+        }
+    }
+
+    /// A direction of the view-dependent lobes; `None` where it falls below the horizon (weight 0; do not
+    /// draw again).
+    pub fn sample(&self, wo: Vec3, u: [f32; 2], u_lobe: f32) -> Option<BsdfSample> {
+        match self.lobe {
+            Lobe::None => None,
+            Lobe::Mirror { .. }
+            | Lobe::Smooth { .. }
+            | Lobe::Pane { .. }
+            | Lobe::Glass { microfacet: None, .. } => {
+                let [a, b] = self.delta_lobes(wo);
+                let p = |s: &Option<BsdfSample>| s.map_or(0.0, |s| luminance(s.weight));
+                let (pa, pb) = (p(&a), p(&b));
+                let share = pa / (pa + pb);
+                // Also refuses 0 / 0.
+                if !share.is_finite() {
+                    return None;
+                }
+                let (chosen, probability) = if u_lobe < share { (a, share) } else { (b, 1.0 - share) };
+                chosen.map(|s| BsdfSample { weight: s.weight / probability, pdf: probability, ..s })
+            }
+            Lobe::Glossy { microfacet, .. } | Lobe::Ward { microfacet, .. } => {
+                let o = self.local(wo);
+                let h = microfacet.sample(o, u);
+                let i = h * (2.0 * o.dot(h)) - o;
+                let wi = self.world(i).normalize_or_zero();
+                if i.z <= 0.0 || wi.dot(self.geometric) <= 0.0 || o.dot(h) <= 0.0 {
+                    return None;
+                }
+                let pdf = microfacet.pdf(o, o + i);
+                let weight = self.evaluate(wo, wi) * (i.z / pdf);
+                (pdf > 0.0 && weight.is_finite()).then_some(BsdfSample {
+                    wi,
+                    weight,
+                    pdf,
+                    delta: false,
+                    transmitted: false,
+                    radiance_scale: 1.0,
+                })
+            }
+            Lobe::Glass { eta, microfacet: Some(microfacet) } => {
+                self.sample_rough_glass(wo, u, u_lobe, eta, &microfacet)
+            }
+        }
+    }
+
+    /// Rough glass: a visible facet reflects or refracts; the weight of either is G₂ / G₁ (Walter et al. 2007). It
+    /// is treated as a delta lobe: light sampling leaves it alone.
+    fn sample_rough_glass(
+        &self,
+        wo: Vec3,
+        u: [f32; 2],
+        u_lobe: f32,
+        eta: f32,
+        m: &Microfacet,
+    ) -> Option<BsdfSample> {
+        let ggx = Microfacet { distribution: Distribution::Ggx, ..*m };
+        let o = self.local(wo);
+        if o.z <= 0.0 {
+            return None;
+        }
+        let h = ggx.sample(o, u);
+        let f = fresnel::dielectric(o.dot(h), eta);
+        let transmitted = u_lobe >= f;
+        let i = if transmitted { refract(o, h, eta)? } else { h * (2.0 * o.dot(h)) - o };
+        if (i.z < 0.0) != transmitted {
+            return None;
+        }
+        let wi = self.world(i).normalize_or_zero();
+        if (wi.dot(self.geometric) < 0.0) != transmitted {
+            return None;
+        }
+        let shadowing = ggx.g1(Vec3::new(i.x, i.y, i.z.abs()));
+        Some(BsdfSample {
+            wi,
+            weight: Vec3::splat(shadowing),
+            pdf: if transmitted { 1.0 - f } else { f },
+            delta: true,
+            transmitted,
+            radiance_scale: if transmitted { 1.0 / (eta * eta) } else { 1.0 },
+        })
+    }
+
+    /// f of the glossy view-dependent lobes (delta lobes are 0), without cosine.
+    pub fn evaluate(&self, wo: Vec3, wi: Vec3) -> Vec3 {
+        let (o, i) = (self.local(wo), self.local(wi));
+        if o.z <= 0.0 || i.z <= 0.0 || wi.dot(self.geometric) <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let value = match self.lobe {
+            Lobe::Glossy { facet, microfacet } => {
+                let h = (o + i).normalize_or(Vec3::Z);
+                facet.reflectance(o.dot(h)) * microfacet.reflection(o, i, h)
+            }
+            Lobe::Ward { specular, microfacet } => {
+                let h = o + i;
+                let z2 = h.z * h.z;
+                if h.z < 1e-6 {
+                    return Vec3::ZERO;
+                }
+                let e = ((h.x / microfacet.ax).powi(2) + (h.y / microfacet.ay).powi(2)) / z2;
+                specular * (h.length_squared() * (-e).exp() / (PI * microfacet.ax * microfacet.ay * z2 * z2))
+            }
+            Lobe::None
+            | Lobe::Mirror { .. }
+            | Lobe::Smooth { .. }
+            | Lobe::Glass { .. }
+            | Lobe::Pane { .. } => Vec3::ZERO,
+        };
+        if value.is_finite() { value } else { Vec3::ZERO }
+    }
+
+    /// Density with which `sample` gives `wi`; 0 for delta lobes.
+    pub fn pdf(&self, wo: Vec3, wi: Vec3) -> f32 {
+        let (o, i) = (self.local(wo), self.local(wi));
+        if o.z <= 0.0 || i.z <= 0.0 || wi.dot(self.geometric) <= 0.0 {
+            return 0.0;
+        }
+        match self.lobe {
+            Lobe::Glossy { microfacet, .. } | Lobe::Ward { microfacet, .. } => microfacet.pdf(o, o + i),
+            Lobe::None
+            | Lobe::Mirror { .. }
+            | Lobe::Smooth { .. }
+            | Lobe::Glass { .. }
+            | Lobe::Pane { .. } => 0.0,
+        }
+    }
+
+    /// Probability of choosing the view-dependent lobes in the `_all` functions.
+    fn specular_share(&self, wo: Vec3) -> f32 {
+        let cosine = wo.dot(self.normal).max(0.0);
+        let specular = match self.lobe {
+            Lobe::None => 0.0,
+            Lobe::Mirror { reflectance } => luminance(reflectance),
+            Lobe::Smooth { facet } | Lobe::Glossy { facet, .. } => luminance(facet.reflectance(cosine)),
+            Lobe::Ward { specular, .. } => luminance(specular),
+            Lobe::Glass { .. } | Lobe::Pane { .. } => 1.0,
+        };
+        let diffuse = luminance(self.diffuse);
+        match (specular > 0.0, diffuse > 0.0) {
+            (false, _) => 0.0,
+            (true, false) => 1.0,
+            (true, true) => (specular / (specular + diffuse)).clamp(0.1, 0.9),
+        }
+    }
+
+    /// f of the diffuse part as paths see it: reciprocal, with the coat crossed on both sides.
+    fn diffuse_f(&self, wo: Vec3, wi: Vec3) -> Vec3 {
+        self.diffuse * (FRAC_1_PI * self.coat_factor(wo) * self.coat_factor(wi))
+    }
+
+    /// f of everything but delta lobes, without cosine.
+    pub fn evaluate_all(&self, wo: Vec3, wi: Vec3) -> Vec3 {
+        if wi.dot(self.geometric) <= 0.0 || wi.dot(self.normal) <= 0.0 || wo.dot(self.normal) <= 0.0 {
+            return Vec3::ZERO;
+        }
+        self.evaluate(wo, wi) + self.diffuse_f(wo, wi)
+    }
+
+    /// Density with which `sample_all` gives a non-delta `wi`.
+    pub fn pdf_all(&self, wo: Vec3, wi: Vec3) -> f32 {
+        let share = self.specular_share(wo);
+        let cosine = wi.dot(self.normal);
+        let diffuse = if cosine > 0.0 && wi.dot(self.geometric) > 0.0 { cosine * FRAC_1_PI } else { 0.0 };
+        share * self.pdf(wo, wi) + (1.0 - share) * diffuse
+    }
+
+    /// A direction of any lobe.
+    pub fn sample_all(&self, wo: Vec3, u: [f32; 2], u_lobe: f32) -> Option<BsdfSample> {
+        let share = self.specular_share(wo);
+        let wi = if u_lobe < share {
+            let s = self.sample(wo, u, u_lobe / share)?;
+            if s.delta {
+                return Some(BsdfSample { weight: s.weight / share, pdf: s.pdf * share, ..s });
+            }
+            s.wi
+        } else {
+            if self.diffuse == Vec3::ZERO {
+                return None;
+            }
+            self.world(cosine_hemisphere(u)).normalize_or_zero()
+        };
+        let (f, pdf) = (self.evaluate_all(wo, wi), self.pdf_all(wo, wi));
+        let weight = f * (wi.dot(self.normal) / pdf);
+        (pdf > 0.0 && weight.is_finite() && weight.max_element() > 0.0).then_some(BsdfSample {
+            wi,
+            weight,
+            pdf,
+            delta: false,
+            transmitted: false,
+            radiance_scale: 1.0,
+        })
+    }
+}
+
+/// Refraction of `wo` at normal `n` (on its side), `eta` = n_t / n_i; `None` in total reflection.
+fn refract(wo: Vec3, n: Vec3, eta: f32) -> Option<Vec3> {
+    let c = wo.dot(n);
+    let sine_t2 = (1.0 - c * c).max(0.0) / (eta * eta);
+    if sine_t2 >= 1.0 {
+        return None;
+    }
+    let t = (1.0 - sine_t2).sqrt();
+    (n * (c / eta - t) - wo / eta).try_normalize()
+}
+
+/// Reflectance and transmittance of a thin pane, all reflections between its faces summed: without
+/// absorption 2R / (1 + R).
+fn pane(cosine: f32, eta: f32, transmittance: Vec3) -> (Vec3, Vec3) {
+    let r = fresnel::dielectric(cosine, eta);
+    let a = transmittance.clamp(Vec3::ZERO, Vec3::ONE);
+    let series = Vec3::ONE - a * a * (r * r);
+    let series = series.max(Vec3::splat(1e-6));
+    let t = a * ((1.0 - r) * (1.0 - r)) / series;
+    let reflected = Vec3::splat(r) + a * a * (r * (1.0 - r) * (1.0 - r)) / series;
+    (reflected.min(Vec3::ONE), t)
+}
+
+/// A cosine-distributed direction about +z.
+pub fn cosine_hemisphere(u: [f32; 2]) -> Vec3 {
+    let r = u[0].sqrt();
+    let (s, c) = (std::f32::consts::TAU * u[1]).sin_cos();
+    Vec3::new(r * c, r * s, (1.0 - u[0]).max(0.0).sqrt())
+}
+
+#[cfg(test)]
+mod tests;

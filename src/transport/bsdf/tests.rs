@@ -1,0 +1,211 @@
+use super::*;
+use crate::rng::Stream;
+
+fn bsdf(diffuse: Vec3, coat: f32, lobe: Lobe) -> Bsdf {
+    Bsdf { normal: Vec3::Z, tangent: Vec3::X, bitangent: Vec3::Y, geometric: Vec3::Z, diffuse, coat, lobe }
+}
+
+fn rough(ax: f32, ay: f32, distribution: Distribution, v_groove: bool) -> Microfacet {
+    Microfacet { ax, ay, distribution, v_groove }
+}
+
+fn white(microfacet: Microfacet) -> Bsdf {
+    bsdf(Vec3::ZERO, 1.0, Lobe::Glossy { facet: Facet::Schlick { f0: Vec3::ONE }, microfacet })
+}
+
+fn direction(theta: f32, phi: f32) -> Vec3 {
+    let (s, c) = theta.to_radians().sin_cos();
+    Vec3::new(s * phi.cos(), s * phi.sin(), c)
+}
+
+/// Albedo by importance sampling: mean weight and its standard error.
+fn albedo(b: &Bsdf, wo: Vec3, n: u64) -> (f64, f64) {
+    let (mut sum, mut squares) = (0.0f64, 0.0f64);
+    for i in 0..n {
+        let mut s = Stream::new(17, i, 0);
+        let w = b.sample(wo, s.next_2d(), s.next_f32()).map_or(0.0, |s| f64::from(s.weight.x));
+        assert!(w.is_finite() && w >= 0.0);
+        sum += w;
+        squares += w * w;
+    }
+    let mean = sum / n as f64;
+    (mean, ((squares / n as f64 - mean * mean).max(0.0) / n as f64).sqrt())
+}
+
+/// Albedo by uniform quadrature of `evaluate` over the hemisphere.
+fn albedo_by_quadrature(b: &Bsdf, wo: Vec3) -> f64 {
+    let (rings, sectors) = (600, 600);
+    let mut sum = 0.0f64;
+    for i in 0..rings {
+        for j in 0..sectors {
+            let z = (i as f32 + 0.5) / rings as f32;
+            let phi = std::f32::consts::TAU * (j as f32 + 0.5) / sectors as f32;
+            let r = (1.0 - z * z).sqrt();
+            let wi = Vec3::new(r * phi.cos(), r * phi.sin(), z);
+            sum += f64::from(b.evaluate(wo, wi).x * z);
+        }
+    }
+    sum * std::f64::consts::TAU / f64::from(rings * sectors)
+}
+
+/// Directional albedos of REFERENCE §4.1 and §4.2.
+#[test]
+fn white_furnace_tables() {
+    let angles = [0.0, 30.0, 60.0, 75.0, 85.0];
+    let b = Distribution::Beckmann;
+    let g = Distribution::Ggx;
+    let ward =
+        |a: f32| bsdf(Vec3::ZERO, 1.0, Lobe::Ward { specular: Vec3::ONE, microfacet: rough(a, a, b, false) });
+    let rows: [(Bsdf, [f64; 5]); 11] = [
+        (white(rough(0.1, 0.1, b, true)), [1.0, 1.0, 0.9991, 0.9699, 0.9375]),
+        (white(rough(0.3, 0.3, b, true)), [0.9956, 0.9812, 0.9248, 0.9273, 0.9702]),
+        (white(rough(0.5, 0.5, b, true)), [0.8924, 0.8751, 0.8869, 0.9344, 0.9772]),
+        (white(rough(0.1, 0.1, b, false)), [1.0, 1.0, 0.9999, 0.9753, 0.9134]),
+        (white(rough(0.3, 0.3, b, false)), [0.9998, 0.9916, 0.9239, 0.9028, 0.9478]),
+        (white(rough(0.5, 0.5, b, false)), [0.9434, 0.9031, 0.8718, 0.9030, 0.9628]),
+        (white(rough(0.1, 0.1, g, false)), [0.9883, 0.9861, 0.9692, 0.9241, 0.8871]),
+        (white(rough(0.3, 0.3, g, false)), [0.8774, 0.8639, 0.8217, 0.8238, 0.8980]),
+        (white(rough(0.5, 0.5, g, false)), [0.6878, 0.6831, 0.6983, 0.7614, 0.8720]),
+        (ward(0.1), [0.9900, 0.9883, 0.9740, 0.9175, 0.8128]),
+        (ward(0.5), [0.7546, 0.7340, 0.7083, 0.7349, 0.8251]),
+    ];
+    for (row, (b, expected)) in rows.iter().enumerate() {
+        for (angle, e) in angles.into_iter().zip(expected) {
+            let (mean, se) = albedo(b, direction(angle, 0.4), 40_000);
+            assert!((mean - e).abs() < 5.0 * se + 0.004, "row {row}, {angle}°: {mean} ± {se}, expected {e}");
+        }
+    }
+}
+
+/// Anisotropic Ward of REFERENCE §4.2: mean weight .834, never above 4/3.
+#[test]
+fn anisotropic_ward_is_bounded() {
+    let b = bsdf(
+        Vec3::ZERO,
+        1.0,
+        Lobe::Ward { specular: Vec3::ONE, microfacet: rough(0.15, 0.4, Distribution::Beckmann, false) },
+    );
+    let wo = direction(60.0, 0.6f32.atan2(0.8));
+    let (mean, se) = albedo(&b, wo, 100_000);
+    assert!((mean - 0.834).abs() < 5.0 * se + 0.003, "{mean}");
+    for i in 0..10_000 {
+        let mut s = Stream::new(1, i, 0);
+        let w = b.sample(wo, s.next_2d(), 0.5).map_or(0.0, |s| s.weight.x);
+        assert!(w < 2.0);
+    }
+}
+
+/// Sampling and evaluation are two ways to the same albedo, f is reciprocal, and the density integrates to the
+/// share of samples above the horizon.
+#[test]
+fn sampling_agrees_with_evaluation() {
+    for m in [
+        rough(0.4, 0.4, Distribution::Ggx, false),
+        rough(0.2, 0.6, Distribution::Ggx, false),
+        rough(0.3, 0.5, Distribution::Beckmann, false),
+    ] {
+        for b in [white(m), bsdf(Vec3::ZERO, 1.0, Lobe::Ward { specular: Vec3::ONE, microfacet: m })] {
+            for theta in [10.0, 50.0, 80.0] {
+                let wo = direction(theta, 1.0);
+                let (mean, se) = albedo(&b, wo, 60_000);
+                let quadrature = albedo_by_quadrature(&b, wo);
+                assert!((mean - quadrature).abs() < 5.0 * se + 0.01, "{b:?} {theta}: {mean} {quadrature}");
+                let wi = direction(35.0, 2.0);
+                let (f, back) = (b.evaluate(wo, wi).x, b.evaluate(wi, wo).x);
+                assert!((f - back).abs() <= 1e-4 * f.max(1e-3), "{f} {back}");
+            }
+        }
+    }
+}
+
+#[test]
+fn glass_conserves_energy_and_obeys_snell() {
+    for eta in [1.5f32, 1.0 / 1.5, 3.0, 1.0] {
+        let b = bsdf(Vec3::ZERO, 1.0, Lobe::Glass { eta, microfacet: None });
+        for theta in [0.0, 30.0, 60.0, 89.0] {
+            let wo = direction(theta, 0.3);
+            let lobes = b.delta_lobes(wo);
+            let total: f32 = lobes.iter().flatten().map(|s| s.weight.x).sum();
+            assert!((total - 1.0).abs() < 1e-5, "eta {eta}, {theta}°: {total}");
+            for s in lobes.iter().flatten().filter(|s| s.transmitted) {
+                let sine = |w: Vec3| w.truncate().length();
+                assert!((sine(wo) - eta * sine(s.wi)).abs() < 1e-5);
+                assert!(s.wi.z < 0.0 && s.wi.truncate().dot(wo.truncate()) <= 1e-6);
+            }
+        }
+    }
+    let pane = bsdf(Vec3::ZERO, 1.0, Lobe::Pane { eta: 1.5, transmittance: Vec3::ONE });
+    let lobes = pane.delta_lobes(Vec3::Z);
+    assert!((lobes[0].map_or(0.0, |s| s.weight.x) - 2.0 * 0.04 / 1.04).abs() < 1e-5);
+    assert!((lobes.iter().flatten().map(|s| s.weight.x).sum::<f32>() - 1.0).abs() < 1e-5);
+}
+
+/// A white base under a coat: base and coat together never give back more than arrives, at any angle.
+#[test]
+fn coats_conserve_energy() {
+    for ior in [1.0f32, 1.3, 1.5, 2.0, 3.0] {
+        let outer = fresnel::dielectric_mean(ior);
+        let escape = (1.0 - outer) / (ior * ior);
+        for rho in [0.2f32, 0.8, 1.0] {
+            let diffuse = rho * (1.0 - outer) * escape / (1.0 - rho * (1.0 - escape));
+            let b = bsdf(
+                Vec3::splat(diffuse),
+                ior,
+                if ior > 1.0 { Lobe::Smooth { facet: Facet::Dielectric { eta: ior } } } else { Lobe::None },
+            );
+            for theta in [0.0, 45.0, 75.0, 89.0] {
+                let wo = direction(theta, 0.0);
+                let coat = if ior > 1.0 { fresnel::dielectric(wo.z, ior) } else { 0.0 };
+                // Diffuse light towards wo under uniform irradiance, cos-weighted mean of the factor being 1.
+                let total = coat + b.coat_factor(wo) * diffuse;
+                assert!(total <= 1.0 + 0.01, "ior {ior}, ρ {rho}, {theta}°: {total}");
+                if rho == 1.0 {
+                    assert!((total - 1.0).abs() < 0.01, "lossless: {total}");
+                }
+            }
+        }
+    }
+}
+
+/// No weight is NaN or negative for any roughness, index and angle.
+#[test]
+fn extremes_stay_finite() {
+    for alpha in [Roughness::SMOOTH, 0.01, 0.3, 1.0] {
+        for distribution in [Distribution::Ggx, Distribution::Beckmann] {
+            let m = rough(alpha, alpha, distribution, distribution == Distribution::Beckmann);
+            for lobe in [
+                Lobe::Glossy { facet: Facet::Dielectric { eta: 3.0 }, microfacet: m },
+                Lobe::Glossy {
+                    facet: Facet::Conductor { eta: Vec3::splat(0.01), k: Vec3::splat(9.0) },
+                    microfacet: m,
+                },
+                Lobe::Ward {
+                    specular: Vec3::ONE,
+                    microfacet: Microfacet { distribution: Distribution::Beckmann, ..m },
+                },
+                Lobe::Glass { eta: 1.0, microfacet: Some(m) },
+                Lobe::Glass { eta: 1.0 / 3.0, microfacet: Some(m) },
+            ] {
+                let b = bsdf(Vec3::splat(0.3), 1.0, lobe);
+                for i in 0..2000u64 {
+                    let mut s = Stream::new(3, i, 1);
+                    let wo =
+                        direction(if i % 5 == 0 { 89.999 } else { 89.0 * s.next_f32() }, 6.0 * s.next_f32());
+                    for sample in
+                        [b.sample(wo, s.next_2d(), s.next_f32()), b.sample_all(wo, s.next_2d(), s.next_f32())]
+                            .into_iter()
+                            .flatten()
+                    {
+                        assert!(
+                            sample.weight.is_finite()
+                                && sample.weight.min_element() >= 0.0
+                                && sample.weight.max_element() < 50.0,
+                            "{b:?} {sample:?}"
+                        );
+                        assert!((sample.wi.length() - 1.0).abs() < 1e-3);
+                    }
+                }
+            }
+        }
+    }
+}

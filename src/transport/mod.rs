@@ -1,7 +1,7 @@
 //! BSDFs, lights and the tracers.
 
-pub mod particle;
-pub mod radiosity;
-
 pub mod bsdf;
 pub mod interaction;
+pub mod light;
+pub mod particle;
+pub mod radiosity;

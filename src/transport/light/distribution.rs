@@ -1,0 +1,242 @@
+//! Discrete choice by weight, and directions drawn from an environment's radiance.
+
+use std::f64::consts::{PI, TAU};
+
+use glam::Vec3;
+
+use crate::image::{Map2d, luminance};
+use crate::scene::Environment;
+
+/// Indices chosen in proportion to their weights.
+#[derive(Clone, Debug, Default)]
+pub struct Choice {
+    /// Sums of the weights up to and including each index; not decreasing.
+    sums: Vec<f64>,
+}
+
+impl Choice {
+    /// From weights; what is negative or not finite counts as 0.
+    pub fn new(weights: impl IntoIterator<Item = f64>) -> Self {
+        let mut sum = 0.0;
+        let sums = weights.into_iter().map(|w| {
+            sum += if w.is_finite() { w.max(0.0) } else { 0.0 };
+            sum
+        });
+        Self { sums: sums.collect() }
+    }
+
+    /// The sum of all weights.
+    pub fn total(&self) -> f64 {
+        self.sums.last().copied().unwrap_or(0.0)
+    }
+
+    /// Probability of `index`.
+    pub fn probability(&self, index: usize) -> f64 {
+        let before = if index == 0 { 0.0 } else { self.sums[index - 1] };
+        if self.total() > 0.0 { (self.sums[index] - before) / self.total() } else { 0.0 }
+    }
+
+    /// The index for `u` in [0, 1); never one without weight. `None` if there is no weight at all.
+    pub fn sample(&self, u: f64) -> Option<usize> {
+        let total = self.total();
+        if total <= 0.0 {
+            return None;
+        }
+        // Rounding may bring u · total up to the total.
+        let x = (u * total).min(total.next_down());
+        Some(self.sums.partition_point(|&s| s <= x))
+    }
+}
+
+/// Most columns of an environment's cells; larger maps share cells, which costs noise but no bias.
+const COLUMNS_MAX: usize = 2048;
+
+/// Directions drawn in proportion to an environment's luminance. Within a cell of the map they are uniform in
+/// solid angle.
+#[derive(Clone, Debug)]
+pub struct EnvironmentDistribution {
+    width: usize,
+    height: usize,
+    /// Per row, the share of the row's weight up to and including each column, in [0, 1].
+    columns: Vec<f32>,
+    rows: Choice,
+    /// ∫ L dω per band.
+    pub integral: Vec3,
+}
+
+impl EnvironmentDistribution {
+    /// `None` where nothing shines.
+    pub fn new(environment: &Environment) -> Option<Self> {
+        let one = Map2d::new(1, 1, Vec3::ONE);
+        let map = environment.map.as_ref().unwrap_or(&one);
+        let (w, h) = (map.width(), map.height());
+        if w == 0 || h == 0 {
+            return None;
+        }
+        let (width, height) = (w.min(COLUMNS_MAX), h.min(COLUMNS_MAX / 2));
+        let mut weights = vec![0.0f64; width * height];
+        let mut integral = glam::DVec3::ZERO;
+        let scale = environment.radiance;
+        for y in 0..h {
+            let solid_angle = row_solid_angle(y, h) / w as f64;
+            let rows = y * height / h..=((y + 1) * height).div_ceil(h) - 1;
+            for x in 0..w {
+                let mean = interpolated_mean(map, x, y) * scale;
+                integral += mean.as_dvec3() * solid_angle;
+                let weight = f64::from(luminance(mean)) * solid_angle;
+                let weight = if weight.is_finite() { weight.max(0.0) } else { 0.0 };
+                // Every cell that the texel touches, so that none that shines is without weight.
+                for row in rows.clone() {
+                    for column in x * width / w..=((x + 1) * width).div_ceil(w) - 1 {
+                        weights[row * width + column] += weight;
+                    }
+                }
+            }
+        }
+        let rows = Choice::new(weights.chunks_exact(width).map(|row| row.iter().sum()));
+        let integral = integral.as_vec3();
+        if rows.total() <= 0.0 || !rows.total().is_finite() || !integral.is_finite() {
+            return None;
+        }
+        let mut columns = Vec::with_capacity(weights.len());
+        for row in weights.chunks_exact(width) {
+            let total: f64 = row.iter().sum();
+            let mut sum = 0.0;
+            columns.extend(row.iter().map(|w| {
+                sum += w;
+                if total > 0.0 { (sum / total) as f32 } else { 0.0 }
+            }));
+        }
+        Some(Self { width, height, columns, rows, integral })
+    }
+
+    /// Density per solid angle of a direction.
+    pub fn pdf(&self, environment: &Environment, direction: Vec3) -> f32 {
+        let [u, v] = environment.position(direction);
+        let column = ((u * self.width as f32) as usize).min(self.width - 1);
+        let row = ((v * self.height as f32) as usize).min(self.height - 1);
+        self.density(column, row) as f32
+    }
+
+    fn density(&self, column: usize, row: usize) -> f64 {
+        let shares = &self.columns[row * self.width..][..self.width];
+        let before = if column == 0 { 0.0 } else { shares[column - 1] };
+        let share = f64::from(shares[column] - before);
+        self.rows.probability(row) * share * self.width as f64 / row_solid_angle(row, self.height)
+    }
+
+    /// A direction and its density per solid angle.
+    pub fn sample(&self, environment: &Environment, u: [f32; 2]) -> Option<(Vec3, f32)> {
+        let x = f64::from(u[1]);
+        let row = self.rows.sample(x)?;
+        // What is left of the number places the direction within its row, and so for the column.
+        let share = self.rows.probability(row);
+        let before = (0..row).next_back().map_or(0.0, |r| self.rows.sums[r] / self.rows.total());
+        let v = ((x - before) / share).clamp(0.0, 1.0);
+        let shares = &self.columns[row * self.width..][..self.width];
+        let last = shares[self.width - 1];
+        let x = (u[0] * last).min(last.next_down());
+        let column = shares.partition_point(|&s| s <= x);
+        let before = if column == 0 { 0.0 } else { shares[column - 1] };
+        let u = ((x - before) / (shares[column] - before)).clamp(0.0, 1.0);
+        let (top, bottom) = (row_cosine(row, self.height), row_cosine(row + 1, self.height));
+        let theta = (top + (bottom - top) * v).clamp(-1.0, 1.0).acos();
+        let position = [(column as f32 + u) / self.width as f32, (theta / PI) as f32];
+        let density = self.density(column, row);
+        (density > 0.0).then(|| (environment.direction(position), density as f32))
+    }
+}
+
+/// Cosine of the upper edge of a row of `height`, from straight up.
+fn row_cosine(row: usize, height: usize) -> f64 {
+    (PI * row as f64 / height as f64).cos()
+}
+
+/// Solid angle of a row.
+fn row_solid_angle(row: usize, height: usize) -> f64 {
+    TAU * (row_cosine(row, height) - row_cosine(row + 1, height))
+}
+
+/// Mean over a texel of the bilinear interpolant that `Environment::radiance` reads: positive wherever that is.
+fn interpolated_mean(map: &Map2d<Vec3>, x: usize, y: usize) -> Vec3 {
+    let (w, h) = (map.width(), map.height());
+    let left = (x + w - 1) % w;
+    let right = (x + 1) % w;
+    let row = |y: usize| (map.at(left, y) + map.at(right, y)) * 0.125 + map.at(x, y) * 0.75;
+    (row(y.saturating_sub(1)) + row((y + 1).min(h - 1))) * 0.125 + row(y) * 0.75
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::Stream;
+
+    fn spotted() -> Environment {
+        let map = Map2d::from_fn(16, 8, |x, y| match (x, y) {
+            (3, 2) => Vec3::new(50.0, 40.0, 30.0),
+            _ if y > 4 => Vec3::ZERO,
+            _ => Vec3::splat(0.1),
+        });
+        Environment { radiance: Vec3::new(1.0, 2.0, 1.0), map: Some(map), rotate_up: 0.4, up: Vec3::Z }
+    }
+
+    #[test]
+    fn the_density_integrates_to_one() {
+        for environment in [spotted(), Environment::constant(Vec3::X)] {
+            let d = EnvironmentDistribution::new(&environment).unwrap();
+            let mut sum = 0.0;
+            for row in 0..d.height {
+                for column in 0..d.width {
+                    sum += d.density(column, row) * row_solid_angle(row, d.height) / d.width as f64;
+                }
+            }
+            assert!((sum - 1.0).abs() < 1e-5, "{sum}");
+        }
+    }
+
+    #[test]
+    fn samples_estimate_the_integral_and_know_their_density() {
+        for environment in [spotted(), Environment::constant(Vec3::new(1.0, 0.5, 0.0))] {
+            let d = EnvironmentDistribution::new(&environment).unwrap();
+            let n = 40_000;
+            let (mut sum, mut square) = (0.0, 0.0);
+            for i in 0..n {
+                let (w, pdf) = d.sample(&environment, Stream::new(5, i, 0).next_2d()).unwrap();
+                assert!((w.length() - 1.0).abs() < 1e-5);
+                let again = d.pdf(&environment, w);
+                // Directions on the border of two cells may round into the other one.
+                if i % 16 == 0 && (again - pdf).abs() > 1e-3 * pdf {
+                    let p = environment.position(w);
+                    let edge = |x: f32| (x - x.round()).abs();
+                    assert!(edge(p[0] * 16.0).min(edge(p[1] * 8.0)) < 1e-3, "{pdf} {again}");
+                }
+                let l = f64::from(luminance(environment.radiance(w)) / pdf);
+                sum += l / n as f64;
+                square += l * l / n as f64;
+            }
+            let error = ((square - sum * sum).max(0.0) / n as f64).sqrt();
+            let expected = f64::from(luminance(d.integral));
+            // The interpolant's rows are not weighted quite like texels: up to a percent at 8 rows.
+            assert!((sum - expected).abs() < 4.0 * error + 0.01 * expected, "{sum} ± {error}, {expected}");
+        }
+        let d = EnvironmentDistribution::new(&Environment::constant(Vec3::ONE)).unwrap();
+        assert!((d.integral.x - 4.0 * std::f32::consts::PI).abs() < 1e-5);
+    }
+
+    #[test]
+    fn darkness_has_no_distribution() {
+        assert!(EnvironmentDistribution::new(&Environment::constant(Vec3::ZERO)).is_none());
+        let nan = Environment::constant(Vec3::NAN);
+        assert!(EnvironmentDistribution::new(&nan).is_none());
+    }
+
+    #[test]
+    fn a_choice_follows_its_weights() {
+        let c = Choice::new([0.0, 1.0, 0.0, f64::NAN, 3.0, -2.0]);
+        assert_eq!(c.total(), 4.0);
+        assert_eq!([0, 1, 2, 3, 4, 5].map(|i| c.probability(i)), [0.0, 0.25, 0.0, 0.0, 0.75, 0.0]);
+        assert_eq!([0.0, 0.2499, 0.25, 0.999_999_9, 1.0].map(|u| c.sample(u)), [1, 1, 4, 4, 4].map(Some));
+        assert_eq!(Choice::new([0.0, 0.0]).sample(0.5), None);
+        assert_eq!(Choice::new([]).sample(0.5), None);
+    }
+}

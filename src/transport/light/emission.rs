@@ -1,0 +1,107 @@
+//! Particles that leave the lights (REFERENCE §6.1).
+
+use std::f32::consts::{PI, TAU};
+
+use glam::Vec3;
+
+use super::{Emitter, Lights, emitted, normal_and_area, spot_falloff, uniform_barycentrics};
+use crate::geometry::{Hit, Ray};
+use crate::rng::Stream;
+use crate::scene::{Light, Scene, TriangleIndex};
+use crate::transport::interaction::Interaction;
+
+/// A uniform point of the unit disk, concentric (Shirley & Chiu 1997).
+fn disk(u: [f32; 2]) -> [f32; 2] {
+    let (x, y) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
+    if x == 0.0 && y == 0.0 {
+        return [0.0, 0.0];
+    }
+    let (r, phi) =
+        if x.abs() > y.abs() { (x, PI / 4.0 * (y / x)) } else { (y, PI / 2.0 - PI / 4.0 * (x / y)) };
+    [r * phi.cos(), r * phi.sin()]
+}
+
+/// A direction around `axis` (unit) whose cosine is uniform in [`low`, 1].
+fn cone(axis: Vec3, low: f32, u: [f32; 2]) -> Vec3 {
+    let z = 1.0 - u[0] * (1.0 - low);
+    let r = (1.0 - z * z).max(0.0).sqrt();
+    let (s, c) = (TAU * u[1]).sin_cos();
+    let (x, y) = axis.any_orthonormal_pair();
+    x * (r * c) + y * (r * s) + axis * z
+}
+
+impl Lights {
+    /// A particle: its ray and its flux per band in W, divided by the density of its choice, so that the mean
+    /// flux of many is the power of all lights. `None` is a particle without flux.
+    ///
+    /// Lights are chosen by power; triangles emit by area and cosine; the surrounding and directional lights
+    /// through a disk around the scene's bounds.
+    pub fn sample_emission(&self, scene: &Scene, stream: &mut Stream) -> Option<(Ray, Vec3)> {
+        // More bits than an f32 has: there may be millions of lights.
+        let choice = (stream.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
+        let (u, v) = (stream.next_2d(), stream.next_2d());
+        let share = self.distant_power_share;
+        let (emitter, probability) = if choice < share {
+            let i = self.distant.sample(choice / share)?;
+            (self.emitters[self.near_count + i], share * self.distant.probability(i))
+        } else {
+            let i = self.near.sample((choice - share) / (1.0 - share))?;
+            (self.emitters[i], (1.0 - share) * self.near.probability(i))
+        };
+        let (ray, flux) = match emitter {
+            Emitter::Triangle(t) => emit_from_triangle(scene, t, u, v)?,
+            Emitter::Analytic(i) => self.emit_from_analytic(&scene.lights[i as usize], u),
+            Emitter::Surrounding => {
+                let environment = scene.environment.as_ref()?;
+                let (towards, pdf) = self.environment.as_ref()?.sample(environment, u)?;
+                let flux = environment.radiance(towards) * (PI * self.radius * self.radius / pdf);
+                (self.from_outside(-towards, v), flux)
+            }
+        };
+        let flux = (flux.as_dvec3() / probability).as_vec3();
+        (flux.is_finite() && flux.max_element() > 0.0 && ray.origin.is_finite()).then_some((ray, flux))
+    }
+
+    /// A ray along the unit `direction` from the disk that covers the scene.
+    fn from_outside(&self, direction: Vec3, u: [f32; 2]) -> Ray {
+        let (x, y) = direction.any_orthonormal_pair();
+        let [a, b] = disk(u);
+        Ray::new(self.centre + (x * a + y * b - direction) * self.radius, direction)
+    }
+
+    fn emit_from_analytic(&self, light: &Light, u: [f32; 2]) -> (Ray, Vec3) {
+        match *light {
+            Light::Point { position, intensity } => {
+                (Ray::new(position, cone(Vec3::Z, -1.0, u)), intensity * (2.0 * TAU))
+            }
+            Light::Spot { position, direction, intensity, inner, outer } => {
+                let axis = direction.normalize();
+                let low = outer.cos();
+                let towards = cone(axis, low, u);
+                let falloff = spot_falloff(towards.dot(axis), inner, outer);
+                (Ray::new(position, towards), intensity * (falloff * TAU * (1.0 - low)))
+            }
+            Light::Directional { direction, irradiance } => {
+                let ray = self.from_outside(direction.normalize(), u);
+                (ray, irradiance * (PI * self.radius * self.radius))
+            }
+        }
+    }
+}
+
+fn emit_from_triangle(scene: &Scene, t: TriangleIndex, u: [f32; 2], v: [f32; 2]) -> Option<(Ray, Vec3)> {
+    let (b1, b2) = uniform_barycentrics(u);
+    let radiance = emitted(scene, t, b1, b2);
+    if radiance.max_element() <= 0.0 {
+        return None;
+    }
+    let corners = scene.mesh.corners(t);
+    let (normal, area) = normal_and_area(corners);
+    // Cosine-weighted: the disk below the hemisphere (Malley's method).
+    let [a, b] = disk(v);
+    let (x, y) = normal.any_orthonormal_pair();
+    let direction = x * a + y * b + normal * (1.0 - a * a - b * b).max(1e-8).sqrt();
+    let hit = Hit { t: 1.0, triangle: t, b1, b2 };
+    let at = Interaction::at(scene, &Ray::new(corners[0] + normal, -normal), &hit);
+    Some((at.spawn(direction), radiance * (PI * area)))
+}

@@ -1,1 +1,220 @@
 //! A lock-free actor runtime that records and replays.
+//!
+//! Actors own their state and change it only by the messages they are given, in order. This runtime schedules them on
+//! k threads and the main one, bounds every mailbox, catches panics, and puts every delivery through one place. So the
+//! same system can be run **live**, **recorded**, **replayed** bit for bit on any number of threads (the first message
+//! at which it differs is named), and **simulated** on one thread under seeded schedules and faults.
+//!
+//! # A complete system
+//!
+//! ```
+//! use foveal_runtime::*;
+//! use serde::{Deserialize, Serialize};
+//! use std::{sync::Arc, time::Duration};
+//!
+//! // 1. Messages: one closed enum for each actor. What can change the receiver belongs in the digest.
+//! enum CounterMsg {
+//!     Add { amount: u64, reply_to: Address<ShowMsg> },
+//! }
+//!
+//! impl Message for CounterMsg {
+//!     fn digest(&self, digest: &mut Digest) {
+//!         match self {
+//!             Self::Add { amount, .. } => digest.u64(*amount),
+//!         }
+//!     }
+//!     fn kind(&self) -> &'static str {
+//!         "Add"
+//!     }
+//! }
+//!
+//! enum ShowMsg {
+//!     Tick(Tick),
+//!     Total(u64),
+//! }
+//!
+//! impl Message for ShowMsg {
+//!     fn digest(&self, digest: &mut Digest) {
+//!         match self {
+//!             Self::Tick(tick) => digest.u64(tick.number),
+//!             Self::Total(total) => digest.u64(*total),
+//!         }
+//!     }
+//!     fn kind(&self) -> &'static str {
+//!         match self {
+//!             Self::Tick(_) => "Tick",
+//!             Self::Total(_) => "Total",
+//!         }
+//!     }
+//!     // Where only the newest counts, a message says so. Others: `Lane::Data` (default), `Lane::Control`.
+//!     fn lane(&self) -> Lane {
+//!         match self {
+//!             Self::Tick(_) => Lane::Latest(0),
+//!             Self::Total(_) => Lane::Data,
+//!         }
+//!     }
+//! }
+//!
+//! // What comes from outside can be written down and becomes a message.
+//! #[derive(Serialize, Deserialize)]
+//! struct Tick {
+//!     number: u64,
+//! }
+//!
+//! impl From<Tick> for ShowMsg {
+//!     fn from(tick: Tick) -> Self {
+//!         Self::Tick(tick)
+//!     }
+//! }
+//!
+//! // 2. Actors. `cx` is the only door to the world: tell, now, measured, after, push, mark, random.
+//! struct Counter {
+//!     total: u64,
+//! }
+//!
+//! impl Actor for Counter {
+//!     type Msg = CounterMsg;
+//!     const NAME: &'static str = "counter";
+//!
+//!     fn handle(&mut self, message: CounterMsg, cx: &mut Cx<'_, CounterMsg>) {
+//!         match message {
+//!             CounterMsg::Add { amount, reply_to } => {
+//!                 self.total += amount;
+//!                 // A full mailbox gives the message back as a value. The show's mailbox holds as many totals as it
+//!                 // has credits for questions, so this cannot happen here.
+//!                 cx.tell(&reply_to, ShowMsg::Total(self.total)).expect("one answer for each credit");
+//!             }
+//!         }
+//!     }
+//! }
+//!
+//! struct Show {
+//!     counter: Address<CounterMsg>,
+//!     credits: Credits,
+//!     shown: Vec<u64>,
+//! }
+//!
+//! impl Actor for Show {
+//!     type Msg = ShowMsg;
+//!     const NAME: &'static str = "show";
+//!     const CLASS: Class = Class::Pinned; // runs inside `Runtime::pump`, on the main thread
+//!
+//!     fn handle(&mut self, message: ShowMsg, cx: &mut Cx<'_, ShowMsg>) {
+//!         match message {
+//!             ShowMsg::Tick(tick) => {
+//!                 if self.credits.take(1) {
+//!                     let reply_to = cx.address().clone();
+//!                     let _ = cx.tell(&self.counter, CounterMsg::Add { amount: tick.number, reply_to });
+//!                 }
+//!             }
+//!             ShowMsg::Total(total) => {
+//!                 self.credits.give(1);
+//!                 self.shown.push(total);
+//!                 cx.mark(0, total); // a milestone that replay compares, such as the hash of a frame
+//!             }
+//!         }
+//!     }
+//! }
+//!
+//! // 3. Wiring: the same function for every mode. Declare first, so that addresses can go round in circles.
+//! fn wire(wiring: &mut Wiring) -> (Handle<Show>, Port<Tick, ShowMsg>) {
+//!     let show = wiring.declare::<Show>(Bounds::messages(4));
+//!     let counter = wiring.declare::<Counter>(Bounds::messages(4));
+//!     let ticks = wiring.port::<Tick, ShowMsg>("ticks", &show.address());
+//!     let actor = Show { counter: counter.address(), credits: Credits::new(4), shown: Vec::new() };
+//!     let show = wiring.spawn(show, actor);
+//!     wiring.spawn(counter, Counter { total: 0 });
+//!     (show, ticks)
+//! }
+//!
+//! // 4. A live run on one thread beside the main one, recorded.
+//! # let folder = tempfile::tempdir().unwrap();
+//! # let path = folder.path().join("run.fvlog");
+//! let (mut runtime, (show, ticks)) = Runtime::build(Config::live(1).record(&path), wire)?;
+//! for number in 1..=3 {
+//!     ticks.send(Tick { number })?;
+//!     // Works on pinned actors until the condition holds; parks meanwhile.
+//!     let shown = |runtime: &Runtime| runtime.inspect(show, |show| show.shown.len()) == Some(number as usize);
+//!     assert_eq!(runtime.pump_until(Limit::time(Duration::from_secs(10)), shown), Exit::Until);
+//! }
+//! let end = runtime.shutdown(Duration::from_secs(10));
+//! assert!(end.drained && end.dead_letters == 0);
+//!
+//! // 5. Replay, on another number of threads. Ports are ignored: input comes from the recording.
+//! let trace = Arc::new(Trace::open(&path)?);
+//! let (mut runtime, (show, _)) = Runtime::build(Config::replay(trace, 0), wire)?;
+//! let report = runtime.replay();
+//! assert!(report.complete && report.divergence.is_none());
+//! assert_eq!(runtime.inspect(show, |show| show.shown.clone()), Some(vec![1, 3, 6]));
+//!
+//! // 6. Simulation: one thread, virtual time, any schedule. Equal seeds give equal fingerprints.
+//! for seed in 0..10 {
+//!     let (mut runtime, (_, ticks)) = Runtime::build(Config::simulate(simulate::Simulation::new(seed)), wire)?;
+//!     ticks.send(Tick { number: 5 })?;
+//!     assert_eq!(runtime.pump(Limit::IDLE), Exit::Idle);
+//!     assert_eq!(runtime.failure(), None);
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # Jobs
+//!
+//! `wiring.pool::<J>(capacity)` makes a [`JobPool`]; `wiring.spawn_worker(declared, worker, &pool, on_panic)` seats a
+//! [`Worker`], whose [`Worker::run`] gets the best job whenever its mailbox is empty (one job a turn; make it
+//! [`Class::Heavy`]). Any actor pushes with `cx.push(&pool, bucket, epoch, job)` (bucket 0 first, 63 last) and retires
+//! old ones with `cx.retire(&pool, epoch)`. A job whose worker panics goes back; the third time it is given up and
+//! [`Incident::JobDead`] tells the actor named by `wiring.supervisor(&address, |incident| message)`.
+//!
+//! # A window's event loop
+//!
+//! With [`Config::waker`], a pinned actor that has something to do calls the event loop's proxy while the main thread
+//! is outside [`Runtime::pump`]; the loop then pumps for as long as it can spare ([`Limit::time`]).
+//!
+//! # What makes replay exact
+//!
+//! Each actor's recording holds the sender of each delivery, payloads of what came through [`Port`]s, timers, clock
+//! readings, job pops, sends that were given back, and a hash chained over content and order. Replay makes all
+//! other payloads anew and delivers by the recording; it compares hashes and marks before each message is handled.
+//! An actor that reads a clock, iterates a randomly seeded map or looks at shared state is found at the first delivery
+//! where it shows. [`Actor::digest`] makes that the delivery where its state went wrong.
+//!
+//! No lock is taken anywhere on a message's way: mailboxes are `crossbeam_queue::ArrayQueue`s, run queues
+//! `crossbeam_deque`s, parking is an eventcount over `std::thread::park`.
+
+mod activation;
+mod actor;
+mod clock;
+mod eventcount;
+mod journal;
+mod log;
+mod mailbox;
+mod message;
+mod node;
+pub mod pool;
+mod port;
+mod profile;
+mod replay;
+mod runtime;
+mod scheduler;
+pub mod simulate;
+mod supervise;
+mod sync;
+mod timer;
+
+pub use actor::{Actor, Class, Control, Cx, Delivery, TimerId};
+pub use clock::Time;
+pub use log::format::{Hashing, Header, NodeInfo};
+pub use log::reader::{Cut, Event, Trace, TraceError, TraceStat};
+pub use log::writer::RecordingStatus;
+pub use mailbox::{Address, Bounds};
+pub use message::{ActorId, Credits, Digest, LATEST_KEYS, Lane, Message, Reason, Rejected};
+pub use pool::{Job, JobPool, PoolStats, Worker};
+pub use port::{External, Port};
+pub use profile::{ActorCounters, TurnTime, chrome_trace};
+pub use replay::{Divergence, ReplayReport, Turn, Until};
+pub use runtime::{
+    Budget, BuildError, Config, Declared, Exit, Handle, Limit, Mode, Observer, Record, Runtime, Shutdown,
+    Wiring,
+};
+pub use supervise::{Incident, OnPanic};
+pub use timer::TIMERS_PER_ACTOR;

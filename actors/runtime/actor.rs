@@ -1,0 +1,262 @@
+//! What an actor is, and the only doors it has to the world.
+
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::clock::{Time, nanoseconds};
+use crate::journal::Journal;
+use crate::log::format::{lane, quantise, unquantise, value};
+use crate::mailbox::{Address, Envelope};
+use crate::message::{ActorId, LATEST_KEYS, Lane, Message, Reason, Rejected};
+use crate::runtime::Env;
+use crate::scheduler::ThreadCx;
+use crate::timer::{Alarm, TIMERS_PER_ACTOR};
+
+/// How an actor is scheduled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Class {
+    /// Short turns, on any thread.
+    Light,
+    /// Turns of milliseconds (jobs): on any thread, but at most `k − 1` at once on `k > 1` threads.
+    Heavy,
+    /// On the thread that built the system, inside [`crate::Runtime::pump`].
+    Pinned,
+}
+
+/// Orders to an actor that need no room in its mailbox.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Control {
+    /// Stop after the turn at hand; what still waits becomes dead letters. For a stop without loss, drain first.
+    Stop,
+    /// Deliver nothing until told to resume; the mailbox keeps filling.
+    Pause,
+    /// Go on where the pause began.
+    Resume,
+}
+
+/// A state machine that owns its state and changes it only by the messages it is given, in order.
+///
+/// [`Actor::handle`] must be a function of the state, the message, and what `cx` returns. It must not read a clock,
+/// draw from a thread's random state, iterate over a randomly seeded map or touch anything shared that changes:
+/// replay reports such an actor at the first message where it shows.
+pub trait Actor: Send + 'static {
+    /// Everything this actor can be told.
+    type Msg: Message;
+    /// Name in reports.
+    const NAME: &'static str;
+    /// How it is scheduled.
+    const CLASS: Class = Class::Light;
+
+    /// Called once, before the first message.
+    fn started(&mut self, _cx: &mut Cx<'_, Self::Msg>) {}
+
+    /// Takes one message.
+    fn handle(&mut self, message: Self::Msg, cx: &mut Cx<'_, Self::Msg>);
+
+    /// Called once when the actor stops.
+    fn stopped(&mut self) {}
+
+    /// A hash of the state, taken after each delivery where hashes are exact: with it, replay names the message that
+    /// changed a state wrongly rather than the first message that tells of it. `None` costs nothing.
+    fn digest(&self) -> Option<u64> {
+        None
+    }
+}
+
+/// Names a timer of one actor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TimerId(u32);
+
+/// The timers an actor has running, with the messages they will deliver.
+pub(crate) struct OwnTimers<M> {
+    next: u32,
+    /// `None` once cancelled: it still fires, with nothing to deliver.
+    running: BTreeMap<u32, Option<M>>,
+}
+
+impl<M> OwnTimers<M> {
+    pub(crate) fn new() -> Self {
+        Self { next: 0, running: BTreeMap::new() }
+    }
+
+    /// Takes what a fired timer carries; the outer `None` says that no such timer runs.
+    pub(crate) fn take(&mut self, timer: u32) -> Option<Option<M>> {
+        self.running.remove(&timer)
+    }
+
+    pub(crate) fn contains(&self, timer: u32) -> bool {
+        self.running.contains_key(&timer)
+    }
+}
+
+/// An actor's way to the world during a turn: everything that comes through here is recorded, or regenerated.
+pub struct Cx<'a, M: Message> {
+    pub(crate) address: &'a Address<M>,
+    pub(crate) journal: &'a mut Journal,
+    pub(crate) timers: &'a mut OwnTimers<M>,
+    pub(crate) thread: &'a ThreadCx,
+    pub(crate) env: &'a Arc<Env>,
+    pub(crate) stop: &'a mut bool,
+}
+
+impl<M: Message> Cx<'_, M> {
+    /// Tells another actor (or this one). A message that is not accepted comes back; that it did is recorded, so
+    /// replay takes the same branch.
+    pub fn tell<N: Message>(&mut self, to: &Address<N>, message: N) -> Result<(), Rejected<N>> {
+        post(self.journal, self.thread, to, message)
+    }
+
+    /// This actor's own address.
+    pub fn address(&self) -> &Address<M> {
+        self.address
+    }
+
+    /// The time, to a microsecond. Recorded.
+    pub fn now(&mut self) -> Time {
+        if let Some(replayed) = self.journal.replayed_value(value::NOW) {
+            return Time(replayed);
+        }
+        let now = self.env.clock.now() / 1000 * 1000;
+        self.journal.record_now(now);
+        Time(now)
+    }
+
+    /// Lets a duration that was measured outside the runtime's view (a stage's own time, say) into the actor's state:
+    /// returns it rounded to 8 significant bits, or during replay the one that was recorded.
+    pub fn measured(&mut self, duration: Duration) -> Duration {
+        if let Some(code) = self.journal.replayed_value(value::MEASURED) {
+            return Duration::from_nanos(unquantise(code));
+        }
+        let (rounded, code) = quantise(nanoseconds(duration));
+        self.journal.record_measured(code);
+        Duration::from_nanos(rounded)
+    }
+
+    /// Runs `work` and measures it as [`Cx::measured`] does. In a simulation all work takes no time.
+    pub fn measure<R>(&mut self, work: impl FnOnce() -> R) -> (R, Duration) {
+        let start = self.env.clock.now();
+        let result = work();
+        let elapsed = Duration::from_nanos(self.env.clock.now() - start);
+        (result, self.measured(elapsed))
+    }
+
+    /// Puts a milestone into the recording, for example kind 0 with the hash of each shown frame. Replay compares it.
+    pub fn mark(&mut self, kind: u32, value: u64) {
+        self.journal.mark(kind, value);
+    }
+
+    /// Delivers `message` to this actor after `delay`. It comes back if [`TIMERS_PER_ACTOR`] timers run already.
+    pub fn after(&mut self, delay: Duration, message: M) -> Result<TimerId, Rejected<M>> {
+        if self.timers.running.len() >= TIMERS_PER_ACTOR {
+            return Err(Rejected { message, reason: Reason::Full });
+        }
+        let timer = self.timers.next;
+        self.timers.next = timer.wrapping_add(1);
+        self.timers.running.insert(timer, Some(message));
+        if !self.journal.replaying() {
+            let deadline = self.env.clock.now().saturating_add(nanoseconds(delay));
+            let target: Arc<dyn Alarm> = Arc::clone(&self.address.mailbox) as Arc<dyn Alarm>;
+            if self.env.timers.start(deadline, timer, target) {
+                self.env.scheduler.notify();
+            }
+        }
+        Ok(TimerId(timer))
+    }
+
+    /// Takes a running timer back, with its message. `None` if it was delivered or cancelled before.
+    pub fn cancel(&mut self, timer: TimerId) -> Option<M> {
+        self.timers.running.get_mut(&timer.0)?.take()
+    }
+
+    /// Orders another actor to stop, pause or resume. Needs no room, cannot fail.
+    pub fn control<N: Message>(&mut self, to: &Address<N>, control: Control) {
+        if !self.journal.replaying() {
+            to.mailbox.link.control(control, self.thread);
+        }
+    }
+
+    /// Stops this actor after this message.
+    pub fn stop(&mut self) {
+        *self.stop = true;
+    }
+
+    /// The next random number of this actor: a hash of the system's seed, the actor and a counter, so that it is the
+    /// same in replay whatever thread runs it.
+    pub fn random(&mut self) -> u64 {
+        self.journal.random()
+    }
+
+    /// False where the world must not notice, as in replay and simulation: no file is written, no picture shown.
+    pub fn effects(&self) -> bool {
+        self.env.effects()
+    }
+
+    /// Deliveries to this actor so far, this one included.
+    pub fn index(&self) -> u64 {
+        self.journal.index
+    }
+}
+
+/// Sends `message` on behalf of the actor whose journal this is.
+pub(crate) fn post<N: Message>(
+    journal: &mut Journal,
+    thread: &ThreadCx,
+    to: &Address<N>,
+    message: N,
+) -> Result<(), Rejected<N>> {
+    let number = journal.next_send();
+    let from = journal.id;
+    let way = message.lane();
+    if journal.replaying() {
+        if journal.replays_rejection(number) {
+            return Err(Rejected { message, reason: Reason::Full });
+        }
+        to.mailbox.accept_replayed(from, lane_code(way), message, thread);
+        return Ok(());
+    }
+    if journal.rejects_by_fault(number) {
+        journal.record_rejection(number);
+        return Err(Rejected { message, reason: Reason::Full });
+    }
+    let sequence = match way {
+        Lane::Latest(key) => journal.latest_sent(to.id(), key % LATEST_KEYS),
+        _ => 0,
+    };
+    let accepted = to.mailbox.accept(Envelope { from, sequence, external: None, message }, thread);
+    match (&accepted, way) {
+        (Ok(()), Lane::Latest(key)) => journal.count_latest_sent(to.id(), key % LATEST_KEYS),
+        (Ok(()), _) => {}
+        (Err(_), _) => {
+            journal.record_rejection(number);
+            to.mailbox.link.counters.rejected();
+        }
+    }
+    accepted
+}
+
+/// The code of a way in the order stream.
+pub(crate) fn lane_code(way: Lane) -> u8 {
+    match way {
+        Lane::Data => lane::DATA,
+        Lane::Control => lane::CONTROL,
+        Lane::Latest(key) => lane::LATEST + key % LATEST_KEYS,
+    }
+}
+
+/// A delivery as an observer sees it, before the actor handles it.
+pub struct Delivery<'a> {
+    /// Who receives.
+    pub actor: ActorId,
+    /// Its number among the receiver's deliveries, from 0.
+    pub index: u64,
+    /// Who sent it; the receiver itself for timers, orders and jobs.
+    pub from: ActorId,
+    /// The variant's name, or what else was delivered.
+    pub kind: &'static str,
+    /// The message (`Actor::Msg`) or job, for an observer that knows the type; a unit where there is neither.
+    pub content: &'a dyn std::any::Any,
+    /// The receiver's chained hash with this delivery in it; 0 where hashes are off.
+    pub chain: u64,
+}

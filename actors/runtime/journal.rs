@@ -1,0 +1,511 @@
+//! The one place through which every delivery and every job pop of an actor passes.
+//!
+//! Here deliveries are counted, hashed, recorded, compared with a recording, shown to an observer, and faulted.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use crate::actor::Delivery;
+use crate::log::format::{Hashing, Symbol, lane, put, put_bytes, put_signed, value};
+use crate::log::writer::BACKLOG_BYTES_MAX;
+use crate::mailbox::Link;
+use crate::message::{ActorId, Digest};
+use crate::replay::{Divergence, Script, Turn};
+use crate::runtime::Env;
+
+/// Deliveries kept for a report of a divergence.
+const HISTORY: usize = 20;
+/// Bytes after which an actor hands its log over at the end of a turn.
+const CHUNK_BYTES: usize = 4096;
+
+/// What a delivery carries into the recording beside its sender.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Payload<'a> {
+    None,
+    /// From a port, encoded.
+    External(&'a [u8]),
+    /// Newest-only: how many older ones of this sender were replaced.
+    Skipped(u32),
+    Timer {
+        timer: u32,
+        time: u64,
+    },
+    Order(u32),
+    Job {
+        id: u64,
+        attempt: u32,
+    },
+}
+
+/// Why a turn cannot go on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Halted;
+
+/// The log of one actor that is not yet with the writer.
+#[derive(Default)]
+struct Recorder {
+    first: u64,
+    order: Vec<u8>,
+    run: Option<(u32, u64)>,
+    symbols: Vec<Symbol>,
+    external: Vec<u8>,
+    last_job: u64,
+    last_timer: u64,
+    values: Vec<u8>,
+    last_value: u64,
+    last_now: u64,
+    hashes: Vec<u8>,
+    rejected: Vec<u8>,
+    last_rejected: u64,
+}
+
+impl Recorder {
+    #[inline]
+    fn delivery(&mut self, symbol: Symbol, payload: Payload<'_>) {
+        match &mut self.run {
+            Some((number, length)) if self.symbols[*number as usize] == symbol => *length += 1,
+            _ => self.next_run(symbol),
+        }
+        match payload {
+            Payload::None => {}
+            Payload::External(bytes) => put_bytes(&mut self.external, bytes),
+            Payload::Skipped(count) => put(&mut self.external, u64::from(count)),
+            Payload::Timer { timer, time } => {
+                put(&mut self.external, u64::from(timer));
+                put_signed(&mut self.external, time.wrapping_sub(self.last_timer) as i64);
+                self.last_timer = time;
+            }
+            Payload::Order(bits) => put(&mut self.external, u64::from(bits)),
+            Payload::Job { id, attempt } => {
+                put_signed(&mut self.external, id.wrapping_sub(self.last_job) as i64);
+                put(&mut self.external, u64::from(attempt));
+                self.last_job = id;
+            }
+        }
+    }
+
+    fn next_run(&mut self, symbol: Symbol) {
+        self.end_run();
+        let known = self.symbols.iter().position(|known| *known == symbol);
+        let number = known.unwrap_or(self.symbols.len());
+        if known.is_none() {
+            self.symbols.push(symbol);
+        }
+        self.run = Some((number as u32, 1));
+    }
+
+    /// Writes the run at hand: its symbol with one bit for "more than one", then the length. A symbol that is new is
+    /// written out behind its number.
+    fn end_run(&mut self) {
+        let Some((number, length)) = self.run.take() else { return };
+        put(&mut self.order, u64::from(number) << 1 | u64::from(length > 1));
+        if length > 1 {
+            put(&mut self.order, length - 2);
+        }
+    }
+
+    fn value(&mut self, index: u64, tag: u8) {
+        put(&mut self.values, index - self.last_value);
+        self.last_value = index;
+        self.values.push(tag);
+    }
+
+    fn len(&self) -> usize {
+        self.order.len() + self.external.len() + self.values.len() + self.hashes.len() + self.rejected.len()
+    }
+
+    /// Everything since the last chunk, as the bytes of one.
+    fn chunk(&mut self, id: ActorId, index: u64, chain: u64, declared: usize) -> Vec<u8> {
+        self.end_run();
+        let mut bytes = Vec::with_capacity(self.len() + 32);
+        put(&mut bytes, u64::from(id.0));
+        put(&mut bytes, self.first);
+        put(&mut bytes, index - self.first);
+        bytes.extend_from_slice(&chain.to_le_bytes());
+        let new = &self.symbols[declared..];
+        put(&mut bytes, new.len() as u64);
+        for symbol in new {
+            put(&mut bytes, u64::from(symbol.from.0));
+            bytes.push(symbol.lane);
+        }
+        for stream in
+            [&mut self.order, &mut self.external, &mut self.values, &mut self.hashes, &mut self.rejected]
+        {
+            put_bytes(&mut bytes, stream);
+            stream.clear();
+        }
+        self.first = index;
+        bytes
+    }
+}
+
+/// One actor's side of counting, hashing, recording and replay.
+pub(crate) struct Journal {
+    pub(crate) id: ActorId,
+    /// Deliveries so far.
+    pub(crate) index: u64,
+    pub(crate) chain: u64,
+    sends: u64,
+    jobs_made: u64,
+    randoms: u64,
+    hashing: Hashing,
+    recorder: Option<Box<Recorder>>,
+    declared: usize,
+    held_back: Option<Vec<u8>>,
+    period: u32,
+    script: Option<Box<Script>>,
+    history: VecDeque<Turn>,
+    sent: Vec<(ActorId, u8, u32)>,
+    seen: Vec<(ActorId, u8, u32)>,
+    panics: VecDeque<u64>,
+    fulls: VecDeque<u64>,
+    link: Arc<Link>,
+    env: Arc<Env>,
+}
+
+impl Journal {
+    pub(crate) fn new(link: &Arc<Link>, script: Option<Script>) -> Self {
+        let env = &link.env;
+        let (panics, fulls) = env.faults_of(link.id);
+        Self {
+            id: link.id,
+            index: 0,
+            chain: Digest::new().finish(),
+            sends: 0,
+            jobs_made: 0,
+            randoms: 0,
+            hashing: env.hashing,
+            recorder: env.log.is_some().then(Box::default),
+            declared: 0,
+            held_back: None,
+            period: 0,
+            script: script.map(Box::new),
+            history: VecDeque::new(),
+            sent: Vec::new(),
+            seen: Vec::new(),
+            panics,
+            fulls,
+            link: Arc::clone(link),
+            env: Arc::clone(env),
+        }
+    }
+
+    /// Passes one delivery. `Err` if replay diverged here or was told to stop.
+    #[inline]
+    pub(crate) fn deliver(
+        &mut self,
+        symbol: Symbol,
+        payload: Payload<'_>,
+        kind: &'static str,
+        content: &dyn std::any::Any,
+        digest: impl FnOnce(&mut Digest),
+    ) -> Result<(), Halted> {
+        self.link.counters.delivered();
+        if self.hashing != Hashing::Off {
+            let mut chain = Digest::from_chain(self.chain);
+            chain.u64(u64::from(symbol.from.0) << 8 | u64::from(symbol.lane));
+            digest(&mut chain);
+            self.chain = chain.finish();
+        }
+        if let Some(recorder) = &mut self.recorder {
+            recorder.delivery(symbol, payload);
+            match self.hashing {
+                Hashing::Exact => recorder.hashes.extend_from_slice(&(self.chain as u16).to_le_bytes()),
+                Hashing::Every(period) if (self.index + 1).is_multiple_of(u64::from(period.max(1))) => {
+                    recorder.hashes.extend_from_slice(&self.chain.to_le_bytes());
+                }
+                _ => {}
+            }
+        }
+        if let Some(observer) = &self.env.observer {
+            let (actor, index, from, chain) = (self.id, self.index, symbol.from, self.chain);
+            observer(&Delivery { actor, index, from, kind, content, chain });
+        }
+        let passed = if self.script.is_some() { self.compare(symbol, kind) } else { Ok(()) };
+        self.index += 1;
+        passed
+    }
+
+    /// After the actor handled a delivery: its state's own hash.
+    #[inline]
+    pub(crate) fn handled(&mut self, state: impl FnOnce() -> Option<u64>) -> Result<(), Halted> {
+        if self.hashing != Hashing::Exact {
+            return Ok(());
+        }
+        let Some(state) = state() else { return Ok(()) };
+        let mut chain = Digest::from_chain(self.chain);
+        chain.u64(state);
+        self.chain = chain.finish();
+        if let Some(recorder) = &mut self.recorder {
+            recorder.hashes.extend_from_slice(&(self.chain as u16).to_le_bytes());
+        }
+        if let Some(script) = &mut self.script
+            && let Some(expected) = script.hash16()
+            && expected != self.chain as u16
+        {
+            let found = format!("state hash {:04x}", self.chain as u16);
+            return self.diverge(self.index - 1, format!("state hash {expected:04x}"), found);
+        }
+        Ok(())
+    }
+
+    fn compare(&mut self, symbol: Symbol, kind: &'static str) -> Result<(), Halted> {
+        self.history.truncate(HISTORY - 1);
+        let lane = lane::name(symbol.lane);
+        self.history.push_front(Turn { index: self.index, from: symbol.from, lane, kind });
+        let Some(script) = &mut self.script else { return Ok(()) };
+        if let Some((index, tag)) = script.peek_value()
+            && index < self.index + 1
+        {
+            let found = "none".to_owned();
+            return self.diverge(index.saturating_sub(1), value::name(tag).to_owned(), found);
+        }
+        let (expected, found) = match script.hashing {
+            Hashing::Exact => match script.hash16() {
+                Some(expected) => (u64::from(expected), u64::from(self.chain as u16)),
+                None => return self.stop_here(),
+            },
+            Hashing::Every(period) if (self.index + 1).is_multiple_of(u64::from(period.max(1))) => {
+                match script.hash64() {
+                    Some(expected) => (expected, self.chain),
+                    None => return self.stop_here(),
+                }
+            }
+            _ => return self.stop_here(),
+        };
+        if expected != found {
+            return self.diverge(self.index, format!("hash {expected:x}"), format!("hash {found:x}"));
+        }
+        self.stop_here()
+    }
+
+    /// Whether replay was asked to stop at this delivery: it is still handled, and is the last one.
+    fn stop_here(&self) -> Result<(), Halted> {
+        self.env.stop_at_delivery(self.id, self.index);
+        Ok(())
+    }
+
+    fn diverge(&self, index: u64, expected: String, found: String) -> Result<(), Halted> {
+        self.env.diverged(Divergence {
+            actor: self.id,
+            name: self.env.name(self.id),
+            index,
+            mark: self.env.last_mark(),
+            kind: self.history.front().map_or("start", |turn| turn.kind),
+            from: self.history.front().map(|turn| turn.from),
+            expected,
+            found,
+            turns: self.history.iter().cloned().collect(),
+        });
+        Err(Halted)
+    }
+
+    /// Replay and recording agree that something else comes next.
+    pub(crate) fn diverge_here(&self, expected: String, found: String) {
+        let _ = self.diverge(self.index, expected, found);
+    }
+
+    pub(crate) fn replaying(&self) -> bool {
+        self.script.is_some()
+    }
+
+    pub(crate) fn script(&mut self) -> Option<&mut Script> {
+        self.script.as_deref_mut()
+    }
+
+    // --- values -----------------------------------------------------------------------------------------------------
+
+    /// During replay, the next recorded value, which must be of this kind and at this delivery.
+    pub(crate) fn replayed_value(&mut self, tag: u8) -> Option<u64> {
+        let index = self.index;
+        let script = self.script.as_mut()?;
+        match script.peek_value() {
+            Some((at, recorded)) if at == index && recorded == tag => {
+                Some(script.value().unwrap_or_default())
+            }
+            other => {
+                let expected = match other {
+                    Some((at, recorded)) if at == index => value::name(recorded).to_owned(),
+                    _ if script.exhausted() && !script.complete => return Some(0),
+                    _ => "none".to_owned(),
+                };
+                let _ = self.diverge(index.saturating_sub(1), expected, value::name(tag).to_owned());
+                Some(0)
+            }
+        }
+    }
+
+    pub(crate) fn record_now(&mut self, now: u64) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.value(self.index, value::NOW);
+            put_signed(&mut recorder.values, (now / 1000).wrapping_sub(recorder.last_now) as i64);
+            recorder.last_now = now / 1000;
+        }
+    }
+
+    pub(crate) fn record_measured(&mut self, code: u64) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.value(self.index, value::MEASURED);
+            put(&mut recorder.values, code);
+        }
+    }
+
+    pub(crate) fn mark(&mut self, kind: u32, mark: u64) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.value(self.index, value::MARK);
+            put(&mut recorder.values, u64::from(kind));
+            recorder.values.extend_from_slice(&mark.to_le_bytes());
+        }
+        if self.script.is_some()
+            && let Some(expected) = self.replayed_value(value::MARK)
+            && let Some(recorded_kind) = self.script.as_ref().map(|script| script.mark_kind)
+            && (expected, recorded_kind) != (mark, kind)
+            && !self.env.halted()
+        {
+            let name = |kind: u32, mark: u64| format!("mark {kind} with {mark:016x}");
+            let _ =
+                self.diverge(self.index.saturating_sub(1), name(recorded_kind, expected), name(kind, mark));
+        }
+        self.env.marked(kind, mark);
+    }
+
+    /// What to do about a panic: decided live, taken from the recording in replay.
+    pub(crate) fn verdict(&mut self, decide: impl FnOnce() -> u64) -> u64 {
+        if let Some(verdict) = self.replayed_value(value::VERDICT) {
+            return verdict;
+        }
+        let verdict = decide();
+        if let Some(recorder) = &mut self.recorder {
+            recorder.value(self.index, value::VERDICT);
+            put(&mut recorder.values, verdict);
+        }
+        verdict
+    }
+
+    /// Whether a panic is injected into the delivery at hand.
+    #[inline]
+    pub(crate) fn panics_by_fault(&mut self) -> bool {
+        let index = self.index;
+        if let Some(script) = &mut self.script {
+            let injected = script.peek_value() == Some((index, value::FAULT));
+            if injected {
+                let _ = script.value();
+            }
+            return injected;
+        }
+        if self.panics.front().is_none_or(|at| *at >= index) {
+            return false;
+        }
+        self.panics.pop_front();
+        if let Some(recorder) = &mut self.recorder {
+            recorder.value(index, value::FAULT);
+        }
+        true
+    }
+
+    // --- sends ------------------------------------------------------------------------------------------------------
+
+    pub(crate) fn next_send(&mut self) -> u64 {
+        self.sends += 1;
+        self.sends - 1
+    }
+
+    pub(crate) fn rejects_by_fault(&mut self, number: u64) -> bool {
+        let rejects = self.fulls.front().is_some_and(|at| *at <= number);
+        if rejects {
+            self.fulls.pop_front();
+        }
+        rejects
+    }
+
+    pub(crate) fn record_rejection(&mut self, number: u64) {
+        if let Some(recorder) = &mut self.recorder {
+            put(&mut recorder.rejected, number - recorder.last_rejected);
+            recorder.last_rejected = number;
+        }
+    }
+
+    pub(crate) fn replays_rejection(&mut self, number: u64) -> bool {
+        self.script.as_mut().is_some_and(|script| script.rejects(number))
+    }
+
+    pub(crate) fn latest_sent(&self, to: ActorId, key: u8) -> u32 {
+        count_of(&self.sent, to, key)
+    }
+
+    pub(crate) fn count_latest_sent(&mut self, to: ActorId, key: u8) {
+        let count = count_of(&self.sent, to, key);
+        set_count(&mut self.sent, to, key, count.wrapping_add(1));
+    }
+
+    /// How many values of this sender and slot were replaced before the one with this sequence number.
+    pub(crate) fn skipped(&mut self, from: ActorId, key: u8, sequence: u32) -> u32 {
+        let seen = count_of(&self.seen, from, key);
+        set_count(&mut self.seen, from, key, sequence.wrapping_add(1));
+        sequence.wrapping_sub(seen)
+    }
+
+    /// The identity of the next job this actor makes: its maker and a count.
+    pub(crate) fn next_job(&mut self) -> u64 {
+        self.jobs_made += 1;
+        u64::from(self.id.0) << 40 | (self.jobs_made - 1)
+    }
+
+    pub(crate) fn random(&mut self) -> u64 {
+        let mut hash = Digest::new();
+        hash.u64(self.env.seed);
+        hash.u64(u64::from(self.id.0));
+        hash.u64(self.randoms);
+        self.randoms += 1;
+        hash.finish()
+    }
+
+    // --- the end of a turn ------------------------------------------------------------------------------------------
+
+    /// Hands the log to the writer if there is enough of it, a period has passed, or `now` asks for it.
+    #[inline]
+    pub(crate) fn end_turn(&mut self, now: bool) {
+        if self.recorder.is_some() {
+            self.flush(now);
+        }
+    }
+
+    fn flush(&mut self, now: bool) {
+        let (Some(recorder), Some(log)) = (&mut self.recorder, &self.env.log) else { return };
+        if log.is_stopped() {
+            self.recorder = None;
+            self.held_back = None;
+            self.link.unflushed.store(false, Ordering::Relaxed);
+            return;
+        }
+        if let Some(chunk) = self.held_back.take() {
+            self.held_back = log.push(chunk).err();
+        }
+        let period = log.period.load(Ordering::Relaxed);
+        let due =
+            now || recorder.len() >= CHUNK_BYTES || (period != self.period && recorder.first != self.index);
+        if due && self.held_back.is_none() && (recorder.first != self.index || recorder.len() > 0) {
+            let chunk = recorder.chunk(self.id, self.index, self.chain, self.declared);
+            self.declared = recorder.symbols.len();
+            self.period = period;
+            self.held_back = log.push(chunk).err();
+        }
+        if recorder.len() > BACKLOG_BYTES_MAX {
+            log.stop(format!("the disk is too slow for what {} does", self.env.name(self.id)));
+        }
+        let unflushed = self.held_back.is_some() || recorder.first != self.index || recorder.len() > 0;
+        self.link.unflushed.store(unflushed, Ordering::Relaxed);
+    }
+}
+
+fn count_of(counts: &[(ActorId, u8, u32)], id: ActorId, key: u8) -> u32 {
+    counts.iter().find(|(other, slot, _)| (*other, *slot) == (id, key)).map_or(0, |(_, _, count)| *count)
+}
+
+fn set_count(counts: &mut Vec<(ActorId, u8, u32)>, id: ActorId, key: u8, value: u32) {
+    match counts.iter_mut().find(|(other, slot, _)| (*other, *slot) == (id, key)) {
+        Some((_, _, count)) => *count = value,
+        None => counts.push((id, key, value)),
+    }
+}

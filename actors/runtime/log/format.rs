@@ -1,0 +1,254 @@
+//! The bytes of a recording.
+//!
+//! A file is the magic, a version, and segments `[raw length u32 | stored length u32 | crc32 u32 | lz4 block]`, all
+//! little-endian; the checksum covers both lengths and the block. A segment's first byte says what it is: the header,
+//! chunks, or the end. A chunk holds the next deliveries of one actor in five streams whose positions are implied by
+//! the order of deliveries, so that none of them interrupts the runs of the first:
+//!
+//! | stream | content |
+//! | --- | --- |
+//! | order | runs of deliveries from one (sender, lane), numbered by first appearance |
+//! | external | payloads of what comes from outside: port payloads, timers, controls, job pops, skipped older values |
+//! | values | what the actor asked for or said while handling: time, durations, marks, verdicts on panics |
+//! | hashes | the chained hash: 16 bits for each delivery, or 64 bits for each K deliveries |
+//! | rejected | which of the actor's own sends came back |
+
+use serde::{Deserialize, Serialize};
+
+use crate::actor::Class;
+use crate::message::ActorId;
+
+/// First bytes of every recording.
+pub const MAGIC: [u8; 6] = *b"FVLOG\0";
+/// Version of this format; a reader accepts exactly its own.
+pub const VERSION: u16 = 1;
+/// Largest segment before compression, in bytes.
+pub const SEGMENT_BYTES_MAX: usize = 32 << 20;
+/// Bytes of a segment's lengths and checksum.
+pub const SEGMENT_HEAD: usize = 12;
+
+pub(crate) const KIND_HEADER: u8 = 0;
+pub(crate) const KIND_CHUNKS: u8 = 1;
+pub(crate) const KIND_END: u8 = 2;
+
+/// How densely the chained hashes are recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Hashing {
+    /// None: only a stall or a difference in what is asked or marked shows a divergence.
+    Off,
+    /// 64 bits for each so many deliveries of an actor: 8/K bytes a message, a divergence is known to within K.
+    Every(u32),
+    /// 16 bits for each delivery: 2 bytes a message, a divergence is named at its exact message.
+    Exact,
+}
+
+/// One actor or port as the wiring made it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NodeInfo {
+    /// Name, with a number where several have the same type.
+    pub name: String,
+    /// How it is scheduled; none for a port.
+    pub class: Option<Class>,
+}
+
+/// What a recording says about itself.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Header {
+    /// The application's own header (scene hash, options, …), opaque to the runtime.
+    pub application: Vec<u8>,
+    /// Compiler, target and version of the runtime that recorded.
+    pub build: String,
+    /// Seed of [`crate::Cx::random`].
+    pub seed: u64,
+    /// How the hashes were recorded.
+    pub hashing: Hashing,
+    /// Actors and ports, by identity.
+    pub nodes: Vec<NodeInfo>,
+}
+
+/// Closes a recording that ended in order.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct End {
+    /// Deliveries and final chained hash of each actor.
+    pub(crate) totals: Vec<(u64, u64)>,
+}
+
+/// Which of a receiver's inputs a delivery came from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Symbol {
+    pub(crate) from: ActorId,
+    pub(crate) lane: u8,
+}
+
+/// Codes of the lanes in the order stream; newest-only keys follow from `LATEST`.
+pub(crate) mod lane {
+    pub(crate) const DATA: u8 = 0;
+    pub(crate) const CONTROL: u8 = 1;
+    pub(crate) const TIMER: u8 = 2;
+    pub(crate) const ORDER: u8 = 3;
+    pub(crate) const JOB: u8 = 4;
+    pub(crate) const STALE: u8 = 5;
+    pub(crate) const LATEST: u8 = 8;
+    /// One past the last code.
+    pub(crate) const END: u8 = LATEST + crate::message::LATEST_KEYS;
+
+    /// The lane's name in reports.
+    pub(crate) fn name(lane: u8) -> &'static str {
+        match lane {
+            DATA => "data",
+            CONTROL => "control",
+            TIMER => "timer",
+            ORDER => "order to stop, pause or resume",
+            JOB => "job",
+            STALE => "stale job",
+            _ => "newest only",
+        }
+    }
+}
+
+/// Tags of the values stream.
+pub(crate) mod value {
+    pub(crate) const NOW: u8 = 0;
+    pub(crate) const MEASURED: u8 = 1;
+    pub(crate) const MARK: u8 = 2;
+    pub(crate) const VERDICT: u8 = 3;
+    pub(crate) const FAULT: u8 = 4;
+
+    pub(crate) fn name(tag: u8) -> &'static str {
+        match tag {
+            NOW => "a clock reading",
+            MEASURED => "a measured duration",
+            MARK => "a mark",
+            VERDICT => "a panic",
+            FAULT => "an injected fault",
+            _ => "an unknown value",
+        }
+    }
+}
+
+/// Appends a number, seven bits a byte.
+pub(crate) fn put(bytes: &mut Vec<u8>, mut number: u64) {
+    while number >= 0x80 {
+        bytes.push(number as u8 | 0x80);
+        number >>= 7;
+    }
+    bytes.push(number as u8);
+}
+
+/// Appends a signed difference.
+pub(crate) fn put_signed(bytes: &mut Vec<u8>, number: i64) {
+    put(bytes, ((number << 1) ^ (number >> 63)) as u64);
+}
+
+/// Appends a length and the bytes.
+pub(crate) fn put_bytes(bytes: &mut Vec<u8>, content: &[u8]) {
+    put(bytes, content.len() as u64);
+    bytes.extend_from_slice(content);
+}
+
+/// A position in recorded bytes. Every read checks its bounds.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Cursor<'a> {
+    pub(crate) bytes: &'a [u8],
+    pub(crate) at: usize,
+}
+
+impl<'a> Cursor<'a> {
+    pub(crate) fn new(bytes: &'a [u8], at: usize) -> Self {
+        Self { bytes, at }
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.at >= self.bytes.len()
+    }
+
+    pub(crate) fn byte(&mut self) -> Option<u8> {
+        let byte = *self.bytes.get(self.at)?;
+        self.at += 1;
+        Some(byte)
+    }
+
+    pub(crate) fn number(&mut self) -> Option<u64> {
+        let mut number = 0_u64;
+        for shift in (0..64).step_by(7) {
+            let byte = self.byte()?;
+            number |= u64::from(byte & 0x7f) << shift;
+            if byte < 0x80 {
+                // Ten bytes carry 70 bits: the last may hold one.
+                return (shift < 63 || byte <= 1).then_some(number);
+            }
+        }
+        None
+    }
+
+    pub(crate) fn signed(&mut self) -> Option<i64> {
+        let number = self.number()?;
+        Some((number >> 1) as i64 ^ -((number & 1) as i64))
+    }
+
+    pub(crate) fn slice(&mut self, length: usize) -> Option<&'a [u8]> {
+        let slice = self.bytes.get(self.at..self.at.checked_add(length)?)?;
+        self.at += length;
+        Some(slice)
+    }
+
+    pub(crate) fn bytes(&mut self) -> Option<&'a [u8]> {
+        let length = usize::try_from(self.number()?).ok()?;
+        self.slice(length)
+    }
+
+    pub(crate) fn u16(&mut self) -> Option<u16> {
+        self.slice(2)?.try_into().ok().map(u16::from_le_bytes)
+    }
+
+    pub(crate) fn u64(&mut self) -> Option<u64> {
+        self.slice(8)?.try_into().ok().map(u64::from_le_bytes)
+    }
+}
+
+/// A duration rounded to 8 significant bits, as it is recorded and handed to the actor alike.
+pub(crate) fn quantise(nanoseconds: u64) -> (u64, u64) {
+    let shift = (64 - nanoseconds.leading_zeros()).saturating_sub(8);
+    let mantissa = nanoseconds >> shift;
+    (mantissa << shift, mantissa << 6 | u64::from(shift))
+}
+
+/// The inverse of [`quantise`]'s code.
+pub(crate) fn unquantise(code: u64) -> u64 {
+    (code >> 6 & 0xff) << (code & 63).min(56)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn numbers_come_back(number: u64, signed: i64) {
+            let mut bytes = Vec::new();
+            put(&mut bytes, number);
+            put_signed(&mut bytes, signed);
+            let mut cursor = Cursor::new(&bytes, 0);
+            prop_assert_eq!(cursor.number(), Some(number));
+            prop_assert_eq!(cursor.signed(), Some(signed));
+            prop_assert!(cursor.is_empty());
+            prop_assert_eq!(cursor.byte(), None);
+        }
+
+        #[test]
+        fn durations_lose_less_than_a_percent(nanoseconds: u64) {
+            let (rounded, code) = quantise(nanoseconds);
+            prop_assert_eq!(unquantise(code), rounded);
+            prop_assert!(rounded <= nanoseconds && nanoseconds - rounded <= nanoseconds / 128);
+        }
+    }
+
+    #[test]
+    fn overlong_numbers_and_lengths_are_refused() {
+        assert_eq!(Cursor::new(&[0xff; 11], 0).number(), None);
+        let mut bytes = Vec::new();
+        put(&mut bytes, u64::MAX);
+        assert_eq!(Cursor::new(&bytes, 0).bytes(), None);
+    }
+}

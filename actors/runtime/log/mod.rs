@@ -1,0 +1,5 @@
+//! The recording of a run: what is in it, how it is written while the system runs, and how it is read back.
+
+pub mod format;
+pub mod reader;
+pub(crate) mod writer;

@@ -1,0 +1,703 @@
+//! Reading a recording: everything is checked before it is used, and a damaged file is read up to the damage.
+
+use std::fmt;
+use std::io::Read;
+use std::path::Path;
+use std::sync::Arc;
+
+use super::format::{
+    Cursor, End, Header, KIND_CHUNKS, KIND_END, KIND_HEADER, MAGIC, SEGMENT_BYTES_MAX, SEGMENT_HEAD, Symbol,
+    VERSION, lane, unquantise, value,
+};
+use crate::journal::Payload;
+use crate::message::ActorId;
+
+/// Decompressed bytes a recording may hold.
+pub const TRACE_BYTES_MAX: u64 = 2 << 30;
+/// Actors and ports a recording may name.
+const NODES_MAX: usize = 1 << 20;
+
+/// Why a file is no recording that can be used.
+#[derive(Debug)]
+pub enum TraceError {
+    /// The file cannot be read.
+    Io(std::io::Error),
+    /// It does not begin as a recording does.
+    NotARecording,
+    /// It was written by another version of the format.
+    Version {
+        /// Version of the file.
+        found: u16,
+        /// The version this program reads.
+        expected: u16,
+    },
+    /// Its header is damaged.
+    Header {
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+impl fmt::Display for TraceError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Io(error) => write!(f, "cannot read the recording: {error}"),
+            Self::NotARecording => f.write_str("this is no recording: it does not begin with FVLOG"),
+            Self::Version { found, expected } => {
+                write!(f, "the recording has format version {found}, this program reads version {expected}")
+            }
+            Self::Header { reason } => write!(f, "the recording's header is damaged: {reason}"),
+        }
+    }
+}
+
+impl std::error::Error for TraceError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Io(error) => Some(error),
+            _ => None,
+        }
+    }
+}
+
+/// Where a recording stops being readable.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Cut {
+    /// Bytes from the start that are whole.
+    pub offset: u64,
+    /// What is wrong behind them.
+    pub reason: String,
+}
+
+/// What was delivered to one actor, as recorded.
+#[derive(Debug, Default)]
+pub(crate) struct ActorLog {
+    pub(crate) symbols: Vec<Symbol>,
+    pub(crate) order: Vec<u8>,
+    pub(crate) external: Vec<u8>,
+    pub(crate) values: Vec<u8>,
+    pub(crate) hashes: Vec<u8>,
+    pub(crate) rejected: Vec<u8>,
+    pub(crate) deliveries: u64,
+    pub(crate) chain: u64,
+}
+
+/// A value an actor asked for or said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Value {
+    pub(crate) index: u64,
+    pub(crate) tag: u8,
+    /// Time in nanoseconds, duration code, mark, or verdict.
+    pub(crate) content: u64,
+    /// Of a mark.
+    pub(crate) kind: u32,
+}
+
+/// Positions in the streams of one actor.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Walk {
+    order: usize,
+    run: Option<(u32, u64)>,
+    external: usize,
+    last_job: u64,
+    last_timer: u64,
+    values: usize,
+    last_value: u64,
+    last_now: u64,
+    hashes: usize,
+    rejected: usize,
+    last_rejected: u64,
+    peeked_rejected: Option<u64>,
+}
+
+impl Walk {
+    /// Whose message is delivered next.
+    pub(crate) fn peek(&mut self, log: &ActorLog) -> Option<Symbol> {
+        if self.run.is_none() {
+            let mut cursor = Cursor::new(&log.order, self.order);
+            let code = cursor.number()?;
+            let length = if code & 1 == 1 { cursor.number()?.checked_add(2)? } else { 1 };
+            self.order = cursor.at;
+            self.run = Some((u32::try_from(code >> 1).ok()?, length));
+        }
+        let (number, _) = self.run?;
+        log.symbols.get(number as usize).copied()
+    }
+
+    /// The payload of the next delivery, without passing it.
+    pub(crate) fn payload<'a>(
+        &self,
+        log: &'a ActorLog,
+        symbol: Symbol,
+        port: bool,
+    ) -> Option<(Payload<'a>, usize)> {
+        let mut cursor = Cursor::new(&log.external, self.external);
+        let payload = match symbol.lane {
+            _ if port => Payload::External(cursor.bytes()?),
+            lane::TIMER => {
+                let timer = u32::try_from(cursor.number()?).ok()?;
+                Payload::Timer { timer, time: self.last_timer.wrapping_add(cursor.signed()? as u64) }
+            }
+            lane::ORDER => Payload::Order(u32::try_from(cursor.number()?).ok()?),
+            lane::JOB | lane::STALE => {
+                let id = self.last_job.wrapping_add(cursor.signed()? as u64);
+                Payload::Job { id, attempt: u32::try_from(cursor.number()?).ok()? }
+            }
+            lane::DATA | lane::CONTROL => Payload::None,
+            lane::LATEST..lane::END => Payload::Skipped(u32::try_from(cursor.number()?).ok()?),
+            _ => return None,
+        };
+        Some((payload, cursor.at))
+    }
+
+    /// Passes the delivery whose payload [`Walk::payload`] gave.
+    pub(crate) fn pass(&mut self, payload: Payload<'_>, external: usize) {
+        if let Some((_, left)) = &mut self.run {
+            *left -= 1;
+            if *left == 0 {
+                self.run = None;
+            }
+        }
+        self.external = external;
+        match payload {
+            Payload::Timer { time, .. } => self.last_timer = time,
+            Payload::Job { id, .. } => self.last_job = id,
+            _ => {}
+        }
+    }
+
+    /// Deliveries of the run at hand that are left, and its symbol: for a pass over many at once.
+    pub(crate) fn peek_value(&self, log: &ActorLog) -> Option<(u64, u8)> {
+        let mut cursor = Cursor::new(&log.values, self.values);
+        let index = self.last_value.checked_add(cursor.number()?)?;
+        Some((index, cursor.byte()?))
+    }
+
+    /// Takes the next value.
+    pub(crate) fn value(&mut self, log: &ActorLog) -> Option<Value> {
+        let mut cursor = Cursor::new(&log.values, self.values);
+        let index = self.last_value.checked_add(cursor.number()?)?;
+        let tag = cursor.byte()?;
+        let mut kind = 0;
+        let content = match tag {
+            value::NOW => {
+                self.last_now = self.last_now.wrapping_add(cursor.signed()? as u64);
+                self.last_now.checked_mul(1000)?
+            }
+            value::MEASURED | value::VERDICT => cursor.number()?,
+            value::MARK => {
+                kind = u32::try_from(cursor.number()?).ok()?;
+                cursor.u64()?
+            }
+            value::FAULT => 0,
+            _ => return None,
+        };
+        self.last_value = index;
+        self.values = cursor.at;
+        Some(Value { index, tag, content, kind })
+    }
+
+    pub(crate) fn hash16(&mut self, log: &ActorLog) -> Option<u16> {
+        let mut cursor = Cursor::new(&log.hashes, self.hashes);
+        let hash = cursor.u16()?;
+        self.hashes = cursor.at;
+        Some(hash)
+    }
+
+    pub(crate) fn hash64(&mut self, log: &ActorLog) -> Option<u64> {
+        let mut cursor = Cursor::new(&log.hashes, self.hashes);
+        let hash = cursor.u64()?;
+        self.hashes = cursor.at;
+        Some(hash)
+    }
+
+    /// Whether send `number` came back; asked once for each send, in order.
+    pub(crate) fn rejects(&mut self, log: &ActorLog, number: u64) -> bool {
+        if self.peeked_rejected.is_none() {
+            let mut cursor = Cursor::new(&log.rejected, self.rejected);
+            let Some(step) = cursor.number() else { return false };
+            self.rejected = cursor.at;
+            self.last_rejected = self.last_rejected.wrapping_add(step);
+            self.peeked_rejected = Some(self.last_rejected);
+        }
+        let rejects = self.peeked_rejected == Some(number);
+        if rejects {
+            self.peeked_rejected = None;
+        }
+        rejects
+    }
+}
+
+/// Something that happened to one actor.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// A delivery.
+    Delivered {
+        /// Its number, from 0.
+        index: u64,
+        /// The sender; the actor itself for timers, orders and jobs.
+        from: ActorId,
+        /// `data`, `control`, `timer`, `job`, …
+        lane: &'static str,
+        /// Identity of the job, where one was popped.
+        job: Option<u64>,
+        /// Encoded payload of what came from outside.
+        external: Option<Vec<u8>>,
+        /// Older newest-only values of this sender that were replaced before this one.
+        skipped: u32,
+    },
+    /// The actor read the clock, in nanoseconds.
+    Now {
+        /// Deliveries before.
+        index: u64,
+        /// What it read, in nanoseconds.
+        nanoseconds: u64,
+    },
+    /// The actor was given a measured duration.
+    Measured {
+        /// Deliveries before.
+        index: u64,
+        /// The duration, in nanoseconds.
+        nanoseconds: u64,
+    },
+    /// A mark of the application.
+    Mark {
+        /// Deliveries before.
+        index: u64,
+        /// The application's kind.
+        kind: u32,
+        /// The application's value.
+        value: u64,
+    },
+    /// The actor panicked.
+    Panicked {
+        /// Deliveries before.
+        index: u64,
+        /// The simulator made it.
+        injected: bool,
+    },
+}
+
+/// A recording in memory.
+#[derive(Debug)]
+pub struct Trace {
+    header: Header,
+    pub(crate) logs: Vec<Arc<ActorLog>>,
+    end: Option<End>,
+    cut: Option<Cut>,
+    whole_bytes: u64,
+    segments: u64,
+}
+
+/// Sizes of a recording.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TraceStat {
+    /// Deliveries to all actors.
+    pub deliveries: u64,
+    /// Bytes of the file that are whole.
+    pub file_bytes: u64,
+    /// Segments.
+    pub segments: u64,
+    /// Bytes of the order of deliveries, before compression.
+    pub order_bytes: u64,
+    /// Bytes of payloads from outside, job pops and timers.
+    pub external_bytes: u64,
+    /// Bytes of clock readings, durations and marks.
+    pub value_bytes: u64,
+    /// Bytes of hashes.
+    pub hash_bytes: u64,
+    /// Bytes of rejections.
+    pub rejected_bytes: u64,
+}
+
+impl Trace {
+    /// Reads a file up to its first damage.
+    pub fn open(path: &Path) -> Result<Self, TraceError> {
+        let file = std::fs::File::open(path).map_err(TraceError::Io)?;
+        Self::read(&mut std::io::BufReader::new(file))
+    }
+
+    /// Reads a recording from memory.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, TraceError> {
+        Self::read(&mut &*bytes)
+    }
+
+    fn read(source: &mut impl Read) -> Result<Self, TraceError> {
+        let mut head = [0; 8];
+        let length = fill(source, &mut head).map_err(TraceError::Io)?;
+        if length < 6 || head[..6] != MAGIC {
+            return Err(TraceError::NotARecording);
+        }
+        let found = u16::from_le_bytes([head[6], head[7]]);
+        if length < 8 || found != VERSION {
+            return Err(TraceError::Version { found, expected: VERSION });
+        }
+        let damaged = |reason: String| TraceError::Header { reason };
+        let (bytes, body) = match read_segment(source) {
+            Segment::Body(bytes, body) => (bytes, body),
+            Segment::Nothing => return Err(damaged("it is missing".into())),
+            Segment::Damaged(reason) => return Err(damaged(reason)),
+        };
+        if body.first() != Some(&KIND_HEADER) {
+            return Err(damaged("the first segment is no header".into()));
+        }
+        let header: Header = postcard::from_bytes(&body[1..]).map_err(|error| damaged(error.to_string()))?;
+        if header.nodes.len() > NODES_MAX {
+            return Err(damaged(format!("it names {} actors", header.nodes.len())));
+        }
+        let mut trace =
+            Self { logs: Vec::new(), end: None, cut: None, whole_bytes: 8 + bytes, segments: 1, header };
+        let mut logs: Vec<(ActorLog, Walk)> = trace.header.nodes.iter().map(|_| Default::default()).collect();
+        let mut total = 0_u64;
+        loop {
+            let (bytes, body) = match read_segment(source) {
+                Segment::Body(bytes, body) => (bytes, body),
+                Segment::Nothing => {
+                    if trace.end.is_none() {
+                        trace.cut(String::from("the recording ends without its end mark"));
+                    }
+                    break;
+                }
+                Segment::Damaged(reason) => {
+                    trace.cut(reason);
+                    break;
+                }
+            };
+            total += body.len() as u64;
+            let outcome = if trace.end.is_some() {
+                Err("something follows the end".to_owned())
+            } else if total > TRACE_BYTES_MAX {
+                Err(format!("more than {TRACE_BYTES_MAX} bytes when unpacked"))
+            } else {
+                trace.segment(&body, &mut logs)
+            };
+            if let Err(reason) = outcome {
+                trace.cut(reason);
+                break;
+            }
+            trace.whole_bytes += bytes;
+            trace.segments += 1;
+        }
+        trace.logs = logs.into_iter().map(|(log, _)| Arc::new(log)).collect();
+        Ok(trace)
+    }
+
+    fn cut(&mut self, reason: String) {
+        self.cut = Some(Cut { offset: self.whole_bytes, reason });
+    }
+
+    fn segment(&mut self, body: &[u8], logs: &mut [(ActorLog, Walk)]) -> Result<(), String> {
+        match body.first() {
+            Some(&KIND_CHUNKS) => {
+                let mut cursor = Cursor::new(body, 1);
+                let mut before = Vec::new();
+                while !cursor.is_empty() {
+                    let result = match cursor.bytes() {
+                        Some(chunk) => append(chunk, &self.header, logs, &mut before),
+                        None => Err("a chunk is longer than its segment".to_owned()),
+                    };
+                    if let Err(reason) = result {
+                        // A segment counts as a whole or not at all.
+                        for (actor, lengths) in before.into_iter().rev() {
+                            undo(&mut logs[actor as usize], lengths);
+                        }
+                        return Err(reason);
+                    }
+                }
+                Ok(())
+            }
+            Some(&KIND_END) => {
+                let end: End = postcard::from_bytes(&body[1..]).map_err(|error| error.to_string())?;
+                let found = logs.iter().map(|(log, _)| log.deliveries);
+                if !end.totals.iter().map(|(deliveries, _)| *deliveries).eq(found) {
+                    return Err("the end counts other deliveries than are recorded".into());
+                }
+                self.end = Some(end);
+                Ok(())
+            }
+            Some(other) => Err(format!("a segment of unknown kind {other}")),
+            None => Err("an empty segment".into()),
+        }
+    }
+
+    /// What the recording says about itself.
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// Where the file stops being readable; `None` if it is whole.
+    pub fn damage(&self) -> Option<&Cut> {
+        self.cut.as_ref()
+    }
+
+    /// The run ended in order and all of it is here.
+    pub fn complete(&self) -> bool {
+        self.end.is_some() && self.cut.is_none()
+    }
+
+    /// Bytes of the file, from its start, that are whole: what is left when it is cut to its good part.
+    pub fn whole_bytes(&self) -> u64 {
+        self.whole_bytes
+    }
+
+    /// Deliveries recorded for one actor.
+    pub fn deliveries(&self, actor: ActorId) -> u64 {
+        self.logs.get(actor.0 as usize).map_or(0, |log| log.deliveries)
+    }
+
+    /// The chained hash of everything delivered to one actor, as far as it is recorded.
+    pub fn chain(&self, actor: ActorId) -> u64 {
+        self.logs.get(actor.0 as usize).map_or(0, |log| log.chain)
+    }
+
+    /// Identity of the actor or port with this name.
+    pub fn find(&self, name: &str) -> Option<ActorId> {
+        self.header.nodes.iter().position(|node| node.name == name).map(|index| ActorId(index as u32))
+    }
+
+    /// Sizes.
+    pub fn stat(&self) -> TraceStat {
+        let mut stat =
+            TraceStat { file_bytes: self.whole_bytes, segments: self.segments, ..TraceStat::default() };
+        for log in &self.logs {
+            stat.deliveries += log.deliveries;
+            stat.order_bytes += log.order.len() as u64;
+            stat.external_bytes += log.external.len() as u64;
+            stat.value_bytes += log.values.len() as u64;
+            stat.hash_bytes += log.hashes.len() as u64;
+            stat.rejected_bytes += log.rejected.len() as u64;
+        }
+        stat
+    }
+
+    /// Everything that happened to one actor, in its order.
+    pub fn events(&self, actor: ActorId) -> impl Iterator<Item = Event> + '_ {
+        let log = self.logs.get(actor.0 as usize);
+        let mut walk = Walk::default();
+        let mut index = 0;
+        std::iter::from_fn(move || {
+            let log = log?;
+            if let Some((at, _)) = walk.peek_value(log)
+                && at <= index
+            {
+                return walk.value(log).map(event_of);
+            }
+            let symbol = walk.peek(log)?;
+            let (payload, external) = walk.payload(log, symbol, self.is_port(symbol.from))?;
+            walk.pass(payload, external);
+            index += 1;
+            Some(Event::Delivered {
+                index: index - 1,
+                from: symbol.from,
+                lane: lane::name(symbol.lane),
+                job: if let Payload::Job { id, .. } = payload { Some(id) } else { None },
+                external: if let Payload::External(bytes) = payload { Some(bytes.to_vec()) } else { None },
+                skipped: if let Payload::Skipped(count) = payload { count } else { 0 },
+            })
+        })
+    }
+
+    /// The first delivery at which two recordings of the same wiring part: the actor and the index, for each actor
+    /// that parts, or `None` in an actor whose recordings agree as far as both go.
+    pub fn first_difference(&self, other: &Self, actor: ActorId) -> Option<u64> {
+        let (mut left, mut right) = (self.events(actor), other.events(actor));
+        let (left_log, right_log) = (self.logs.get(actor.0 as usize)?, other.logs.get(actor.0 as usize)?);
+        let exact = |trace: &Self| trace.header.hashing == super::format::Hashing::Exact;
+        let hashes = exact(self) && exact(other);
+        let mut index = 0;
+        loop {
+            let (a, b) = (left.next()?, right.next()?);
+            if let Event::Delivered { index: at, .. } = a {
+                index = at;
+            }
+            let at = 2 * index as usize;
+            let hash = |log: &ActorLog| log.hashes.get(at..at + 2).map(<[u8]>::to_vec);
+            let differs = match (&a, &b) {
+                // Times differ between any two runs; what follows from them shows in the hashes.
+                (Event::Now { .. }, Event::Now { .. }) | (Event::Measured { .. }, Event::Measured { .. }) => {
+                    false
+                }
+                _ => a != b,
+            };
+            if differs || (hashes && hash(left_log) != hash(right_log)) {
+                return Some(index);
+            }
+        }
+    }
+
+    pub(crate) fn is_port(&self, id: ActorId) -> bool {
+        self.header.nodes.get(id.0 as usize).is_some_and(|node| node.class.is_none())
+    }
+
+    /// Who popped each job, in order of (job, attempt).
+    pub(crate) fn pops(&self) -> Vec<(u64, u32, ActorId)> {
+        let mut pops = Vec::new();
+        for (number, log) in self.logs.iter().enumerate() {
+            let mut walk = Walk::default();
+            while let Some(symbol) = walk.peek(log) {
+                let Some((payload, external)) = walk.payload(log, symbol, self.is_port(symbol.from)) else {
+                    break;
+                };
+                walk.pass(payload, external);
+                if let Payload::Job { id, attempt } = payload {
+                    pops.push((id, attempt, ActorId(number as u32)));
+                }
+            }
+        }
+        pops.sort_unstable();
+        pops
+    }
+}
+
+fn event_of(value: Value) -> Event {
+    let Value { index, tag, content, kind } = value;
+    match tag {
+        value::NOW => Event::Now { index, nanoseconds: content },
+        value::MEASURED => Event::Measured { index, nanoseconds: unquantise(content) },
+        value::MARK => Event::Mark { index, kind, value: content },
+        _ => Event::Panicked { index, injected: tag == value::FAULT },
+    }
+}
+
+/// Lengths of a log before a chunk: symbols, the five streams, deliveries, chain, and the validating walk.
+type Lengths = ([usize; 6], u64, u64, Walk);
+
+fn undo((log, walk): &mut (ActorLog, Walk), (lengths, deliveries, chain, before): Lengths) {
+    log.symbols.truncate(lengths[0]);
+    let streams = [&mut log.order, &mut log.external, &mut log.values, &mut log.hashes, &mut log.rejected];
+    streams.into_iter().zip(&lengths[1..]).for_each(|(stream, length)| stream.truncate(*length));
+    (log.deliveries, log.chain, *walk) = (deliveries, chain, before);
+}
+
+/// Adds a chunk to its actor's log after checking that all of it can be decoded.
+fn append(
+    chunk: &[u8],
+    header: &Header,
+    logs: &mut [(ActorLog, Walk)],
+    undo_list: &mut Vec<(u32, Lengths)>,
+) -> Result<(), String> {
+    let short = || "a chunk ends early".to_owned();
+    let mut cursor = Cursor::new(chunk, 0);
+    let actor = cursor.number().ok_or_else(short)?;
+    let index = usize::try_from(actor).ok().filter(|index| *index < logs.len());
+    let Some((log, walk)) = index.and_then(|index| logs.get_mut(index)) else {
+        return Err(format!("a chunk of actor {actor}, which the header does not name"));
+    };
+    let first = cursor.number().ok_or_else(short)?;
+    let count = cursor.number().ok_or_else(short)?;
+    if first != log.deliveries {
+        return Err(format!("deliveries {}..{first} of actor {actor} are missing", log.deliveries));
+    }
+    let lengths = [
+        log.symbols.len(),
+        log.order.len(),
+        log.external.len(),
+        log.values.len(),
+        log.hashes.len(),
+        log.rejected.len(),
+    ];
+    undo_list.push((actor as u32, (lengths, log.deliveries, log.chain, walk.clone())));
+    log.chain = cursor.u64().ok_or_else(short)?;
+    for _ in 0..cursor.number().ok_or_else(short)? {
+        let from = cursor.number().ok_or_else(short)?;
+        let lane = cursor.byte().ok_or_else(short)?;
+        if from >= header.nodes.len() as u64 || lane >= lane::END {
+            return Err(format!("a delivery from {from} on lane {lane}, which do not exist"));
+        }
+        log.symbols.push(Symbol { from: ActorId(from as u32), lane });
+    }
+    for stream in [&mut log.order, &mut log.external, &mut log.values, &mut log.hashes, &mut log.rejected] {
+        stream.extend_from_slice(cursor.bytes().ok_or_else(short)?);
+    }
+    if !cursor.is_empty() {
+        return Err("a chunk is longer than its content".into());
+    }
+    log.deliveries = first.checked_add(count).ok_or_else(|| "too many deliveries".to_owned())?;
+    validate(log, walk, header, count).ok_or_else(|| format!("the log of actor {actor} cannot be decoded"))
+}
+
+fn validate(log: &ActorLog, walk: &mut Walk, header: &Header, count: u64) -> Option<()> {
+    let mut left = count;
+    while left > 0 {
+        let symbol = walk.peek(log)?;
+        let port = header.nodes[symbol.from.0 as usize].class.is_none();
+        let (_, run) = walk.run?;
+        if matches!(symbol.lane, lane::DATA | lane::CONTROL) && !port {
+            // Runs without payloads pass at once: their length may be any number.
+            left = left.checked_sub(run)?;
+            walk.run = None;
+        } else {
+            let (payload, external) = walk.payload(log, symbol, port)?;
+            walk.pass(payload, external);
+            left -= 1;
+        }
+    }
+    let ended = walk.run.is_none() && walk.order == log.order.len() && walk.external == log.external.len();
+    while walk.values < log.values.len() {
+        let value = walk.value(log)?;
+        if value.index > log.deliveries {
+            return None;
+        }
+    }
+    let mut rejected = Cursor::new(&log.rejected, walk.rejected);
+    while !rejected.is_empty() {
+        rejected.number()?;
+    }
+    walk.rejected = rejected.at;
+    ended.then_some(())
+}
+
+enum Segment {
+    /// Bytes in the file, and the unpacked content.
+    Body(u64, Vec<u8>),
+    Nothing,
+    Damaged(String),
+}
+
+fn read_segment(source: &mut impl Read) -> Segment {
+    let mut head = [0; SEGMENT_HEAD];
+    match fill(source, &mut head) {
+        Ok(0) => return Segment::Nothing,
+        Ok(SEGMENT_HEAD) => {}
+        Ok(_) => return Segment::Damaged("the file ends inside a segment's head".into()),
+        Err(error) => return Segment::Damaged(error.to_string()),
+    }
+    let word = |at: usize| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
+    let (raw, stored, checksum) = (word(0) as usize, word(4) as usize, word(8));
+    // An lz4 block is at most a little longer than its content, and at most 255 times shorter.
+    let stored_max = lz4_flex::block::get_maximum_output_size(raw.min(SEGMENT_BYTES_MAX));
+    if raw > SEGMENT_BYTES_MAX || stored > stored_max || raw > stored.saturating_mul(255) + 64 {
+        return Segment::Damaged(format!("a segment claims {stored} bytes for {raw}"));
+    }
+    let mut block = Vec::new();
+    match source.take(stored as u64).read_to_end(&mut block) {
+        Ok(read) if read == stored => {}
+        Ok(_) => return Segment::Damaged("the file ends inside a segment".into()),
+        Err(error) => return Segment::Damaged(error.to_string()),
+    }
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&head[..8]);
+    hasher.update(&block);
+    if hasher.finalize() != checksum {
+        return Segment::Damaged("a segment's checksum does not fit its content".into());
+    }
+    match lz4_flex::block::decompress(&block, raw) {
+        Ok(body) if body.len() == raw => Segment::Body((SEGMENT_HEAD + stored) as u64, body),
+        Ok(_) => Segment::Damaged("a segment unpacks to another length than it says".into()),
+        Err(error) => Segment::Damaged(format!("a segment cannot be unpacked: {error}")),
+    }
+}
+
+/// Reads until the buffer is full or the source ends; returns how much was read.
+fn fill(source: &mut impl Read, buffer: &mut [u8]) -> std::io::Result<usize> {
+    let mut length = 0;
+    while length < buffer.len() {
+        match source.read(&mut buffer[length..]) {
+            Ok(0) => break,
+            Ok(read) => length += read,
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(length)
+}

@@ -1,0 +1,264 @@
+//! A mailbox: one bounded lock-free queue for data, a small one for control messages, newest-only slots, timers, and a
+//! word of signals that can never overflow.
+
+use crossbeam_queue::{ArrayQueue, SegQueue};
+use crossbeam_utils::CachePadded;
+use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
+
+use crate::activation::Activation;
+use crate::actor::{Class, Control};
+use crate::message::{ActorId, LATEST_KEYS, Lane, Message, Reason, Rejected};
+use crate::profile::Counters;
+use crate::runtime::Env;
+use crate::scheduler::ThreadCx;
+use crate::timer::{Alarm, TIMERS_PER_ACTOR};
+
+/// Bounds of a mailbox.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bounds {
+    /// Data messages that may wait.
+    pub messages: usize,
+    /// Bytes that waiting messages may hold beside themselves ([`Message::size_bytes`]).
+    pub bytes: usize,
+    /// Control messages that may wait.
+    pub control: usize,
+}
+
+impl Bounds {
+    /// At most `messages` data messages, 64 control messages, and 1 GiB.
+    pub const fn messages(messages: usize) -> Self {
+        Self { messages, bytes: 1 << 30, control: 64 }
+    }
+
+    /// The same with another bound of bytes.
+    pub const fn bytes(self, bytes: usize) -> Self {
+        Self { bytes, ..self }
+    }
+}
+
+/// A payload as it is recorded; boxed, since most messages have none.
+#[derive(Default)]
+pub(crate) struct Encoded(pub(crate) Vec<u8>);
+
+/// A message on its way.
+pub(crate) struct Envelope<M> {
+    pub(crate) from: ActorId,
+    /// Newest-only messages: how many this sender sent into this slot before.
+    pub(crate) sequence: u32,
+    /// Encoded payload, for what comes from outside while a recording runs.
+    pub(crate) external: Option<Box<Encoded>>,
+    pub(crate) message: M,
+}
+
+/// A regenerated message during replay; it waits with its receiver until the script calls for it.
+pub(crate) struct Inbound<M> {
+    pub(crate) from: ActorId,
+    pub(crate) lane: u8,
+    pub(crate) message: M,
+}
+
+/// Turns a recorded payload of a port back into a message.
+pub(crate) type Decoder<M> = fn(&[u8]) -> Option<M>;
+
+/// Signals: one bit of work each.
+pub(crate) mod signal {
+    pub(crate) const START: u32 = 1;
+    pub(crate) const STOP: u32 = 1 << 1;
+    pub(crate) const PAUSE: u32 = 1 << 2;
+    pub(crate) const RESUME: u32 = 1 << 3;
+    pub(crate) const TIMER: u32 = 1 << 4;
+    pub(crate) const URGENT: u32 = 1 << 5;
+    pub(crate) const JOBS: u32 = 1 << 6;
+    pub(crate) const FLUSH: u32 = 1 << 7;
+    /// First of the newest-only slots.
+    pub(crate) const LATEST: u32 = 1 << 8;
+    /// What gets through to a paused actor.
+    pub(crate) const CONTROL: u32 = STOP | PAUSE | RESUME;
+}
+
+/// What the scheduler needs to know of an actor, whatever its messages are.
+pub(crate) struct Link {
+    pub(crate) id: ActorId,
+    pub(crate) class: Class,
+    pub(crate) activation: CachePadded<Activation>,
+    pub(crate) signals: AtomicU32,
+    /// Paused, and nobody runs it although work waits.
+    pub(crate) parked: AtomicBool,
+    /// Stopped: accepts nothing more.
+    pub(crate) closed: AtomicBool,
+    /// Has log bytes that are not yet with the writer.
+    pub(crate) unflushed: AtomicBool,
+    pub(crate) counters: Arc<Counters>,
+    pub(crate) env: Arc<Env>,
+}
+
+impl Link {
+    /// One more unit of work is in place.
+    #[inline]
+    pub(crate) fn wake(&self, thread: &ThreadCx) {
+        if self.activation.add() {
+            self.env.scheduler.activate(self.class, self.id.0, thread);
+        }
+    }
+
+    /// Sets a signal; a signal that is already up says it all.
+    pub(crate) fn raise(&self, bit: u32, thread: &ThreadCx) {
+        if self.signals.fetch_or(bit, Ordering::AcqRel) & bit == 0 {
+            self.wake(thread);
+            if bit & (signal::CONTROL | signal::START) != 0 && self.parked.swap(false, Ordering::SeqCst) {
+                self.env.scheduler.activate(self.class, self.id.0, thread);
+            }
+        }
+    }
+
+    pub(crate) fn control(&self, control: Control, thread: &ThreadCx) {
+        let bit = match control {
+            Control::Stop => signal::STOP,
+            Control::Pause => signal::PAUSE,
+            Control::Resume => signal::RESUME,
+        };
+        if bit == signal::PAUSE {
+            self.signals.fetch_and(!signal::RESUME, Ordering::AcqRel);
+        }
+        self.raise(bit, thread);
+    }
+}
+
+pub(crate) struct Mailbox<M> {
+    pub(crate) link: Arc<Link>,
+    pub(crate) data: ArrayQueue<Envelope<M>>,
+    pub(crate) urgent: ArrayQueue<Envelope<M>>,
+    pub(crate) latest: Box<[ArrayQueue<Envelope<M>>]>,
+    pub(crate) fired: ArrayQueue<u32>,
+    bytes: CachePadded<AtomicUsize>,
+    bytes_max: usize,
+    /// Replay only; its length is bounded by what the recorded run sent.
+    pub(crate) inbound: SegQueue<Inbound<M>>,
+    pub(crate) decoders: SegQueue<(ActorId, Decoder<M>)>,
+}
+
+impl<M: Message> Mailbox<M> {
+    pub(crate) fn new(link: Arc<Link>, bounds: Bounds) -> Self {
+        Self {
+            link,
+            data: ArrayQueue::new(bounds.messages.max(1)),
+            urgent: ArrayQueue::new(bounds.control.max(1)),
+            latest: (0..LATEST_KEYS).map(|_| ArrayQueue::new(1)).collect(),
+            fired: ArrayQueue::new(TIMERS_PER_ACTOR),
+            bytes: CachePadded::new(AtomicUsize::new(0)),
+            bytes_max: bounds.bytes,
+            inbound: SegQueue::new(),
+            decoders: SegQueue::new(),
+        }
+    }
+
+    /// Accepts a message, or gives it back.
+    pub(crate) fn accept(&self, envelope: Envelope<M>, thread: &ThreadCx) -> Result<(), Rejected<M>> {
+        let back = |envelope: Envelope<M>, reason| Err(Rejected { message: envelope.message, reason });
+        if self.link.closed.load(Ordering::Acquire) {
+            return back(envelope, Reason::Stopped);
+        }
+        match envelope.message.lane() {
+            Lane::Data => {
+                let bytes = envelope.message.size_bytes();
+                if bytes > 0 && !self.reserve(bytes) {
+                    return back(envelope, Reason::FullBytes);
+                }
+                if let Err(envelope) = self.data.push(envelope) {
+                    self.release(bytes);
+                    return back(envelope, Reason::Full);
+                }
+                self.link.wake(thread);
+            }
+            Lane::Control => {
+                if let Err(envelope) = self.urgent.push(envelope) {
+                    return back(envelope, Reason::Full);
+                }
+                self.link.raise(signal::URGENT, thread);
+            }
+            Lane::Latest(key) => {
+                let key = key % LATEST_KEYS;
+                if self.latest[usize::from(key)].force_push(envelope).is_some() {
+                    self.link.counters.replaced();
+                }
+                self.link.raise(signal::LATEST << key, thread);
+            }
+        }
+        Ok(())
+    }
+
+    fn reserve(&self, bytes: usize) -> bool {
+        let before = self.bytes.fetch_add(bytes, Ordering::Relaxed);
+        // One message larger than the whole bound may pass when it is alone: it could never be sent otherwise.
+        let fits = before == 0 || before.saturating_add(bytes) <= self.bytes_max;
+        if !fits {
+            self.bytes.fetch_sub(bytes, Ordering::Relaxed);
+        }
+        fits
+    }
+
+    /// Gives back the bytes of a message that was taken out.
+    #[inline]
+    pub(crate) fn release(&self, bytes: usize) {
+        if bytes > 0 {
+            self.bytes.fetch_sub(bytes, Ordering::Relaxed);
+        }
+    }
+
+    /// Takes a regenerated message during replay.
+    pub(crate) fn accept_replayed(&self, from: ActorId, lane: u8, message: M, thread: &ThreadCx) {
+        self.inbound.push(Inbound { from, lane, message });
+        self.link.wake(thread);
+    }
+
+    /// Messages that wait in the data queue.
+    pub(crate) fn depth(&self) -> usize {
+        self.data.len()
+    }
+}
+
+impl<M: Message> Alarm for Mailbox<M> {
+    fn fire(&self, timer: u32, thread: &ThreadCx) {
+        // Never full: an actor has at most `TIMERS_PER_ACTOR` timers until their delivery.
+        let pushed = self.fired.push(timer).is_ok();
+        debug_assert!(pushed, "more timers fired than can run");
+        self.link.raise(signal::TIMER, thread);
+    }
+}
+
+/// Where an actor can be reached. Clones are cheap; identity is the order of creation.
+pub struct Address<M> {
+    pub(crate) mailbox: Arc<Mailbox<M>>,
+}
+
+impl<M> Clone for Address<M> {
+    fn clone(&self) -> Self {
+        Self { mailbox: Arc::clone(&self.mailbox) }
+    }
+}
+
+impl<M: Message> Address<M> {
+    /// The receiver's identity.
+    pub fn id(&self) -> ActorId {
+        self.mailbox.link.id
+    }
+
+    /// Data messages that wait now. Not for decisions inside an actor: it is not recorded.
+    pub fn depth(&self) -> usize {
+        self.mailbox.depth()
+    }
+}
+
+impl<M> PartialEq for Address<M> {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.mailbox, &other.mailbox)
+    }
+}
+
+impl<M> fmt::Debug for Address<M> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Address({})", self.mailbox.link.id)
+    }
+}

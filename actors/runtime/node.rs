@@ -1,0 +1,565 @@
+//! One actor with everything that belongs to it, and its turn: take what waits, deliver it in order, write all state
+//! back, and only then let others see that it is done.
+
+use crossbeam_utils::atomic::AtomicCell;
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use crate::actor::{Actor, Cx, OwnTimers, lane_code};
+use crate::journal::{Halted, Journal, Payload};
+use crate::log::format::{Symbol, lane};
+use crate::mailbox::{Address, Decoder, Envelope, Link, Mailbox, signal};
+use crate::message::{ActorId, LATEST_KEYS, Lane, Message};
+use crate::pool::{Killed, Popped, Seat, job_symbol};
+use crate::replay::{Next, Script, Stash};
+use crate::scheduler::ThreadCx;
+use crate::supervise::{Circuit, Incident, Injected, OnPanic, message_of, verdict};
+
+/// An actor as the scheduler sees it.
+pub(crate) trait Runnable: Send + Sync {
+    /// Runs one turn; true if the actor must be queued again.
+    fn turn(&self, thread: &ThreadCx) -> bool;
+    fn link(&self) -> &Arc<Link>;
+    /// Shows the actor's state, unless it is in a turn.
+    fn look(&self, show: &mut dyn FnMut(&dyn Any));
+    /// Deliveries and chained hash, unless it is in a turn.
+    fn position(&self) -> Option<(u64, u64)>;
+    /// Replay: what the script still wants, unless the actor is in a turn.
+    fn script_state(&self) -> Option<ScriptState>;
+    /// Hands over what is left of the log, and ends the journal.
+    fn end_log(&self);
+    /// Nothing waits in the mailbox.
+    fn is_empty(&self) -> bool;
+}
+
+/// Where an actor stands in its recording.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ScriptState {
+    /// Deliveries made and recorded.
+    pub(crate) made: u64,
+    pub(crate) recorded: u64,
+    /// The script is over and the chained hash is not the recorded one.
+    pub(crate) wrong_end: Option<(u64, u64)>,
+    /// Who must send next for the script to go on.
+    pub(crate) waits_for: Option<(ActorId, u8)>,
+}
+
+/// An actor's state and what travels with it; owned by whoever runs the turn.
+struct Core<A: Actor> {
+    actor: A,
+    journal: Journal,
+    timers: OwnTimers<A::Msg>,
+    seat: Option<Box<dyn Seat<A>>>,
+    on_panic: OnPanic<A>,
+    circuit: Circuit,
+    stash: Stash<A::Msg>,
+    decoders: Vec<(ActorId, Decoder<A::Msg>)>,
+    paused: bool,
+    stopping: bool,
+    stopped: bool,
+}
+
+pub(crate) struct Node<A: Actor> {
+    link: Arc<Link>,
+    address: Address<A::Msg>,
+    /// Empty only while a turn runs, or while the main thread looks.
+    core: AtomicCell<Option<Box<Core<A>>>>,
+}
+
+/// How a turn ended.
+struct Turn {
+    consumed: usize,
+    messages: u64,
+    /// Work is left that the counter does not tell of.
+    again: bool,
+    flush: bool,
+}
+
+impl<A: Actor> Node<A> {
+    pub(crate) fn new(
+        address: &Address<A::Msg>,
+        actor: A,
+        on_panic: OnPanic<A>,
+        seat: Option<Box<dyn Seat<A>>>,
+        script: Option<Script>,
+    ) -> Self {
+        let link = Arc::clone(&address.mailbox.link);
+        let core = Core {
+            actor,
+            journal: Journal::new(&link, script),
+            timers: OwnTimers::new(),
+            seat,
+            on_panic,
+            circuit: Circuit::default(),
+            stash: Stash::new(),
+            decoders: Vec::new(),
+            paused: false,
+            stopping: false,
+            stopped: false,
+        };
+        Self { link, address: address.clone(), core: AtomicCell::new(Some(Box::new(core))) }
+    }
+
+    fn mailbox(&self) -> &Mailbox<A::Msg> {
+        &self.address.mailbox
+    }
+
+    /// Runs code of the actor; what it panics with comes back.
+    #[inline]
+    fn guarded(
+        &self,
+        core: &mut Core<A>,
+        thread: &ThreadCx,
+        body: impl FnOnce(&mut A, &mut Option<Box<dyn Seat<A>>>, &mut Cx<'_, A::Msg>),
+    ) -> Result<(), Box<dyn Any + Send>> {
+        let injected = core.journal.panics_by_fault();
+        let Core { actor, journal, timers, seat, stopping, .. } = core;
+        let mut cx =
+            Cx { address: &self.address, journal, timers, thread, env: &self.link.env, stop: stopping };
+        catch_unwind(AssertUnwindSafe(|| {
+            if injected {
+                resume_unwind(Box::new(Injected));
+            }
+            body(actor, seat, &mut cx);
+        }))
+    }
+
+    /// The one way a message gets to the actor.
+    #[inline]
+    fn deliver(
+        &self,
+        core: &mut Core<A>,
+        thread: &ThreadCx,
+        symbol: Symbol,
+        payload: Payload<'_>,
+        message: A::Msg,
+    ) -> Result<(), Halted> {
+        let kind = message.kind();
+        core.journal.deliver(symbol, payload, kind, &message, |digest| message.digest(digest))?;
+        if let Err(panic) = self.guarded(core, thread, |actor, _, cx| actor.handle(message, cx)) {
+            self.link.counters.dead_letters(1);
+            self.panicked(core, thread, kind, panic);
+        }
+        core.journal.handled(|| core.actor.digest())
+    }
+
+    /// The one way a job gets to the worker; its seat holds it.
+    fn deliver_job(&self, core: &mut Core<A>, thread: &ThreadCx, popped: Popped) -> Result<(), Halted> {
+        let Some(seat) = &core.seat else { return Ok(()) };
+        let kind = seat.kind();
+        let symbol = job_symbol(&core.journal, popped.stale);
+        let payload = Payload::Job { id: popped.id, attempt: popped.attempt };
+        core.journal.deliver(symbol, payload, kind, seat.content(), |digest| seat.digest(digest))?;
+        let _span = tracing::trace_span!("job", actor = A::NAME, job = popped.id).entered();
+        let done = self.guarded(core, thread, |actor, seat, cx| {
+            if let Some(seat) = seat {
+                if popped.stale { seat.stale(actor, cx) } else { seat.run(actor, cx) }
+            }
+        });
+        match done {
+            Ok(()) => {
+                if let Some(seat) = &mut core.seat {
+                    seat.completed();
+                }
+            }
+            Err(panic) => self.panicked(core, thread, kind, panic),
+        }
+        core.journal.handled(|| core.actor.digest())
+    }
+
+    fn panicked(
+        &self,
+        core: &mut Core<A>,
+        thread: &ThreadCx,
+        kind: &'static str,
+        panic: Box<dyn Any + Send>,
+    ) {
+        let env = &self.link.env;
+        let (actor, name) = (self.link.id, env.name(self.link.id));
+        self.link.counters.panicked();
+        let message = message_of(panic.as_ref());
+        tracing::warn!("{name} panicked over {kind}: {message}");
+        let tripped = core.circuit.panicked(core.journal.index);
+        let Core { seat, on_panic, journal, .. } = core;
+        let verdict = journal.verdict(|| match (on_panic, seat.as_deref()) {
+            (OnPanic::Stop, _) => verdict::STOP,
+            (_, Some(seat)) if tripped && seat.leave(thread) => verdict::OPEN,
+            (_, None) if tripped => verdict::OPEN,
+            _ => verdict::GO_ON,
+        });
+        let dead = match core.seat.as_mut().map(|seat| seat.killed(thread)) {
+            Some(Killed::Dead { id, description }) => Some(Incident::JobDead { actor, job: id, description }),
+            _ => None,
+        };
+        let open = (verdict == verdict::OPEN).then(|| Incident::CircuitOpen { actor, name: name.clone() });
+        let first = Incident::Panicked { actor, name, kind, message };
+        for incident in [Some(first), dead, open].into_iter().flatten() {
+            env.report(&mut core.journal, thread, incident);
+        }
+        if verdict != verdict::GO_ON {
+            core.stopping = true;
+        } else if let OnPanic::Restart(make) = &mut core.on_panic {
+            core.actor = make();
+        }
+    }
+
+    fn start(&self, core: &mut Core<A>, thread: &ThreadCx) {
+        while let Some(decoder) = self.mailbox().decoders.pop() {
+            core.decoders.push(decoder);
+        }
+        if let Err(panic) = self.guarded(core, thread, |actor, _, cx| actor.started(cx)) {
+            self.panicked(core, thread, "start", panic);
+        }
+    }
+
+    fn order(&self, core: &mut Core<A>, thread: &ThreadCx, bits: u32) -> Result<(), Halted> {
+        let symbol = Symbol { from: self.link.id, lane: lane::ORDER };
+        core.journal.deliver(symbol, Payload::Order(bits), "order", &(), |digest| digest.u32(bits))?;
+        if bits & signal::STOP != 0 {
+            core.stopping = true;
+        }
+        if bits & signal::PAUSE != 0 && bits & signal::RESUME == 0 {
+            core.paused = !core.journal.replaying();
+            if let Some(seat) = &core.seat {
+                seat.decline(thread);
+            }
+        } else if bits & signal::RESUME != 0 {
+            core.paused = false;
+        }
+        Ok(())
+    }
+
+    fn envelope(
+        &self,
+        core: &mut Core<A>,
+        thread: &ThreadCx,
+        envelope: Envelope<A::Msg>,
+    ) -> Result<(), Halted> {
+        let Envelope { from, sequence, external, message } = envelope;
+        let way = message.lane();
+        let symbol = Symbol { from, lane: lane_code(way) };
+        let payload = match (way, &external) {
+            (_, Some(encoded)) => Payload::External(&encoded.0),
+            (Lane::Latest(key), None) => {
+                Payload::Skipped(core.journal.skipped(from, key % LATEST_KEYS, sequence))
+            }
+            _ => Payload::None,
+        };
+        self.deliver(core, thread, symbol, payload, message)
+    }
+
+    fn timer(&self, core: &mut Core<A>, thread: &ThreadCx, timer: u32, time: u64) -> Result<(), Halted> {
+        let symbol = Symbol { from: self.link.id, lane: lane::TIMER };
+        let payload = Payload::Timer { timer, time };
+        match core.timers.take(timer) {
+            Some(Some(message)) => self.deliver(core, thread, symbol, payload, message),
+            // It was cancelled after it fired: a delivery all the same, since it made room for another timer.
+            _ => core.journal.deliver(symbol, payload, "cancelled timer", &(), |digest| digest.u32(timer)),
+        }
+    }
+
+    fn signals(
+        &self,
+        core: &mut Core<A>,
+        thread: &ThreadCx,
+        bits: u32,
+        turn: &mut Turn,
+    ) -> Result<(), Halted> {
+        let mailbox = self.mailbox();
+        if bits & signal::START != 0 {
+            self.start(core, thread);
+        }
+        if bits & signal::CONTROL != 0 {
+            turn.messages += 1;
+            self.order(core, thread, bits & signal::CONTROL)?;
+        }
+        turn.flush |= bits & signal::FLUSH != 0;
+        if bits & signal::URGENT != 0 {
+            while !core.stopping
+                && let Some(envelope) = mailbox.urgent.pop()
+            {
+                turn.messages += 1;
+                self.envelope(core, thread, envelope)?;
+            }
+        }
+        if bits & signal::TIMER != 0 {
+            while !core.stopping
+                && let Some(timer) = mailbox.fired.pop()
+            {
+                turn.messages += 1;
+                self.timer(core, thread, timer, self.link.env.clock.now())?;
+            }
+        }
+        for key in 0..LATEST_KEYS {
+            if bits & signal::LATEST << key != 0
+                && !core.stopping
+                && let Some(envelope) = mailbox.latest[usize::from(key)].pop()
+            {
+                turn.messages += 1;
+                self.envelope(core, thread, envelope)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn live_turn(
+        &self,
+        core: &mut Core<A>,
+        thread: &ThreadCx,
+        start: u64,
+        turn: &mut Turn,
+    ) -> Result<(), Halted> {
+        let env = &self.link.env;
+        let mailbox = self.mailbox();
+        // The clock is read after 1, 2, 4, … messages as long as they are short.
+        let (mut next_look, mut look_step) = (1, 1);
+        loop {
+            if env.halted() {
+                return Err(Halted);
+            }
+            let mask = if core.paused { signal::CONTROL | signal::FLUSH | signal::START } else { u32::MAX };
+            if self.link.signals.load(Ordering::Acquire) & mask != 0 {
+                let bits = self.link.signals.fetch_and(!mask, Ordering::AcqRel) & mask;
+                turn.consumed += bits.count_ones() as usize;
+                self.signals(core, thread, bits, turn)?;
+            }
+            if core.stopping || core.paused {
+                return Ok(());
+            }
+            if turn.messages >= env.budget.messages {
+                turn.again = true;
+                return Ok(());
+            }
+            if turn.messages >= next_look {
+                let elapsed = env.clock.now() - start;
+                if elapsed >= env.budget.nanoseconds {
+                    turn.again = true;
+                    return Ok(());
+                }
+                look_step = if elapsed < 2000 * turn.messages { (look_step * 2).min(32) } else { 1 };
+                next_look = turn.messages + look_step;
+            }
+            let Some(envelope) = mailbox.data.pop() else { break };
+            turn.consumed += 1;
+            turn.messages += 1;
+            mailbox.release(envelope.message.size_bytes());
+            self.envelope(core, thread, envelope)?;
+        }
+        // Jobs come after messages, one a turn.
+        if let Some(seat) = &mut core.seat {
+            if let Some(popped) = seat.pop(thread) {
+                turn.messages += 1;
+                turn.again = true;
+                self.deliver_job(core, thread, popped)?;
+            } else {
+                turn.again = !seat.rest();
+            }
+        }
+        Ok(())
+    }
+
+    fn replay_turn(&self, core: &mut Core<A>, thread: &ThreadCx, turn: &mut Turn) -> Result<(), Halted> {
+        let env = &self.link.env;
+        let bits = self.link.signals.swap(0, Ordering::AcqRel);
+        turn.consumed += bits.count_ones() as usize;
+        turn.flush = bits & signal::FLUSH != 0;
+        while let Some(inbound) = self.mailbox().inbound.pop() {
+            turn.consumed += 1;
+            core.stash.put(inbound);
+        }
+        if bits & signal::START != 0 {
+            self.start(core, thread);
+        }
+        loop {
+            if env.halted() {
+                return Err(Halted);
+            }
+            if core.stopping {
+                return Ok(());
+            }
+            if turn.messages >= env.budget.messages {
+                turn.again = true;
+                return Ok(());
+            }
+            let Some(next) = core.journal.script().and_then(Script::next) else { return Ok(()) };
+            if !self.replay_next(core, thread, &next)? {
+                return Ok(());
+            }
+            turn.messages += 1;
+        }
+    }
+
+    /// Makes the next delivery of the script; false if what it delivers is not there yet.
+    fn replay_next(&self, core: &mut Core<A>, thread: &ThreadCx, next: &Next) -> Result<bool, Halted> {
+        let symbol = next.symbol;
+        let pass = |core: &mut Core<A>| {
+            if let Some(script) = core.journal.script() {
+                script.pass(next);
+            }
+        };
+        match (next.payload, &next.external) {
+            (_, Some(bytes)) => {
+                let decoder =
+                    core.decoders.iter().find(|(port, _)| *port == symbol.from).map(|(_, decode)| decode);
+                let Some(message) = decoder.and_then(|decode| decode(bytes)) else {
+                    let expected = format!("an input of {}", self.link.env.name(symbol.from));
+                    core.journal.diverge_here(expected, "a payload that cannot be decoded".into());
+                    return Err(Halted);
+                };
+                pass(core);
+                self.deliver(core, thread, symbol, Payload::External(bytes), message)?;
+            }
+            (Payload::Timer { timer, time }, None) => {
+                if !core.timers.contains(timer) {
+                    core.journal.diverge_here(format!("timer {timer}"), "no such timer runs".into());
+                    return Err(Halted);
+                }
+                pass(core);
+                self.timer(core, thread, timer, time)?;
+            }
+            (Payload::Order(bits), None) => {
+                pass(core);
+                self.order(core, thread, bits)?;
+            }
+            (Payload::Job { id, attempt }, None) => {
+                if !core.seat.as_mut().is_some_and(|seat| seat.hold(id, attempt)) {
+                    return Ok(false);
+                }
+                pass(core);
+                self.deliver_job(core, thread, Popped { id, attempt, stale: symbol.lane == lane::STALE })?;
+            }
+            (payload, None) => {
+                let skipped = if let Payload::Skipped(count) = payload { count } else { 0 };
+                let Some(message) = core.stash.take(symbol, skipped) else { return Ok(false) };
+                pass(core);
+                self.deliver(core, thread, symbol, payload, message)?;
+            }
+        }
+        Ok(true)
+    }
+
+    /// Ends the actor once, and throws away what still arrives.
+    fn close(&self, core: &mut Core<A>, thread: &ThreadCx, turn: &mut Turn) {
+        if !core.stopped {
+            core.stopped = true;
+            self.link.closed.store(true, Ordering::SeqCst);
+            if let Some(seat) = &core.seat {
+                seat.leave_regardless(thread);
+            }
+            let _ = catch_unwind(AssertUnwindSafe(|| core.actor.stopped()));
+        }
+        let mailbox = self.mailbox();
+        let mut dead = 0;
+        while let Some(envelope) = mailbox.data.pop() {
+            mailbox.release(envelope.message.size_bytes());
+            turn.consumed += 1;
+            dead += 1;
+        }
+        while mailbox.urgent.pop().is_some() {
+            dead += 1;
+        }
+        dead += mailbox.latest.iter().filter_map(|slot| slot.pop()).count() as u64;
+        while mailbox.fired.pop().is_some() {}
+        while mailbox.inbound.pop().is_some() {
+            turn.consumed += 1;
+        }
+        turn.consumed += self.link.signals.swap(0, Ordering::AcqRel).count_ones() as usize;
+        self.link.counters.dead_letters(dead);
+    }
+
+    /// Takes the state out for a moment; only when no turn can run.
+    fn with_core<R>(&self, body: impl FnOnce(&mut Core<A>) -> R) -> Option<R> {
+        let mut core = self.core.take()?;
+        let result = body(&mut core);
+        self.core.store(Some(core));
+        Some(result)
+    }
+}
+
+impl<A: Actor> Runnable for Node<A> {
+    fn turn(&self, thread: &ThreadCx) -> bool {
+        let link = &self.link;
+        let env = &link.env;
+        if env.halted() {
+            return true;
+        }
+        let Some(mut core) = self.core.take() else { unreachable!("two turns of {} at once", link.id) };
+        let _span = tracing::trace_span!("turn", actor = A::NAME, id = link.id.0).entered();
+        let start = match thread.last_end.get() {
+            0 => env.clock.now(),
+            end => end,
+        };
+        let depth = link.activation.pending() as u64;
+        let consumed = link.activation.owed();
+        let mut turn = Turn { consumed, messages: 0, again: false, flush: false };
+        let ended = if core.stopped {
+            Ok(())
+        } else if core.journal.replaying() {
+            self.replay_turn(&mut core, thread, &mut turn)
+        } else {
+            self.live_turn(&mut core, thread, start, &mut turn)
+        };
+        if ended.is_err() {
+            turn.again = true;
+        } else if core.stopping {
+            turn.again = false;
+            self.close(&mut core, thread, &mut turn);
+        }
+        core.journal.end_turn(turn.flush);
+        let end = env.clock.now();
+        thread.last_end.set(end);
+        link.counters.turn(start, end, turn.messages, depth, thread.lane);
+        let paused = core.paused && !core.stopped;
+        if turn.again {
+            link.activation.keep(turn.consumed);
+            self.core.store(Some(core));
+            return true;
+        }
+        self.core.store(Some(core));
+        let active = link.activation.finish(turn.consumed);
+        if active && paused {
+            // Work waits, but not for a paused actor: an order wakes it. One that came just now is seen here.
+            link.parked.store(true, Ordering::SeqCst);
+            return link.signals.load(Ordering::SeqCst) & signal::CONTROL != 0
+                && link.parked.swap(false, Ordering::SeqCst);
+        }
+        active
+    }
+
+    fn link(&self) -> &Arc<Link> {
+        &self.link
+    }
+
+    fn look(&self, show: &mut dyn FnMut(&dyn Any)) {
+        self.with_core(|core| show(&core.actor));
+    }
+
+    fn position(&self) -> Option<(u64, u64)> {
+        self.with_core(|core| (core.journal.index, core.journal.chain))
+    }
+
+    fn script_state(&self) -> Option<ScriptState> {
+        self.with_core(|core| {
+            let (made, chain, hashing) = (core.journal.index, core.journal.chain, self.link.env.hashing);
+            let script = core.journal.script()?;
+            let (recorded, expected) = script.recorded();
+            let hashed = script.hashing == hashing && hashing != crate::Hashing::Off;
+            let wrong_end = (made == recorded && hashed && chain != expected).then_some((expected, chain));
+            let waits_for = script.next().map(|next| (next.symbol.from, next.symbol.lane));
+            Some(ScriptState { made, recorded, wrong_end, waits_for })
+        })?
+    }
+
+    fn end_log(&self) {
+        self.with_core(|core| core.journal.end_turn(true));
+    }
+
+    fn is_empty(&self) -> bool {
+        let mailbox = self.mailbox();
+        mailbox.data.is_empty()
+            && mailbox.urgent.is_empty()
+            && mailbox.latest.iter().all(|slot| slot.is_empty())
+    }
+}

@@ -1,0 +1,213 @@
+//! Replay: every actor is delivered what its recording says, in that order, from messages that are made anew.
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::sync::Arc;
+
+use crate::journal::Payload;
+use crate::log::format::{Hashing, Symbol, value};
+use crate::log::reader::{ActorLog, Trace, Walk};
+use crate::mailbox::Inbound;
+use crate::message::ActorId;
+
+/// One delivery in a report.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Turn {
+    /// Its number among the actor's deliveries.
+    pub index: u64,
+    /// The sender.
+    pub from: ActorId,
+    /// `data`, `control`, `timer`, `job`, …
+    pub lane: &'static str,
+    /// The message's variant.
+    pub kind: &'static str,
+}
+
+/// Where a replay parts from its recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Divergence {
+    /// The actor at which it showed.
+    pub actor: ActorId,
+    /// Its name.
+    pub name: String,
+    /// Number of the delivery.
+    pub index: u64,
+    /// The application's last mark before: kind and value.
+    pub mark: Option<(u32, u64)>,
+    /// The message's variant.
+    pub kind: &'static str,
+    /// Who sent it.
+    pub from: Option<ActorId>,
+    /// What the recording holds.
+    pub expected: String,
+    /// What happened instead.
+    pub found: String,
+    /// The actor's last deliveries, newest first (at most 20).
+    pub turns: Vec<Turn>,
+}
+
+impl fmt::Display for Divergence {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} {}, delivery {}: {}", self.name, self.actor, self.index, self.kind)?;
+        if let Some(from) = self.from {
+            write!(f, " from {from}")?;
+        }
+        write!(f, ": expected {}, found {}", self.expected, self.found)?;
+        if let Some((kind, value)) = self.mark {
+            write!(f, " (last mark: {kind} with {value:016x})")?;
+        }
+        for turn in &self.turns {
+            write!(f, "\n  {:>10}  {} from {} ({})", turn.index, turn.kind, turn.from, turn.lane)?;
+        }
+        Ok(())
+    }
+}
+
+/// Where a replay is to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Until {
+    /// When so many marks of this kind have been made.
+    Mark {
+        /// The application's kind.
+        kind: u32,
+        /// How many of them, from 1.
+        count: u64,
+    },
+    /// After this delivery of this actor.
+    Delivery {
+        /// The actor.
+        actor: ActorId,
+        /// Number of the delivery, from 0.
+        index: u64,
+    },
+}
+
+/// How a replay went.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ReplayReport {
+    /// Deliveries made.
+    pub deliveries: u64,
+    /// Deliveries recorded.
+    pub recorded: u64,
+    /// The first difference, if there is one.
+    pub divergence: Option<Divergence>,
+    /// All of a recording that ended in order was replayed.
+    pub complete: bool,
+    /// Actors whose recording goes on, although what comes next depends on a part that was cut off.
+    pub waiting: Vec<ActorId>,
+}
+
+/// The next delivery of a script.
+pub(crate) struct Next {
+    pub(crate) symbol: Symbol,
+    pub(crate) payload: Payload<'static>,
+    pub(crate) external: Option<Vec<u8>>,
+    after: usize,
+}
+
+/// One actor's recording, read from the front.
+pub(crate) struct Script {
+    log: Arc<ActorLog>,
+    trace: Arc<Trace>,
+    walk: Walk,
+    pub(crate) hashing: Hashing,
+    pub(crate) complete: bool,
+    /// Kind of the mark that [`Script::value`] took last.
+    pub(crate) mark_kind: u32,
+}
+
+impl Script {
+    pub(crate) fn new(trace: &Arc<Trace>, actor: ActorId) -> Option<Self> {
+        Some(Self {
+            log: Arc::clone(trace.logs.get(actor.0 as usize)?),
+            trace: Arc::clone(trace),
+            walk: Walk::default(),
+            hashing: trace.header().hashing,
+            complete: trace.complete(),
+            mark_kind: 0,
+        })
+    }
+
+    /// What is delivered next.
+    pub(crate) fn next(&mut self) -> Option<Next> {
+        let symbol = self.walk.peek(&self.log)?;
+        let (payload, after) = self.walk.payload(&self.log, symbol, self.trace.is_port(symbol.from))?;
+        let (payload, external) = match payload {
+            Payload::External(bytes) => (Payload::None, Some(bytes.to_vec())),
+            Payload::None => (Payload::None, None),
+            Payload::Skipped(count) => (Payload::Skipped(count), None),
+            Payload::Timer { timer, time } => (Payload::Timer { timer, time }, None),
+            Payload::Order(bits) => (Payload::Order(bits), None),
+            Payload::Job { id, attempt } => (Payload::Job { id, attempt }, None),
+        };
+        Some(Next { symbol, payload, external, after })
+    }
+
+    /// Passes what [`Script::next`] gave.
+    pub(crate) fn pass(&mut self, next: &Next) {
+        self.walk.pass(next.payload, next.after);
+    }
+
+    /// Nothing more is recorded of this actor.
+    pub(crate) fn exhausted(&mut self) -> bool {
+        self.walk.peek(&self.log).is_none()
+    }
+
+    pub(crate) fn peek_value(&self) -> Option<(u64, u8)> {
+        self.walk.peek_value(&self.log)
+    }
+
+    pub(crate) fn value(&mut self) -> Option<u64> {
+        let taken = self.walk.value(&self.log)?;
+        if taken.tag == value::MARK {
+            self.mark_kind = taken.kind;
+        }
+        Some(taken.content)
+    }
+
+    pub(crate) fn hash16(&mut self) -> Option<u16> {
+        self.walk.hash16(&self.log)
+    }
+
+    pub(crate) fn hash64(&mut self) -> Option<u64> {
+        self.walk.hash64(&self.log)
+    }
+
+    pub(crate) fn rejects(&mut self, number: u64) -> bool {
+        self.walk.rejects(&self.log, number)
+    }
+
+    /// Deliveries recorded and the chained hash behind them.
+    pub(crate) fn recorded(&self) -> (u64, u64) {
+        (self.log.deliveries, self.log.chain)
+    }
+}
+
+/// Messages that were made anew and wait until the script calls for them, by sender and lane.
+pub(crate) struct Stash<M> {
+    waiting: Vec<(Symbol, VecDeque<M>)>,
+}
+
+impl<M> Stash<M> {
+    pub(crate) fn new() -> Self {
+        Self { waiting: Vec::new() }
+    }
+
+    pub(crate) fn put(&mut self, inbound: Inbound<M>) {
+        let symbol = Symbol { from: inbound.from, lane: inbound.lane };
+        match self.waiting.iter_mut().find(|(other, _)| *other == symbol) {
+            Some((_, queue)) => queue.push_back(inbound.message),
+            None => self.waiting.push((symbol, VecDeque::from([inbound.message]))),
+        }
+    }
+
+    /// Takes the message after `skipped` older ones; none if it is not there yet.
+    pub(crate) fn take(&mut self, symbol: Symbol, skipped: u32) -> Option<M> {
+        let (_, queue) = self.waiting.iter_mut().find(|(other, _)| *other == symbol)?;
+        if queue.len() <= skipped as usize {
+            return None;
+        }
+        queue.drain(..skipped as usize);
+        queue.pop_front()
+    }
+}

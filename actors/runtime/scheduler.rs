@@ -1,0 +1,404 @@
+//! Which actor runs on which thread: k worker threads over stealing deques, and the main thread's pump.
+//!
+//! A run queue holds actor numbers. An actor is in at most one queue at a time, so no queue grows beyond the number of
+//! actors. Light actors go to the deque of the thread that woke them; heavy ones (jobs of milliseconds) to a queue of
+//! their own, of which at most `k − 1` run at once when `k > 1`; pinned ones to the main thread.
+
+use crossbeam_deque::{Injector, Steal, Stealer, Worker};
+use crossbeam_queue::SegQueue;
+use crossbeam_utils::CachePadded;
+use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicUsize, Ordering, fence};
+use std::sync::{Arc, OnceLock};
+use std::thread::Thread;
+use std::time::Duration;
+
+use crate::actor::Class;
+use crate::eventcount::EventCount;
+use crate::node::Runnable;
+use crate::runtime::Env;
+
+/// What code on one thread of the system knows about its thread.
+pub(crate) struct ThreadCx {
+    /// The thread's own run queue; none on the main thread and outside.
+    pub(crate) local: Option<Worker<u32>>,
+    /// Position in profiles: 0 is the main thread.
+    pub(crate) lane: u16,
+    /// End of the last turn on this thread if nothing came between, else 0: the next turn's start without a clock read.
+    pub(crate) last_end: Cell<u64>,
+}
+
+impl ThreadCx {
+    pub(crate) fn outside() -> Self {
+        Self { local: None, lane: 0, last_end: Cell::new(0) }
+    }
+}
+
+const AWAY: u8 = 0;
+const PUMPING: u8 = 1;
+const PARKED: u8 = 2;
+
+/// The main thread's side of parking, and the hook that calls it back from an event loop of its own.
+struct MainGate {
+    state: AtomicU8,
+    thread: Thread,
+    called: AtomicBool,
+    waker: Option<Box<dyn Fn() + Send + Sync>>,
+}
+
+/// The run queues and everything needed to wake a thread for them.
+pub(crate) struct Scheduler {
+    threads: usize,
+    light: Injector<u32>,
+    heavy: Injector<u32>,
+    pinned: SegQueue<u32>,
+    stealers: Box<[Stealer<u32>]>,
+    handles: OnceLock<Box<[Thread]>>,
+    sleepers: EventCount,
+    main: MainGate,
+    active: CachePadded<AtomicUsize>,
+    heavy_running: CachePadded<AtomicUsize>,
+    heavy_limit: usize,
+    stopping: AtomicBool,
+    /// Worker threads that rest because the system is halted.
+    resting: AtomicUsize,
+}
+
+impl Scheduler {
+    /// For `threads` worker threads (at most 64); the caller's thread becomes the main thread.
+    pub(crate) fn new(
+        threads: usize,
+        waker: Option<Box<dyn Fn() + Send + Sync>>,
+    ) -> (Self, Vec<Worker<u32>>) {
+        let threads = threads.min(64);
+        let locals: Vec<Worker<u32>> = (0..threads).map(|_| Worker::new_fifo()).collect();
+        let scheduler = Self {
+            threads,
+            light: Injector::new(),
+            heavy: Injector::new(),
+            pinned: SegQueue::new(),
+            stealers: locals.iter().map(Worker::stealer).collect(),
+            handles: OnceLock::new(),
+            sleepers: EventCount::new(),
+            main: MainGate {
+                state: AtomicU8::new(AWAY),
+                thread: std::thread::current(),
+                called: AtomicBool::new(false),
+                waker,
+            },
+            active: CachePadded::new(AtomicUsize::new(0)),
+            heavy_running: CachePadded::new(AtomicUsize::new(0)),
+            heavy_limit: threads.saturating_sub(1).max(1),
+            stopping: AtomicBool::new(false),
+            resting: AtomicUsize::new(0),
+        };
+        (scheduler, locals)
+    }
+
+    pub(crate) fn threads(&self) -> usize {
+        self.threads
+    }
+
+    /// Puts an actor that became active on a run queue.
+    #[inline]
+    pub(crate) fn activate(&self, class: Class, actor: u32, thread: &ThreadCx) {
+        self.active.fetch_add(1, Ordering::SeqCst);
+        match class {
+            Class::Pinned => {
+                self.pinned.push(actor);
+                self.notify_main();
+            }
+            Class::Heavy => {
+                self.heavy.push(actor);
+                self.notify();
+            }
+            Class::Light => match &thread.local {
+                Some(local) => {
+                    // A single actor runs next on this very thread; a second one is work for somebody else.
+                    let waiting = !local.is_empty();
+                    local.push(actor);
+                    if waiting {
+                        self.notify();
+                    }
+                }
+                None => {
+                    self.light.push(actor);
+                    self.notify();
+                }
+            },
+        }
+    }
+
+    /// Queues an active actor again after a turn that left work.
+    fn again(&self, class: Class, actor: u32, thread: &ThreadCx) {
+        match (class, &thread.local) {
+            (Class::Pinned, _) => self.pinned.push(actor),
+            (Class::Heavy, _) => self.heavy.push(actor),
+            (Class::Light, Some(local)) => {
+                local.push(actor);
+                if local.len() > 1 {
+                    self.notify();
+                }
+            }
+            (Class::Light, None) => self.light.push(actor),
+        }
+    }
+
+    /// Wakes one thread that can run light and heavy actors.
+    #[inline]
+    pub(crate) fn notify(&self) {
+        if self.threads == 0 {
+            self.notify_main();
+        } else if let Some(thread) = self.sleepers.notify_one()
+            && let Some(handles) = self.handles.get()
+        {
+            handles[thread].unpark();
+        }
+    }
+
+    /// Wakes the main thread, or calls its event loop.
+    pub(crate) fn notify_main(&self) {
+        fence(Ordering::SeqCst);
+        match self.main.state.load(Ordering::Relaxed) {
+            PARKED => self.main.thread.unpark(),
+            AWAY => {
+                if let Some(waker) = &self.main.waker
+                    && !self.main.called.swap(true, Ordering::AcqRel)
+                {
+                    waker();
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Wakes everyone, for a stop or a halt.
+    pub(crate) fn notify_all(&self) {
+        if let Some(handles) = self.handles.get() {
+            handles.iter().for_each(Thread::unpark);
+        }
+        self.notify_main();
+    }
+
+    /// The main thread enters its pump.
+    pub(crate) fn enter_main(&self) {
+        self.main.state.store(PUMPING, Ordering::SeqCst);
+    }
+
+    /// The main thread leaves its pump; if work for it is left, its event loop is called at once.
+    pub(crate) fn leave_main(&self) {
+        self.main.called.store(false, Ordering::SeqCst);
+        self.main.state.store(AWAY, Ordering::SeqCst);
+        fence(Ordering::SeqCst);
+        if self.main_has_work() {
+            self.notify_main();
+        }
+    }
+
+    /// Parks the main thread unless `ready` holds, at most for `timeout`.
+    pub(crate) fn park_main(&self, timeout: Duration, ready: impl FnOnce() -> bool) {
+        self.main.state.store(PARKED, Ordering::SeqCst);
+        fence(Ordering::SeqCst);
+        if !self.main_has_work() && !ready() {
+            if timeout == Duration::MAX {
+                std::thread::park();
+            } else {
+                std::thread::park_timeout(timeout);
+            }
+        }
+        self.main.state.store(PUMPING, Ordering::SeqCst);
+    }
+
+    fn main_has_work(&self) -> bool {
+        !self.pinned.is_empty() || (self.threads == 0 && !(self.light.is_empty() && self.heavy.is_empty()))
+    }
+
+    /// The next pinned actor.
+    pub(crate) fn next_pinned(&self) -> Option<u32> {
+        self.pinned.pop()
+    }
+
+    /// The next light actor, for a main thread that works alone.
+    pub(crate) fn next_light(&self) -> Option<u32> {
+        steal(|| self.light.steal())
+    }
+
+    /// The next heavy actor, for a main thread that works alone.
+    pub(crate) fn next_heavy(&self) -> Option<u32> {
+        steal(|| self.heavy.steal())
+    }
+
+    pub(crate) fn heavy_waits(&self) -> bool {
+        !self.heavy.is_empty()
+    }
+
+    /// No actor is on a run queue or in a turn.
+    pub(crate) fn idle(&self) -> bool {
+        self.active.load(Ordering::SeqCst) == 0
+    }
+
+    /// A turn may be running on a worker thread.
+    pub(crate) fn busy(&self, halted: bool) -> bool {
+        if halted { self.resting.load(Ordering::SeqCst) < self.threads } else { !self.idle() }
+    }
+
+    /// Keeps a worker thread still while the system is halted.
+    fn rest(&self, env: &Env) {
+        self.resting.fetch_add(1, Ordering::SeqCst);
+        while env.halted() && !self.stopping.load(Ordering::SeqCst) {
+            std::thread::park();
+        }
+        self.resting.fetch_sub(1, Ordering::SeqCst);
+    }
+
+    /// Runs one turn of `actor` on this thread and puts it back on a queue if it is not done.
+    #[inline]
+    pub(crate) fn run(&self, nodes: &[Box<dyn Runnable>], actor: u32, thread: &ThreadCx) {
+        let node = &nodes[actor as usize];
+        if node.turn(thread) {
+            self.again(node.link().class, actor, thread);
+        } else if self.active.fetch_sub(1, Ordering::SeqCst) == 1 {
+            self.notify_main();
+        }
+    }
+
+    /// Makes every worker thread end.
+    pub(crate) fn stop(&self) {
+        self.stopping.store(true, Ordering::SeqCst);
+        self.notify_all();
+    }
+
+    fn find(&self, thread: &ThreadCx, index: usize, tick: u32) -> Option<u32> {
+        let local = thread.local.as_ref()?;
+        if tick.is_multiple_of(61)
+            && let Some(actor) = steal(|| self.light.steal())
+        {
+            return Some(actor);
+        }
+        local.pop().or_else(|| steal(|| self.light.steal_batch_and_pop(local))).or_else(|| {
+            (1..self.threads).find_map(|step| steal(|| self.stealers[(index + step) % self.threads].steal()))
+        })
+    }
+
+    fn claim_heavy(&self) -> Option<u32> {
+        if self.heavy.is_empty() {
+            return None;
+        }
+        if self.heavy_running.fetch_add(1, Ordering::SeqCst) < self.heavy_limit
+            && let Some(actor) = steal(|| self.heavy.steal())
+        {
+            return Some(actor);
+        }
+        self.release_heavy();
+        None
+    }
+
+    fn release_heavy(&self) {
+        self.heavy_running.fetch_sub(1, Ordering::SeqCst);
+        // Someone may have gone to sleep because the limit was reached.
+        if self.threads > 1 && !self.heavy.is_empty() {
+            self.notify();
+        }
+    }
+
+    fn has_work(&self) -> bool {
+        !self.light.is_empty()
+            || self.stealers.iter().any(|stealer| !stealer.is_empty())
+            || (!self.heavy.is_empty() && self.heavy_running.load(Ordering::SeqCst) < self.heavy_limit)
+    }
+}
+
+/// Repeats a steal until it is decided.
+#[inline]
+fn steal(mut attempt: impl FnMut() -> Steal<u32>) -> Option<u32> {
+    loop {
+        match attempt() {
+            Steal::Success(actor) => return Some(actor),
+            Steal::Empty => return None,
+            Steal::Retry => std::hint::spin_loop(),
+        }
+    }
+}
+
+/// The worker threads of a running system.
+pub(crate) struct Threads {
+    handles: Vec<std::thread::JoinHandle<()>>,
+}
+
+impl Threads {
+    /// Starts one thread for each run queue.
+    pub(crate) fn start(
+        env: &Arc<Env>,
+        nodes: &Arc<[Box<dyn Runnable>]>,
+        locals: Vec<Worker<u32>>,
+    ) -> std::io::Result<Self> {
+        let mut handles = Vec::with_capacity(locals.len());
+        for (index, local) in locals.into_iter().enumerate() {
+            let (env, nodes) = (Arc::clone(env), Arc::clone(nodes));
+            let body = move || worker(&env, &nodes, local, index);
+            handles.push(std::thread::Builder::new().name(format!("actors-{index}")).spawn(body)?);
+        }
+        let threads: Box<[Thread]> = handles.iter().map(|handle| handle.thread().clone()).collect();
+        let _ = env.scheduler.handles.set(threads);
+        env.scheduler.notify_all();
+        Ok(Self { handles })
+    }
+
+    /// Waits until all have ended; `Scheduler::stop` makes them.
+    pub(crate) fn join(self) {
+        for handle in self.handles {
+            let _ = handle.join();
+        }
+    }
+}
+
+fn worker(env: &Env, nodes: &[Box<dyn Runnable>], local: Worker<u32>, index: usize) {
+    let scheduler = &env.scheduler;
+    while scheduler.handles.get().is_none() && !scheduler.stopping.load(Ordering::SeqCst) {
+        std::thread::park();
+    }
+    let thread = ThreadCx { local: Some(local), lane: index as u16 + 1, last_end: Cell::new(0) };
+    let mut tick = 0_u32;
+    while !scheduler.stopping.load(Ordering::Relaxed) {
+        tick = tick.wrapping_add(1);
+        if env.halted() {
+            scheduler.rest(env);
+        }
+        let next_timer = env.timers.next();
+        if next_timer != u64::MAX {
+            env.timers.serve(env.clock.now(), &thread);
+        }
+        // Every so often a heavy actor goes first, so that a flood of light ones cannot starve it.
+        if tick.is_multiple_of(61) && run_heavy(env, nodes, &thread) {
+            continue;
+        }
+        if let Some(actor) = scheduler.find(&thread, index, tick) {
+            scheduler.run(nodes, actor, &thread);
+            continue;
+        }
+        if run_heavy(env, nodes, &thread) {
+            continue;
+        }
+        thread.last_end.set(0);
+        scheduler.sleepers.prepare(index);
+        if !scheduler.has_work() && !scheduler.stopping.load(Ordering::SeqCst) {
+            match env.timers.next() {
+                u64::MAX => std::thread::park(),
+                due => {
+                    let wait = due.saturating_sub(env.clock.now());
+                    if wait > 0 {
+                        std::thread::park_timeout(Duration::from_nanos(wait));
+                    }
+                }
+            }
+        }
+        scheduler.sleepers.cancel(index);
+    }
+}
+
+fn run_heavy(env: &Env, nodes: &[Box<dyn Runnable>], thread: &ThreadCx) -> bool {
+    let Some(actor) = env.scheduler.claim_heavy() else { return false };
+    env.scheduler.run(nodes, actor, thread);
+    env.scheduler.release_heavy();
+    true
+}

@@ -1,7 +1,8 @@
 //! The multiple-choice knapsack: one candidate of every item, best total quality, total cost within a limit.
 //!
 //! The problem is NP-hard. Here: upper concave hull per item, hull steps given up from the least quality per
-//! cost on, then what is left of the limit is refilled (REFERENCE §8.9). Dumont's single sort of all ratios (2003
+//! cost on, then what is left of the limit is refilled (REFERENCE §8.9); where candidates are few, so that one step
+//! matters, dynamic programming on rounded costs as well. Dumont's single sort of all ratios (2003
 //! §5.2.4.3) is right only where ratios are monotone (correction D1).
 
 use std::cmp::{Ordering, Reverse};
@@ -51,8 +52,9 @@ impl fmt::Display for LimitTooSmall {
 
 impl std::error::Error for LimitTooSmall {}
 
+/// Its quality, NaN as the worst; bounded, so that sums stay finite.
 fn quality(candidate: &Candidate) -> f64 {
-    if candidate.quality.is_nan() { f64::MIN } else { candidate.quality.clamp(f64::MIN, f64::MAX) }
+    if candidate.quality.is_nan() { -1e300 } else { candidate.quality.clamp(-1e300, 1e300) }
 }
 
 /// Indices of the candidates on the upper concave hull of (cost, quality), from cheapest to best. Never empty for a
@@ -119,42 +121,69 @@ pub fn allocate(
     limit: u64,
     now: Option<&[usize]>,
 ) -> Result<Allocation, LimitTooSmall> {
-    let hulls: Vec<Vec<usize>> = items.iter().map(|candidates| hull(candidates)).collect();
-    let cost_of = |position: fn(&[usize]) -> Option<&usize>| {
-        let costs = items.iter().zip(&hulls).filter_map(|(item, hull)| Some(item[*position(hull)?].cost));
-        costs.map(u128::from).sum::<u128>()
-    };
-    let smallest = cost_of(<[usize]>::first);
+    let cheapest = items.iter().filter_map(|item| item.iter().map(|c| u128::from(c.cost)).min());
+    let smallest: u128 = cheapest.sum();
     if smallest > u128::from(limit) {
-        let smallest = u64::try_from(smallest).unwrap_or(u64::MAX);
-        return Err(LimitTooSmall { limit, smallest });
+        return Err(LimitTooSmall { limit, smallest: u64::try_from(smallest).unwrap_or(u64::MAX) });
     }
-    let resident = |item: usize, state: usize| {
-        let now = now.and_then(|now| items[item].get(*now.get(item)?));
-        now.is_some_and(|now| now.cost >= items[item][state].cost)
+    let adjusted = now.map(|now| with_hysteresis(items, now));
+    let valued = adjusted.as_deref().unwrap_or(items);
+    let (mut states, price) = give_up(valued, limit);
+    if items.iter().map(Vec::len).sum::<usize>() <= FEW {
+        let others = fill_grid(valued, limit);
+        if total(valued, &others).1 > total(valued, &states).1 {
+            states = others;
+        }
+    }
+    let (cost, quality) = total(items, &states);
+    Ok(Allocation { states, cost, quality, price })
+}
+
+/// The candidates with the qualities that count: what falls short of the present state's does so [`HYSTERESIS`] times.
+/// All steps up to that state are worth more by this factor, those above it what they were.
+fn with_hysteresis(items: &[Vec<Candidate>], now: &[usize]) -> Vec<Vec<Candidate>> {
+    let adjust = |(i, item): (usize, &Vec<Candidate>)| {
+        let Some(present) = now.get(i).and_then(|&state| item.get(state)).map(quality) else {
+            return item.clone();
+        };
+        let valued = |c: &Candidate| Candidate {
+            cost: c.cost,
+            quality: quality(c) - (HYSTERESIS - 1.0) * (present - quality(c)).max(0.0),
+        };
+        item.iter().map(valued).collect()
     };
-    // The last step of an item's hull, and what giving it up loses per cost.
+    items.iter().enumerate().map(adjust).collect()
+}
+
+/// Cost and quality of chosen states that are within a limit.
+fn total(items: &[Vec<Candidate>], states: &[usize]) -> (u64, f64) {
+    let chosen = || items.iter().zip(states).filter_map(|(item, &state)| item.get(state));
+    (chosen().map(|c| c.cost).sum(), chosen().map(quality).sum())
+}
+
+/// From the best state of every item, gives up the hull step of least quality per cost until the limit is met, then
+/// refills. Returns the states and the ratio of the last step given up. The cheapest states must fit.
+fn give_up(items: &[Vec<Candidate>], limit: u64) -> (Vec<usize>, f64) {
+    let hulls: Vec<Vec<usize>> = items.iter().map(|candidates| hull(candidates)).collect();
     let step = |item: usize, position: usize| {
-        let (below, above) = (hulls[item][position - 1], hulls[item][position]);
-        let factor = if resident(item, above) { HYSTERESIS } else { 1.0 };
-        Ranked { key: slope(&items[item], below, above) * factor, item, state: position }
+        let key = slope(&items[item], hulls[item][position - 1], hulls[item][position]);
+        Reverse(Ranked { key, item, state: position })
     };
     let mut position: Vec<usize> = hulls.iter().map(|hull| hull.len().saturating_sub(1)).collect();
-    let mut steps: BinaryHeap<Reverse<Ranked>> = (0..items.len())
-        .filter(|&item| position[item] > 0)
-        .map(|item| Reverse(step(item, position[item])))
-        .collect();
-    let (mut cost, mut price) = (cost_of(<[usize]>::last), 0.0);
+    let mut steps: BinaryHeap<Reverse<Ranked>> =
+        (0..items.len()).filter(|&item| position[item] > 0).map(|item| step(item, position[item])).collect();
+    let best = items.iter().zip(&hulls).filter_map(|(item, hull)| Some(u128::from(item[*hull.last()?].cost)));
+    let (mut cost, mut price): (u128, f64) = (best.sum(), 0.0);
     while cost > u128::from(limit) {
         // The cheapest states fit, so while the total does not there is a step to give up.
         let Some(Reverse(given_up)) = steps.pop() else { break };
         let (item, hull) = (given_up.item, &hulls[given_up.item]);
-        let (below, above) = (hull[given_up.state - 1], hull[given_up.state]);
-        price = slope(&items[item], below, above);
-        cost -= u128::from(items[item][above].cost - items[item][below].cost);
+        price = given_up.key;
+        cost -=
+            u128::from(items[item][hull[given_up.state]].cost - items[item][hull[given_up.state - 1]].cost);
         position[item] -= 1;
         if position[item] > 0 {
-            steps.push(Reverse(step(item, position[item])));
+            steps.push(step(item, position[item]));
         }
     }
     let mut states: Vec<usize> = hulls
@@ -162,17 +191,61 @@ pub fn allocate(
         .zip(&position)
         .map(|(hull, &position)| hull.get(position).copied().unwrap_or(0))
         .collect();
-    let left = u128::from(limit).saturating_sub(cost);
-    let left = u64::try_from(left).unwrap_or(0);
-    let cost = (limit - left) + refill(items, left, &mut states);
-    let chosen = items.iter().zip(&states).filter_map(|(item, &state)| item.get(state));
-    let quality = chosen.map(quality).sum();
-    Ok(Allocation { states, cost, quality, price })
+    refill(items, limit - total(items, &states).0, &mut states);
+    (states, price)
 }
 
-/// Spends what is left: while any candidate fits and gains quality, the one that gains most. Returns what it spent.
-fn refill(items: &[Vec<Candidate>], limit: u64, states: &mut [usize]) -> u64 {
-    let mut left = limit;
+/// Up to this many candidates [`fill_grid`] takes part: about half a millisecond.
+const FEW: usize = 512;
+/// Steps that the limit is divided into.
+const GRID: u64 = 1024;
+
+/// The optimum for costs rounded up to a grid, by dynamic programming, then refilled: exact where the room above the
+/// cheapest states is at most [`GRID`]. The cheapest states must fit.
+fn fill_grid(items: &[Vec<Candidate>], limit: u64) -> Vec<usize> {
+    let least = |item: &[Candidate]| item.iter().map(|c| c.cost).min().unwrap_or(0);
+    let room = limit - items.iter().map(|item| least(item)).sum::<u64>();
+    let grid = room.min(GRID);
+    let width = grid as usize + 1;
+    // More than the grid has where there is no room.
+    let steps_of = |extra: u64| -> usize {
+        let steps = (u128::from(extra) * u128::from(grid)).div_ceil(u128::from(room.max(1)));
+        if extra > room { width } else { steps as usize }
+    };
+    // best[g]: the best quality of the items so far at g steps of cost or less; and the states that give it.
+    let mut best = vec![0.0; width];
+    let mut choices: Vec<Vec<u16>> = Vec::with_capacity(items.len());
+    for item in items {
+        let (mut next, mut choice) = (vec![f64::NEG_INFINITY; width], vec![0u16; width]);
+        if item.is_empty() {
+            next.copy_from_slice(&best);
+        }
+        for (state, candidate) in item.iter().enumerate() {
+            let (steps, value) = (steps_of(candidate.cost - least(item)), quality(candidate));
+            for (g, before) in (steps..width).zip(&best) {
+                if before + value > next[g] {
+                    (next[g], choice[g]) = (before + value, state as u16);
+                }
+            }
+        }
+        choices.push(choice);
+        best = next;
+    }
+    let mut states = vec![0; items.len()];
+    let mut g = width - 1;
+    for (i, item) in items.iter().enumerate().rev() {
+        let state = usize::from(choices[i][g]);
+        states[i] = state;
+        if let Some(candidate) = item.get(state) {
+            g -= steps_of(candidate.cost - least(item));
+        }
+    }
+    refill(items, limit - total(items, &states).0, &mut states);
+    states
+}
+
+/// Spends what is left: while any candidate fits and gains quality, the one that gains most.
+fn refill(items: &[Vec<Candidate>], mut left: u64, states: &mut [usize]) {
     // What each candidate that fits would gain, and the state it would gain it from.
     let mut gains: BinaryHeap<(Ranked, usize)> = BinaryHeap::new();
     let push = |gains: &mut BinaryHeap<(Ranked, usize)>, item: usize, from: usize, left: u64| {
@@ -197,7 +270,6 @@ fn refill(items: &[Vec<Candidate>], limit: u64, states: &mut [usize]) -> u64 {
             push(&mut gains, best.item, best.state, left);
         }
     }
-    limit - left
 }
 
 /// An upper bound of the quality any choice within `limit` can have: that of the linear relaxation, in which one hull

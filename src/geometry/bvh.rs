@@ -97,6 +97,7 @@ impl Accel {
         self.traverse(ray, |index, shear, t_far| {
             let found = triangle::intersect(shear, ray.origin, &self.corners[index], ray.t_min, *t_far);
             if let Some((t, b1, b2)) = found
+                && self.triangles[index] & !CUT_OUT != ray.ignore
                 && self.is_there(scene, index, b1, b2)
             {
                 *t_far = t;
@@ -111,10 +112,21 @@ impl Accel {
     /// Whether anything stands between the ray's bounds. Stops at the first hit. Glass stands in the way too;
     /// whoever wants light to pass asks [`Accel::intersect`].
     pub fn occluded(&self, scene: &Scene, ray: &Ray) -> bool {
+        self.any_hit(scene, ray, |_| true)
+    }
+
+    /// Whether `blocks` is true of any hit between the ray's bounds. Visits hits in no order, each once, and
+    /// stops at the first that blocks.
+    pub fn any_hit(&self, scene: &Scene, ray: &Ray, mut blocks: impl FnMut(Hit) -> bool) -> bool {
         let mut blocked = false;
         self.traverse(ray, |index, shear, t_far| {
             let found = triangle::intersect(shear, ray.origin, &self.corners[index], ray.t_min, *t_far);
-            blocked = found.is_some_and(|(_, b1, b2)| self.is_there(scene, index, b1, b2));
+            blocked = found.is_some_and(|(t, b1, b2)| {
+                let triangle = self.triangles[index] & !CUT_OUT;
+                triangle != ray.ignore
+                    && self.is_there(scene, index, b1, b2)
+                    && blocks(Hit { t, triangle, b1, b2 })
+            });
             blocked
         });
         blocked

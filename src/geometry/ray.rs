@@ -13,13 +13,19 @@ pub struct Ray {
     pub t_min: f32,
     /// Hits at or beyond this are ignored.
     pub t_max: f32,
+    /// A triangle that is never hit, as a plane cannot be hit again by a ray that leaves it;
+    /// [`Ray::NOTHING`] otherwise.
+    pub ignore: u32,
 }
 
 impl Ray {
+    /// No triangle to ignore.
+    pub const NOTHING: u32 = u32::MAX;
+
     /// A ray without end.
     #[inline]
-    pub fn new(origin: Vec3, direction: Vec3) -> Self {
-        Self { origin, direction, t_min: 0.0, t_max: f32::INFINITY }
+    pub const fn new(origin: Vec3, direction: Vec3) -> Self {
+        Self { origin, direction, t_min: 0.0, t_max: f32::INFINITY, ignore: Self::NOTHING }
     }
 
     /// The point at `t`.

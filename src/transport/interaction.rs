@@ -2,11 +2,8 @@
 
 use glam::{Vec2, Vec3};
 
-use crate::geometry::{Hit, Ray};
+use crate::geometry::{Hit, Ray, gamma, offset_origin};
 use crate::scene::{Material, MaterialId, Scene};
-
-/// γ(7) = 7u / (1 − 7u) with u = 2⁻²⁴ (REFERENCE §5.1).
-const GAMMA_7: f32 = 4.172_327e-7;
 
 /// A point on a surface, seen along a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,7 +58,7 @@ impl Interaction {
         let (b1, b2) = (hit.b1, hit.b2);
         let b0 = 1.0 - b1 - b2;
         let position = a * b0 + b * b1 + c * b2;
-        let error = ((a * b0).abs() + (b * b1).abs() + (c * b2).abs()) * GAMMA_7;
+        let error = ((a * b0).abs() + (b * b1).abs() + (c * b2).abs()) * gamma(7);
         let (e1, e2) = (b - a, c - a);
         let cross = e1.cross(e2);
         let doubled_area = cross.length();
@@ -188,35 +185,18 @@ impl Interaction {
     }
 
     /// A ray that leaves the surface along `direction`: its origin lies outside the error bounds, on the side that
-    /// it goes to (REFERENCE §5.4 a).
+    /// it goes to, and it ignores the triangle it leaves (REFERENCE §5.4 a).
     #[inline]
     pub fn spawn(&self, direction: Vec3) -> Ray {
-        Ray::new(self.offset_origin(direction), direction)
+        let origin = offset_origin(self.position, self.error, self.geometric_normal, direction);
+        Ray { ignore: self.triangle, ..Ray::new(origin, direction) }
     }
 
     /// A ray to `target` that ends just before it: `t` = 1 at the target.
     #[inline]
     pub fn spawn_to(&self, target: Vec3) -> Ray {
-        let origin = self.offset_origin(target - self.position);
-        Ray { origin, direction: target - origin, t_min: 0.0, t_max: 1.0 - 1e-4 }
-    }
-
-    fn offset_origin(&self, direction: Vec3) -> Vec3 {
-        let n = self.geometric_normal;
-        let distance = n.abs().dot(self.error);
-        let offset = if direction.dot(n) < 0.0 { -n * distance } else { n * distance };
-        let p = self.position + offset;
-        // One ulp further away, so that rounding the sum does not undo it.
-        let step = |p: f32, o: f32| {
-            if o > 0.0 {
-                p.next_up()
-            } else if o < 0.0 {
-                p.next_down()
-            } else {
-                p
-            }
-        };
-        Vec3::new(step(p.x, offset.x), step(p.y, offset.y), step(p.z, offset.z))
+        let ray = self.spawn(target - self.position);
+        Ray { direction: target - ray.origin, t_max: 1.0 - 1e-4, ..ray }
     }
 }
 

@@ -60,7 +60,7 @@ pub fn intersect(
     }
     let mean: Vec3 = directions.iter().sum();
     let kz = dominant_axis(mean);
-    if directions.iter().any(|d| !(d[kz].abs() > SHALLOW)) {
+    if !directions.iter().all(|d| d[kz].abs() > SHALLOW) {
         // A wide packet (a tiny picture, a huge field of view): one ray at a time.
         let mut hit = MISS;
         for (lane, &d) in directions.iter().enumerate() {
@@ -321,8 +321,8 @@ mod tests {
             let directions = random_directions(i, if i % 3 == 0 { 3.0 } else { 0.05 });
             let eye = Vec3::new(0.1, 0.0, -0.2);
             let packet = intersect(&deep, &corners, eye, &directions, |i, _, _| i % 5 != 0);
-            for l in 0..LANES {
-                let single = intersect(&flat, &corners, eye, &[directions[l]; LANES], |i, _, _| i % 5 != 0);
+            for (l, &direction) in directions.iter().enumerate() {
+                let single = intersect(&flat, &corners, eye, &[direction; LANES], |i, _, _| i % 5 != 0);
                 let close =
                     (packet.t[l] - single.t[0]).abs() <= 1e-4 * single.t[0] || packet.t[l] == single.t[0];
                 assert!(close, "packet {i}, lane {l}: {} against {}", packet.t[l], single.t[0]);

@@ -9,7 +9,7 @@ use std::str::FromStr;
 use crate::rng;
 
 /// Buckets of the job pool.
-pub const BUCKETS: u32 = 64;
+pub const BUCKETS: u8 = 64;
 
 /// How (object, level) pairs are ordered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
@@ -123,18 +123,19 @@ impl RayPolicy {
     }
 }
 
-/// The bucket of a priority: 63 holds 1, each further one down a factor of about √2 less, 0 all the rest.
+/// The bucket of a priority: 0, which is popped first, holds 1, each further one a factor of about √2 less, 63 all the
+/// rest.
 ///
 /// Boundaries are the powers of two and one and a half times these, read off the bits of the float, so that no
 /// rounding of a logarithm decides. Monotone.
-pub fn bucket_of(priority: f32) -> u32 {
+pub fn bucket_of(priority: f32) -> u8 {
     /// Exponent and first bit of the mantissa of 1.0.
     const ONE: u32 = 1.0f32.to_bits() >> 22;
+    const LAST: u8 = BUCKETS - 1;
     if priority > 0.0 {
-        let below = ONE.saturating_sub(priority.to_bits() >> 22);
-        (BUCKETS - 1).saturating_sub(below)
+        u8::try_from(ONE.saturating_sub(priority.to_bits() >> 22)).map_or(LAST, |bucket| bucket.min(LAST))
     } else {
-        0
+        LAST
     }
 }
 
@@ -178,12 +179,12 @@ mod tests {
         ] {
             assert_ne!(other, policy.priority(&base));
         }
-        // Every bucket of the upper 40 is used about equally.
+        // Every one of the first 40 buckets is used about equally.
         let mut used = [0u32; BUCKETS as usize];
         for object in 0..4000 {
             used[bucket_of(policy.priority(&Demand { object, ..base })) as usize] += 1;
         }
-        assert!(used[24..63].iter().all(|&n| (40..200).contains(&n)), "{used:?}");
+        assert!(used[1..40].iter().all(|&n| (40..200).contains(&n)), "{used:?}");
     }
 
     #[test]
@@ -199,21 +200,19 @@ mod tests {
 
     #[test]
     fn buckets_are_logarithmic_and_monotone() {
-        assert_eq!(bucket_of(1.0), 63);
-        assert_eq!(bucket_of(7.5), 63);
-        assert_eq!(bucket_of(0.75), 62);
-        assert_eq!(bucket_of(0.5), 61);
-        assert_eq!(bucket_of(0.25), 59);
-        for nothing in [0.0, -1.0, 1e-30, f32::NAN, f32::NEG_INFINITY] {
-            assert_eq!(bucket_of(nothing), 0);
+        for (priority, bucket) in [(1.0, 0), (7.5, 0), (f32::INFINITY, 0), (0.75, 1), (0.5, 2), (0.25, 4)] {
+            assert_eq!(bucket_of(priority), bucket);
         }
-        let mut last = BUCKETS - 1;
+        for nothing in [0.0, -1.0, 1e-30, f32::NAN, f32::NEG_INFINITY] {
+            assert_eq!(bucket_of(nothing), BUCKETS - 1);
+        }
+        let mut last = 0;
         for i in 0..4000 {
             let bucket = bucket_of(0.99f32.powi(i));
-            assert!(bucket <= last && last - bucket <= 1);
+            assert!(bucket >= last && bucket - last <= 1);
             last = bucket;
         }
-        assert_eq!(last, 0);
+        assert_eq!(last, BUCKETS - 1);
     }
 
     #[test]

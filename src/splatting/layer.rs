@@ -38,8 +38,8 @@ const FRESH_BONUS: u32 = 1;
 /// Rank of a fresh sample on its own pixel.
 const EXACT: u32 = u32::MAX;
 
-/// Rank of a sample of level set `k`; `age` is 0 for fresh ones.
-fn rank(k: u32, age: u32) -> u32 {
+/// Rank of a sample of level set `k`; `age` is 0 for fresh ones. A pixel's own ray ranks above all.
+pub fn rank(k: u32, age: u32) -> u32 {
     let fineness = Lattice::K_LIMIT - k.min(Lattice::K_LIMIT) + if age == 0 { FRESH_BONUS } else { 0 };
     ((fineness + 1) << 16) + (0xffff - age.min(0xffff))
 }
@@ -111,6 +111,15 @@ impl SplatLayer {
                 let fineness = (r >> 16) - 1 - if fresh { FRESH_BONUS } else { 0 };
                 Some((Lattice::K_LIMIT - fineness, fresh))
             }
+        }
+    }
+
+    /// Views since the shown sample was traced, 0 for this view; `None` without splat.
+    pub fn shown_age(&self, x: usize, y: usize) -> Option<u32> {
+        match self.rank.at(x, y) {
+            0 => None,
+            EXACT => Some(0),
+            r => Some(0xffff - (r & 0xffff)),
         }
     }
 

@@ -1,0 +1,123 @@
+// What is shown: base layer + splat layer, tone-mapped and sRGB-encoded; or an overlay.
+// Twin of foveal::display::tone and of renderer::overlay; names as there.
+
+struct Compose {
+    // Reinhard's white; negative: clamp.
+    white: f32,
+    exposure: f32,
+    // Overlay, and K of the lattice.
+    overlay: u32,
+    k_max: u32,
+}
+
+@group(0) @binding(0) var<uniform> compose: Compose;
+@group(0) @binding(1) var base: texture_2d<f32>;
+@group(0) @binding(2) var splats: texture_2d<f32>;
+@group(0) @binding(3) var ranks: texture_depth_2d;
+@group(0) @binding(4) var objects: texture_2d<u32>;
+@group(0) @binding(5) var textures: texture_2d<u32>;
+// Attention of each object in [0, 1].
+@group(0) @binding(6) var<storage, read> attention: array<f32>;
+
+const SALIENCY: u32 = 1u;
+const OBJECTS: u32 = 2u;
+const LEVEL: u32 = 3u;
+const AGE: u32 = 4u;
+const TRACER: u32 = 5u;
+const MIP: u32 = 6u;
+const K_LIMIT: u32 = 9u;
+
+@vertex
+fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
+    return vec4f(select(-1.0, 3.0, index == 1u), select(-1.0, 3.0, index == 2u), 0.0, 1.0);
+}
+
+fn luminance(rgb: vec3f) -> f32 {
+    return dot(rgb, vec3f(0.2126729, 0.7151522, 0.0721750));
+}
+
+fn to_linear(radiance: vec3f) -> vec3f {
+    var rgb = radiance * compose.exposure;
+    if compose.white >= 0.0 {
+        let l = luminance(rgb);
+        if l > 0.0 {
+            rgb *= (1.0 + l / max(compose.white * compose.white, 1.17549435e-38)) / (1.0 + l);
+        }
+    }
+    return clamp(rgb, vec3f(0.0), vec3f(1.0));
+}
+
+fn srgb_from_linear(v: vec3f) -> vec3f {
+    return select(1.055 * pow(v, vec3f(1.0 / 2.4)) - 0.055, 12.92 * v, v <= vec3f(0.0031308));
+}
+
+// A colour per number, far from those of its neighbours: twin of renderer::overlay::distinct.
+fn distinct(n: u32) -> vec3f {
+    let hue = f32((n * 40503u) & 0xffffu) / 65536.0;
+    let k = fract(vec3f(hue) + vec3f(0.0, 2.0, 1.0) / 3.0) * 6.0 - 3.0;
+    let pure = clamp(abs(k) - 1.0, vec3f(0.0), vec3f(1.0));
+    return mix(vec3f(1.0), pure, 0.75) * (0.6 + 0.4 * f32((n * 7u) % 5u) / 4.0);
+}
+
+// Black, blue, red, yellow, white: twin of renderer::overlay::heat.
+fn heat(v: f32) -> vec3f {
+    let t = clamp(v, 0.0, 1.0) * 4.0;
+    return clamp(vec3f(t - 1.0, t - 2.0, select(1.0 - abs(t - 1.0), t - 3.0, t > 2.0)), vec3f(0.0), vec3f(1.0));
+}
+
+@fragment
+fn fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let p = vec2i(position.xy);
+    let splat = textureLoad(splats, p, 0);
+    let shown = srgb_from_linear(to_linear(textureLoad(base, p, 0).rgb + splat.rgb));
+    if compose.overlay == 0u {
+        return vec4f(shown, 1.0);
+    }
+    let object = textureLoad(objects, p, 0).x;
+    let rank = u32(textureLoad(ranks, p, 0) * 16777216.0);
+    let is_exact = rank >= 0xffffffu;
+    let grey = vec3f(luminance(shown)) * 0.5;
+    var color = grey;
+    switch compose.overlay {
+        case SALIENCY: {
+            if object < arrayLength(&attention) {
+                color = mix(grey, heat(attention[object]), 0.7);
+            }
+        }
+        case OBJECTS: {
+            if object != 0u {
+                color = mix(grey, distinct(object), 0.7);
+            }
+        }
+        case LEVEL: {
+            if rank != 0u {
+                let is_fresh = (rank & 0xffffu) == 0xffffu;
+                let fineness = (rank >> 16u) - 1u - select(0u, 1u, is_fresh);
+                let k = select(K_LIMIT - min(fineness, K_LIMIT), 0u, is_exact);
+                color = heat(1.0 - f32(k) / f32(compose.k_max + 1u));
+            }
+        }
+        case AGE: {
+            if rank != 0u {
+                let age = select(0xffffu - (rank & 0xffffu), 0u, is_exact);
+                color = heat(log2(f32(age) + 1.0) / 6.0);
+                if age == 0u {
+                    color = vec3f(0.0, 0.6, 0.2);
+                }
+            }
+        }
+        case TRACER: {
+            if splat.a > 1.5 {
+                color = mix(grey, distinct(u32(splat.a - 0.5)), 0.7);
+            }
+        }
+        case MIP: {
+            let word = textureLoad(textures, p, 0).x;
+            if word != 0xffffffffu {
+                color = mix(grey, heat(1.0 - f32(word & 0xffu) / 64.0), 0.7);
+            }
+        }
+        default: {}
+    }
+    return vec4f(color, 1.0);
+}

@@ -1,0 +1,4 @@
+//! The renderer.
+#[cfg(feature = "window")]
+pub mod gpu;
+pub mod overlay;

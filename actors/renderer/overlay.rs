@@ -1,0 +1,136 @@
+//! Overlays: what the machine decided, painted over the picture. On the processor; `compose.wgsl`
+//! is the twin.
+
+use foveal::display::FrameBuffers;
+use foveal::image::Map2d;
+use foveal::splatting::SplatLayer;
+use glam::Vec3;
+
+/// What is painted over the picture.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Overlay {
+    /// Nothing.
+    #[default]
+    None = 0,
+    /// How much the eye is drawn to each object.
+    Saliency = 1,
+    /// Object ids, a colour each.
+    Objects = 2,
+    /// Level of the sample that each pixel shows: white is its own ray, dark a coarse one.
+    Level = 3,
+    /// Views since the shown sample was traced: green is this view.
+    Age = 4,
+    /// Which tracer made the shown sample.
+    Tracer = 5,
+    /// Mip level wanted: white is full size.
+    Mip = 6,
+}
+
+impl Overlay {
+    /// All, in the order of the keys that choose them.
+    pub const ALL: [Self; 7] =
+        [Self::None, Self::Saliency, Self::Objects, Self::Level, Self::Age, Self::Tracer, Self::Mip];
+
+    /// Name for people.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Saliency => "saliency",
+            Self::Objects => "object ids",
+            Self::Level => "sample level",
+            Self::Age => "sample age",
+            Self::Tracer => "tracer",
+            Self::Mip => "mip level",
+        }
+    }
+}
+
+/// A colour per number, far from those of its neighbours. Display values in [0, 1].
+pub fn distinct(n: u32) -> Vec3 {
+    let hue = (n.wrapping_mul(40503) & 0xffff) as f32 / 65536.0;
+    let k = (Vec3::splat(hue) + Vec3::new(0.0, 2.0, 1.0) / 3.0).fract() * 6.0 - 3.0;
+    let pure = (k.abs() - 1.0).clamp(Vec3::ZERO, Vec3::ONE);
+    Vec3::ONE.lerp(pure, 0.75) * (0.6 + 0.4 * (n.wrapping_mul(7) % 5) as f32 / 4.0)
+}
+
+/// Black, blue, red, yellow, white for values from 0 to 1. Display values in [0, 1].
+pub fn heat(v: f32) -> Vec3 {
+    let t = v.clamp(0.0, 1.0) * 4.0;
+    let blue = if t > 2.0 { t - 3.0 } else { 1.0 - (t - 1.0).abs() };
+    Vec3::new(t - 1.0, t - 2.0, blue).clamp(Vec3::ZERO, Vec3::ONE)
+}
+
+/// What an overlay shows.
+#[derive(Clone, Copy, Debug)]
+pub struct Sources<'a> {
+    /// Buffers of the view.
+    pub buffers: &'a FrameBuffers,
+    /// Splat layer of the view.
+    pub splats: &'a SplatLayer,
+    /// K of the lattice.
+    pub k_max: u32,
+    /// Attention of each object in [0, 1], by object id.
+    pub attention: &'a [f32],
+}
+
+/// The picture with an overlay; `rgb8` is the picture without.
+pub fn paint(overlay: Overlay, sources: &Sources<'_>, rgb8: &Map2d<[u8; 3]>) -> Map2d<[u8; 3]> {
+    if overlay == Overlay::None {
+        return rgb8.clone();
+    }
+    Map2d::from_fn(rgb8.width(), rgb8.height(), |x, y| {
+        let shown = Vec3::from(rgb8.at(x, y).map(|b| f32::from(b) / 255.0));
+        let grey = Vec3::splat(foveal::image::luminance(shown) * 0.5);
+        let color = overlay_color(overlay, sources, x, y, grey).unwrap_or(grey);
+        color.to_array().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8)
+    })
+}
+
+fn overlay_color(overlay: Overlay, sources: &Sources<'_>, x: usize, y: usize, grey: Vec3) -> Option<Vec3> {
+    let object = sources.buffers.object.at(x, y);
+    let tinted = |color: Vec3| grey.lerp(color, 0.7);
+    match overlay {
+        Overlay::None => None,
+        Overlay::Saliency => sources.attention.get(object as usize).map(|a| tinted(heat(*a))),
+        Overlay::Objects => (object != 0).then(|| tinted(distinct(object))),
+        Overlay::Level => {
+            let (k, _) = sources.splats.shown_level(x, y)?;
+            Some(heat(1.0 - k as f32 / (sources.k_max + 1) as f32))
+        }
+        Overlay::Age => Some(match sources.splats.shown_age(x, y)? {
+            0 => Vec3::new(0.0, 0.6, 0.2),
+            age => heat((age as f32 + 1.0).log2() / 6.0),
+        }),
+        Overlay::Tracer => match sources.splats.source(x, y) {
+            0 => None,
+            source => Some(tinted(distinct(u32::from(source)))),
+        },
+        Overlay::Mip => {
+            let words = &sources.buffers.texture;
+            let word = words.data().get(y * words.width() + x)?;
+            word.texture().map(|_| tinted(heat(1.0 - word.level() / 8.0)))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn neighbouring_numbers_differ_and_stay_in_range() {
+        for n in 0..1000 {
+            let (a, b) = (distinct(n), distinct(n + 1));
+            assert!((a - b).length() > 0.2, "{n}: {a} {b}");
+            assert!(a.min_element() >= 0.0 && a.max_element() <= 1.0);
+        }
+    }
+
+    #[test]
+    fn heat_grows_brighter() {
+        let steps: Vec<f32> = (0..=20).map(|i| heat(i as f32 / 20.0).element_sum()).collect();
+        assert!(steps.windows(2).all(|w| w[1] >= w[0] - 1e-6), "{steps:?}");
+        assert_eq!((heat(0.0), heat(1.0)), (Vec3::ZERO, Vec3::ONE));
+    }
+}

@@ -1,7 +1,16 @@
 //! BSDFs, lights and the tracers.
+//!
+//! In: a scene, its geometry index and (for the tracer) stored illumination. Out: radiance along rays, in
+//! W·sr⁻¹·m⁻² per band; [`tracer`] for corrections, [`path`] for references, [`particle`] and [`radiosity`]
+//! for the stored illumination.
 
 pub mod bsdf;
+mod direct;
 pub mod interaction;
 pub mod light;
 pub mod particle;
+pub mod path;
 pub mod radiosity;
+#[cfg(test)]
+mod test_boxes;
+pub mod tracer;

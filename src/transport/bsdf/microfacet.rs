@@ -21,7 +21,7 @@ impl Microfacet {
     /// D(h): ∫ D h_z dω = 1.
     pub fn d(&self, h: Vec3) -> f32 {
         let z2 = h.z * h.z;
-        if !(h.z > 1e-4) {
+        if h.z.is_nan() || h.z <= 1e-4 {
             return 0.0;
         }
         let e = ((h.x / self.ax).powi(2) + (h.y / self.ay).powi(2)) / z2;

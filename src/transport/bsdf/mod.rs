@@ -230,8 +230,13 @@ impl Bsdf {
         self.tangent * w.x + self.bitangent * w.y + self.normal * w.z
     }
 
+    /// The mirrored direction. Where the shading normal would send it into the surface it is mirrored at the
+    /// surface itself, so that silhouettes of coarse meshes do not go black.
     fn reflected(&self, wo: Vec3) -> Vec3 {
-        (self.normal * (2.0 * wo.dot(self.normal)) - wo).normalize_or(self.normal)
+        let wi = self.normal * (2.0 * wo.dot(self.normal)) - wo;
+        let below = wi.dot(self.geometric).min(0.0);
+        let wi = if below < 0.0 { wi - self.geometric * (2.0 * below) } else { wi };
+        wi.normalize_or(self.normal)
     }
 
     fn refracted(&self, wo: Vec3, eta: f32) -> Option<Vec3> {
@@ -270,7 +275,7 @@ impl Bsdf {
                 [reflection(Vec3::splat(f)), refraction]
             }
             Lobe::Pane { eta, transmittance } => {
-                let (r, t) = pane(cosine, eta, transmittance);
+                let (r, t) = fresnel::pane(cosine, eta, transmittance);
                 let through = BsdfSample {
                     wi: -wo,
                     weight: t,
@@ -488,18 +493,6 @@ fn refract(wo: Vec3, n: Vec3, eta: f32) -> Option<Vec3> {
     }
     let t = (1.0 - sine_t2).sqrt();
     (n * (c / eta - t) - wo / eta).try_normalize()
-}
-
-/// Reflectance and transmittance of a thin pane, all reflections between its faces summed: without
-/// absorption 2R / (1 + R).
-fn pane(cosine: f32, eta: f32, transmittance: Vec3) -> (Vec3, Vec3) {
-    let r = fresnel::dielectric(cosine, eta);
-    let a = transmittance.clamp(Vec3::ZERO, Vec3::ONE);
-    let series = Vec3::ONE - a * a * (r * r);
-    let series = series.max(Vec3::splat(1e-6));
-    let t = a * ((1.0 - r) * (1.0 - r)) / series;
-    let reflected = Vec3::splat(r) + a * a * (r * (1.0 - r) * (1.0 - r)) / series;
-    (reflected.min(Vec3::ONE), t)
 }
 
 /// A cosine-distributed direction about +z.

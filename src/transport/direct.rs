@@ -1,0 +1,94 @@
+//! Light that reaches a point straight from the lights, and how two ways to find it share the work.
+
+use glam::Vec3;
+
+use super::bsdf::fresnel;
+use super::interaction::Interaction;
+use super::light::{LightSample, Lights};
+use crate::geometry::{Accel, Hit, Ray};
+use crate::scene::{Model, Scene};
+
+/// Power heuristic with β = 2 for `n` samples of density `p` beside `m` of density `q` (Veach 1997).
+#[inline]
+pub(super) fn mis_weight(n: u32, p: f32, m: u32, q: f32) -> f32 {
+    let (a, b) = (f64::from(n) * f64::from(p), f64::from(m) * f64::from(q));
+    if a <= 0.0 {
+        return 0.0;
+    }
+    // The quotient first: squares overflow.
+    let r = b / a;
+    (1.0 / (1.0 + r * r)) as f32
+}
+
+/// The share of light that passes along `ray`: thin panes let it through attenuated, in a straight line; all
+/// else blocks it, refracting glass too, whose light arrives by other ways.
+pub(super) fn visibility(scene: &Scene, accel: &Accel, ray: &Ray) -> Vec3 {
+    let mut passed = Vec3::ONE;
+    let blocked = accel.any_hit(scene, ray, |hit: Hit| {
+        let material = &scene.materials[scene.mesh.materials[hit.triangle as usize].0 as usize];
+        let Model::Dielectric { ior, transmittance, thin: true, .. } = &material.model else { return true };
+        let at = Interaction::at(scene, ray, &hit);
+        if at.back && !material.two_sided {
+            return true;
+        }
+        let cosine = at.wo.dot(at.facing_shading()).abs();
+        passed *= fresnel::pane(cosine, ior.clamp(1.0, 10.0), *transmittance).1;
+        passed.max_element() <= 0.0
+    });
+    if blocked { Vec3::ZERO } else { passed }
+}
+
+/// A light sample for `at` with the share of it that arrives; `None` where that is nothing.
+#[inline]
+pub(super) fn arriving(scene: &Scene, accel: &Accel, at: &Interaction, sample: &LightSample) -> Option<Vec3> {
+    let ray = if sample.distance.is_finite() {
+        at.spawn_to(at.position + sample.wi * sample.distance)
+    } else {
+        at.spawn(sample.wi)
+    };
+    let passed = visibility(scene, accel, &ray);
+    (passed.max_element() > 0.0).then(|| sample.radiance * passed)
+}
+
+/// How a ray was found whose end may be a light: by sampling a BSDF from `point` with density `pdf`, `n` such
+/// samples standing beside `m` light samples.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Found {
+    pub point: Vec3,
+    pub pdf: f32,
+    pub n: u32,
+    pub m: u32,
+}
+
+impl Found {
+    /// Weight of the light seen along unit `wi`, at `hit` or in the surrounding.
+    pub fn weight(&self, scene: &Scene, lights: &Lights, wi: Vec3, hit: Option<&Hit>) -> f32 {
+        if self.m == 0 {
+            return 1.0;
+        }
+        mis_weight(self.n, self.pdf, self.m, lights.pdf_direct(scene, self.point, wi, hit))
+    }
+}
+
+/// What light loses on its way inside of glass: transmittance per scene unit, to the power of the distance.
+#[inline]
+pub(super) fn absorption(inside: Vec3, distance: f32) -> Vec3 {
+    if inside == Vec3::ONE { Vec3::ONE } else { inside.clamp(Vec3::ZERO, Vec3::ONE).powf(distance.max(0.0)) }
+}
+
+/// Transmittance per scene unit on the far side of a boundary that light has crossed: the sign of the crossing
+/// alone tells, so nested glasses hand over at each boundary.
+#[inline]
+pub(super) fn beyond(scene: &Scene, at: &Interaction, inside: Vec3) -> Vec3 {
+    match &at.material(scene).model {
+        Model::Dielectric { transmittance, thin: false, .. } if !at.back => *transmittance,
+        Model::Dielectric { thin: false, .. } => Vec3::ONE,
+        _ => inside,
+    }
+}
+
+/// Whether the surface is a pane, which does not bend rays, so that light sampling sees through it.
+#[inline]
+pub(super) fn is_pane(scene: &Scene, at: &Interaction) -> bool {
+    matches!(at.material(scene).model, Model::Dielectric { thin: true, .. })
+}

@@ -1,0 +1,241 @@
+//! The recursive ray tracer behind the corrections: what the display cannot show of a surface.
+//!
+//! Radiance of a surface = [`Tracer::base`] (emission and the diffuse part under the stored irradiance: what
+//! the display shows) + [`Tracer::view_dependent`] (everything else: mirrors, glass, glossy lobes, and what a
+//! coat takes from or adds to the diffuse part in this direction, which may be negative). The sum is exact:
+//! [`Tracer::radiance`] adds the same two terms at every surface that a ray ends on.
+//!
+//! Mirrors and clear glass branch; glossy lobes send distributed rays and light samples, joined by multiple
+//! importance sampling. Below `Settings::min_contribution` of the pixel, Russian roulette decides, so the
+//! expectation does not change. Random numbers come from the given stream alone. Absent on purpose: diffuse
+//! bounces (the stored illumination has them) and light through refracting glass from lights without area.
+
+use std::f32::consts::FRAC_1_PI;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use glam::Vec3;
+
+use super::bsdf::{Bsdf, BsdfSample};
+use super::direct::{Found, absorption, arriving, beyond, is_pane, mis_weight};
+use super::interaction::{self, Interaction};
+use super::light::Lights;
+use crate::geometry::{Accel, Ray};
+use crate::illumination::Irradiance;
+use crate::rng::Stream;
+use crate::scene::Scene;
+
+/// How much is traced for one sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Distributed rays of a glossy lobe on the surface that is looked at; 1 on what it reflects.
+    pub glossy_samples: u32,
+    /// Light samples of a glossy lobe there; 1 on what it reflects. 0: none anywhere.
+    pub light_samples: u32,
+    /// Surfaces that one ray may meet in a row.
+    pub max_depth: u32,
+    /// Share of the sample's value below which a ray goes on with a probability only.
+    pub min_contribution: f32,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { glossy_samples: 4, light_samples: 2, max_depth: 64, min_contribution: 1.0 / 32.0 }
+    }
+}
+
+/// Traces rays against a scene and its stored illumination.
+pub struct Tracer<'a> {
+    scene: &'a Scene,
+    accel: &'a Accel,
+    lights: &'a Lights,
+    illumination: &'a dyn Irradiance,
+    settings: Settings,
+    /// Results that were not finite and became 0.
+    broken: AtomicU64,
+}
+
+/// The state of one ray of the tree.
+#[derive(Clone, Copy, Debug)]
+struct Branch {
+    /// Share of the sample's value that it can still add.
+    contribution: f32,
+    depth: u32,
+    /// Transmittance per scene unit where it travels.
+    inside: Vec3,
+    /// How it was found, if lights are sampled there too.
+    found: Option<Found>,
+}
+
+impl<'a> Tracer<'a> {
+    /// A tracer; costs nothing to make.
+    pub fn new(
+        scene: &'a Scene,
+        accel: &'a Accel,
+        lights: &'a Lights,
+        illumination: &'a dyn Irradiance,
+        settings: Settings,
+    ) -> Self {
+        Self { scene, accel, lights, illumination, settings, broken: AtomicU64::new(0) }
+    }
+
+    /// Number of results of this tracer that were not finite and became 0.
+    pub fn broken_count(&self) -> u64 {
+        self.broken.load(Ordering::Relaxed)
+    }
+
+    /// Emission and diffuse part: what the display shows of the surface. Radiance; finite, not negative.
+    pub fn base(&self, at: &Interaction) -> Vec3 {
+        let bsdf = Bsdf::at(self.scene, at);
+        self.finite(
+            interaction::emission(self.scene, at) + bsdf.diffuse_albedo() * self.diffuse_light(at, &bsdf),
+        )
+    }
+
+    /// Everything that [`Self::base`] leaves out, as radiance towards `at.wo`. Finite.
+    pub fn view_dependent(&self, at: &Interaction, stream: Stream) -> Vec3 {
+        let bsdf = Bsdf::at(self.scene, at);
+        if !bsdf.has_view_dependent() {
+            return Vec3::ZERO;
+        }
+        let branch = Branch { contribution: 1.0, depth: 0, inside: Vec3::ONE, found: None };
+        let diffuse = bsdf.diffuse_albedo() * self.diffuse_light(at, &bsdf);
+        self.finite(diffuse * (bsdf.coat_factor(at.wo) - 1.0) + self.scatter(at, &bsdf, branch, stream))
+    }
+
+    /// Radiance that arrives at the ray's origin, against its direction. Finite.
+    pub fn radiance(&self, ray: &Ray, stream: Stream) -> Vec3 {
+        let Some(direction) = ray.direction.try_normalize() else { return Vec3::ZERO };
+        let scale = ray.direction.length();
+        let ray = Ray { direction, t_min: ray.t_min * scale, t_max: ray.t_max * scale, ..*ray };
+        let branch = Branch { contribution: 1.0, depth: 0, inside: Vec3::ONE, found: None };
+        self.finite(self.follow(&ray, branch, stream))
+    }
+
+    fn finite(&self, value: Vec3) -> Vec3 {
+        debug_assert!(value.is_finite(), "a radiance of {value}");
+        if value.is_finite() {
+            return value;
+        }
+        self.broken.fetch_add(1, Ordering::Relaxed);
+        Vec3::ZERO
+    }
+
+    /// Stored irradiance / π, where there is something to reflect it.
+    #[inline]
+    fn diffuse_light(&self, at: &Interaction, bsdf: &Bsdf) -> Vec3 {
+        if bsdf.diffuse_albedo() == Vec3::ZERO {
+            return Vec3::ZERO;
+        }
+        self.illumination.irradiance(at.triangle, at.b1, at.b2, at.back) * FRAC_1_PI
+    }
+
+    /// Radiance along a ray of unit direction.
+    fn follow(&self, ray: &Ray, mut branch: Branch, mut stream: Stream) -> Vec3 {
+        if branch.depth > self.settings.max_depth {
+            return Vec3::ZERO;
+        }
+        let mut scale = 1.0;
+        if branch.contribution < self.settings.min_contribution {
+            let survival = branch.contribution / self.settings.min_contribution;
+            // Also ends what is not a number.
+            if survival.is_nan() || stream.next_f32() >= survival {
+                return Vec3::ZERO;
+            }
+            scale = 1.0 / survival;
+            branch.contribution = self.settings.min_contribution;
+        }
+        let hit = self.accel.intersect(self.scene, ray);
+        let share = |light: Vec3| {
+            let Some(found) = branch.found.filter(|_| light != Vec3::ZERO) else { return light };
+            light * found.weight(self.scene, self.lights, ray.direction, hit.as_ref())
+        };
+        let Some(hit) = &hit else {
+            return share(self.lights.escaped(self.scene, ray.direction)) * scale;
+        };
+        let at = Interaction::at(self.scene, ray, hit);
+        let bsdf = Bsdf::at(self.scene, &at);
+        let mut radiance = share(interaction::emission(self.scene, &at));
+        radiance += bsdf.diffuse_albedo() * self.diffuse_light(&at, &bsdf) * bsdf.coat_factor(at.wo);
+        let absorbed = absorption(branch.inside, hit.t);
+        if bsdf.has_view_dependent() {
+            branch.contribution *= absorbed.max_element();
+            radiance += self.scatter(&at, &bsdf, branch, stream);
+        }
+        radiance * absorbed * scale
+    }
+
+    /// Radiance of the view-dependent lobes, without the coat's share of the diffuse part.
+    fn scatter(&self, at: &Interaction, bsdf: &Bsdf, branch: Branch, mut stream: Stream) -> Vec3 {
+        let mut sum = Vec3::ZERO;
+        let lobes = bsdf.delta_lobes(at.wo);
+        if lobes.iter().any(Option::is_some) {
+            for (i, sample) in lobes.iter().enumerate() {
+                if let Some(sample) = sample {
+                    sum += self.follow_sample(at, sample, branch, None, stream.split(i as u64));
+                }
+            }
+            return sum;
+        }
+        let first = branch.depth == 0;
+        let n = if first { self.settings.glossy_samples.max(1) } else { 1 };
+        let m = match (bsdf.is_delta() || self.lights.is_empty(), first) {
+            (true, _) => 0,
+            (false, true) => self.settings.light_samples,
+            (false, false) => self.settings.light_samples.min(1),
+        };
+        for i in 0..n {
+            let mut s = stream.split(u64::from(i));
+            let [u, v] = s.next_2d();
+            let u = ((i as f32 + u) / n as f32).min(1.0 - f32::EPSILON);
+            let Some(sample) = bsdf.sample(at.wo, [u, v], s.next_f32()) else { continue };
+            let found = (!sample.delta).then_some(Found { point: at.position, pdf: sample.pdf, n, m });
+            let share = 1.0 / n as f32;
+            let sample = BsdfSample { weight: sample.weight * share, ..sample };
+            sum += self.follow_sample(at, &sample, branch, found, s);
+        }
+        for i in 0..m {
+            let mut s = stream.split(u64::from(n + i));
+            let choice = (i as f32 + s.next_f32()) / m as f32;
+            let Some(light) = self.lights.sample_direct(self.scene, at.position, choice, s.next_2d()) else {
+                continue;
+            };
+            let f = bsdf.evaluate(at.wo, light.wi) * light.wi.dot(at.facing_shading()).max(0.0);
+            if f.max_element() <= 0.0 {
+                continue;
+            }
+            let weight =
+                if light.delta { 1.0 } else { mis_weight(m, light.pdf, n, bsdf.pdf(at.wo, light.wi)) };
+            let Some(arriving) = arriving(self.scene, self.accel, at, &light) else { continue };
+            sum += f * arriving * (weight / (light.pdf * m as f32));
+        }
+        sum
+    }
+
+    /// Radiance that arrives along a sampled direction, times its weight.
+    fn follow_sample(
+        &self,
+        at: &Interaction,
+        sample: &BsdfSample,
+        branch: Branch,
+        found: Option<Found>,
+        stream: Stream,
+    ) -> Vec3 {
+        let contribution = branch.contribution * sample.weight.max_element();
+        if contribution.is_nan() || contribution <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let mut next = Branch { contribution, depth: branch.depth + 1, found, ..branch };
+        if sample.transmitted {
+            next.inside = beyond(self.scene, at, branch.inside);
+            // Through a pane the ray goes on as it was found, and light samples were weighed so.
+            if is_pane(self.scene, at) {
+                next.found = branch.found;
+            }
+        }
+        let radiance = self.follow(&at.spawn(sample.wi), next, stream);
+        sample.weight * radiance * sample.radiance_scale
+    }
+}
+
+#[cfg(test)]
+mod tests;

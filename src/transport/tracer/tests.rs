@@ -1,0 +1,200 @@
+use super::*;
+use crate::illumination::Uniform;
+use crate::scene::{Model, Reflectance};
+use crate::transport::path::path_radiance;
+use crate::transport::test_boxes::{Builder, glass, lambert, mean, rough};
+
+struct Prepared {
+    scene: Scene,
+    accel: Accel,
+    lights: Lights,
+    illumination: Uniform,
+}
+
+impl Prepared {
+    fn new(scene: Scene, irradiance: f32) -> Self {
+        let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
+        Self { scene, accel, lights, illumination: Uniform(Vec3::splat(irradiance)) }
+    }
+
+    fn tracer(&self, settings: Settings) -> Tracer<'_> {
+        Tracer::new(&self.scene, &self.accel, &self.lights, &self.illumination, settings)
+    }
+
+    fn trace(&self, ray: Ray, n: u64, settings: Settings) -> (f64, f64) {
+        let tracer = self.tracer(settings);
+        let result = mean(n, |i| tracer.radiance(&ray, Stream::new(8, i, 0)));
+        assert_eq!(tracer.broken_count(), 0);
+        result
+    }
+}
+
+/// Rays that decide nothing by chance.
+const EXACT: Settings =
+    Settings { glossy_samples: 4, light_samples: 2, max_depth: 64, min_contribution: 0.0 };
+
+fn white() -> Reflectance {
+    Reflectance::constant(Vec3::ONE)
+}
+
+#[test]
+fn a_mirror_shows_the_stored_illumination() {
+    let mut b = Builder::default();
+    let mirror = b.material(Model::Mirror { specular: Reflectance::constant(Vec3::splat(0.5)) });
+    let wall = b.material(lambert(0.8));
+    b.rectangle(Vec3::ZERO, Vec3::X * 9.0, Vec3::Y * 9.0, mirror);
+    b.rectangle(Vec3::Z * 5.0, Vec3::Y * 9.0, Vec3::X * 9.0, wall);
+    let p = Prepared::new(b.scene(), std::f32::consts::PI);
+    let (value, error) = p.trace(Ray::new(Vec3::Z, Vec3::new(0.1, 0.2, -1.0)), 8, EXACT);
+    assert!((value - 0.4).abs() < 1e-6 && error < 1e-6, "{value} ± {error}");
+}
+
+/// base + view_dependent is the whole radiance, bit for bit where nothing is left to chance.
+#[test]
+fn the_two_parts_add_up() {
+    for model in [
+        lambert(0.7),
+        Model::Mirror { specular: white() },
+        glass(1.5, 0.9, false),
+        glass(1.5, 0.9, true),
+        Model::Plastic { albedo: Reflectance::constant(Vec3::splat(0.6)), ior: 1.5, roughness: rough(0.0) },
+    ] {
+        let mut b = Builder::default();
+        let material = b.material(model.clone());
+        b.sphere(Vec3::ZERO, 1.0, 16, material);
+        let p = Prepared::new(b.under_sky(Vec3::new(0.5, 1.0, 2.0)), 2.0);
+        let tracer = p.tracer(Settings { min_contribution: 1e-3, ..EXACT });
+        let ray = Ray::new(Vec3::new(0.2, 0.3, -3.0), Vec3::Z);
+        let hit = p.accel.intersect(&p.scene, &ray).expect("the sphere");
+        let at = Interaction::at(&p.scene, &ray, &hit);
+        let stream = Stream::new(1, 2, 3);
+        let sum = tracer.base(&at) + tracer.view_dependent(&at, stream);
+        let whole = tracer.radiance(&ray, stream);
+        assert!((sum - whole).abs().max_element() <= 1e-5 * whole.max_element(), "{model:?}: {sum} {whole}");
+        assert_eq!(tracer.view_dependent(&at, stream), tracer.view_dependent(&at, stream));
+    }
+}
+
+/// The tracer agrees with the path tracer where the stored illumination is that of the sky.
+#[test]
+fn agrees_with_the_path_tracer_in_a_furnace() {
+    for model in [
+        Model::Mirror { specular: white() },
+        glass(1.5, 1.0, false),
+        glass(1.5, 1.0, true),
+        Model::Dielectric { ior: 1.5, transmittance: Vec3::ONE, thin: false, roughness: rough(0.2) },
+        Model::Metal { specular: white(), roughness: rough(0.3) },
+        Model::Plastic { albedo: white(), ior: 1.5, roughness: rough(0.1) },
+        Model::Ward {
+            diffuse: Reflectance::constant(Vec3::splat(0.3)),
+            specular: Reflectance::constant(Vec3::splat(0.6)),
+            roughness: rough(0.2),
+        },
+    ] {
+        let mut b = Builder::default();
+        let material = b.material(model.clone());
+        b.sphere(Vec3::ZERO, 1.0, 24, material);
+        let p = Prepared::new(b.under_sky(Vec3::ONE), std::f32::consts::PI);
+        let ray = Ray::new(Vec3::new(0.4, 0.3, -3.0), Vec3::Z);
+        let (a, ea) = p.trace(ray, 2000, Settings::default());
+        let (b, eb) =
+            mean(8000, |i| path_radiance(&p.scene, &p.accel, &p.lights, &ray, Stream::new(4, i, 0)));
+        assert!((a - b).abs() < 4.0 * (ea + eb) + 0.01, "{model:?}: {a} ± {ea}, path {b} ± {eb}");
+    }
+}
+
+/// Light samples, distributed rays and both together give the same picture of a light in a glossy floor.
+#[test]
+fn ways_to_find_a_light_agree() {
+    for alpha in [0.05, 0.3] {
+        let mut b = Builder::default();
+        let floor = b.material(Model::Metal { specular: white(), roughness: rough(alpha) });
+        let light = b.emitter(lambert(0.0), Vec3::splat(3.0));
+        b.rectangle(Vec3::ZERO, Vec3::X * 9.0, Vec3::Y * 9.0, floor);
+        b.rectangle(Vec3::new(0.0, 2.0, 1.5), Vec3::Y * 0.5, Vec3::X * 0.5, light);
+        let p = Prepared::new(b.scene(), 0.0);
+        let ray = Ray::new(Vec3::new(0.0, -2.0, 1.5), Vec3::new(0.0, 2.0, -1.5));
+        let without = p.trace(ray, 20_000, Settings { light_samples: 0, ..Settings::default() });
+        let both = p.trace(ray, 20_000, Settings::default());
+        let more =
+            p.trace(ray, 5000, Settings { light_samples: 8, glossy_samples: 1, ..Settings::default() });
+        for (name, other) in [("both", both), ("more light samples", more)] {
+            let close = (without.0 - other.0).abs() < 4.0 * (without.1 + other.1);
+            assert!(close && other.0 > 0.01, "α {alpha}, {name}: {other:?} against {without:?}");
+            assert!(other.1.is_finite());
+        }
+        assert!(both.1 < without.1, "light samples lower the error: {both:?} {without:?}");
+    }
+}
+
+/// Roulette does not change the mean.
+#[test]
+fn roulette_keeps_the_mean() {
+    let mut b = Builder::default();
+    let glass = b.material(glass(1.5, 0.8, false));
+    let wall = b.material(lambert(0.5));
+    b.sphere(Vec3::ZERO, 1.0, 24, glass);
+    b.cube(Vec3::ZERO, -4.0, wall);
+    let p = Prepared::new(b.scene(), 1.0);
+    let ray = Ray::new(Vec3::new(0.5, 0.3, -3.0), Vec3::Z);
+    let (exact, _) = p.trace(ray, 1, Settings { min_contribution: 1e-5, ..EXACT });
+    let (value, error) = p.trace(ray, 20_000, Settings { min_contribution: 0.2, ..EXACT });
+    assert!((value - exact).abs() < 4.0 * error + 1e-4, "{value} ± {error}, not {exact}");
+}
+
+#[test]
+fn glass_absorbs_by_the_way_through_it() {
+    for (ior, expected) in [(1.0, 0.25), (1.5, 0.96 * 0.96 * 0.25 / (1.0 - (0.04f64 * 0.25).powi(2)))] {
+        let mut b = Builder::default();
+        let slab = b.material(glass(ior, 0.5, false));
+        let wall = b.material(lambert(1.0));
+        b.rectangle(Vec3::Z, Vec3::X * 50.0, Vec3::Y * 50.0, slab);
+        b.rectangle(-Vec3::Z, Vec3::Y * 50.0, Vec3::X * 50.0, slab);
+        b.rectangle(-Vec3::Z * 3.0, Vec3::X * 50.0, Vec3::Y * 50.0, wall);
+        let p = Prepared::new(b.scene(), std::f32::consts::PI);
+        let ray = Ray::new(Vec3::Z * 3.0, Vec3::NEG_Z);
+        let (value, _) = p.trace(ray, 1, Settings { min_contribution: 1e-6, ..EXACT });
+        assert!((value - expected).abs() < 1e-3 * expected, "ior {ior}: {value}, not {expected}");
+    }
+}
+
+/// Sixty glasses one inside the other, and two mirrors face to face, come to an end.
+#[test]
+fn nested_glass_and_facing_mirrors_end() {
+    let mut b = Builder::default();
+    for i in 0..60 {
+        let shell = b.material(glass(1.2 + 0.01 * i as f32, 0.99, false));
+        b.sphere(Vec3::ZERO, 1.0 - 0.015 * i as f32, 12, shell);
+    }
+    let p = Prepared::new(b.under_sky(Vec3::ONE), 0.0);
+    for i in 0..50 {
+        let x = i as f32 / 50.0;
+        let (value, _) = p.trace(Ray::new(Vec3::new(x, 0.1, -3.0), Vec3::Z), 4, Settings::default());
+        assert!(value.is_finite() && value >= 0.0);
+    }
+    let mut b = Builder::default();
+    let mirror = b.material(Model::Mirror { specular: white() });
+    b.cube(Vec3::ZERO, -1.0, mirror);
+    let p = Prepared::new(b.scene(), 0.0);
+    assert_eq!(p.trace(Ray::new(Vec3::ZERO, Vec3::new(0.3, 0.4, 1.0)), 4, EXACT).0, 0.0);
+}
+
+/// No ray gets out of a closed glass-filled room into the bright sky around it.
+#[test]
+fn closed_rooms_do_not_leak_at_any_scale() {
+    for scale in [1e-4f32, 1.0, 1e4] {
+        let mut b = Builder::default();
+        let wall = b.material(Model::Metal { specular: white(), roughness: rough(0.5) });
+        let ball = b.material(glass(1.5, 1.0, false));
+        b.cube(Vec3::splat(scale), -scale, wall);
+        b.sphere(Vec3::splat(scale), 0.5 * scale, 12, ball);
+        let p = Prepared::new(b.under_sky(Vec3::splat(1e6)), 0.0);
+        let tracer = p.tracer(Settings { light_samples: 0, ..Settings::default() });
+        for i in 0..3000 {
+            let mut s = Stream::new(6, i, 0);
+            let direction = Vec3::new(s.next_f32(), s.next_f32(), s.next_f32()) - 0.5;
+            let light = tracer.radiance(&Ray::new(Vec3::splat(0.2 * scale), direction), s);
+            assert_eq!(light, Vec3::ZERO, "scale {scale}, ray {i}");
+        }
+    }
+}

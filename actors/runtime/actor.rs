@@ -6,11 +6,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::clock::{Time, nanoseconds};
+use crate::env::Env;
 use crate::journal::Journal;
 use crate::log::format::{lane, quantise, unquantise, value};
 use crate::mailbox::{Address, Envelope};
 use crate::message::{ActorId, LATEST_KEYS, Lane, Message, Reason, Rejected};
-use crate::runtime::Env;
 use crate::scheduler::ThreadCx;
 use crate::timer::{Alarm, TIMERS_PER_ACTOR};
 

@@ -7,12 +7,12 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use crate::actor::Delivery;
+use crate::env::Env;
 use crate::log::format::{Hashing, Symbol, lane, put, put_bytes, put_signed, value};
 use crate::log::writer::BACKLOG_BYTES_MAX;
 use crate::mailbox::Link;
 use crate::message::{ActorId, Digest};
 use crate::replay::{Divergence, Script, Turn};
-use crate::runtime::Env;
 
 /// Deliveries kept for a report of a divergence.
 const HISTORY: usize = 20;
@@ -211,7 +211,7 @@ impl Journal {
         if let Some(recorder) = &mut self.recorder {
             recorder.delivery(symbol, payload);
             match self.hashing {
-                Hashing::Exact => recorder.hashes.extend_from_slice(&(self.chain as u16).to_le_bytes()),
+                Hashing::Exact => recorder.hashes.extend_from_slice(&short(self.chain).to_le_bytes()),
                 Hashing::Every(period) if (self.index + 1).is_multiple_of(u64::from(period.max(1))) => {
                     recorder.hashes.extend_from_slice(&self.chain.to_le_bytes());
                 }
@@ -238,13 +238,13 @@ impl Journal {
         chain.u64(state);
         self.chain = chain.finish();
         if let Some(recorder) = &mut self.recorder {
-            recorder.hashes.extend_from_slice(&(self.chain as u16).to_le_bytes());
+            recorder.hashes.extend_from_slice(&short(self.chain).to_le_bytes());
         }
         if let Some(script) = &mut self.script
             && let Some(expected) = script.hash16()
-            && expected != self.chain as u16
+            && expected != short(self.chain)
         {
-            let found = format!("state hash {:04x}", self.chain as u16);
+            let found = format!("state hash {:04x}", short(self.chain));
             return self.diverge(self.index - 1, format!("state hash {expected:04x}"), found);
         }
         Ok(())
@@ -263,7 +263,7 @@ impl Journal {
         }
         let (expected, found) = match script.hashing {
             Hashing::Exact => match script.hash16() {
-                Some(expected) => (u64::from(expected), u64::from(self.chain as u16)),
+                Some(expected) => (u64::from(expected), u64::from(short(self.chain))),
                 None => return self.stop_here(),
             },
             Hashing::Every(period) if (self.index + 1).is_multiple_of(u64::from(period.max(1))) => {
@@ -497,6 +497,11 @@ impl Journal {
         let unflushed = self.held_back.is_some() || recorder.first != self.index || recorder.len() > 0;
         self.link.unflushed.store(unflushed, Ordering::Relaxed);
     }
+}
+
+/// The 16 bits of a chained hash that are recorded. Every bit of the hash reaches them.
+fn short(chain: u64) -> u16 {
+    (chain.wrapping_mul(0xff51_afd7_ed55_8ccd) >> 48) as u16
 }
 
 fn count_of(counts: &[(ActorId, u8, u32)], id: ActorId, key: u8) -> u32 {

@@ -184,9 +184,12 @@
 mod activation;
 mod actor;
 mod clock;
+mod config;
+mod env;
 mod eventcount;
 mod journal;
 mod log;
+mod look;
 mod mailbox;
 mod message;
 mod node;
@@ -196,13 +199,16 @@ mod profile;
 mod replay;
 mod runtime;
 mod scheduler;
+mod shutdown;
 pub mod simulate;
 mod supervise;
 mod sync;
 mod timer;
+mod wiring;
 
 pub use actor::{Actor, Class, Control, Cx, Delivery, TimerId};
 pub use clock::Time;
+pub use config::{Budget, BuildError, Config, Mode, Observer, Record};
 pub use log::format::{Hashing, Header, NodeInfo};
 pub use log::reader::{Cut, Event, Trace, TraceError, TraceStat};
 pub use log::writer::RecordingStatus;
@@ -212,9 +218,8 @@ pub use pool::{Job, JobPool, PoolStats, Worker};
 pub use port::{External, Port};
 pub use profile::{ActorCounters, TurnTime, chrome_trace};
 pub use replay::{Divergence, ReplayReport, Turn, Until};
-pub use runtime::{
-    Budget, BuildError, Config, Declared, Exit, Handle, Limit, Mode, Observer, Record, Runtime, Shutdown,
-    Wiring,
-};
+pub use runtime::{Exit, Limit, Runtime};
+pub use shutdown::Shutdown;
 pub use supervise::{Incident, OnPanic};
 pub use timer::TIMERS_PER_ACTOR;
+pub use wiring::{Declared, Handle, Wiring};

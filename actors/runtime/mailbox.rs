@@ -9,9 +9,9 @@ use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
 
 use crate::activation::Activation;
 use crate::actor::{Class, Control};
+use crate::env::Env;
 use crate::message::{ActorId, LATEST_KEYS, Lane, Message, Reason, Rejected};
 use crate::profile::Counters;
-use crate::runtime::Env;
 use crate::scheduler::ThreadCx;
 use crate::timer::{Alarm, TIMERS_PER_ACTOR};
 

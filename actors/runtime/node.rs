@@ -30,6 +30,8 @@ pub(crate) trait Runnable: Send + Sync {
     fn script_state(&self) -> Option<ScriptState>;
     /// Hands over what is left of the log, and ends the journal.
     fn end_log(&self);
+    /// Throws away what waits, when nothing runs any more.
+    fn clear(&self);
     /// Nothing waits in the mailbox.
     fn is_empty(&self) -> bool;
 }
@@ -42,8 +44,8 @@ pub(crate) struct ScriptState {
     pub(crate) recorded: u64,
     /// The script is over and the chained hash is not the recorded one.
     pub(crate) wrong_end: Option<(u64, u64)>,
-    /// Who must send next for the script to go on.
-    pub(crate) waits_for: Option<(ActorId, u8)>,
+    /// The lane of what the script delivers next, and who must send it; none if that is not recorded.
+    pub(crate) waits_for: Option<(Option<ActorId>, u8)>,
 }
 
 /// An actor's state and what travels with it; owned by whoever runs the turn.
@@ -228,7 +230,7 @@ impl<A: Actor> Node<A> {
         } else if bits & signal::RESUME != 0 {
             core.paused = false;
         }
-        Ok(())
+        core.journal.handled(|| core.actor.digest())
     }
 
     fn envelope(
@@ -256,7 +258,10 @@ impl<A: Actor> Node<A> {
         match core.timers.take(timer) {
             Some(Some(message)) => self.deliver(core, thread, symbol, payload, message),
             // It was cancelled after it fired: a delivery all the same, since it made room for another timer.
-            _ => core.journal.deliver(symbol, payload, "cancelled timer", &(), |digest| digest.u32(timer)),
+            _ => {
+                core.journal.deliver(symbol, payload, "cancelled timer", &(), |digest| digest.u32(timer))?;
+                core.journal.handled(|| core.actor.digest())
+            }
         }
     }
 
@@ -328,7 +333,7 @@ impl<A: Actor> Node<A> {
             if core.stopping || core.paused {
                 return Ok(());
             }
-            if turn.messages >= env.budget.messages {
+            if turn.messages >= env.budget.messages() {
                 turn.again = true;
                 return Ok(());
             }
@@ -379,7 +384,7 @@ impl<A: Actor> Node<A> {
             if core.stopping {
                 return Ok(());
             }
-            if turn.messages >= env.budget.messages {
+            if turn.messages >= env.budget.messages() {
                 turn.again = true;
                 return Ok(());
             }
@@ -546,14 +551,32 @@ impl<A: Actor> Runnable for Node<A> {
             let script = core.journal.script()?;
             let (recorded, expected) = script.recorded();
             let hashed = script.hashing == hashing && hashing != crate::Hashing::Off;
-            let wrong_end = (made == recorded && hashed && chain != expected).then_some((expected, chain));
-            let waits_for = script.next().map(|next| (next.symbol.from, next.symbol.lane));
+            let wrong_end =
+                (made > 0 && made == recorded && hashed && chain != expected).then_some((expected, chain));
+            let waits_for = script.next().map(|next| {
+                let from = match next.payload {
+                    // A job comes from who made it, or from the worker it killed before.
+                    Payload::Job { id, attempt: 0 } => Some(ActorId((id >> 40) as u32)),
+                    Payload::Job { id, attempt } => self.link.env.popped_by(id, attempt - 1),
+                    _ => Some(next.symbol.from),
+                };
+                (from, next.symbol.lane)
+            });
             Some(ScriptState { made, recorded, wrong_end, waits_for })
         })?
     }
 
     fn end_log(&self) {
         self.with_core(|core| core.journal.end_turn(true));
+    }
+
+    fn clear(&self) {
+        let mailbox = self.mailbox();
+        while mailbox.data.pop().is_some() {}
+        while mailbox.urgent.pop().is_some() {}
+        while mailbox.inbound.pop().is_some() {}
+        mailbox.latest.iter().for_each(|slot| drop(slot.pop()));
+        drop(self.core.take());
     }
 
     fn is_empty(&self) -> bool {

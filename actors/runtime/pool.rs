@@ -6,15 +6,15 @@
 use crossbeam_queue::SegQueue;
 use std::any::Any;
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use crate::actor::{Actor, Cx};
+use crate::env::Env;
 use crate::eventcount::EventCount;
 use crate::journal::Journal;
 use crate::mailbox::{Link, signal};
 use crate::message::{Digest, Message, Reason, Rejected};
-use crate::runtime::Env;
 use crate::scheduler::ThreadCx;
 
 /// Priority buckets of a pool.
@@ -123,8 +123,10 @@ struct Entry<J> {
 /// One worker's place at a pool.
 struct Place<J> {
     link: Arc<Link>,
-    /// Replay: the jobs the script gives to this worker.
+    /// Jobs meant for this worker: those that killed another one and, in replay, all that the script gives it.
     inbound: SegQueue<Entry<J>>,
+    /// Takes no jobs: paused or stopped.
+    away: AtomicBool,
 }
 
 struct Shared<J> {
@@ -179,14 +181,35 @@ impl<J: Job> Shared<J> {
         }
     }
 
+    /// Gives a job that killed a worker to the next one, or back to all if there is no other.
+    fn hand_on(&self, entry: Entry<J>, from: usize, thread: &ThreadCx) {
+        let places = self.places();
+        let others = (1..places.len()).map(|step| &places[(from + step) % places.len()]);
+        match others.into_iter().find(|place| !place.away.load(Ordering::SeqCst)) {
+            Some(place) if !self.env.replaying() => {
+                place.inbound.push(entry);
+                place.link.raise(signal::JOBS, thread);
+                if place.away.load(Ordering::SeqCst) {
+                    self.give_back(place, thread);
+                }
+            }
+            _ => self.put(entry, thread),
+        }
+    }
+
+    /// What was meant for a worker that went away is for all.
+    fn give_back(&self, place: &Place<J>, thread: &ThreadCx) {
+        while let Some(entry) = place.inbound.pop() {
+            self.put(entry, thread);
+        }
+    }
+
     fn take(&self) -> Option<Entry<J>> {
-        let entry = self.bitmap.take(
+        self.bitmap.take(
             self.base.load(Ordering::Relaxed),
             |bucket| self.buckets[bucket as usize].pop(),
             |bucket| self.buckets[bucket as usize].is_empty(),
-        )?;
-        self.waiting.fetch_sub(1, Ordering::Relaxed);
-        Some(entry)
+        )
     }
 }
 
@@ -239,11 +262,22 @@ impl<J: Job> JobPool<J> {
     }
 
     pub(crate) fn sit<A: Worker<Job = J>>(&self, link: &Arc<Link>) -> Box<dyn Seat<A>> {
-        let place = Arc::new(Place { link: Arc::clone(link), inbound: SegQueue::new() });
+        let place = Arc::new(Place {
+            link: Arc::clone(link),
+            inbound: SegQueue::new(),
+            away: AtomicBool::new(false),
+        });
         let number = self.shared.workers.fetch_add(1, Ordering::SeqCst);
         assert!(number < 64, "a pool has at most 64 workers");
         self.shared.arriving.push(Arc::clone(&place));
-        Box::new(SeatOf { number, place, pool: self.clone(), current: None, early: BTreeMap::new() })
+        Box::new(SeatOf {
+            number,
+            place,
+            pool: self.clone(),
+            left: AtomicBool::new(false),
+            current: None,
+            early: BTreeMap::new(),
+        })
     }
 
     /// All workers have their places.
@@ -348,6 +382,7 @@ struct SeatOf<J> {
     number: usize,
     place: Arc<Place<J>>,
     pool: JobPool<J>,
+    left: AtomicBool,
     current: Option<Entry<J>>,
     early: BTreeMap<(u64, u32), Entry<J>>,
 }
@@ -355,7 +390,9 @@ struct SeatOf<J> {
 impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
     fn pop(&mut self, thread: &ThreadCx) -> Option<Popped> {
         let shared = &self.pool.shared;
-        let entry = shared.take()?;
+        self.place.away.store(false, Ordering::SeqCst);
+        let entry = self.place.inbound.pop().or_else(|| shared.take())?;
+        shared.waiting.fetch_sub(1, Ordering::Relaxed);
         shared.idle.cancel(self.number);
         if !shared.bitmap.is_empty() {
             // The one who was woken for what is left may be this busy worker.
@@ -422,15 +459,17 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
             return Killed::Dead { id: entry.id, description: entry.job.describe() };
         }
         shared.requeued.fetch_add(1, Ordering::Relaxed);
-        shared.waiting.fetch_add(1, Ordering::Relaxed);
-        shared.put(Entry { attempt, ..entry }, thread);
+        if !shared.env.replaying() {
+            shared.waiting.fetch_add(1, Ordering::Relaxed);
+        }
+        shared.hand_on(Entry { attempt, ..entry }, self.number, thread);
         Killed::Requeued
     }
 
     fn rest(&self) -> bool {
         let shared = &self.pool.shared;
         shared.idle.prepare(self.number);
-        let rests = shared.bitmap.is_empty();
+        let rests = shared.bitmap.is_empty() && self.place.inbound.is_empty();
         if !rests {
             shared.idle.cancel(self.number);
         }
@@ -439,7 +478,12 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
 
     fn decline(&self, thread: &ThreadCx) {
         let shared = &self.pool.shared;
+        if shared.env.replaying() {
+            return;
+        }
+        self.place.away.store(true, Ordering::SeqCst);
         shared.idle.cancel(self.number);
+        shared.give_back(&self.place, thread);
         if !shared.bitmap.is_empty() {
             shared.wake(thread);
         }
@@ -449,12 +493,16 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
         let others = |workers: usize| (workers > 1).then(|| workers - 1);
         let left = self.pool.shared.workers.fetch_update(Ordering::SeqCst, Ordering::SeqCst, others).is_ok();
         if left {
+            self.left.store(true, Ordering::Relaxed);
             Seat::<A>::decline(self, thread);
         }
         left
     }
 
     fn leave_regardless(&self, thread: &ThreadCx) {
+        if self.left.swap(true, Ordering::Relaxed) {
+            return;
+        }
         let fewer = |workers: usize| workers.checked_sub(1);
         let _ = self.pool.shared.workers.fetch_update(Ordering::SeqCst, Ordering::SeqCst, fewer);
         Seat::<A>::decline(self, thread);

@@ -4,9 +4,9 @@ use serde::{Serialize, de::DeserializeOwned};
 use std::marker::PhantomData;
 use std::sync::Arc;
 
+use crate::env::Env;
 use crate::mailbox::{Address, Encoded, Envelope};
 use crate::message::{ActorId, Message, Reason, Rejected};
-use crate::runtime::Env;
 use crate::scheduler::ThreadCx;
 
 /// What can come from outside: it can be written down, and becomes a message of the receiver.

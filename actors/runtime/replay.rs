@@ -3,12 +3,15 @@
 use std::collections::VecDeque;
 use std::fmt;
 use std::sync::Arc;
+use std::time::Duration;
 
 use crate::journal::Payload;
 use crate::log::format::{Hashing, Symbol, value};
 use crate::log::reader::{ActorLog, Trace, Walk};
 use crate::mailbox::Inbound;
 use crate::message::ActorId;
+use crate::node::ScriptState;
+use crate::runtime::{Limit, Runtime};
 
 /// One delivery in a report.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -209,5 +212,115 @@ impl<M> Stash<M> {
         }
         queue.drain(..skipped as usize);
         queue.pop_front()
+    }
+}
+
+impl Runtime {
+    /// Replays to the end of the recording, or to where it was to stop.
+    pub fn replay(&mut self) -> ReplayReport {
+        self.pump(Limit::IDLE);
+        self.replay_report()
+    }
+
+    /// How the replay stands; call it when [`Runtime::pump`] returned idle or halted.
+    pub fn replay_report(&mut self) -> ReplayReport {
+        self.settle();
+        let env = &self.env;
+        let mut report = ReplayReport {
+            deliveries: 0,
+            recorded: 0,
+            divergence: env.divergence.pop(),
+            complete: false,
+            waiting: Vec::new(),
+        };
+        if let Some(divergence) = report.divergence.clone() {
+            let _ = env.divergence.push(divergence);
+        }
+        let states: Vec<_> = self.nodes.iter().map(|node| node.script_state()).collect();
+        for (number, state) in states.iter().enumerate() {
+            let Some(state) = state else { continue };
+            let actor = ActorId(number as u32);
+            report.deliveries += state.made;
+            report.recorded += state.recorded;
+            if state.waits_for.is_some() {
+                report.waiting.push(actor);
+            }
+            if let Some((expected, found)) = state.wrong_end
+                && report.divergence.is_none()
+            {
+                let (expected, found) = (format!("hash {expected:016x} at the end"), format!("{found:016x}"));
+                report.divergence = Some(self.stop_divergence(actor, state.made, None, expected, found));
+            }
+        }
+        let halted = env.halted();
+        let whole = env.trace.as_ref().is_some_and(|trace| trace.complete());
+        if !halted && report.divergence.is_none() && !report.waiting.is_empty() {
+            report.divergence = self.stall(&report.waiting, &states, whole);
+        }
+        report.complete = whole && report.divergence.is_none() && report.waiting.is_empty();
+        report
+    }
+
+    /// All are idle and a script goes on. In a recording that was cut, that is its consistent end if the wait leads to
+    /// an actor whose script is over; otherwise somebody did not send what was recorded.
+    fn stall(&self, waiting: &[ActorId], states: &[Option<ScriptState>], whole: bool) -> Option<Divergence> {
+        let ends_in_cut = |mut actor: ActorId| {
+            for _ in 0..=states.len() {
+                match states.get(actor.0 as usize).copied().flatten() {
+                    Some(state) => match state.waits_for {
+                        Some((None, _)) => return true,
+                        Some((Some(from), _)) if from != actor => actor = from,
+                        Some(_) => return false,
+                        None => return true,
+                    },
+                    None => return true,
+                }
+            }
+            false
+        };
+        let stuck = |actor: &&ActorId| whole || !ends_in_cut(**actor);
+        let actor = *waiting.iter().find(stuck)?;
+        let state = states.get(actor.0 as usize).copied().flatten()?;
+        let (from, lane) = state.waits_for?;
+        let sender =
+            from.map_or_else(|| "somebody".to_owned(), |from| format!("{} {from}", self.env.name(from)));
+        let expected = format!("{} from {sender}", crate::log::format::lane::name(lane));
+        let found = "nothing: all actors are idle".to_owned();
+        Some(self.stop_divergence(actor, state.made, from, expected, found))
+    }
+
+    fn stop_divergence(
+        &self,
+        actor: ActorId,
+        index: u64,
+        from: Option<ActorId>,
+        expected: String,
+        found: String,
+    ) -> Divergence {
+        let (name, mark) = (self.env.name(actor), self.env.last_mark());
+        Divergence { actor, name, index, mark, kind: "stall", from, expected, found, turns: Vec::new() }
+    }
+
+    /// Waits until no turn runs: they end soon after a halt.
+    pub(crate) fn settle(&self) {
+        while self.threads.is_some() && self.env.scheduler.busy(self.env.halted()) {
+            std::thread::park_timeout(Duration::from_micros(100));
+        }
+    }
+
+    /// Goes on after [`Until`] stopped the replay, to another place or to the end.
+    pub fn resume(&mut self, until: Option<Until>) {
+        self.settle();
+        self.env.set_until(until);
+        self.env.go_on();
+    }
+
+    /// Makes one delivery, on a system whose main thread is alone. False if there is none to make.
+    pub fn step(&mut self) -> bool {
+        let before = self.deliveries();
+        let messages = self.env.budget.set_messages(1);
+        self.pump_until(Limit::IDLE, |runtime| runtime.deliveries() > before);
+        self.env.budget.set_messages(messages);
+        self.deliveries() > before
     }
 }

@@ -14,9 +14,9 @@ use std::thread::Thread;
 use std::time::Duration;
 
 use crate::actor::Class;
+use crate::env::Env;
 use crate::eventcount::EventCount;
 use crate::node::Runnable;
-use crate::runtime::Env;
 
 /// What code on one thread of the system knows about its thread.
 pub(crate) struct ThreadCx {

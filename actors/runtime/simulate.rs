@@ -2,10 +2,12 @@
 
 use std::collections::VecDeque;
 use std::fmt;
+use std::sync::Arc;
 
 use crate::actor::Class;
 use crate::message::{ActorId, Digest};
-use crate::runtime::Runtime;
+use crate::pool::PoolStats;
+use crate::runtime::{Exit, Limit, Runtime};
 
 /// Who runs next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -322,6 +324,76 @@ impl Driver {
         }
         state.slow_turns -= 1;
         time * SLOW_FACTOR
+    }
+}
+
+impl Runtime {
+    pub(crate) fn simulate(
+        &mut self,
+        limit: Limit,
+        end: Option<u64>,
+        condition: &mut dyn FnMut(&Self) -> bool,
+    ) -> Exit {
+        let env = Arc::clone(&self.env);
+        let Some(mut driver) = self.driver.take() else { return Exit::Idle };
+        let exit = loop {
+            if self.failure.is_some() {
+                break Exit::Halted;
+            }
+            if condition(self) {
+                break Exit::Until;
+            }
+            let now = env.clock.now();
+            if end.is_some_and(|end| now >= end) {
+                break Exit::Time;
+            }
+            env.timers.serve(now, &self.thread);
+            let queues = &env.scheduler;
+            while let Some(actor) =
+                queues.next_pinned().or_else(|| queues.next_light()).or_else(|| queues.next_heavy())
+            {
+                driver.arrive(actor);
+            }
+            let Some(actor) = driver.choose(now) else {
+                let next = driver.next_wake().unwrap_or(u64::MAX).min(env.timers.next());
+                if next == u64::MAX && limit.idle {
+                    break Exit::Idle;
+                }
+                match (next.min(end.unwrap_or(u64::MAX)), next) {
+                    // Nothing will ever happen, and the caller does not want to hear of idleness: time is over.
+                    (u64::MAX, _) => break Exit::Idle,
+                    (time, _) => env.clock.advance_to(time),
+                }
+                continue;
+            };
+            self.thread.last_end.set(0);
+            env.scheduler.run(&self.nodes, actor, &self.thread);
+            env.clock.advance_to(now + driver.turned(actor));
+            if let Err(reason) = self.check(&mut driver) {
+                self.failure = Some(Failure { seed: driver.simulation.seed, step: driver.step, reason });
+            }
+        };
+        self.driver = Some(driver);
+        exit
+    }
+
+    fn check(&self, driver: &mut Driver) -> Result<(), String> {
+        for pool in &self.pools {
+            let PoolStats { pushed, completed, stale, dead, waiting, .. } = pool.stats();
+            if pushed != completed + stale + dead + waiting {
+                return Err(format!(
+                    "jobs are lost or counted twice: {pushed} pushed, {completed} done, {stale} stale, {dead} dead, \
+                     {waiting} wait"
+                ));
+            }
+        }
+        if driver.step >= driver.simulation.steps_max {
+            return Err(format!("the system is not at rest after {} steps", driver.step));
+        }
+        match &mut driver.simulation.invariant {
+            Some(invariant) => invariant(self),
+            None => Ok(()),
+        }
     }
 }
 

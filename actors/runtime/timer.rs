@@ -101,4 +101,10 @@ impl Timers {
         self.heap.store(Some(heap));
         self.next.fetch_min(next, Ordering::SeqCst);
     }
+
+    /// Forgets all timers.
+    pub(crate) fn clear(&self) {
+        while self.arriving.pop().is_some() {}
+        self.heap.store(None);
+    }
 }

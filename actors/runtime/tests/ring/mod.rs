@@ -32,10 +32,19 @@ impl Message for Msg {
     }
 }
 
+/// Flips one bit of what a player is about to take in, as a fault of memory would.
+#[derive(Clone, Copy)]
+pub struct Flip {
+    pub actor: u32,
+    pub at: u64,
+    pub bit: u32,
+}
+
 pub struct Player {
+    flip: Option<Flip>,
     others: Vec<Address<Msg>>,
-    pub state: u64,
-    pub received: u64,
+    state: u64,
+    received: u64,
 }
 
 impl Actor for Player {
@@ -51,6 +60,11 @@ impl Actor for Player {
                 digest.u64(self.state);
                 digest.u64(token.value);
                 self.state = digest.finish();
+                if let Some(flip) = self.flip
+                    && flip.at + 1 == cx.index()
+                {
+                    self.state ^= 1 << flip.bit;
+                }
                 if token.hops > 0 {
                     let to = self.others[(self.state >> 33) as usize % self.others.len()].clone();
                     let token = Token { hops: token.hops - 1, value: token.value ^ self.state };
@@ -58,6 +72,10 @@ impl Actor for Player {
                 }
             }
         }
+    }
+
+    fn digest(&self) -> Option<u64> {
+        Some(self.state)
     }
 }
 
@@ -87,6 +105,17 @@ impl Actor for Starter {
 
 /// `players` that pass `tokens` tokens on for `hops` hops each.
 pub fn wire(wiring: &mut Wiring, players: usize, tokens: u64, hops: u32) -> Vec<Handle<Player>> {
+    wire_flipped(wiring, players, tokens, hops, None)
+}
+
+/// The same with a fault in one of them.
+pub fn wire_flipped(
+    wiring: &mut Wiring,
+    players: usize,
+    tokens: u64,
+    hops: u32,
+    flip: Option<Flip>,
+) -> Vec<Handle<Player>> {
     let declared: Vec<_> =
         (0..players).map(|_| wiring.declare::<Player>(Bounds::messages(tokens as usize + 1))).collect();
     let addresses: Vec<_> = declared.iter().map(Declared::address).collect();
@@ -94,6 +123,9 @@ pub fn wire(wiring: &mut Wiring, players: usize, tokens: u64, hops: u32) -> Vec<
     wiring.spawn(starter, Starter { players: addresses, tokens, hops });
     declared
         .into_iter()
-        .map(|declared| wiring.spawn(declared, Player { others: Vec::new(), state: 0, received: 0 }))
+        .map(|declared| {
+            let flip = flip.filter(|flip| flip.actor == declared.address().id().0);
+            wiring.spawn(declared, Player { flip, others: Vec::new(), state: 0, received: 0 })
+        })
         .collect()
 }

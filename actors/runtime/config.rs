@@ -1,0 +1,154 @@
+//! How a system is to be built.
+
+use std::fmt;
+use std::io::Write;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use crate::actor::Delivery;
+use crate::log::format::Hashing;
+use crate::log::reader::Trace;
+use crate::message::ActorId;
+use crate::profile::RING_TURNS;
+use crate::replay::Until;
+use crate::simulate::Simulation;
+
+/// How a turn is bounded: the actor goes to the back of the queue after either.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Budget {
+    /// Messages.
+    pub messages: u64,
+    /// Nanoseconds.
+    pub nanoseconds: u64,
+}
+
+impl Default for Budget {
+    fn default() -> Self {
+        Self { messages: 128, nanoseconds: 200_000 }
+    }
+}
+
+/// Sees every delivery, on the thread that makes it.
+pub type Observer = Arc<dyn Fn(&Delivery<'_>) + Send + Sync>;
+
+/// Where a recording goes.
+pub enum Record {
+    /// Into a file, which is replaced.
+    File(PathBuf),
+    /// Anywhere else.
+    Sink(Box<dyn Write + Send>),
+}
+
+/// What drives the system.
+pub enum Mode {
+    /// Threads, clock and input are real.
+    Live,
+    /// Everything comes from a recording.
+    Replay {
+        /// The recording.
+        trace: Arc<Trace>,
+        /// Where to stop before its end.
+        until: Option<Until>,
+    },
+    /// One thread and a virtual clock.
+    Simulate(Simulation),
+}
+
+/// How to build a system.
+pub struct Config {
+    /// Threads beside the main one (at most 64; a simulation uses none). With 0 the main thread does everything.
+    pub threads: usize,
+    /// What drives the system.
+    pub mode: Mode,
+    /// Where to record, if at all.
+    pub record: Option<Record>,
+    /// How densely hashes are recorded. Replay takes it from the recording; without a recording nothing is hashed,
+    /// except in a simulation.
+    pub hashing: Hashing,
+    /// The application's part of a recording's header.
+    pub application: Vec<u8>,
+    /// Seed of [`crate::Cx::random`]. Replay takes it from the recording.
+    pub seed: u64,
+    /// Bounds of a turn.
+    pub budget: Budget,
+    /// Turns kept in each actor's ring.
+    pub ring_turns: usize,
+    /// Sees every delivery.
+    pub observer: Option<Observer>,
+    /// Called when the main thread is not in [`Runtime::pump`] and a pinned actor has something to do: wake the event
+    /// loop here.
+    pub waker: Option<Box<dyn Fn() + Send + Sync>>,
+}
+
+impl Config {
+    /// A live system with so many threads beside the main one, not recorded.
+    pub fn live(threads: usize) -> Self {
+        Self {
+            threads,
+            mode: Mode::Live,
+            record: None,
+            hashing: Hashing::Exact,
+            application: Vec::new(),
+            seed: 0,
+            budget: Budget::default(),
+            ring_turns: RING_TURNS,
+            observer: None,
+            waker: None,
+        }
+    }
+
+    /// A replay on so many threads beside the main one.
+    pub fn replay(trace: Arc<Trace>, threads: usize) -> Self {
+        Self { mode: Mode::Replay { trace, until: None }, ..Self::live(threads) }
+    }
+
+    /// A simulation.
+    pub fn simulate(simulation: Simulation) -> Self {
+        let seed = simulation.seed;
+        Self { mode: Mode::Simulate(simulation), seed, ..Self::live(0) }
+    }
+
+    /// The same, recorded into a file.
+    pub fn record(self, path: impl Into<PathBuf>) -> Self {
+        Self { record: Some(Record::File(path.into())), ..self }
+    }
+}
+
+/// Why a system cannot be built.
+#[derive(Debug)]
+pub enum BuildError {
+    /// The recording cannot be written.
+    Record(std::io::Error),
+    /// Threads cannot be started.
+    Threads(std::io::Error),
+    /// The recording is of a system with other actors.
+    OtherSystem {
+        /// The first actor or port that differs.
+        actor: ActorId,
+        /// Its name in the recording.
+        recorded: String,
+        /// Its name here.
+        found: String,
+    },
+}
+
+impl fmt::Display for BuildError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Record(error) => write!(f, "cannot write the recording: {error}"),
+            Self::Threads(error) => write!(f, "cannot start threads: {error}"),
+            Self::OtherSystem { actor, recorded, found } => {
+                write!(f, "the recording is of another system: {actor} is {recorded} there and {found} here")
+            }
+        }
+    }
+}
+
+impl std::error::Error for BuildError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Record(error) | Self::Threads(error) => Some(error),
+            Self::OtherSystem { .. } => None,
+        }
+    }
+}

@@ -1,0 +1,255 @@
+//! What all parts of one system share.
+
+use crossbeam_deque::Worker;
+use crossbeam_queue::ArrayQueue;
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
+
+use crate::clock::Clock;
+use crate::config::{Budget, Config, Mode, Observer, Record};
+use crate::journal::Journal;
+use crate::log::format::{Hashing, NodeInfo};
+use crate::log::reader::Trace;
+use crate::log::writer::LogQueue;
+use crate::message::ActorId;
+use crate::replay::{Divergence, Until};
+use crate::scheduler::{Scheduler, ThreadCx};
+use crate::simulate::{FaultKind, Faults, Simulation};
+use crate::supervise::Incident;
+use crate::timer::Timers;
+
+type Supervisor = Box<dyn Fn(&mut Journal, &ThreadCx, Incident) + Send + Sync>;
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Driven {
+    Live,
+    Replay,
+    Simulated,
+}
+
+/// What all parts of one system share.
+pub(crate) struct Env {
+    pub(crate) clock: Clock,
+    pub(crate) scheduler: Scheduler,
+    pub(crate) timers: Timers,
+    pub(crate) seed: u64,
+    pub(crate) hashing: Hashing,
+    pub(crate) budget: TurnBudget,
+    pub(crate) observer: Option<Observer>,
+    pub(crate) log: Option<Arc<LogQueue>>,
+    driven: Driven,
+    pub(crate) trace: Option<Arc<Trace>>,
+    pops: Vec<(u64, u32, ActorId)>,
+    until_tag: AtomicU32,
+    until_who: AtomicU32,
+    until_count: AtomicU64,
+    faults: Faults,
+    pub(crate) supervisor: OnceLock<Supervisor>,
+    nodes: OnceLock<Vec<NodeInfo>>,
+    closed: AtomicBool,
+    halted: AtomicBool,
+    pub(crate) divergence: ArrayQueue<Divergence>,
+    mark_kind: AtomicU32,
+    mark_value: AtomicU64,
+    marks_made: AtomicU64,
+}
+
+/// The bounds of a turn; stepping lowers one of them for a while.
+pub(crate) struct TurnBudget {
+    messages: AtomicU64,
+    pub(crate) nanoseconds: u64,
+}
+
+impl TurnBudget {
+    #[inline]
+    pub(crate) fn messages(&self) -> u64 {
+        self.messages.load(Ordering::Relaxed)
+    }
+
+    /// Sets the number of messages and returns what it was.
+    pub(crate) fn set_messages(&self, messages: u64) -> u64 {
+        self.messages.swap(messages, Ordering::Relaxed)
+    }
+}
+
+/// The parts of a configuration that are used up while a system is built.
+pub(crate) struct Parts {
+    pub(crate) locals: Vec<Worker<u32>>,
+    pub(crate) record: Option<Record>,
+    pub(crate) application: Vec<u8>,
+    pub(crate) ring_turns: usize,
+    pub(crate) simulation: Option<Simulation>,
+}
+
+impl Env {
+    pub(crate) fn new(config: Config) -> (Self, Parts) {
+        let Config { threads, mode, record, hashing, application, seed, budget, ring_turns, observer, waker } =
+            config;
+        let log = record.as_ref().map(|_| Arc::new(LogQueue::new()));
+        let (driven, trace, until, simulation) = match mode {
+            Mode::Live => (Driven::Live, None, None, None),
+            Mode::Replay { trace, until } => (Driven::Replay, Some(trace), until, None),
+            Mode::Simulate(simulation) => (Driven::Simulated, None, None, Some(simulation)),
+        };
+        let simulated = driven == Driven::Simulated;
+        let hashing = match (&trace, driven) {
+            (Some(trace), _) => trace.header().hashing,
+            (None, Driven::Live) if log.is_none() => Hashing::Off,
+            _ => hashing,
+        };
+        let (scheduler, locals) = Scheduler::new(if simulated { 0 } else { threads }, waker);
+        let budget = if simulated { Budget { messages: 1, nanoseconds: u64::MAX } } else { budget };
+        let env = Self {
+            clock: if simulated { Clock::starting_at_zero() } else { Clock::real() },
+            scheduler,
+            timers: Timers::new(),
+            seed: trace.as_ref().map_or(seed, |trace| trace.header().seed),
+            hashing,
+            budget: TurnBudget { messages: AtomicU64::new(budget.messages), nanoseconds: budget.nanoseconds },
+            observer,
+            log,
+            driven,
+            pops: trace.as_ref().map(|trace| trace.pops()).unwrap_or_default(),
+            trace,
+            until_tag: AtomicU32::new(0),
+            until_who: AtomicU32::new(0),
+            until_count: AtomicU64::new(0),
+            faults: simulation.as_ref().map_or(Faults::NONE, |simulation| simulation.faults.clone()),
+            supervisor: OnceLock::new(),
+            nodes: OnceLock::new(),
+            closed: AtomicBool::new(false),
+            halted: AtomicBool::new(false),
+            divergence: ArrayQueue::new(1),
+            mark_kind: AtomicU32::new(u32::MAX),
+            mark_value: AtomicU64::new(0),
+            marks_made: AtomicU64::new(0),
+        };
+        env.set_until(until);
+        (env, Parts { locals, record, application, ring_turns, simulation })
+    }
+
+    /// Says where replay stops; only while nothing runs.
+    pub(crate) fn set_until(&self, until: Option<Until>) {
+        let (tag, who, count) = match until {
+            None => (0, 0, 0),
+            Some(Until::Mark { kind, count }) => (1, kind, count),
+            Some(Until::Delivery { actor, index }) => (2, actor.0, index),
+        };
+        self.until_who.store(who, Ordering::SeqCst);
+        self.until_count.store(count, Ordering::SeqCst);
+        self.until_tag.store(tag, Ordering::SeqCst);
+    }
+
+    pub(crate) fn nodes(&self) -> &[NodeInfo] {
+        self.nodes.get().map_or(&[], |nodes| nodes)
+    }
+
+    pub(crate) fn set_nodes(&self, nodes: Vec<NodeInfo>) {
+        let _ = self.nodes.set(nodes);
+    }
+
+    pub(crate) fn close(&self) {
+        self.closed.store(true, Ordering::SeqCst);
+    }
+
+    pub(crate) fn go_on(&self) {
+        self.halted.store(false, Ordering::SeqCst);
+        self.scheduler.notify_all();
+    }
+
+    pub(crate) fn name(&self, id: ActorId) -> String {
+        self.nodes
+            .get()
+            .and_then(|nodes| nodes.get(id.0 as usize))
+            .map_or_else(|| id.to_string(), |node| node.name.clone())
+    }
+
+    pub(crate) fn replaying(&self) -> bool {
+        self.driven == Driven::Replay
+    }
+
+    pub(crate) fn effects(&self) -> bool {
+        self.driven == Driven::Live
+    }
+
+    pub(crate) fn recording(&self) -> bool {
+        self.log.as_ref().is_some_and(|log| !log.is_stopped())
+    }
+
+    pub(crate) fn stop_recording(&self, reason: String) {
+        if let Some(log) = &self.log {
+            log.stop(reason);
+        }
+    }
+
+    pub(crate) fn closed(&self) -> bool {
+        self.closed.load(Ordering::Acquire)
+    }
+
+    pub(crate) fn halted(&self) -> bool {
+        self.halted.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn halt(&self) {
+        self.halted.store(true, Ordering::SeqCst);
+        self.scheduler.notify_all();
+    }
+
+    pub(crate) fn diverged(&self, divergence: Divergence) {
+        let _ = self.divergence.push(divergence);
+        self.halt();
+    }
+
+    pub(crate) fn last_mark(&self) -> Option<(u32, u64)> {
+        let kind = self.mark_kind.load(Ordering::Relaxed);
+        (kind != u32::MAX).then(|| (kind, self.mark_value.load(Ordering::Relaxed)))
+    }
+
+    pub(crate) fn marked(&self, kind: u32, value: u64) {
+        self.mark_kind.store(kind, Ordering::Relaxed);
+        self.mark_value.store(value, Ordering::Relaxed);
+        if self.until_tag.load(Ordering::Relaxed) == 1
+            && self.until_who.load(Ordering::Relaxed) == kind
+            && self.marks_made.fetch_add(1, Ordering::Relaxed) + 1 == self.until_count.load(Ordering::Relaxed)
+        {
+            self.halt();
+        }
+    }
+
+    pub(crate) fn stop_at_delivery(&self, actor: ActorId, index: u64) {
+        if self.until_tag.load(Ordering::Relaxed) == 2
+            && self.until_who.load(Ordering::Relaxed) == actor.0
+            && self.until_count.load(Ordering::Relaxed) == index
+        {
+            self.halt();
+        }
+    }
+
+    pub(crate) fn popped_by(&self, id: u64, attempt: u32) -> Option<ActorId> {
+        let index =
+            self.pops.binary_search_by_key(&(id, attempt), |(id, attempt, _)| (*id, *attempt)).ok()?;
+        Some(self.pops[index].2)
+    }
+
+    /// Deliveries at which an actor is to panic, and sends which are to come back.
+    pub(crate) fn faults_of(&self, actor: ActorId) -> (VecDeque<u64>, VecDeque<u64>) {
+        let faults = self.faults.of(self.seed, actor);
+        let of = |kind| {
+            let mut at: Vec<u64> =
+                faults.iter().filter(|fault| fault.kind == kind).map(|fault| fault.at).collect();
+            at.sort_unstable();
+            VecDeque::from(at)
+        };
+        (of(FaultKind::Panic), of(FaultKind::Full))
+    }
+
+    pub(crate) fn report(&self, journal: &mut Journal, thread: &ThreadCx, incident: Incident) {
+        if let Incident::CircuitOpen { name, .. } = &incident {
+            tracing::error!("{name} panicked too often and was stopped");
+        }
+        if let Some(supervisor) = self.supervisor.get() {
+            supervisor(journal, thread, incident);
+        }
+    }
+}

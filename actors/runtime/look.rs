@@ -1,0 +1,114 @@
+//! Looking at a running system from the main thread.
+
+use std::any::Any;
+
+use crate::actor::{Actor, Class, Control};
+use crate::clock::Time;
+use crate::log::format::NodeInfo;
+use crate::log::writer::RecordingStatus;
+use crate::message::Digest;
+use crate::profile::{ActorCounters, TurnTime, chrome_trace};
+use crate::runtime::Runtime;
+use crate::simulate::Failure;
+use crate::wiring::Handle;
+
+impl Runtime {
+    /// Looks at an actor's state: a pinned one's at any time, any one's if the main thread is alone.
+    pub fn inspect<A: Actor, R>(&self, handle: Handle<A>, look: impl FnOnce(&A) -> R) -> Option<R> {
+        let node = self.nodes.get(handle.id.0 as usize)?;
+        let here =
+            node.link().class == Class::Pinned || self.env.scheduler.threads() == 0 || self.threads.is_none();
+        if !here {
+            return None;
+        }
+        let (mut look, mut result) = (Some(look), None);
+        node.look(&mut |actor: &dyn Any| {
+            result = actor.downcast_ref::<A>().and_then(|actor| look.take().map(|look| look(actor)));
+        });
+        result
+    }
+
+    /// Orders an actor to stop, pause or resume.
+    pub fn control<A>(&self, handle: Handle<A>, control: Control) {
+        if !self.env.replaying()
+            && let Some(node) = self.nodes.get(handle.id.0 as usize)
+        {
+            node.link().control(control, &self.thread);
+        }
+    }
+
+    /// Time since the system was built, virtual in a simulation.
+    pub fn now(&self) -> Time {
+        Time(self.env.clock.now())
+    }
+
+    /// When the next timer is due: an event loop of one's own that works alone must pump again by then.
+    pub fn next_timer(&self) -> Option<Time> {
+        let next = self.env.timers.next();
+        (next != u64::MAX).then_some(Time(next))
+    }
+
+    /// Threads beside the main one.
+    pub fn threads(&self) -> usize {
+        self.env.scheduler.threads()
+    }
+
+    /// Names and classes of all actors and ports, by identity.
+    pub fn actors(&self) -> &[NodeInfo] {
+        self.env.nodes()
+    }
+
+    /// Counters of each actor, by identity; those of ports stay zero.
+    pub fn counters(&self) -> Vec<ActorCounters> {
+        let nodes = self.nodes.iter().zip(self.actors());
+        nodes.map(|(node, info)| node.link().counters.read(&info.name)).collect()
+    }
+
+    /// Deliveries to all actors.
+    pub fn deliveries(&self) -> u64 {
+        self.nodes.iter().map(|node| node.link().counters.deliveries()).sum()
+    }
+
+    /// The turns still in each actor's ring.
+    pub fn turn_times(&self) -> Vec<(String, Vec<TurnTime>)> {
+        let nodes = self.nodes.iter().zip(self.actors());
+        nodes.map(|(node, info)| (info.name.clone(), node.link().counters.turn_times())).collect()
+    }
+
+    /// The same as a Chrome trace.
+    pub fn chrome_trace(&self) -> String {
+        chrome_trace(&self.turn_times())
+    }
+
+    /// How the recording is doing.
+    pub fn recording(&self) -> RecordingStatus {
+        self.env.log.as_ref().map_or(RecordingStatus::Off, |log| log.status())
+    }
+
+    /// Deliveries and chained hash of each actor, when nothing runs; zeros for ports. Two runs with equal positions
+    /// delivered the same messages in the same order to every actor.
+    pub fn positions(&self) -> Vec<(u64, u64)> {
+        self.settle();
+        self.nodes.iter().map(|node| node.position().unwrap_or_default()).collect()
+    }
+
+    /// One hash of all [`Runtime::positions`].
+    pub fn fingerprint(&self) -> u64 {
+        let mut digest = Digest::new();
+        for (deliveries, chain) in self.positions() {
+            digest.u64(deliveries);
+            digest.u64(chain);
+        }
+        digest.finish()
+    }
+
+    /// The broken invariant that ended a simulation.
+    pub fn failure(&self) -> Option<&Failure> {
+        self.failure.as_ref()
+    }
+
+    /// Whether a replay has diverged; [`Runtime::replay_report`] says where.
+    pub fn diverged(&self) -> bool {
+        !self.env.divergence.is_empty()
+    }
+}

@@ -1,0 +1,9 @@
+//! Systems as a user builds them: live, recorded, replayed, simulated.
+
+mod common;
+mod damage;
+mod live;
+mod recording;
+mod ring;
+mod simulation;
+mod workshop;

@@ -1,0 +1,145 @@
+//! Simulated systems: equal seeds are equal runs, faults lose nothing, failures shrink, and simulations are recorded in
+//! the same format as live runs.
+
+use foveal_runtime::simulate::{Fault, FaultKind, Faults, Simulation, Strategy, shrink};
+use foveal_runtime::*;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use crate::common::*;
+use crate::ring;
+use crate::workshop::{self, Options, Order};
+
+const STRATEGIES: [Strategy; 4] =
+    [Strategy::Random, Strategy::Pct { depth: 3, horizon: 500 }, Strategy::RoundRobin, Strategy::StarveOne];
+
+fn faults() -> Faults {
+    use FaultKind::*;
+    Faults::Seeded { kinds: vec![Panic, Full, Delay, Stall, Slow], each: 2, horizon: 60 }
+}
+
+/// Runs the workshop under a seed; returns its fingerprint.
+fn shop(seed: u64, faults: Faults, record: Option<&std::path::Path>) -> u64 {
+    let strategy = STRATEGIES[(seed % 4) as usize];
+    let simulation = Simulation { strategy, faults, ..Simulation::new(seed) };
+    let mut config = Config::simulate(simulation);
+    config.record = record.map(|path| Record::File(path.to_owned()));
+    let options = Options { work: 3, ..Options::new(3) };
+    let (mut runtime, shop) =
+        Runtime::build(config, |wiring| workshop::wire(wiring, options)).expect("builds");
+    for _ in 0..4 {
+        shop.orders.send(Order { tasks: 8 }).expect("room");
+    }
+    assert_eq!(runtime.pump(Limit::IDLE), Exit::Idle, "{:?}", runtime.failure());
+    assert_eq!(runtime.failure(), None);
+    let stats = shop.pool.stats();
+    assert_eq!(stats.pushed, stats.completed + stats.dead, "seed {seed}: {stats:?}");
+    let fingerprint = runtime.fingerprint();
+    if record.is_some() {
+        assert!(runtime.shutdown(WAIT).drained);
+    }
+    fingerprint
+}
+
+#[test]
+fn every_seed_runs_twice_alike() {
+    let mut seen = BTreeSet::new();
+    for seed in 0..1000 {
+        let first = shop(seed, faults(), None);
+        assert_eq!(first, shop(seed, faults(), None), "seed {seed}");
+        seen.insert(first);
+    }
+    assert!(seen.len() > 900, "only {} different runs", seen.len());
+}
+
+#[test]
+fn seeds_of_a_ring_run_twice_alike() {
+    let run = |seed: u64| {
+        let simulation = Simulation { strategy: STRATEGIES[(seed % 4) as usize], ..Simulation::new(seed) };
+        let (mut runtime, _) =
+            Runtime::build(Config::simulate(simulation), |wiring| ring::wire(wiring, 4, 8, 20))
+                .expect("builds");
+        assert_eq!(runtime.pump(Limit::IDLE), Exit::Idle);
+        assert_eq!(runtime.deliveries(), 4 + 8 * 21);
+        runtime.fingerprint()
+    };
+    let runs: BTreeSet<u64> = (0..2000)
+        .map(|seed| {
+            let first = run(seed);
+            assert_eq!(first, run(seed), "seed {seed}");
+            first
+        })
+        .collect();
+    assert!(runs.len() > 1000, "only {} different orders", runs.len());
+}
+
+#[test]
+fn a_simulation_is_recorded_and_replays_on_threads() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for seed in 0..20 {
+        let path = folder.path().join("simulated.fvlog");
+        shop(seed, faults(), Some(&path));
+        let trace = Arc::new(Trace::open(&path).expect("reads"));
+        assert!(trace.complete());
+        for threads in [0, 2] {
+            assert_complete(&replay_workshop(&trace, threads, Options { work: 3, ..Options::new(3) }));
+        }
+    }
+}
+
+#[test]
+fn a_broken_invariant_is_named_and_its_faults_shrink() {
+    // The invariant that no send is ever refused breaks as soon as the workshop's office refuses one.
+    let fails = |faults: &[Fault]| {
+        let simulation = Simulation {
+            faults: Faults::Listed(faults.to_vec()),
+            invariant: Some(Box::new(|runtime: &Runtime| {
+                let panics: u64 = runtime.counters().iter().map(|actor| actor.panics).sum();
+                if panics < 2 { Ok(()) } else { Err(format!("{panics} panics")) }
+            })),
+            ..Simulation::new(3)
+        };
+        let (mut runtime, shop) =
+            Runtime::build(Config::simulate(simulation), |wiring| workshop::wire(wiring, Options::new(2)))
+                .expect("builds");
+        shop.orders.send(Order { tasks: 16 }).expect("room");
+        let exit = runtime.pump(Limit::IDLE);
+        let failure = runtime.failure().cloned();
+        assert_eq!(exit == Exit::Halted, failure.is_some());
+        failure
+    };
+    assert_eq!(fails(&[]), None);
+    let seeded = faults();
+    let all: Vec<Fault> = (0..6).flat_map(|actor| seeded.of(99, ActorId(actor))).collect();
+    let extra = [2, 3].map(|actor| Fault { actor: ActorId(actor), kind: FaultKind::Panic, at: 1 });
+    let all = [&all[..], &extra].concat();
+    let failure = fails(&all).expect("two panics");
+    assert_eq!((failure.seed, failure.reason.as_str()), (3, "2 panics"));
+    let kept = shrink(&all, |faults| fails(faults).is_some());
+    assert_eq!(kept.len(), 2, "{kept:?}");
+    assert!(kept.iter().all(|fault| fault.kind == FaultKind::Panic));
+}
+
+#[test]
+fn a_system_without_rest_is_told() {
+    struct Restless;
+    impl Actor for Restless {
+        type Msg = ring::Msg;
+        const NAME: &'static str = "restless";
+        fn started(&mut self, cx: &mut Cx<'_, ring::Msg>) {
+            self.handle(ring::Msg::Meet(Vec::new()), cx);
+        }
+        fn handle(&mut self, message: ring::Msg, cx: &mut Cx<'_, ring::Msg>) {
+            let me = cx.address().clone();
+            cx.tell(&me, message).expect("room for one");
+        }
+    }
+    let simulation = Simulation { steps_max: 500, ..Simulation::new(0) };
+    let (mut runtime, _) = Runtime::build(Config::simulate(simulation), |wiring| {
+        let restless = wiring.declare::<Restless>(Bounds::messages(1));
+        wiring.spawn(restless, Restless)
+    })
+    .expect("builds");
+    assert_eq!(runtime.pump(Limit::IDLE), Exit::Halted);
+    assert_eq!(runtime.failure().map(|failure| failure.step), Some(500));
+}

@@ -1,0 +1,220 @@
+//! Making the actors of a system and their connections.
+
+use std::any::Any;
+use std::marker::PhantomData;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32};
+
+use crate::activation::Activation;
+use crate::actor::{Actor, Class, post};
+use crate::env::Env;
+use crate::log::format::NodeInfo;
+use crate::mailbox::{Address, Bounds, Link, Mailbox};
+use crate::message::{ActorId, Message};
+use crate::node::{Node, Runnable, ScriptState};
+use crate::pool::{AnyPool, Job, JobPool, Seat, Worker};
+use crate::port::{External, Port};
+use crate::profile::Counters;
+use crate::replay::Script;
+use crate::scheduler::ThreadCx;
+use crate::supervise::{Incident, OnPanic};
+
+/// An address whose actor is still to come.
+pub struct Declared<A: Actor> {
+    address: Address<A::Msg>,
+}
+
+impl<A: Actor> Declared<A> {
+    /// Where the actor will be reached.
+    pub fn address(&self) -> Address<A::Msg> {
+        self.address.clone()
+    }
+}
+
+/// Names an actor of a running system, to look at its state.
+pub struct Handle<A> {
+    pub(crate) id: ActorId,
+    kind: PhantomData<fn(A)>,
+}
+
+impl<A> Clone for Handle<A> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<A> Copy for Handle<A> {}
+
+impl<A> Handle<A> {
+    /// The actor's identity.
+    pub fn id(self) -> ActorId {
+        self.id
+    }
+}
+
+/// Makes the actors of a system and their connections. The order of the calls is the actors' identity, so the same
+/// wiring must run for a recording and its replay.
+pub struct Wiring {
+    env: Arc<Env>,
+    pub(crate) infos: Vec<NodeInfo>,
+    pub(crate) links: Vec<Option<Arc<Link>>>,
+    pub(crate) nodes: Vec<Option<Box<dyn Runnable>>>,
+    pub(crate) pools: Vec<Box<dyn AnyPool>>,
+    ring_turns: usize,
+}
+
+impl Wiring {
+    pub(crate) fn new(env: &Arc<Env>, ring_turns: usize) -> Self {
+        let (infos, links, nodes, pools) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Self { env: Arc::clone(env), infos, links, nodes, pools, ring_turns }
+    }
+
+    fn node(&mut self, name: &str, class: Option<Class>) -> ActorId {
+        let same = self.infos.iter().filter(|info| info.name.split('-').next() == Some(name)).count();
+        let name = if same == 0 { name.to_owned() } else { format!("{name}-{}", same + 1) };
+        self.infos.push(NodeInfo { name, class });
+        self.links.push(None);
+        self.nodes.push(None);
+        ActorId(self.infos.len() as u32 - 1)
+    }
+
+    /// Makes the mailbox of an actor, so that others can be given its address; [`Wiring::spawn`] gives it the actor.
+    pub fn declare<A: Actor>(&mut self, bounds: Bounds) -> Declared<A> {
+        let id = self.node(A::NAME, Some(A::CLASS));
+        let link = Arc::new(Link {
+            id,
+            class: A::CLASS,
+            activation: crossbeam_utils::CachePadded::new(Activation::new()),
+            signals: AtomicU32::new(0),
+            parked: AtomicBool::new(false),
+            closed: AtomicBool::new(false),
+            unflushed: AtomicBool::new(false),
+            counters: Arc::new(Counters::new(self.ring_turns)),
+            env: Arc::clone(&self.env),
+        });
+        self.links[id.0 as usize] = Some(Arc::clone(&link));
+        Declared { address: Address { mailbox: Arc::new(Mailbox::new(link, bounds)) } }
+    }
+
+    /// Gives a declared mailbox its actor.
+    pub fn spawn<A: Actor>(&mut self, declared: Declared<A>, actor: A) -> Handle<A> {
+        self.spawn_supervised(declared, actor, OnPanic::Resume)
+    }
+
+    /// The same, and says what becomes of it when it panics.
+    pub fn spawn_supervised<A: Actor>(
+        &mut self,
+        declared: Declared<A>,
+        actor: A,
+        on_panic: OnPanic<A>,
+    ) -> Handle<A> {
+        self.seat(declared, actor, on_panic, None)
+    }
+
+    /// Gives a declared mailbox a worker, which takes jobs from `pool` whenever its mailbox is empty.
+    pub fn spawn_worker<A: Worker>(
+        &mut self,
+        declared: Declared<A>,
+        actor: A,
+        pool: &JobPool<A::Job>,
+        on_panic: OnPanic<A>,
+    ) -> Handle<A> {
+        let seat = pool.sit::<A>(&declared.address.mailbox.link);
+        self.seat(declared, actor, on_panic, Some(seat))
+    }
+
+    fn seat<A: Actor>(
+        &mut self,
+        declared: Declared<A>,
+        actor: A,
+        on_panic: OnPanic<A>,
+        seat: Option<Box<dyn Seat<A>>>,
+    ) -> Handle<A> {
+        let id = declared.address.id();
+        let script = self.env.trace.as_ref().and_then(|trace| Script::new(trace, id));
+        self.nodes[id.0 as usize] =
+            Some(Box::new(Node::new(&declared.address, actor, on_panic, seat, script)));
+        Handle { id, kind: PhantomData }
+    }
+
+    /// Makes an ingress from outside to an actor.
+    pub fn port<E: External<M>, M: Message>(&mut self, name: &str, to: &Address<M>) -> Port<E, M> {
+        let id = self.node(name, None);
+        Port::new(id, to)
+    }
+
+    /// Makes a pool for at most `capacity` waiting jobs.
+    pub fn pool<J: Job>(&mut self, capacity: usize) -> JobPool<J> {
+        let pool = JobPool::new(&self.env, capacity);
+        self.pools.push(Box::new(pool.clone()));
+        pool
+    }
+
+    /// Says who is told of panics, dead jobs and stopped actors, and how that actor puts it. One supervisor a system;
+    /// later calls change nothing. Choose [`crate::Lane::Control`] for the message, so that it gets through.
+    pub fn supervisor<M: Message>(
+        &mut self,
+        to: &Address<M>,
+        message: impl Fn(Incident) -> M + Send + Sync + 'static,
+    ) {
+        // Weak: the system's shared part would own a mailbox that owns it.
+        let to = Arc::downgrade(&to.mailbox);
+        let _ = self.env.supervisor.set(Box::new(move |journal, thread, incident| {
+            let Some(mailbox) = to.upgrade() else { return };
+            let to = Address { mailbox };
+            if post(journal, thread, &to, message(incident)).is_err() {
+                tracing::error!("the supervisor's mailbox is full: an incident is lost");
+            }
+        }));
+    }
+}
+
+/// Stands where a port's number is among the actors'.
+pub(crate) struct PortNode {
+    link: Arc<Link>,
+}
+
+impl PortNode {
+    pub(crate) fn new(env: &Arc<Env>) -> Self {
+        let link = Arc::new(Link {
+            id: ActorId(u32::MAX),
+            class: Class::Light,
+            activation: crossbeam_utils::CachePadded::new(Activation::new()),
+            signals: AtomicU32::new(0),
+            parked: AtomicBool::new(false),
+            closed: AtomicBool::new(true),
+            unflushed: AtomicBool::new(false),
+            counters: Arc::new(Counters::new(1)),
+            env: Arc::clone(env),
+        });
+        Self { link }
+    }
+}
+
+impl Runnable for PortNode {
+    fn turn(&self, _thread: &ThreadCx) -> bool {
+        false
+    }
+
+    fn link(&self) -> &Arc<Link> {
+        &self.link
+    }
+
+    fn look(&self, _show: &mut dyn FnMut(&dyn Any)) {}
+
+    fn position(&self) -> Option<(u64, u64)> {
+        None
+    }
+
+    fn script_state(&self) -> Option<ScriptState> {
+        None
+    }
+
+    fn end_log(&self) {}
+
+    fn clear(&self) {}
+
+    fn is_empty(&self) -> bool {
+        true
+    }
+}

@@ -37,9 +37,10 @@ struct Material {
     emission: vec3f,
     flags: u32,
     opacity: f32,
-    padding_0: u32,
-    padding_1: u32,
-    padding_2: u32,
+    // What a coat lets in and out, and what it sends back to the base: 1 and 0 without coat.
+    coat_passes: f32,
+    coat_returns: f32,
+    padding: u32,
     scale_offset: array<vec4f, 3>,
 }
 
@@ -180,9 +181,11 @@ fn fragment(in: Corner, @builtin(front_facing) front: bool) -> Pixel {
         let scale_offset = materials[m].scale_offset[0];
         let level = mip_level(triangles[t].uv_density, footprint, textureDimensions(albedo_map, 0));
         let p = texture_coordinates(uv, scale_offset);
-        albedo *= textureSampleLevel(albedo_map, albedo_sampler, p, level).rgb;
+        albedo *= textureSampleLevel(albedo_map, albedo_sampler, p, 0.0).rgb;
         out.texture = (materials[m].albedo_map << 8u) | u32(min(level, 31.0) * 8.0);
     }
+    albedo = clamp(albedo, vec3f(0.0), vec3f(1.0));
+    albedo *= materials[m].coat_passes / (1.0 - albedo * materials[m].coat_returns);
     var radiance = vec3f(0.0);
     if front || (flags & TWO_SIDED) != 0u {
         radiance = albedo * INVERSE_PI * irradiance(t, b1, b2, !front);

@@ -8,6 +8,7 @@ use bytemuck::{Pod, Zeroable};
 use foveal::illumination::{Irradiance, atlas::Corners};
 use foveal::scene::camera::CameraFrame;
 use foveal::scene::{Mesh, Reflectance, Scene, TextureId};
+use foveal::transport::bsdf::fresnel::dielectric_mean;
 use glam::Vec3;
 
 /// Triangles under one leaf of the tree.
@@ -43,7 +44,7 @@ pub struct TriangleRecord {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct MaterialRecord {
-    /// Factor of the albedo's texture, and the texture's id or `NONE` in the bits of the last.
+    /// Factor of the albedo's texture.
     pub albedo: [f32; 3],
     /// Id of the albedo's texture, `u32::MAX` for none.
     pub albedo_map: u32,
@@ -53,8 +54,10 @@ pub struct MaterialRecord {
     pub flags: u32,
     /// Cut-out opacity.
     pub opacity: f32,
+    /// What a coat lets in and out, and what it sends back to the base: 1 and 0 without coat.
+    pub coat: [f32; 2],
     /// To align the record to 16 bytes.
-    pub padding: [u32; 3],
+    pub padding: u32,
     /// Scale and offset of the coordinates of the three textures: albedo, emission, opacity.
     pub scale_offset: [[f32; 4]; 3],
 }
@@ -284,7 +287,7 @@ fn morton(point: Vec3, bounds: [Vec3; 2]) -> u32 {
 }
 
 fn texture_set(material: &foveal::scene::Material) -> TextureSet {
-    [diffuse_albedo(material).map, material.emission.map, material.opacity_map]
+    [diffuse(material).albedo.map, material.emission.map, material.opacity_map]
 }
 
 fn triangle_record(mesh: &Mesh, light: &BaseLight, t: u32) -> TriangleRecord {
@@ -316,22 +319,34 @@ fn uv_density(mesh: &Mesh, triangle: usize) -> f32 {
     if density.is_finite() { density } else { 0.0 }
 }
 
-/// The view-independent part of a material's reflection, which the base layer shows.
-fn diffuse_albedo(material: &foveal::scene::Material) -> Reflectance {
+/// What the view-independent part of a material's reflection is made of.
+struct Diffuse {
+    albedo: Reflectance,
+    /// What a coat lets in and out, and what it sends back to the base.
+    coat: [f32; 2],
+}
+
+/// Twin of the diffuse part in `foveal::transport::bsdf`.
+fn diffuse(material: &foveal::scene::Material) -> Diffuse {
     use foveal::scene::Model;
+    let bare = |albedo| Diffuse { albedo, coat: [1.0, 0.0] };
     match &material.model {
-        Model::Lambert { albedo } => *albedo,
-        Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => *diffuse,
-        Model::Mirror { .. }
-        | Model::Conductor { .. }
-        | Model::Metal { .. }
-        | Model::Dielectric { .. }
-        | Model::Plastic { .. } => Reflectance::constant(Vec3::ZERO),
+        Model::Lambert { albedo } => bare(*albedo),
+        Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => bare(*diffuse),
+        Model::Plastic { albedo, ior, .. } => {
+            let ior = ior.clamp(1.0, 3.0);
+            let outer = dielectric_mean(ior);
+            let escape = (1.0 - outer) / (ior * ior);
+            Diffuse { albedo: *albedo, coat: [(1.0 - outer) * escape, 1.0 - escape] }
+        }
+        Model::Mirror { .. } | Model::Conductor { .. } | Model::Metal { .. } | Model::Dielectric { .. } => {
+            bare(Reflectance::constant(Vec3::ZERO))
+        }
     }
 }
 
 fn material_record(scene: &Scene, material: &foveal::scene::Material) -> MaterialRecord {
-    let maps = texture_set(material);
+    let (maps, diffuse) = (texture_set(material), diffuse(material));
     let texture = |map: Option<TextureId>| map.and_then(|id| scene.textures.get(id.0 as usize));
     let alpha = texture(maps[2]).is_some_and(|t| t.has_alpha);
     let mut flags = u32::from(material.two_sided) | (u32::from(alpha) << 1);
@@ -339,12 +354,13 @@ fn material_record(scene: &Scene, material: &foveal::scene::Material) -> Materia
         flags |= u32::from(map.is_some()) << (2 + i);
     }
     MaterialRecord {
-        albedo: diffuse_albedo(material).color.to_array(),
+        albedo: diffuse.albedo.color.to_array(),
         albedo_map: maps[0].map_or(u32::MAX, |id| id.0),
         emission: material.emission.color.to_array(),
         flags,
         opacity: material.opacity,
-        padding: [0; 3],
+        coat: diffuse.coat,
+        padding: 0,
         scale_offset: maps.map(|m| texture(m).map_or([1.0, 1.0, 0.0, 0.0], |t| t.scale_offset)),
     }
 }

@@ -14,6 +14,7 @@ const CHECKER: u32 = 1;
 const BALL: u32 = 2;
 const LAMP: u32 = 3;
 const SCREEN: u32 = 4;
+const PLASTIC: u32 = 5;
 
 fn material(name: &str, model: Model) -> Material {
     Material {
@@ -60,7 +61,7 @@ fn add(mesh: &mut Mesh, triangle: [u32; 3], material: u32, object: u32) {
     mesh.objects.push(object);
 }
 
-fn ball(mesh: &mut Mesh, center: Vec3, radius: f32, n: u32, object: u32) {
+fn ball(mesh: &mut Mesh, center: Vec3, radius: f32, n: u32, [material, object]: [u32; 2]) {
     let first = mesh.positions.len() as u32;
     for i in 0..=n {
         for j in 0..=2 * n {
@@ -76,8 +77,8 @@ fn ball(mesh: &mut Mesh, center: Vec3, radius: f32, n: u32, object: u32) {
         for j in 0..2 * n {
             let a = first + i * (2 * n + 1) + j;
             let b = a + 2 * n + 1;
-            add(mesh, [a, a + 1, b + 1], BALL, object);
-            add(mesh, [a, b + 1, b], BALL, object);
+            add(mesh, [a, a + 1, b + 1], material, object);
+            add(mesh, [a, b + 1, b], material, object);
         }
     }
 }
@@ -93,8 +94,8 @@ pub fn room(n: usize) -> Scene {
     grid(&mut mesh, [Vec3::new(1.0, -1.0, -1.0), z, y], n, CHECKER, 0);
     grid(&mut mesh, [Vec3::new(-0.3, 0.99, -0.3), x * 0.3, z * 0.3], 1, LAMP, 0);
     grid(&mut mesh, [Vec3::new(-0.8, -0.9, 0.3), x * 0.3, y * 0.4], 1, SCREEN, 0);
-    ball(&mut mesh, Vec3::new(0.2, -0.5, 0.0), 0.45, 24, 1);
-    ball(&mut mesh, Vec3::new(-0.4, -0.7, -0.3), 0.3, 12, 2);
+    ball(&mut mesh, Vec3::new(0.2, -0.5, 0.0), 0.45, 24, [BALL, 1]);
+    ball(&mut mesh, Vec3::new(-0.4, -0.7, -0.3), 0.3, 12, [PLASTIC, 2]);
 
     let checker: Vec<[u8; 4]> = (0..64 * 32)
         .map(
@@ -121,11 +122,19 @@ pub fn room(n: usize) -> Scene {
         material("ball", glossy),
         lamp,
         screen,
+        material(
+            "plastic",
+            Model::Plastic {
+                albedo: Reflectance::constant(Vec3::new(0.9, 0.2, 0.1)),
+                ior: 1.5,
+                roughness: Roughness { alpha_x: 0.0, alpha_y: 0.0, distribution: Default::default() },
+            },
+        ),
     ];
     let objects = (0..3)
         .map(|id| Object {
             name: format!("object {id}"),
-            material: MaterialId(if id == 0 { WALL } else { BALL }),
+            material: MaterialId([WALL, BALL, PLASTIC][id as usize]),
             triangles: (0..mesh.triangles.len() as u32).filter(|t| mesh.objects[*t as usize] == id).collect(),
             bounds: [Vec3::NEG_ONE, Vec3::ONE],
             area: 1.0,

@@ -10,9 +10,11 @@ use foveal::image::Map2d;
 use foveal::rng::Stream;
 use foveal::sampling::{Lattice, Rect};
 use foveal::scene::camera::CameraFrame;
-use foveal::scene::{Camera, Model, Scene};
+use foveal::scene::{Camera, Model, Reflectance, Scene};
 use foveal::splatting::{Footprint, Sample, SampleBatch, SplatLayer, WarpedSample};
 use foveal::transport::interaction::{Interaction, mip_level};
+use foveal::transport::light::Lights;
+use foveal::transport::tracer::Tracer;
 use glam::Vec3;
 
 use super::adapter::Gpu;
@@ -52,6 +54,8 @@ fn halves(bytes: &[u8]) -> Vec<f32> {
 /// The base layer on the processor, one ray per pixel.
 fn draw(scene: &Scene, accel: &Accel, light: &dyn Irradiance, frame: &CameraFrame) -> FrameBuffers {
     let [width, height] = frame.size.map(|s| s as usize);
+    let lights = Lights::build(scene);
+    let tracer = Tracer::new(scene, accel, &lights, light, Default::default());
     let mut buffers = FrameBuffers::new(width, height);
     for y in 0..height {
         for x in 0..width {
@@ -61,25 +65,15 @@ fn draw(scene: &Scene, accel: &Accel, light: &dyn Irradiance, frame: &CameraFram
                 *buffers.color.at_mut(x, y) = sky;
                 continue;
             };
-            let i = hit.triangle as usize;
             let at = Interaction::at(scene, &Ray::new(frame.eye, direction), &hit);
-            let (back, uv) = (at.back, at.uv);
-            let material = at.material(scene);
-            let mut albedo = Vec3::ZERO;
-            if let Model::Lambert { albedo: a } = &material.model {
-                albedo = a.color;
-                if let Some(id) = a.map {
-                    let texture = &scene.textures[id.0 as usize];
-                    let level = mip_level(at.uv_density, hit.t * frame.pixel_angle(), texture.size(0));
-                    albedo *= Vec3::from_slice(&texture.sample(uv, level)[..3]);
-                    *buffers.texture.at_mut(x, y) = TextureLevel::new(id, level);
-                }
+            if let Model::Lambert { albedo: Reflectance { map: Some(id), .. } } = at.material(scene).model {
+                let size = scene.textures[id.0 as usize].size(0);
+                let level = mip_level(at.uv_density, hit.t * frame.pixel_angle(), size);
+                *buffers.texture.at_mut(x, y) = TextureLevel::new(id, level);
             }
-            let e = light.irradiance(hit.triangle, hit.b1, hit.b2, back);
-            let emission = if back { Vec3::ZERO } else { material.emission.color };
-            *buffers.color.at_mut(x, y) = emission + albedo * e * std::f32::consts::FRAC_1_PI;
+            *buffers.color.at_mut(x, y) = tracer.base(&at);
             *buffers.depth.at_mut(x, y) = hit.t * direction.dot(frame.forward);
-            *buffers.object.at_mut(x, y) = scene.mesh.objects[i];
+            *buffers.object.at_mut(x, y) = at.object;
             buffers.hit.at_mut(x, y).triangle = hit.triangle;
         }
     }

@@ -1,19 +1,20 @@
 //! The geometry index: a BVH built by obvhs, traversed here. The only file that names obvhs.
 
-use std::time::Duration;
-
 use glam::{Vec3, Vec3A};
 use obvhs::BvhBuildParams;
 use obvhs::aabb::Aabb;
-use obvhs::bvh2::builder::build_bvh2;
+use obvhs::bvh2::Bvh2;
+use obvhs::bvh2::leaf_collapser::collapse;
+use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
+use obvhs::ploc::PlocBuilder;
 
 use super::packet::{self, FlatNode, LANES};
-use super::triangle::{self, Shear};
+use super::wide::{LeafHit, Wide};
 use super::{Hit, Ray};
 use crate::scene::{Material, Scene};
 
-/// Deepest tree that the traversal stacks hold; deeper ones are rebuilt without optimisation.
-const STACK: usize = 128;
+/// Beyond this, surface areas overflow f32; boxes are cut there (and rays that far out miss).
+const LARGEST: f32 = 1e18;
 
 /// Index over all triangles of a scene.
 #[derive(Clone, Debug)]
@@ -23,6 +24,10 @@ pub struct Accel {
     corners: Vec<[Vec3; 3]>,
     /// Mesh triangle of each, with the top bit set where it may be cut out.
     triangles: Vec<u32>,
+    /// Whether the tree is shallow enough for packets.
+    packets: bool,
+    /// The same tree for single rays.
+    wide: Wide,
 }
 
 const CUT_OUT: u32 = 1 << 31;
@@ -39,38 +44,44 @@ impl Accel {
             if !(a.is_finite() && b.is_finite() && c.is_finite()) {
                 continue;
             }
-            let (min, max) = (a.min(b).min(c), a.max(b).max(c));
+            let cut = |v: Vec3| v.clamp(Vec3::splat(-LARGEST), Vec3::splat(LARGEST));
+            let (min, max) = (cut(a.min(b).min(c)), cut(a.max(b).max(c)));
             // Slab tests round: without padding rays leak at shared edges.
             let pad = min.abs().max(max.abs()).max_element() * (1.0 / 1_048_576.0) + 1e-30;
             boxes.push(Aabb { min: Vec3A::from(min - pad), max: Vec3A::from(max + pad) });
             kept.push(t);
         }
         if kept.is_empty() {
-            return Self { nodes: Vec::new(), corners: Vec::new(), triangles: Vec::new() };
+            return Self {
+                nodes: Vec::new(),
+                corners: Vec::new(),
+                triangles: Vec::new(),
+                packets: false,
+                wide: Wide::default(),
+            };
         }
-        let params =
-            if kept.len() > 200_000 { BvhBuildParams::fast_build() } else { BvhBuildParams::medium_build() };
-        let bvh = build_bvh2(&boxes, params, &mut Duration::default());
+        let bvh = build_binary(&boxes);
         let order: Vec<u32> = bvh.primitive_indices.iter().map(|&i| kept[i as usize]).collect();
         let may_vanish = |m: &Material| m.opacity < 1.0 || m.opacity_map.is_some();
         let vanishing: Vec<bool> = scene.materials.iter().map(may_vanish).collect();
-        Self {
-            nodes: bvh
-                .nodes
-                .iter()
-                .map(|n| FlatNode {
-                    min: Vec3::from(n.aabb().min).to_array(),
-                    first: n.first_index,
-                    max: Vec3::from(n.aabb().max).to_array(),
-                    count: n.prim_count,
-                })
-                .collect(),
-            corners: order.iter().map(|&t| mesh.corners(t)).collect(),
-            triangles: order
-                .iter()
-                .map(|&t| t | if vanishing[mesh.materials[t as usize].0 as usize] { CUT_OUT } else { 0 })
-                .collect(),
-        }
+        let nodes: Vec<FlatNode> = bvh
+            .nodes
+            .iter()
+            .map(|n| FlatNode {
+                min: Vec3::from(n.aabb().min).to_array(),
+                first: n.first_index,
+                max: Vec3::from(n.aabb().max).to_array(),
+                count: n.prim_count,
+            })
+            .collect();
+        let corners: Vec<[Vec3; 3]> = order.iter().map(|&t| mesh.corners(t)).collect();
+        let triangles = order
+            .iter()
+            .map(|&t| t | if vanishing[mesh.materials[t as usize].0 as usize] { CUT_OUT } else { 0 })
+            .collect();
+        let wide = Wide::new(&nodes, &corners);
+        let packets = depth(&nodes) < packet::STACK;
+        Self { nodes, corners, triangles, packets, wide }
     }
 
     /// Number of triangles.
@@ -85,32 +96,60 @@ impl Accel {
 
     /// Bytes held.
     pub fn size_bytes(&self) -> usize {
-        self.nodes.len() * size_of::<FlatNode>() + self.triangles.len() * (36 + 4)
+        self.nodes.len() * size_of::<FlatNode>() + self.triangles.len() * (36 + 4) + self.wide.size_bytes()
     }
 }
 
+/// As `obvhs::bvh2::builder::build_bvh2` with its fast or medium preset, but without the clock and the full check
+/// that it does in debug builds; leaves hold what one block of triangles holds.
+fn build_binary(boxes: &[Aabb]) -> Bvh2 {
+    let params =
+        if boxes.len() > 200_000 { BvhBuildParams::fast_build() } else { BvhBuildParams::medium_build() };
+    let mut bvh = PlocBuilder::with_capacity(boxes.len()).build(
+        params.ploc_search_distance,
+        boxes,
+        (0..boxes.len() as u32).collect::<Vec<_>>(),
+        params.sort_precision,
+        params.search_depth_threshold,
+    );
+    let ratio = params.reinsertion_batch_ratio;
+    let mut optimizer = ReinsertionOptimizer::default();
+    optimizer.run(&mut bvh, ratio, None);
+    collapse(&mut bvh, 4, params.collapse_traversal_cost);
+    optimizer.run(&mut bvh, ratio * params.post_collapse_reinsertion_batch_ratio_multiplier, None);
+    bvh
+}
+
+/// Nodes on the longest way from the root to a leaf.
+fn depth(nodes: &[FlatNode]) -> usize {
+    let mut deepest = 0;
+    let mut open = vec![(0usize, 1usize)];
+    while let Some((at, depth)) = open.pop() {
+        deepest = deepest.max(depth);
+        let Some(node) = nodes.get(at).filter(|n| n.count == 0) else { continue };
+        let first = node.first as usize;
+        open.extend([(first, depth + 1), (first + 1, depth + 1)]);
+    }
+    deepest
+}
+
 impl Accel {
-    /// The closest hit between the ray's bounds. Cut-out surfaces are hit where they are there.
+    /// The closest hit between the ray's bounds; of hits at one distance that of the lowest triangle. Cut-out
+    /// surfaces are hit where they are there.
     pub fn intersect(&self, scene: &Scene, ray: &Ray) -> Option<Hit> {
-        let mut closest: Option<(u32, f32, f32)> = None;
-        let mut t_max = ray.t_max;
-        self.traverse(ray, |index, shear, t_far| {
-            let found = triangle::intersect(shear, ray.origin, &self.corners[index], ray.t_min, *t_far);
-            if let Some((t, b1, b2)) = found
-                && self.triangles[index] & !CUT_OUT != ray.ignore
-                && self.is_there(scene, index, b1, b2)
-            {
-                *t_far = t;
-                t_max = t;
-                closest = Some((self.triangles[index] & !CUT_OUT, b1, b2));
+        let mut closest: Option<Hit> = None;
+        self.wide.traverse(ray, |found| {
+            let Some(hit) = self.accepted(scene, ray, &found) else { return Some(f32::INFINITY) };
+            if closest.is_none_or(|c| hit.t < c.t || hit.triangle < c.triangle) {
+                closest = Some(hit);
             }
-            false
+            Some(hit.t)
         });
-        closest.map(|(triangle, b1, b2)| Hit { t: t_max, triangle, b1, b2 })
+        closest
     }
 
     /// Whether anything stands between the ray's bounds. Stops at the first hit. Glass stands in the way too;
-    /// whoever wants light to pass asks [`Accel::intersect`].
+    /// whoever wants light to pass asks [`Accel::any_hit`].
     pub fn occluded(&self, scene: &Scene, ray: &Ray) -> bool {
         self.any_hit(scene, ray, |_| true)
     }
@@ -119,17 +158,20 @@ impl Accel {
     /// stops at the first that blocks.
     pub fn any_hit(&self, scene: &Scene, ray: &Ray, mut blocks: impl FnMut(Hit) -> bool) -> bool {
         let mut blocked = false;
-        self.traverse(ray, |index, shear, t_far| {
-            let found = triangle::intersect(shear, ray.origin, &self.corners[index], ray.t_min, *t_far);
-            blocked = found.is_some_and(|(t, b1, b2)| {
-                let triangle = self.triangles[index] & !CUT_OUT;
-                triangle != ray.ignore
-                    && self.is_there(scene, index, b1, b2)
-                    && blocks(Hit { t, triangle, b1, b2 })
-            });
-            blocked
+        self.wide.traverse(ray, |found| {
+            blocked = self.accepted(scene, ray, &found).is_some_and(&mut blocks);
+            (!blocked).then_some(f32::INFINITY)
         });
         blocked
+    }
+
+    /// The hit in the scene's terms, unless the ray ignores the triangle or it is cut out there.
+    #[inline(always)]
+    fn accepted(&self, scene: &Scene, ray: &Ray, found: &LeafHit) -> Option<Hit> {
+        let triangle = self.triangles[found.index as usize] & !CUT_OUT;
+        let is_there =
+            triangle != ray.ignore && self.is_there(scene, found.index as usize, found.b1, found.b2);
+        is_there.then_some(Hit { t: found.t, triangle, b1: found.b1, b2: found.b2 })
     }
 
     /// Closest hits of eight rays from one point along unit directions.
@@ -139,6 +181,9 @@ impl Accel {
         origin: Vec3,
         directions: &[Vec3; LANES],
     ) -> [Option<Hit>; LANES] {
+        if !self.packets {
+            return directions.map(|d| self.intersect(scene, &Ray::new(origin, d)));
+        }
         let accept = |index: u32, b1: f32, b2: f32| self.is_there(scene, index as usize, b1, b2);
         let hit = packet::intersect(&self.nodes, &self.corners, origin, directions, accept);
         std::array::from_fn(|l| {
@@ -151,77 +196,6 @@ impl Accel {
     fn is_there(&self, scene: &Scene, index: usize, b1: f32, b2: f32) -> bool {
         let t = self.triangles[index];
         t & CUT_OUT == 0 || scene.is_opaque_at(t & !CUT_OUT, b1, b2)
-    }
-
-    /// Visits the leaves that the ray meets, near ones first. `visit(index, shear, t_far)` tests one triangle,
-    /// may bring `t_far` nearer, and ends the traversal by returning `true`.
-    #[inline(always)]
-    fn traverse(&self, ray: &Ray, mut visit: impl FnMut(usize, &Shear, &mut f32) -> bool) {
-        if self.nodes.is_empty()
-            || !ray.direction.is_finite()
-            || !ray.origin.is_finite()
-            || ray.direction == Vec3::ZERO
-        {
-            return;
-        }
-        let shear = Shear::new(ray.direction);
-        // A component of zero would make 0 · ∞; the boxes are padded by far more than this moves them.
-        let tiny = ray.direction.abs().max_element() * 1e-20;
-        let inverse = Vec3::from_array(
-            ray.direction
-                .to_array()
-                .map(|d| 1.0 / if d.abs() <= tiny { tiny.max(f32::MIN_POSITIVE) } else { d }),
-        );
-        let mut t_far = ray.t_max;
-        let enter = |node: &FlatNode, t_far: f32| {
-            let a = (Vec3::from_array(node.min) - ray.origin) * inverse;
-            let b = (Vec3::from_array(node.max) - ray.origin) * inverse;
-            let near = a.min(b).max_element().max(ray.t_min);
-            // 1 + 3 ulp (REFERENCE §5.3).
-            let far = a.max(b).min_element().min(t_far) * 1.000_000_4;
-            if near <= far { near } else { f32::INFINITY }
-        };
-        let mut stack = [(0u32, 0.0f32); STACK];
-        let mut depth = 0;
-        let mut at = 0u32;
-        if enter(&self.nodes[0], t_far) == f32::INFINITY {
-            return;
-        }
-        loop {
-            let node = &self.nodes[at as usize];
-            if node.count > 0 {
-                for index in node.first..node.first + node.count {
-                    if visit(index as usize, &shear, &mut t_far) {
-                        return;
-                    }
-                }
-            } else {
-                let (left, right) = (node.first, node.first + 1);
-                let (tl, tr) =
-                    (enter(&self.nodes[left as usize], t_far), enter(&self.nodes[right as usize], t_far));
-                let (near, t_near, far, t_beyond) =
-                    if tl <= tr { (left, tl, right, tr) } else { (right, tr, left, tl) };
-                if t_beyond < f32::INFINITY && depth < STACK {
-                    stack[depth] = (far, t_beyond);
-                    depth += 1;
-                }
-                if t_near < f32::INFINITY {
-                    at = near;
-                    continue;
-                }
-            }
-            // The next subtree that begins before the closest hit.
-            loop {
-                if depth == 0 {
-                    return;
-                }
-                depth -= 1;
-                if stack[depth].1 <= t_far * 1.000_000_4 {
-                    at = stack[depth].0;
-                    break;
-                }
-            }
-        }
     }
 }
 
@@ -273,6 +247,33 @@ mod tests {
         }
     }
 
+    /// The tree is the same however many threads build it, and packets find what single rays find.
+    #[test]
+    fn trees_do_not_depend_on_threads() {
+        let scene = of_triangles(&sphere(40, 1.0, Vec3::splat(0.3)));
+        let build = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            pool.install(|| Accel::build(&scene))
+        };
+        let (one, three) = (build(1), build(3));
+        assert_eq!(one.nodes, three.nodes);
+        assert_eq!(one.triangles, three.triangles);
+        for i in 0..2000 {
+            let mut s = Stream::new(5, i, 0);
+            let origin = Vec3::new(s.next_f32(), s.next_f32(), s.next_f32()) * 6.0 - 3.0;
+            let target = Vec3::new(s.next_f32(), s.next_f32(), s.next_f32());
+            let direction = (target - origin).normalize();
+            let single = one.intersect(&scene, &Ray::new(origin, direction));
+            let packet = one.intersect_packet(&scene, origin, &[direction; LANES])[i as usize % LANES];
+            assert_eq!(single.is_some(), packet.is_some(), "ray {i}");
+            if let (Some(a), Some(b)) = (single, packet) {
+                assert!((a.t - b.t).abs() <= 1e-5 * a.t, "ray {i}: {a:?} {b:?}");
+                let ignoring = Ray { ignore: a.triangle, ..Ray::new(origin, direction) };
+                assert_ne!(one.intersect(&scene, &ignoring).map(|h| h.triangle), Some(a.triangle));
+            }
+        }
+    }
+
     /// Powers of two change nothing but the scale of t.
     #[test]
     fn hits_scale_bit_for_bit_with_powers_of_two() {
@@ -296,6 +297,15 @@ mod tests {
         let ray = Ray::new(Vec3::ZERO, Vec3::Z);
         let nan = [Vec3::NAN, Vec3::ONE, Vec3::X];
         let infinite = [Vec3::INFINITY, Vec3::ONE, Vec3::X];
+        let far = [Vec3::splat(1e30), Vec3::new(-1e30, 3e38, 0.0), Vec3::X];
+        let tiny = [Vec3::splat(1e-30), Vec3::X * 1e-30, Vec3::splat(1e-45)];
+        // Must not panic; whether these are hit does not matter.
+        for corners in [vec![far; 9], vec![tiny; 9], vec![far, tiny, [Vec3::X, Vec3::Y, Vec3::Z]]] {
+            let scene = of_triangles(&corners);
+            let accel = Accel::build(&scene);
+            let _ =
+                (accel.intersect(&scene, &ray), accel.intersect_packet(&scene, ray.origin, &[Vec3::Z; 8]));
+        }
         for corners in [vec![], vec![nan], vec![infinite], vec![[Vec3::Z; 3]; 40]] {
             let scene = of_triangles(&corners);
             let accel = Accel::build(&scene);

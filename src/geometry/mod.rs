@@ -1,12 +1,17 @@
 //! Rays, watertight triangles and the BVH.
 //!
-//! In: the scene's mesh. Out: closest hits and occlusion, watertight at any scale.
+//! In: the scene's mesh. Out: closest hits and occlusion, watertight at any scale (nothing here knows an absolute
+//! length). `obvhs` builds a binary tree in [`bvh`]; primary rays go through it eight at a time ([`packet`]),
+//! single rays through the same tree with its nodes joined four by four. Sources: Woop, Benthin & Wald 2013
+//! (triangles), Ize 2013 (boxes), PBRT §6.8 (origins of secondary rays). Absent on purpose: motion, instances.
 
+mod block;
 pub mod bvh;
+mod node;
 mod offset;
 pub mod packet;
 pub mod ray;
-pub mod triangle;
+mod wide;
 
 pub use bvh::Accel;
 pub use offset::{gamma, offset_origin};

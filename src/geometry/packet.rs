@@ -9,6 +9,9 @@ use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use wide::f32x8;
 
+/// Nodes on the way to a leaf that the stack has room for.
+pub const STACK: usize = 128;
+
 /// Rays of a packet.
 pub const LANES: usize = 8;
 
@@ -121,7 +124,7 @@ fn traverse(
     let mut hit = MISS;
     let mut nearest = f32x8::from(hit.t);
     let origin_axes = origin.to_array();
-    let mut stack = [0u32; 128];
+    let mut stack = [0u32; STACK];
     let mut depth = 1;
     while depth > 0 {
         depth -= 1;

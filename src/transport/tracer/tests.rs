@@ -198,3 +198,33 @@ fn closed_rooms_do_not_leak_at_any_scale() {
         }
     }
 }
+
+/// Prints samples per second on a room with glass; run with `--ignored --nocapture`. The clock is the test
+/// runner's: `--report-time` or the shell's `time` around 2,000,000 samples.
+#[test]
+#[ignore = "a measurement"]
+fn measure_glass_samples() {
+    let mut b = Builder::default();
+    let wall = b.material(lambert(0.7));
+    let crystal = b.material(glass(1.5, 0.9, false));
+    b.cube(Vec3::ZERO, -4.0, wall);
+    for i in 0..5 {
+        b.sphere(Vec3::new(i as f32 - 2.0, 0.3 * i as f32 - 0.6, 0.0), 0.45, 64, crystal);
+    }
+    let p = Prepared::new(b.scene(), 1.0);
+    let tracer = p.tracer(Settings::default());
+    let mut sum = Vec3::ZERO;
+    let mut count = 0u32;
+    for i in 0..2_000_000u64 {
+        let mut s = Stream::new(1, i, 0);
+        let [x, y] = s.next_2d();
+        let ray = Ray::new(Vec3::new(0.0, 0.0, -3.5), Vec3::new(5.0 * x - 2.5, 2.4 * y - 1.2, 3.5));
+        let Some(hit) = p.accel.intersect(&p.scene, &ray) else { continue };
+        let at = Interaction::at(&p.scene, &ray, &hit);
+        if at.material.0 == 1 {
+            sum += tracer.view_dependent(&at, s);
+            count += 1;
+        }
+    }
+    println!("{count} samples on glass of 2,000,000 primary rays, mean {}", sum / count as f32);
+}

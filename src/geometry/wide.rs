@@ -116,8 +116,8 @@ impl Wide {
         let start = self.blocks.len();
         for chunk in (first..first + count).step_by(4) {
             let mut block = Block::EMPTY;
-            for index in chunk..(chunk + 4).min(first + count) {
-                block.set(index - chunk, corners[index], index as u32);
+            for (lane, triangle) in corners[chunk..(chunk + 4).min(first + count)].iter().enumerate() {
+                block.set(lane, *triangle, (chunk + lane) as u32);
             }
             self.blocks.push(block);
         }

@@ -199,8 +199,8 @@ fn closed_rooms_do_not_leak_at_any_scale() {
     }
 }
 
-/// Prints samples per second on a room with glass; run with `--ignored --nocapture`. The clock is the test
-/// runner's: `--report-time` or the shell's `time` around 2,000,000 samples.
+/// Two million samples on the glass of a room, pixel by pixel; run with `--ignored --nocapture` under the
+/// shell's `time`. With `FOVEAL_PRIMARY_ONLY` set it shows what everything but the samples costs.
 #[test]
 #[ignore = "a measurement"]
 fn measure_glass_samples() {
@@ -213,18 +213,24 @@ fn measure_glass_samples() {
     }
     let p = Prepared::new(b.scene(), 1.0);
     let tracer = p.tracer(Settings::default());
-    let mut sum = Vec3::ZERO;
-    let mut count = 0u32;
-    for i in 0..2_000_000u64 {
-        let mut s = Stream::new(1, i, 0);
-        let [x, y] = s.next_2d();
+    let mut hits = Vec::new();
+    for i in 0..512 * 512 {
+        let (x, y) = ((i % 512) as f32 / 512.0, (i / 512) as f32 / 512.0);
         let ray = Ray::new(Vec3::new(0.0, 0.0, -3.5), Vec3::new(5.0 * x - 2.5, 2.4 * y - 1.2, 3.5));
-        let Some(hit) = p.accel.intersect(&p.scene, &ray) else { continue };
-        let at = Interaction::at(&p.scene, &ray, &hit);
-        if at.material.0 == 1 {
-            sum += tracer.view_dependent(&at, s);
-            count += 1;
+        if let Some(hit) = p.accel.intersect(&p.scene, &ray) {
+            let at = Interaction::at(&p.scene, &ray, &hit);
+            if at.material.0 == 1 {
+                hits.push((ray, hit));
+            }
         }
     }
-    println!("{count} samples on glass of 2,000,000 primary rays, mean {}", sum / count as f32);
+    let mut sum = Vec3::ZERO;
+    let rounds = if std::env::var_os("FOVEAL_PRIMARY_ONLY").is_some() { 0 } else { 2_000_000 / hits.len() };
+    for round in 0..rounds {
+        for (i, (ray, hit)) in hits.iter().enumerate() {
+            let at = Interaction::at(&p.scene, ray, hit);
+            sum += tracer.view_dependent(&at, Stream::new(1, i as u64, round as u64));
+        }
+    }
+    println!("{rounds} × {} samples, mean {}", hits.len(), sum / (rounds * hits.len()).max(1) as f32);
 }

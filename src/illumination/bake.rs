@@ -16,7 +16,7 @@ use super::density::{Bandwidth, Estimate, estimate};
 use super::direct::DirectBin;
 use super::stored::{Illumination, Summary, Value};
 use crate::image::luminance;
-use crate::rng::Stream;
+use crate::rng::{Stream, hash};
 use crate::scene::Scene;
 use crate::transport::particle::LightTransport;
 
@@ -217,29 +217,43 @@ impl<'a> Baker<'a> {
         if !self.gathers_direct() {
             return;
         }
-        let round = self.direct_rounds;
+        let first = self.direct_rounds == 0;
+        // After four rounds the spread is known, and only blocks that are worse than the average go on. Not
+        // single elements: those that missed the light by chance would stop and stay dark.
+        let enough = if self.direct_rounds < 4 { -1.0 } else { 0.5 * self.mean_direct_variance() };
         let (atlas, transport, seed) = (&self.atlas, self.transport, self.settings.seed);
         self.direct.par_chunks_mut(BLOCK).enumerate().for_each(|(block, bins)| {
             // After a round without any light on 64 neighbours, none is expected.
-            let lit = [0, 1].map(|side| round == 0 || bins.iter().any(|b| b[side].is_lit()));
+            let variance = |side: usize| bins.iter().map(|b| b[side].mean().1).sum::<f32>() / BLOCK as f32;
+            let goes_on = [0, 1]
+                .map(|side| first || (bins.iter().any(|b| b[side].is_lit()) && variance(side) > enough));
             for (i, bin) in bins.iter_mut().enumerate() {
                 let index = block * BLOCK + i;
-                let element = &atlas.elements[index];
-                if element.area <= 0.0 {
+                let e = &atlas.elements[index];
+                if e.area <= 0.0 {
                     continue;
                 }
                 for side in [0, 1] {
-                    if lit[side] {
-                        let back = side == 1;
-                        bin[side].gather(round, |s| {
-                            let mut stream = Stream::new(seed ^ 0xd1ec7, 2 * index as u64 + side as u64, s);
-                            transport.direct(element.triangle, element.b1, element.b2, back, &mut stream)
-                        });
+                    if goes_on[side] {
+                        let key = hash(seed, index as u64, side as u64);
+                        bin[side].gather(key, |u| transport.direct(e.triangle, e.b1, e.b2, side == 1, u));
                     }
                 }
             }
         });
         self.direct_rounds += 1;
+    }
+
+    /// Mean over all lit surface of the variance of direct light.
+    fn mean_direct_variance(&self) -> f32 {
+        let (mut sum, mut weight) = (0.0f64, 0.0f64);
+        for (element, sides) in self.atlas.elements.iter().zip(&self.direct) {
+            for side in sides.iter().filter(|s| s.is_lit()) {
+                sum += f64::from(element.area) * f64::from(side.mean().1);
+                weight += f64::from(element.area);
+            }
+        }
+        if weight > 0.0 { (sum / weight) as f32 } else { 0.0 }
     }
 
     /// Elements inside a body, such as the floor under a box: nothing ever arrives there, and from all

@@ -9,6 +9,8 @@ pub mod cache;
 pub mod clusters;
 pub mod density;
 pub mod direct;
+#[cfg(test)]
+mod measure;
 mod raster;
 pub mod simplify;
 mod smoothing;

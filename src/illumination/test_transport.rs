@@ -39,12 +39,10 @@ impl<'a> Lambertian<'a> {
     }
 
     /// A light, a point and the power over the probability of the light.
-    fn choose(&self, stream: &mut Stream) -> Option<(u32, Vec3, Vec3, f32)> {
-        let u = stream.next_f32();
-        let i = self.lights.partition_point(|l| l.1 <= u).min(self.lights.len().checked_sub(1)?);
+    fn choose(&self, [u0, u, v]: [f32; 3]) -> Option<(u32, Vec3, Vec3, f32)> {
+        let i = self.lights.partition_point(|l| l.1 <= u0).min(self.lights.len().checked_sub(1)?);
         let t = self.lights[i].0;
         let probability = self.lights[i].1 - if i > 0 { self.lights[i - 1].1 } else { 0.0 };
-        let [u, v] = stream.next_2d();
         let s = u.sqrt();
         let [a, b, c] = self.scene.mesh.corners(t);
         let p = a * (1.0 - s) + b * (s * (1.0 - v)) + c * (s * v);
@@ -81,7 +79,9 @@ fn cosine_direction(n: Vec3, [u, v]: [f32; 2]) -> Vec3 {
 impl LightTransport for Lambertian<'_> {
     fn trace(&self, seed: u64, index: u64, deposit: &mut dyn FnMut(Deposit)) -> u32 {
         let mut stream = Stream::new(seed, index, 0);
-        let Some((light, p, n, probability)) = self.choose(&mut stream) else { return 0 };
+        let Some((light, p, n, probability)) = self.choose(std::array::from_fn(|_| stream.next_f32())) else {
+            return 0;
+        };
         let area = triangle_area(self.scene.mesh.corners(light));
         let mut flux = material(self.scene, light).emission.color * (PI * area / probability);
         let mut ray = Ray::new(self.lift(p, n), cosine_direction(n, stream.next_2d()));
@@ -102,8 +102,8 @@ impl LightTransport for Lambertian<'_> {
         BOUNCES_MAX
     }
 
-    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, stream: &mut Stream) -> Vec3 {
-        let Some((light, q, nq, probability)) = self.choose(stream) else { return Vec3::ZERO };
+    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Vec3 {
+        let Some((light, q, nq, probability)) = self.choose(u) else { return Vec3::ZERO };
         let [a, b, c] = self.scene.mesh.corners(triangle);
         let n = if back { -self.normal(triangle) } else { self.normal(triangle) };
         let p = self.lift(a * (1.0 - b1 - b2) + b * b1 + c * b2, n);

@@ -31,8 +31,9 @@ pub trait LightTransport: Sync {
     /// number of surfaces it met.
     fn trace(&self, seed: u64, index: u64, deposit: &mut dyn FnMut(Deposit)) -> u32;
 
-    /// One sample of the irradiance that comes straight from the lights to one side of a point, W/m².
-    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, stream: &mut Stream) -> Vec3;
+    /// One sample of the irradiance that comes straight from the lights to one side of a point, W/m², for three
+    /// numbers in [0, 1): the first chooses the light, the others the point on it.
+    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Vec3;
 
     /// Whether a random ray from one side of a point ends on the back of a triangle.
     fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, back: bool, stream: &mut Stream) -> bool;

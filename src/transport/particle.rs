@@ -3,7 +3,12 @@
 
 use glam::Vec3;
 
+use super::bsdf::{Bsdf, cosine_hemisphere};
+use super::interaction::Interaction;
+use super::light::Lights;
+use crate::geometry::{Accel, Hit, Ray};
 use crate::rng::Stream;
+use crate::scene::{Model, Scene};
 
 /// A particle never meets more surfaces than this; roulette ends it long before.
 pub const BOUNCES_MAX: u32 = 1000;
@@ -43,4 +48,309 @@ pub trait LightTransport: Sync {
 
     /// A typical flux of a particle, W in its strongest band; 0 where there is no light.
     fn power(&self) -> f32;
+}
+
+/// The light transport of a scene: all its materials and lights.
+#[derive(Clone, Copy, Debug)]
+pub struct SceneTransport<'a> {
+    scene: &'a Scene,
+    accel: &'a Accel,
+    lights: &'a Lights,
+}
+
+/// Largest share of particles that survive a surface.
+const SURVIVAL_MAX: f32 = 0.99;
+/// Largest factor of the corrections for shading normals: beyond it, single particles would shine.
+const CORRECTION_MAX: f32 = 8.0;
+
+/// Interpolated vertex normal on the front side, without bumps: those are finer than stored illumination.
+fn smooth_normal(scene: &Scene, triangle: u32, b1: f32, b2: f32, geometric: Vec3) -> Vec3 {
+    let [a, b, c] = scene.mesh.triangles[triangle as usize].map(|v| scene.mesh.normals[v as usize]);
+    let normal = (a * (1.0 - b1 - b2) + b * b1 + c * b2).try_normalize().unwrap_or(geometric);
+    if normal.dot(geometric) < 0.0 { -normal } else { normal }
+}
+
+/// |a| / |b|, bounded.
+fn ratio(a: f32, b: f32) -> f32 {
+    let r = a.abs() / b.abs();
+    if r.is_finite() { r.min(CORRECTION_MAX) } else { 1.0 }
+}
+
+impl<'a> SceneTransport<'a> {
+    /// The transport of `scene` with its acceleration structure and its lights.
+    pub fn new(scene: &'a Scene, accel: &'a Accel, lights: &'a Lights) -> Self {
+        Self { scene, accel, lights }
+    }
+
+    /// A point as seen from straight in front of one of its sides.
+    fn seen_from(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Interaction {
+        let [a, b, c] = self.scene.mesh.corners(triangle);
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        let out = if back { -normal } else { normal };
+        let p = a * (1.0 - b1 - b2) + b * b1 + c * b2;
+        let hit = Hit { t: 1.0, triangle, b1, b2 };
+        Interaction::at(self.scene, &Ray::new(p + out, -out), &hit)
+    }
+}
+
+/// Share of the flux that is left after the stretch of `t` (in units of the ray's direction) inside the glass
+/// whose back it met (Beer's law).
+fn absorbed(at: &Interaction, scene: &Scene, ray: &Ray) -> Vec3 {
+    match &at.material(scene).model {
+        Model::Dielectric { transmittance, thin: false, .. } if at.back => {
+            let length = at.t * ray.direction.length();
+            transmittance.clamp(Vec3::ZERO, Vec3::ONE).map(|x| x.powf(length))
+        }
+        _ => Vec3::ONE,
+    }
+}
+
+impl LightTransport for SceneTransport<'_> {
+    fn trace(&self, seed: u64, index: u64, deposit: &mut dyn FnMut(Deposit)) -> u32 {
+        let scene = self.scene;
+        let mut stream = Stream::new(seed, index, 0);
+        let Some((mut ray, mut flux)) = self.lights.sample_emission(scene, &mut stream) else { return 0 };
+        for bounce in 0..BOUNCES_MAX {
+            let Some(hit) = self.accel.intersect(scene, &ray) else { return bounce };
+            let at = Interaction::at(scene, &ray, &hit);
+            flux *= absorbed(&at, scene, &ray);
+            let bsdf = Bsdf::at(scene, &at);
+            let geometric_in = at.wo.dot(at.geometric_normal);
+            if bsdf.diffuse_albedo().max_element() > 0.0 {
+                // Irradiance is that of the shading normal, under a coat that of the base.
+                let smooth = smooth_normal(scene, hit.triangle, hit.b1, hit.b2, at.geometric_normal);
+                let share = ratio(at.wo.dot(smooth), geometric_in) * bsdf.coat_factor(at.wo);
+                deposit(Deposit {
+                    triangle: hit.triangle,
+                    b1: hit.b1,
+                    b2: hit.b2,
+                    back: at.back,
+                    flux: flux * share,
+                    bounce,
+                });
+            }
+            let (u, u_lobe) = (stream.next_2d(), stream.next_f32());
+            let Some(sample) = bsdf.sample_all(at.wo, u, u_lobe) else { return bounce + 1 };
+            // Particles see shading normals from the other end than paths (Veach 1997, eq 5.19).
+            let asymmetry = ratio(at.wo.dot(at.shading_normal), geometric_in)
+                * ratio(sample.wi.dot(at.geometric_normal), sample.wi.dot(at.shading_normal));
+            let weight = sample.weight * asymmetry;
+            let survival = weight.max_element().min(SURVIVAL_MAX);
+            if stream.next_f32() >= survival {
+                return bounce + 1;
+            }
+            flux *= weight / survival;
+            if !flux.is_finite() {
+                return bounce + 1;
+            }
+            ray = at.spawn(sample.wi);
+        }
+        BOUNCES_MAX
+    }
+
+    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, [choice, u, v]: [f32; 3]) -> Vec3 {
+        let scene = self.scene;
+        let at = self.seen_from(triangle, b1, b2, back);
+        let Some(light) = self.lights.sample_direct(scene, at.position, choice, [u, v]) else {
+            return Vec3::ZERO;
+        };
+        let side = if back { -1.0 } else { 1.0 };
+        let smooth = smooth_normal(scene, triangle, b1, b2, at.geometric_normal);
+        let cosine = side * light.wi.dot(smooth);
+        if cosine <= 0.0 || side * light.wi.dot(at.geometric_normal) <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let bsdf = Bsdf::at(scene, &at);
+        if bsdf.diffuse_albedo().max_element() <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let irradiance = light.radiance * (cosine * bsdf.coat_factor(light.wi) / light.pdf);
+        let ray = if light.distance.is_finite() {
+            at.spawn_to(at.position + light.wi * light.distance)
+        } else {
+            at.spawn(light.wi)
+        };
+        if !irradiance.is_finite() || self.accel.occluded(scene, &ray) {
+            return Vec3::ZERO;
+        }
+        irradiance
+    }
+
+    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, back: bool, stream: &mut Stream) -> bool {
+        let at = self.seen_from(triangle, b1, b2, back);
+        let out = at.facing_geometric();
+        let (x, y) = out.any_orthonormal_pair();
+        let local = cosine_hemisphere(stream.next_2d());
+        let ray = at.spawn(x * local.x + y * local.y + out * local.z);
+        let Some(hit) = self.accel.intersect(self.scene, &ray) else { return false };
+        let [a, b, c] = self.scene.mesh.corners(hit.triangle);
+        let material = &self.scene.materials[self.scene.mesh.materials[hit.triangle as usize].0 as usize];
+        (b - a).cross(c - a).dot(ray.direction) > 0.0 && !material.is_transparent()
+    }
+
+    fn is_diffuse(&self, triangle: u32) -> bool {
+        let material = &self.scene.materials[self.scene.mesh.materials[triangle as usize].0 as usize];
+        match &material.model {
+            Model::Lambert { albedo } | Model::Plastic { albedo, .. } => albedo.color.max_element() > 0.0,
+            Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => {
+                diffuse.color.max_element() > 0.0
+            }
+            Model::Mirror { .. }
+            | Model::Conductor { .. }
+            | Model::Metal { .. }
+            | Model::Dielectric { .. } => false,
+        }
+    }
+
+    fn power(&self) -> f32 {
+        self.lights.total_power().max_element()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::illumination::bake::{BakeSettings, bake};
+    use crate::illumination::test_scenes::{cube, join, lambert, quad, scene};
+    use crate::illumination::test_transport::Lambertian;
+    use crate::scene::{Light, Material, Reflectance};
+
+    fn of_model(model: Model) -> Material {
+        Material { model, ..lambert(0.0, 0.0) }
+    }
+
+    /// Irradiance by particles on the whole triangle `t`, and the number of deposits on it.
+    fn mean_on(transport: &dyn LightTransport, t: u32, area: f32, from_bounce: u32) -> Vec3 {
+        let n = 200_000;
+        let mut sum = glam::DVec3::ZERO;
+        for i in 0..n {
+            transport.trace(3, i, &mut |d| {
+                if d.triangle == t && d.bounce >= from_bounce {
+                    sum += d.flux.as_dvec3();
+                }
+            });
+        }
+        (sum / (n as f64 * f64::from(area))).as_vec3()
+    }
+
+    #[test]
+    fn agrees_with_transport_written_from_the_definitions() {
+        let mut mesh = cube(Vec3::ZERO, 2.0, false);
+        join(&mut mesh, &cube(Vec3::new(0.4, 0.01, 0.5), 0.6, true), 0);
+        join(&mut mesh, &quad(Vec3::new(0.3, 1.9, 0.7), Vec3::X * 0.8, Vec3::Z * 0.5), 1);
+        let room = scene(mesh, vec![lambert(0.5, 0.0), lambert(0.2, 3.0)], Vec::new());
+        let (accel, lights) = (Accel::build(&room), Lights::build(&room));
+        let real = SceneTransport::new(&room, &accel, &lights);
+        let plain = Lambertian::new(&room);
+        assert!((real.power() / plain.power() - 1.0).abs() < 1e-4);
+        let settings =
+            BakeSettings { texels: 1500, particles: Some(200_000), error: None, ..BakeSettings::default() };
+        let a = bake(&room, &real, &settings, &|_| true).illumination;
+        let b = bake(&room, &plain, &settings, &|_| true).illumination;
+        let (mut difference, mut energy) = (0.0f64, 0.0f64);
+        for (x, y) in a.front_values().iter().zip(b.front_values()) {
+            difference += f64::from(x[1] - y[1]).powi(2);
+            energy += f64::from(y[1]).powi(2);
+        }
+        let relative = (difference / energy).sqrt();
+        let expected = f64::from(a.summary.relative_error.hypot(b.summary.relative_error));
+        assert!(relative < 1.3 * expected + 0.004, "{relative} {expected}");
+        assert!((a.summary.mean[1] / b.summary.mean[1] - 1.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn a_mirror_sends_a_caustic_that_direct_light_does_not_have() {
+        // A point light at height 1 over a mirror floor; a ceiling at height 2 that faces down.
+        let mut mesh = quad(Vec3::new(-20.0, 0.0, 20.0), Vec3::X * 40.0, Vec3::NEG_Z * 40.0);
+        join(&mut mesh, &quad(Vec3::new(-0.1, 2.0, -0.1), Vec3::X * 0.2, Vec3::Z * 0.2), 1);
+        let mirror = of_model(Model::Mirror { specular: Reflectance::constant(Vec3::splat(0.8)) });
+        let light = Light::Point { position: Vec3::Y, intensity: Vec3::ONE };
+        let hall = scene(mesh, vec![mirror, lambert(0.5, 0.0)], vec![light]);
+        let (accel, lights) = (Accel::build(&hall), Lights::build(&hall));
+        let transport = SceneTransport::new(&hall, &accel, &lights);
+        // Straight: 1/1². By the mirror from the light's image: 0.8/3².
+        let direct = transport.direct(2, 0.33, 0.33, false, [0.5; 3]).x;
+        assert!((direct - 1.0).abs() < 0.02, "{direct}");
+        let narrow = 2_000_000;
+        let mut caustic = 0.0f64;
+        for i in 0..narrow {
+            transport.trace(1, i, &mut |d| {
+                if d.triangle >= 2 && d.bounce == 1 {
+                    caustic += f64::from(d.flux.x);
+                }
+            });
+        }
+        let caustic = caustic / narrow as f64 / 0.04;
+        assert!((caustic / (0.8 / 9.0) - 1.0).abs() < 0.12, "{caustic}");
+        assert!(!transport.is_diffuse(0) && transport.is_diffuse(2));
+    }
+
+    #[test]
+    fn light_through_a_pane_arrives_by_particles_only() {
+        let mut mesh = quad(Vec3::new(-0.5, 0.0, 0.5), Vec3::X, Vec3::NEG_Z);
+        join(&mut mesh, &quad(Vec3::new(-3.0, 0.5, 3.0), Vec3::X * 6.0, Vec3::NEG_Z * 6.0), 1);
+        let pane = of_model(Model::Dielectric {
+            ior: 1.5,
+            transmittance: Vec3::ONE,
+            thin: true,
+            roughness: crate::scene::Roughness {
+                alpha_x: 0.0,
+                alpha_y: 0.0,
+                distribution: Default::default(),
+            },
+        });
+        let sun = Light::Directional { direction: Vec3::NEG_Y, irradiance: Vec3::ONE };
+        let window = scene(mesh, vec![lambert(0.5, 0.0), pane], vec![sun]);
+        let (accel, lights) = (Accel::build(&window), Lights::build(&window));
+        let transport = SceneTransport::new(&window, &accel, &lights);
+        assert_eq!(transport.direct(0, 0.3, 0.3, false, [0.5; 3]), Vec3::ZERO);
+        // 2R/(1 + R) with R = .04 is reflected.
+        let through = 1.0 - 0.08 / 1.04;
+        let mut sum = 0.0;
+        for t in [0, 1] {
+            sum += mean_on(&transport, t, 0.5, 1).x / 2.0;
+        }
+        // The floor's own light that the pane sends back is a few percent more.
+        assert!((through..1.1 * through).contains(&sum), "{sum} {through}");
+    }
+
+    #[test]
+    fn smooth_normals_brighten_and_darken_alike_for_direct_light_and_particles() {
+        let mut mesh = quad(Vec3::new(-0.5, 0.0, 0.5), Vec3::X, Vec3::NEG_Z);
+        let tilted = Vec3::new(0.5, 1.0, 0.0).normalize();
+        mesh.normals.fill(tilted);
+        let direction = Vec3::new(-1.0, -1.0, 0.0).normalize();
+        let sun = Light::Directional { direction, irradiance: Vec3::ONE };
+        let floor = scene(mesh, vec![lambert(0.5, 0.0)], vec![sun]);
+        let (accel, lights) = (Accel::build(&floor), Lights::build(&floor));
+        let transport = SceneTransport::new(&floor, &accel, &lights);
+        let exact = -direction.dot(tilted);
+        let direct = transport.direct(0, 0.3, 0.3, false, [0.5; 3]).x;
+        assert!((direct - exact).abs() < 1e-4, "{direct} {exact}");
+        let particles = mean_on(&transport, 0, 0.5, 0).x;
+        assert!((particles / exact - 1.0).abs() < 0.02, "{particles} {exact}");
+    }
+
+    #[test]
+    fn glass_absorbs_along_the_way_inside() {
+        let mut mesh = cube(Vec3::new(-1.0, 0.5, -1.0), 2.0, true);
+        join(&mut mesh, &quad(Vec3::new(-0.5, 0.0, 0.5), Vec3::X, Vec3::NEG_Z), 1);
+        let glass = of_model(Model::Dielectric {
+            ior: 1.0,
+            transmittance: Vec3::new(0.5, 0.8, 1.0),
+            thin: false,
+            roughness: crate::scene::Roughness {
+                alpha_x: 0.0,
+                alpha_y: 0.0,
+                distribution: Default::default(),
+            },
+        });
+        let sun = Light::Directional { direction: Vec3::NEG_Y, irradiance: Vec3::ONE };
+        let block = scene(mesh, vec![glass, lambert(1e-6, 0.0)], vec![sun]);
+        let (accel, lights) = (Accel::build(&block), Lights::build(&block));
+        let transport = SceneTransport::new(&block, &accel, &lights);
+        let found = mean_on(&transport, 12, 0.5, 0);
+        let exact = Vec3::new(0.25, 0.64, 1.0);
+        assert!(((found / exact) - 1.0).abs().max_element() < 0.05, "{found}");
+    }
 }

@@ -66,7 +66,7 @@ impl CameraFrame {
     pub fn project(&self, point: Vec3) -> Option<(f32, f32, f32)> {
         let d = point - self.eye;
         let z = d.dot(self.forward);
-        if !(z > 0.0) {
+        if z <= 0.0 || z.is_nan() {
             return None;
         }
         let x = d.dot(self.right) / (z * self.right.length_squared());

@@ -6,8 +6,13 @@
 
 pub mod camera;
 mod cutout;
+mod defaults;
 pub mod environment;
+pub mod hierarchy;
+pub mod load;
 pub mod material;
+pub mod path;
+pub mod plan;
 #[cfg(test)]
 pub mod test_scenes;
 pub mod texture;
@@ -45,6 +50,18 @@ impl Mesh {
     #[inline]
     pub fn corners(&self, t: TriangleIndex) -> [Vec3; 3] {
         self.triangles[t as usize].map(|v| self.positions[v as usize])
+    }
+
+    /// Lower and upper corner of all triangles; a point at the origin where there is none.
+    pub fn bounds(&self) -> [Vec3; 2] {
+        let mut low = Vec3::INFINITY;
+        let mut high = Vec3::NEG_INFINITY;
+        for &v in self.triangles.iter().flatten() {
+            let p = self.positions[v as usize];
+            low = low.min(p);
+            high = high.max(p);
+        }
+        if self.triangles.is_empty() { [Vec3::ZERO; 2] } else { [low, high] }
     }
 }
 

@@ -52,3 +52,90 @@ pub fn of_triangles(corners: &[[Vec3; 3]]) -> Scene {
         content_hash: [0; 32],
     }
 }
+
+/// A material of this model.
+pub fn material(name: &str, model: Model) -> Material {
+    Material {
+        name: name.to_owned(),
+        model,
+        emission: Reflectance::constant(Vec3::ZERO),
+        opacity: 1.0,
+        opacity_map: None,
+        bump_map: None,
+        bump_scale: 1.0,
+        normal_map: None,
+        two_sided: true,
+    }
+}
+
+/// Grey.
+pub fn grey() -> Material {
+    material("grey", Model::Lambert { albedo: Reflectance::constant(Vec3::splat(0.5)) })
+}
+
+/// A mirror.
+pub fn mirror() -> Material {
+    material("mirror", Model::Mirror { specular: Reflectance::constant(Vec3::ONE) })
+}
+
+/// Appends a box whose faces look outwards, or inwards.
+pub fn add_box(mesh: &mut Mesh, low: Vec3, high: Vec3, material: u32, inwards: bool) {
+    const FACES: [[usize; 4]; 6] =
+        [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+    let base = mesh.positions.len() as u32;
+    for corner in 0..8 {
+        let pick = |bit: usize, axis: usize| if corner >> bit & 1 == 0 { low[axis] } else { high[axis] };
+        mesh.positions.push(Vec3::new(pick(0, 0), pick(1, 1), pick(2, 2)));
+        mesh.normals.push(Vec3::ZERO);
+        mesh.uvs.push(Vec2::ZERO);
+    }
+    for f in FACES {
+        let [a, b, c, d] = f.map(|i| base + i as u32);
+        for [p, q, r] in [[a, b, c], [a, c, d]] {
+            mesh.triangles.push(if inwards { [p, r, q] } else { [p, q, r] });
+            mesh.materials.push(MaterialId(material));
+            mesh.objects.push(0);
+        }
+    }
+}
+
+/// A scene of one mesh without cameras and lights.
+pub fn scene(mesh: Mesh, materials: Vec<Material>) -> Scene {
+    let bounds = mesh.bounds();
+    let mut scene = Scene {
+        name: "test".to_owned(),
+        title: "test".to_owned(),
+        mesh,
+        materials,
+        textures: Vec::new(),
+        lights: Vec::new(),
+        environment: None,
+        cameras: Vec::new(),
+        paths: Vec::new(),
+        objects: Vec::new(),
+        bounds,
+        metres_per_unit: 1.0,
+        up: Vec3::Y,
+        display: Display::default(),
+        budget: Budget::default(),
+        content_hash: [0; 32],
+    };
+    let grouped = super::hierarchy::group(&scene.mesh, &scene.materials, scene.up, |_| "");
+    scene.objects = grouped.objects;
+    scene.mesh.objects = grouped.of_triangle;
+    scene
+}
+
+/// The unit cube.
+pub fn box_scene(inwards: bool) -> Scene {
+    let mut mesh = Mesh::default();
+    add_box(&mut mesh, Vec3::ZERO, Vec3::ONE, 0, inwards);
+    scene(mesh, vec![grey()])
+}
+
+/// With a camera from the front.
+pub fn with_camera(mut scene: Scene) -> Scene {
+    let camera = Camera { eye: Vec3::new(0.5, 0.5, 0.9), target: Vec3::splat(0.5), up: Vec3::Y, fov_y: 1.0 };
+    scene.cameras.push(NamedCamera { name: "main".to_owned(), camera });
+    scene
+}

@@ -258,8 +258,8 @@ impl Texture {
     #[inline]
     pub fn sample(&self, uv: Vec2, level: f32) -> [f32; 4] {
         let last = (self.mips.levels.len() - 1) as f32;
-        // `max` first: it turns NaN into 0.
-        let level = level.max(0.0).min(last);
+        // NaN is not above 0 either.
+        let level = if level > 0.0 { level.min(last) } else { 0.0 };
         let low = level as usize;
         let f = level - low as f32;
         let p = self.wrapped(uv);

@@ -1,0 +1,236 @@
+//! Several files joined into one mesh without bad triangles.
+
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
+
+use glam::Vec3;
+
+use super::Library;
+use super::error::{Place, SceneError, Warning};
+use super::obj::ObjFile;
+use crate::scene::{MaterialId, Mesh, TriangleIndex};
+
+/// Coordinates beyond this are left out: the square of an area must fit into single precision.
+const COORDINATE_MAX: f32 = 1e9;
+
+/// Scenes smaller than this are refused: areas and offsets fall below single precision.
+const DIAGONAL_MIN: f32 = 1e-6;
+
+/// A triangle whose height is below this part of its longest side is taken for a line; rounding of
+/// its corners alone moves them as far.
+const FLAT: f32 = 1e-7;
+
+/// A material that triangles use.
+#[derive(Debug)]
+pub(super) struct MaterialUse {
+    /// As `usemtl` says; empty where nothing was said.
+    pub name: String,
+    /// The name in the scene.
+    pub unique: String,
+    /// Index of the OBJ file.
+    pub file: usize,
+    /// Line of the first `usemtl`.
+    pub line: Option<u32>,
+    /// Library and place in it.
+    pub definition: Option<(usize, usize)>,
+}
+
+/// Files joined so far.
+#[derive(Default)]
+pub(super) struct Joined {
+    mesh: Mesh,
+    /// Name of each triangle, an index into `names`.
+    name_of: Vec<u32>,
+    names: Vec<String>,
+    pub uses: Vec<MaterialUse>,
+    pub libraries: Vec<Library>,
+    files: Vec<(PathBuf, PathBuf)>,
+    use_of: HashMap<(String, Option<(usize, usize)>), u32>,
+    taken: HashSet<String>,
+}
+
+/// What is known of triangles besides the mesh.
+pub(super) struct Labels {
+    name_of: Vec<u32>,
+    names: Vec<String>,
+}
+
+impl Labels {
+    /// The OBJ name of a triangle; empty where the file gave none.
+    pub fn name(&self, t: TriangleIndex) -> &str {
+        self.name_of.get(t as usize).and_then(|&n| self.names.get(n as usize)).map_or("", String::as_str)
+    }
+}
+
+impl Joined {
+    /// The folder of an OBJ file, relative to that of the scene.
+    pub fn base_of(&self, file: usize) -> &Path {
+        self.files.get(file).map_or(Path::new(""), |f| &f.1)
+    }
+
+    /// An OBJ file, for messages.
+    pub fn shown_of(&self, file: usize) -> &Path {
+        self.files.get(file).map_or(Path::new(""), |f| &f.0)
+    }
+
+    /// Whether a mesh uses or a library holds a material.
+    pub fn knows_material(&self, name: &str) -> bool {
+        self.uses.iter().any(|u| u.name == name)
+            || self.libraries.iter().any(|l| l.materials.iter().any(|m| m.name == name))
+    }
+
+    /// Adds a file and the libraries that it names.
+    pub fn add(&mut self, file: ObjFile, shown: PathBuf, base: PathBuf, libraries: Vec<Library>) {
+        let index = self.files.len();
+        self.files.push((shown, base));
+        // A later definition of a name replaces an earlier one.
+        let mut defined: HashMap<&str, (usize, usize)> = HashMap::new();
+        let first_library = self.libraries.len();
+        for (i, library) in libraries.iter().enumerate() {
+            // Files that name the same library share it.
+            let same = self.libraries.iter().position(|l| l.relative == library.relative);
+            for (j, m) in library.materials.iter().enumerate() {
+                defined.insert(&m.name, (same.unwrap_or(first_library + i), j));
+            }
+        }
+        let mut ids: Vec<Option<u32>> = vec![None; file.materials.len() + 1];
+        let base_vertex = self.mesh.positions.len() as u32;
+        let base_name = self.names.len() as u32;
+        let ends = file.runs.iter().skip(1).map(|r| r.first).chain([file.triangles.len()]);
+        for (run, end) in file.runs.iter().zip(ends) {
+            let slot = run.material.map_or(file.materials.len(), |m| m as usize);
+            let id = match ids[slot] {
+                Some(id) => id,
+                None => {
+                    let (name, line) = match file.materials.get(slot) {
+                        Some((name, line)) => (name.as_str(), Some(*line)),
+                        None => ("", None),
+                    };
+                    let definition = find_definition(&defined, name);
+                    let id = self.use_material(name, line, index, definition);
+                    ids[slot] = Some(id);
+                    id
+                }
+            };
+            let count = end - run.first;
+            self.mesh.materials.extend(std::iter::repeat_n(MaterialId(id), count));
+            self.name_of.extend(std::iter::repeat_n(base_name + run.name, count));
+        }
+        self.libraries.extend(libraries);
+        self.names.extend(file.names);
+        if base_vertex == 0 {
+            self.mesh.positions = file.positions;
+            self.mesh.normals = file.normals;
+            self.mesh.uvs = file.uvs;
+            self.mesh.triangles = file.triangles;
+        } else {
+            self.mesh.positions.extend(file.positions);
+            self.mesh.normals.extend(file.normals);
+            self.mesh.uvs.extend(file.uvs);
+            self.mesh.triangles.extend(file.triangles.iter().map(|t| t.map(|v| v + base_vertex)));
+        }
+    }
+
+    fn use_material(
+        &mut self,
+        name: &str,
+        line: Option<u32>,
+        file: usize,
+        definition: Option<(usize, usize)>,
+    ) -> u32 {
+        let key = (name.to_owned(), definition);
+        if let Some(&id) = self.use_of.get(&key) {
+            return id;
+        }
+        let id = self.uses.len() as u32;
+        self.use_of.insert(key, id);
+        let plain = if name.is_empty() { "default" } else { name };
+        let mut unique = plain.to_owned();
+        let mut n = 2;
+        while !self.taken.insert(unique.clone()) {
+            unique = format!("{plain} ({n})");
+            n += 1;
+        }
+        self.uses.push(MaterialUse { name: name.to_owned(), unique, file, line, definition });
+        id
+    }
+
+    /// The mesh without triangles that have no area or no finite corners, and what is known of them.
+    pub fn into_mesh(self, path: &Path, warnings: &mut Vec<Warning>) -> Result<(Mesh, Labels), SceneError> {
+        let mut mesh = self.mesh;
+        let mut name_of = self.name_of;
+        let none =
+            |message: &str| SceneError::NoGeometry { path: path.to_path_buf(), message: message.to_owned() };
+        if mesh.triangles.is_empty() {
+            return Err(none("no face to draw; export polygons (`f` lines) into the OBJ file"));
+        }
+        let (mut kept, mut far, mut flat) = (0, 0, 0);
+        let mut low = Vec3::INFINITY;
+        let mut high = Vec3::NEG_INFINITY;
+        for t in 0..mesh.triangles.len() {
+            let p = mesh.corners(t as u32);
+            if !p.iter().all(|p| p.is_finite() && p.abs().max_element() <= COORDINATE_MAX) {
+                far += 1;
+                continue;
+            }
+            for p in p {
+                low = low.min(p);
+                high = high.max(p);
+            }
+            if is_flat(p) {
+                flat += 1;
+                continue;
+            }
+            mesh.triangles[kept] = mesh.triangles[t];
+            mesh.materials[kept] = mesh.materials[t];
+            name_of[kept] = name_of[t];
+            kept += 1;
+        }
+        mesh.triangles.truncate(kept);
+        mesh.materials.truncate(kept);
+        name_of.truncate(kept);
+        let diagonal = (high - low).length();
+        if diagonal < DIAGONAL_MIN {
+            return Err(none(&format!(
+                "the whole scene is {diagonal:e} units across, too small for single precision; scale it up"
+            )));
+        }
+        let Some(&[first, ..]) = mesh.triangles.first() else {
+            return Err(none("no face has an area that single precision can hold; check the coordinates"));
+        };
+        let mut say = |count: usize, what: &str| {
+            if count > 0 {
+                let s = if count == 1 { "" } else { "s" };
+                warnings
+                    .push(Warning::new(Place::new(path, 0), format!("{count} triangle{s} {what}; left out")));
+            }
+        };
+        say(far, &format!("with a coordinate that is not finite or beyond {COORDINATE_MAX:e}"));
+        say(flat, "without area");
+        // No triangle uses these any more, but all positions are promised to be finite.
+        let place = mesh.positions[first as usize];
+        for p in &mut mesh.positions {
+            if !(p.is_finite() && p.abs().max_element() <= COORDINATE_MAX) {
+                *p = place;
+            }
+        }
+        Ok((mesh, Labels { name_of, names: self.names }))
+    }
+}
+
+/// `usemtl` and `newmtl` agree on a name up to blanks.
+fn find_definition(defined: &HashMap<&str, (usize, usize)>, name: &str) -> Option<(usize, usize)> {
+    if let Some(&d) = defined.get(name) {
+        return Some(d);
+    }
+    let squeezed = name.split_whitespace().collect::<Vec<_>>().join(" ");
+    defined.get(squeezed.as_str()).or_else(|| defined.get(squeezed.split(" #").next()?)).copied()
+}
+
+fn is_flat([a, b, c]: [Vec3; 3]) -> bool {
+    let (e, f) = (b - a, c - a);
+    let area2 = e.cross(f).length_squared();
+    let longest2 = e.length_squared().max(f.length_squared()).max((c - b).length_squared());
+    // NaN cannot arise: coordinates are bounded.
+    area2 <= f32::MIN_POSITIVE || area2.sqrt() <= FLAT * longest2
+}

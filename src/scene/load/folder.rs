@@ -1,0 +1,209 @@
+//! Reads files of one folder and nothing outside of it.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Component, Path, PathBuf};
+
+use super::error::FileProblem;
+
+/// The folder of a scene, and the bytes read from it.
+pub(super) struct Folder {
+    /// Without links.
+    root: PathBuf,
+    /// As the user wrote it; what messages show.
+    shown: PathBuf,
+    limit: u64,
+    /// Names and BLAKE3 of what was read, in order.
+    read: Vec<(String, [u8; 32])>,
+}
+
+/// Bytes of a file together with their hash.
+pub(super) struct Contents {
+    pub bytes: Vec<u8>,
+    pub hash: [u8; 32],
+}
+
+fn problem_of(error: &std::io::Error) -> FileProblem {
+    match error.kind() {
+        std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory => FileProblem::Missing,
+        // A name with a NUL byte, or one that is too long.
+        std::io::ErrorKind::InvalidInput | std::io::ErrorKind::InvalidFilename => FileProblem::Missing,
+        kind => FileProblem::Unreadable(kind),
+    }
+}
+
+/// Reads a regular file of at most `limit` bytes.
+pub(super) fn read_file(path: &Path, limit: u64) -> Result<Contents, FileProblem> {
+    // Asked before opening: opening a pipe would wait for a writer.
+    let meta = std::fs::metadata(path).map_err(|e| problem_of(&e))?;
+    if !meta.is_file() {
+        return Err(FileProblem::NotAFile);
+    }
+    if meta.len() > limit {
+        return Err(FileProblem::TooLarge { bytes: meta.len(), limit });
+    }
+    let mut bytes = Vec::with_capacity(meta.len() as usize + 1);
+    let file = File::open(path).map_err(|e| problem_of(&e))?;
+    // The file may have grown, or be one of those whose size is said to be 0.
+    file.take(limit + 1).read_to_end(&mut bytes).map_err(|e| problem_of(&e))?;
+    if bytes.len() as u64 > limit {
+        return Err(FileProblem::TooLarge { bytes: bytes.len() as u64, limit });
+    }
+    let hash = *blake3::hash(&bytes).as_bytes();
+    Ok(Contents { bytes, hash })
+}
+
+impl Folder {
+    /// The folder that `file` lies in.
+    pub fn of(file: &Path, limit: u64) -> Result<Self, FileProblem> {
+        let shown = file.parent().unwrap_or(Path::new("")).to_path_buf();
+        let place = if shown.as_os_str().is_empty() { Path::new(".") } else { &shown };
+        let root = std::fs::canonicalize(place).map_err(|e| problem_of(&e))?;
+        Ok(Self { root, shown, limit, read: Vec::new() })
+    }
+
+    /// How messages name a file of this folder.
+    pub fn show(&self, relative: &str) -> PathBuf {
+        self.shown.join(relative)
+    }
+
+    /// Where `name` lies, looked for in `base` (relative to the folder). Accepts `\` for `/` and
+    /// letters of the other case where the exact name is not there.
+    pub fn find(&self, base: &Path, name: &str) -> Result<PathBuf, FileProblem> {
+        let first = self.find_exact(base, name);
+        if first != Err(FileProblem::Missing) {
+            return first;
+        }
+        let slashes = name.replace('\\', "/");
+        if slashes != name {
+            let second = self.find_exact(base, &slashes);
+            if second != Err(FileProblem::Missing) {
+                return second;
+            }
+        }
+        self.find_any_case(base, &slashes)
+    }
+
+    fn find_exact(&self, base: &Path, name: &str) -> Result<PathBuf, FileProblem> {
+        let relative = inside(base, name)?;
+        let real = std::fs::canonicalize(self.root.join(relative)).map_err(|e| problem_of(&e))?;
+        if real.starts_with(&self.root) { Ok(real) } else { Err(FileProblem::Escapes) }
+    }
+
+    fn find_any_case(&self, base: &Path, name: &str) -> Result<PathBuf, FileProblem> {
+        let mut place = self.root.clone();
+        for part in inside(base, name)?.components() {
+            let exact = place.join(part);
+            if exact.exists() {
+                place = exact;
+                continue;
+            }
+            let wanted = part.as_os_str().to_string_lossy().to_lowercase();
+            let entries = std::fs::read_dir(&place).map_err(|e| problem_of(&e))?;
+            // The first by name, so that the order of the file system does not matter.
+            let found = entries
+                .filter_map(Result::ok)
+                .map(|e| e.file_name())
+                .filter(|n| n.to_string_lossy().to_lowercase() == wanted)
+                .min();
+            place.push(found.ok_or(FileProblem::Missing)?);
+        }
+        let real = std::fs::canonicalize(place).map_err(|e| problem_of(&e))?;
+        if real.starts_with(&self.root) { Ok(real) } else { Err(FileProblem::Escapes) }
+    }
+
+    /// A file that [`Self::find`] found, relative to the folder.
+    pub fn relative(&self, found: &Path) -> String {
+        found.strip_prefix(&self.root).unwrap_or(found).to_string_lossy().into_owned()
+    }
+
+    /// Reads a file that [`Self::find`] found, and remembers its hash.
+    pub fn read(&mut self, found: &Path) -> Result<Vec<u8>, FileProblem> {
+        let contents = read_file(found, self.limit)?;
+        self.note(self.relative(found), contents.hash);
+        Ok(contents.bytes)
+    }
+
+    /// Remembers that a file was read elsewhere.
+    pub fn note(&mut self, name: String, hash: [u8; 32]) {
+        self.read.push((name, hash));
+    }
+
+    /// BLAKE3 of everything that was read, with the names, in the order of reading.
+    pub fn content_hash(&self) -> [u8; 32] {
+        let mut hasher = blake3::Hasher::new();
+        for (name, hash) in &self.read {
+            hasher.update(&(name.len() as u64).to_le_bytes());
+            hasher.update(name.as_bytes());
+            hasher.update(hash);
+        }
+        *hasher.finalize().as_bytes()
+    }
+}
+
+/// `base/name` without `.` and `..`, if it stays inside.
+fn inside(base: &Path, name: &str) -> Result<PathBuf, FileProblem> {
+    let bytes = name.as_bytes();
+    let drive = bytes.len() > 1 && bytes[1] == b':' && bytes[0].is_ascii_alphabetic();
+    if drive || bytes.first() == Some(&b'\\') {
+        return Err(FileProblem::Escapes);
+    }
+    let mut out = PathBuf::new();
+    for part in base.components().chain(Path::new(name).components()) {
+        match part {
+            Component::Normal(p) => out.push(p),
+            Component::CurDir => {}
+            Component::ParentDir => {
+                if !out.pop() {
+                    return Err(FileProblem::Escapes);
+                }
+            }
+            Component::RootDir | Component::Prefix(_) => return Err(FileProblem::Escapes),
+        }
+    }
+    if out.as_os_str().is_empty() { Err(FileProblem::Missing) } else { Ok(out) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_outside_is_reached() {
+        for name in ["../x", "a/../../x", "/etc/passwd", "C:\\x", "\\\\host\\x", "a/../../../x"] {
+            assert_eq!(inside(Path::new(""), name), Err(FileProblem::Escapes), "{name}");
+        }
+        assert_eq!(inside(Path::new("maps"), "../x.png"), Ok(PathBuf::from("x.png")));
+        assert_eq!(inside(Path::new(""), "a/./b//c"), Ok(PathBuf::from("a/b/c")));
+        assert_eq!(inside(Path::new(""), ""), Err(FileProblem::Missing));
+    }
+
+    #[test]
+    fn links_out_of_the_folder_are_refused_and_case_is_forgiven() {
+        let place = std::env::temp_dir().join(format!("foveal-folder-{}", std::process::id()));
+        let scene = place.join("scene");
+        std::fs::create_dir_all(scene.join("Maps")).unwrap();
+        std::fs::write(place.join("secret"), "s").unwrap();
+        std::fs::write(scene.join("Maps/Wood.PNG"), "w").unwrap();
+        std::fs::write(scene.join("a.obj"), "").unwrap();
+        let mut folder = Folder::of(&scene.join("a.obj"), 100).unwrap();
+        let found = folder.find(Path::new(""), "maps\\wood.png").unwrap();
+        assert_eq!(folder.relative(&found), "Maps/Wood.PNG");
+        assert_eq!(folder.read(&found).unwrap(), b"w");
+        assert_eq!(folder.find(Path::new(""), "maps\\steel.png"), Err(FileProblem::Missing));
+        assert_eq!(folder.find(Path::new(""), "nul\0.png"), Err(FileProblem::Missing));
+        assert_eq!(folder.find(Path::new(""), "..\\secret"), Err(FileProblem::Escapes));
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink(place.join("secret"), scene.join("link.png")).unwrap();
+            assert_eq!(folder.find(Path::new(""), "link.png"), Err(FileProblem::Escapes));
+            assert_eq!(folder.find(Path::new(""), "LINK.png"), Err(FileProblem::Escapes));
+        }
+        let maps = folder.find(Path::new(""), "Maps").unwrap();
+        assert_eq!(folder.read(&maps), Err(FileProblem::NotAFile));
+        std::fs::write(scene.join("big"), [0u8; 101]).unwrap();
+        let big = folder.find(Path::new(""), "big").unwrap();
+        assert_eq!(folder.read(&big), Err(FileProblem::TooLarge { bytes: 101, limit: 100 }));
+        std::fs::remove_dir_all(&place).unwrap();
+    }
+}

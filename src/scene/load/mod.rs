@@ -1,0 +1,402 @@
+//! Files to a [`Scene`]: OBJ through `tobj`, MTL, the sidecar, pictures through `image`.
+//!
+//! Nothing in a file can break it: what is wrong is left out with a [`Warning`] that names file and
+//! line, or the whole is refused with a [`SceneError`] that says what to do. No file outside the
+//! scene's folder is read, and nothing is allocated by a number in a file without a bound.
+
+mod assemble;
+mod error;
+#[cfg(test)]
+mod file_tests;
+mod folder;
+mod from_mtl;
+mod mtl;
+mod obj;
+mod obj_lines;
+mod sidecar;
+mod sidecar_material;
+mod textures;
+mod toml_table;
+mod triangulate;
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use glam::Vec3;
+
+pub use error::{FileProblem, Place, SceneError, Warning};
+pub use sidecar::FORMAT;
+
+use super::defaults;
+use super::hierarchy;
+use super::{Environment, Material, MaterialId, Model, Reflectance, Scene, TextureId};
+use assemble::Joined;
+use folder::{Folder, read_file};
+use from_mtl::Doubts;
+use mtl::MtlMaterial;
+use sidecar::Sidecar;
+use textures::TextureRequests;
+
+/// Bounds on what is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LoadOptions {
+    /// Bytes of one file.
+    pub file_bytes_max: u64,
+    /// Columns or rows of a picture.
+    pub texture_side_max: u32,
+    /// Decoded bytes of one picture.
+    pub picture_bytes_max: u64,
+    /// Decoded bytes of all pictures together, at 4 bytes per pixel.
+    pub texture_bytes_max: u64,
+}
+
+impl Default for LoadOptions {
+    fn default() -> Self {
+        Self {
+            file_bytes_max: 2 << 30,
+            texture_side_max: 16_384,
+            picture_bytes_max: 512 << 20,
+            texture_bytes_max: 4 << 30,
+        }
+    }
+}
+
+/// Warnings beyond this are only counted.
+const WARNINGS_MAX: usize = 500;
+
+/// A scene and what was doubtful about its files.
+#[derive(Clone, Debug)]
+pub struct Loaded {
+    /// The scene.
+    pub scene: Scene,
+    /// In the order of the files.
+    pub warnings: Vec<Warning>,
+}
+
+/// Loads an `.obj` file (with the sidecar of the same name beside it, if there is one) or a sidecar.
+pub fn load(path: &Path) -> Result<Loaded, SceneError> {
+    load_with(path, &LoadOptions::default())
+}
+
+/// As [`load`], with other bounds.
+pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneError> {
+    let mut warnings = Vec::new();
+    let refuse =
+        |path: &Path, problem| SceneError::File { path: path.to_path_buf(), problem, asked_by: None };
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    let is_obj = match extension.as_deref() {
+        Some("obj") => true,
+        Some("toml") => false,
+        _ => return Err(SceneError::UnknownFormat { path: path.to_path_buf() }),
+    };
+    // The given file is trusted to be where it is; only what it asks for must stay in its folder.
+    if let Err(e) = std::fs::metadata(path) {
+        let problem = match e.kind() {
+            std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory => FileProblem::Missing,
+            kind => FileProblem::Unreadable(kind),
+        };
+        return Err(refuse(path, problem));
+    }
+    let mut folder = Folder::of(path, options.file_bytes_max).map_err(|p| refuse(path, p))?;
+    let sidecar_path = if is_obj { path.with_extension("toml") } else { path.to_path_buf() };
+    let sidecar = if !is_obj || sidecar_path.is_file() {
+        // A sidecar is written by hand; 16 MiB hold any path.
+        let limit = options.file_bytes_max.min(16 << 20);
+        let contents = read_file(&sidecar_path, limit).map_err(|p| refuse(&sidecar_path, p))?;
+        folder.note(file_name(&sidecar_path), contents.hash);
+        sidecar::parse(&contents.bytes, &sidecar_path)?
+    } else {
+        Sidecar::default()
+    };
+
+    let joined = read_meshes(path, is_obj, &sidecar_path, &sidecar, &mut folder, &mut warnings)?;
+    let mut requests = TextureRequests::default();
+    let (mut materials, filters) = materials(&joined, &sidecar, &folder, &mut requests, &mut warnings);
+    let (textures, ids) = requests.load(&mut folder, options, &mut warnings);
+    for m in &mut materials {
+        resolve_maps(m, &ids);
+    }
+    let environment = environment(&sidecar, &mut folder, options, &mut warnings);
+
+    let name = path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
+    let (mesh, labels) = joined.into_mesh(path, &mut warnings)?;
+    let bounds = mesh.bounds();
+    let grouped = hierarchy::group(&mesh, &materials, sidecar.up, |t| labels.name(t));
+    let mut scene = Scene {
+        title: sidecar.title.unwrap_or_else(|| name.clone()),
+        name,
+        mesh,
+        materials,
+        textures,
+        lights: sidecar.lights,
+        environment,
+        cameras: sidecar.cameras,
+        paths: sidecar.paths,
+        objects: grouped.objects,
+        bounds,
+        metres_per_unit: sidecar.metres_per_unit,
+        up: sidecar.up,
+        display: sidecar.display,
+        budget: sidecar.budget,
+        content_hash: folder.content_hash(),
+    };
+    scene.mesh.objects = grouped.of_triangle;
+    filters_to_absorption(&mut scene, &filters);
+    for message in defaults::complete(&mut scene) {
+        warnings.push(Warning::new(Place::new(path, 0), message));
+    }
+    if warnings.len() > WARNINGS_MAX {
+        let more = warnings.len() - WARNINGS_MAX;
+        warnings.truncate(WARNINGS_MAX);
+        warnings.push(Warning::new(Place::new(path, 0), format!("{more} more warnings")));
+    }
+    Ok(Loaded { scene, warnings })
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned())
+}
+
+/// Reads all OBJ files and the MTL files that they name.
+fn read_meshes(
+    path: &Path,
+    is_obj: bool,
+    sidecar_path: &Path,
+    sidecar: &Sidecar,
+    folder: &mut Folder,
+    warnings: &mut Vec<Warning>,
+) -> Result<Joined, SceneError> {
+    let given = file_name(path);
+    let mut joined = Joined::default();
+    let Some(files) = &sidecar.files else {
+        let (name, asked_by) = if is_obj {
+            (given, None)
+        } else {
+            (file_name(&path.with_extension("obj")), Some(Place::new(sidecar_path, 0)))
+        };
+        read_mesh(&name, asked_by, folder, &mut joined, warnings)?;
+        return Ok(joined);
+    };
+    if is_obj && !files.iter().any(|f| f.name == given) {
+        let message =
+            format!("does not list \"{given}\" under [geometry] files; its own list is loaded instead");
+        warnings.push(Warning::new(Place::new(sidecar_path, 0), message));
+    }
+    for file in files {
+        read_mesh(&file.name, Some(file.place.clone()), folder, &mut joined, warnings)?;
+    }
+    Ok(joined)
+}
+
+fn read_mesh(
+    name: &str,
+    asked_by: Option<Place>,
+    folder: &mut Folder,
+    joined: &mut Joined,
+    warnings: &mut Vec<Warning>,
+) -> Result<(), SceneError> {
+    let shown = folder.show(name);
+    let refuse = |problem| SceneError::File { path: shown.clone(), problem, asked_by: asked_by.clone() };
+    let found = folder.find(Path::new(""), name).map_err(refuse)?;
+    let bytes = folder.read(&found).map_err(refuse)?;
+    let file = obj::parse(&bytes, &shown, warnings)?;
+    drop(bytes);
+    let base = PathBuf::from(folder.relative(&found)).parent().map_or_else(PathBuf::new, Path::to_path_buf);
+    let mut libraries = Vec::new();
+    for (text, line) in &file.libraries {
+        for library in library_names(folder, &base, text) {
+            let place = Place::new(&shown, *line);
+            let read = folder.find(&base, &library).and_then(|f| Ok((folder.read(&f)?, f)));
+            match read {
+                Ok((bytes, f)) => {
+                    let relative = PathBuf::from(folder.relative(&f));
+                    let shown = folder.show(&relative.to_string_lossy());
+                    let materials = mtl::parse(&bytes, &shown, warnings);
+                    libraries.push(Library { relative, shown, materials });
+                }
+                Err(problem) => {
+                    let message = format!("material library \"{library}\" {problem}; its materials are grey");
+                    warnings.push(Warning::new(place, message));
+                }
+            }
+        }
+    }
+    joined.add(file, shown, base, libraries);
+    Ok(())
+}
+
+/// An MTL file.
+struct Library {
+    /// Relative to the scene's folder.
+    relative: PathBuf,
+    shown: PathBuf,
+    materials: Vec<MtlMaterial>,
+}
+
+/// `mtllib` names one file with blanks, or several.
+fn library_names(folder: &Folder, base: &Path, text: &str) -> Vec<String> {
+    let whole = text.trim_matches('"');
+    if folder.find(base, whole) != Err(FileProblem::Missing) {
+        return vec![whole.to_owned()];
+    }
+    let mut words: Vec<String> = text.split_whitespace().map(str::to_owned).collect();
+    words.dedup();
+    let any = words.iter().any(|w| folder.find(base, w) != Err(FileProblem::Missing));
+    if any { words } else { vec![whole.to_owned()] }
+}
+
+/// The materials that triangles use, from sidecar and MTL, and which of them are from MTL; texture
+/// ids are those of `requests`.
+fn materials(
+    joined: &Joined,
+    sidecar: &Sidecar,
+    folder: &Folder,
+    requests: &mut TextureRequests,
+    warnings: &mut Vec<Warning>,
+) -> (Vec<Material>, Vec<MaterialId>) {
+    let by_name: HashMap<&str, usize> =
+        sidecar.materials.iter().enumerate().map(|(i, m)| (m.material.name.as_str(), i)).collect();
+    let mut doubts = Doubts::default();
+    let mut materials = Vec::with_capacity(joined.uses.len());
+    let mut from_library = Vec::new();
+    for used in &joined.uses {
+        let mut material = if let Some(&i) = by_name.get(used.name.as_str()) {
+            let table = &sidecar.materials[i];
+            let mut ids = Vec::new();
+            for m in &table.maps {
+                ids.push(requests.ask(folder, &[Path::new("")], &m.statement, m.is_color, m.place.clone()));
+            }
+            let ids: Vec<Option<TextureId>> = ids.into_iter().map(Some).collect();
+            let mut material = table.material.clone();
+            resolve_maps(&mut material, &ids);
+            material
+        } else if let Some((library, at)) = used.definition {
+            from_library.push(MaterialId(materials.len() as u32));
+            let library = &joined.libraries[library];
+            let beside = library.relative.parent().unwrap_or(Path::new(""));
+            let bases = [beside, joined.base_of(used.file)];
+            let mut texture = |map: &mtl::MapStatement, is_color: bool| {
+                let place = Place::new(&library.shown, map.line);
+                requests.ask(folder, &bases, map, is_color, place)
+            };
+            from_mtl::material(&library.materials[at], &mut texture, &mut doubts)
+        } else {
+            if let Some(line) = used.line {
+                let message = format!("no material library has \"{}\"; grey instead", used.name);
+                warnings.push(Warning::new(Place::new(joined.shown_of(used.file), line), message));
+            }
+            from_mtl::default_material(&used.name)
+        };
+        material.name = used.unique.clone();
+        materials.push(material);
+    }
+    for table in &sidecar.materials {
+        let name = &table.material.name;
+        if !joined.knows_material(name) {
+            let message = format!("no mesh and no material library has a material \"{name}\"; not used");
+            warnings.push(Warning::new(table.place.clone(), message));
+        }
+    }
+    for (names, what) in [
+        (doubts.bright, "reflects more light than it gets; scaled down to 1"),
+        (doubts.opaque, "is wholly transparent by `Tr 1`; taken for opaque (write `d 0` if it is not)"),
+    ] {
+        if let (Some(first), Some(library)) = (names.first(), joined.libraries.first()) {
+            let more =
+                if names.len() > 1 { format!(" (and {} more)", names.len() - 1) } else { String::new() };
+            let line = library.materials.iter().find(|m| m.name == *first).map_or(0, |m| m.line);
+            warnings
+                .push(Warning::new(Place::new(&library.shown, line), format!("\"{first}\"{more} {what}")));
+        }
+    }
+    if materials.is_empty() {
+        materials.push(from_mtl::default_material("default"));
+    }
+    (materials, from_library)
+}
+
+/// Replaces the ids of a material's pictures; a missing picture leaves the colour, and half of it
+/// where it was the diffuse colour.
+fn resolve_maps(material: &mut Material, ids: &[Option<TextureId>]) {
+    let new = |id: &mut Option<TextureId>| -> bool {
+        let Some(old) = *id else { return false };
+        *id = ids.get(old.0 as usize).copied().flatten();
+        id.is_none()
+    };
+    let color = |r: &mut Reflectance| {
+        if new(&mut r.map) {
+            r.color *= 0.5;
+        }
+    };
+    let factor = |r: &mut Reflectance| {
+        new(&mut r.map);
+    };
+    match &mut material.model {
+        Model::Lambert { albedo } | Model::Plastic { albedo, .. } => color(albedo),
+        Model::Mirror { specular } | Model::Metal { specular, .. } => factor(specular),
+        Model::CookTorrance { diffuse, specular, .. } | Model::Ward { diffuse, specular, .. } => {
+            color(diffuse);
+            factor(specular);
+        }
+        Model::Conductor { .. } | Model::Dielectric { .. } => {}
+    }
+    factor(&mut material.emission);
+    for id in [&mut material.opacity_map, &mut material.bump_map, &mut material.normal_map] {
+        new(id);
+    }
+}
+
+fn environment(
+    sidecar: &Sidecar,
+    folder: &mut Folder,
+    options: &LoadOptions,
+    warnings: &mut Vec<Warning>,
+) -> Option<Environment> {
+    let table = sidecar.environment.as_ref()?;
+    let mut environment =
+        Environment { radiance: table.radiance, map: None, rotate_up: table.rotate_up, up: sidecar.up };
+    let Some(file) = &table.map else { return Some(environment) };
+    let read = folder.find(Path::new(""), &file.name).and_then(|f| Ok((folder.read(&f)?, f)));
+    let decoded = match read {
+        Ok((bytes, found)) => textures::radiance_map(&bytes, &found, options),
+        Err(problem) => Err(problem.to_string()),
+    };
+    match decoded {
+        Ok((map, bad)) => {
+            if bad > 0 {
+                let message =
+                    format!("\"{}\": {bad} texels are negative, NaN or infinite; put right", file.name);
+                warnings.push(Warning::new(file.place.clone(), message));
+            }
+            environment.map = Some(map);
+        }
+        Err(why) => {
+            let message = format!("environment map \"{}\" {why}; its constant radiance instead", file.name);
+            warnings.push(Warning::new(file.place.clone(), message));
+        }
+    }
+    Some(environment)
+}
+
+/// MTL filters light once per passage; solid glass absorbs per length of path. The mean chord of a
+/// convex body is 4 V / S; here that of the bounds of the material's parts.
+fn filters_to_absorption(scene: &mut Scene, filters: &[MaterialId]) {
+    for &id in filters {
+        let mut chords = Vec::new();
+        for object in scene.objects.iter().skip(1).filter(|o| o.material == id) {
+            let d = object.bounds[1] - object.bounds[0];
+            let surface = 2.0 * (d.x * d.y + d.y * d.z + d.z * d.x);
+            if surface > 0.0 {
+                chords.push(4.0 * d.x * d.y * d.z / surface);
+            }
+        }
+        let mean = chords.iter().sum::<f32>() / chords.len().max(1) as f32;
+        if let Some(Model::Dielectric { transmittance, thin: false, .. }) =
+            scene.materials.get_mut(id.0 as usize).map(|m| &mut m.model)
+            && mean > 0.0
+        {
+            let inverse = 1.0 / mean;
+            *transmittance = transmittance.max(Vec3::splat(1e-6)).map(|t| t.powf(inverse).clamp(0.0, 1.0));
+        }
+    }
+}

@@ -1,0 +1,285 @@
+//! Pictures: which are asked for, and their decoding within limits.
+
+use std::collections::{HashMap, HashSet};
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use glam::Vec3;
+use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+use rayon::prelude::*;
+
+use super::LoadOptions;
+use super::error::{FileProblem, Place, Warning};
+use super::folder::{Contents, Folder, read_file};
+use super::mtl::MapStatement;
+use crate::image::Map2d;
+use crate::scene::texture::MipChain;
+use crate::scene::{Texture, TextureId};
+
+/// A picture that a material asks for.
+struct Request {
+    /// As written.
+    name: String,
+    found: Result<PathBuf, FileProblem>,
+    asked_by: Place,
+    is_color: bool,
+    clamp: bool,
+    scale_offset: [f32; 4],
+}
+
+/// All pictures that are asked for. Their ids are places in this list until [`Self::load`].
+#[derive(Default)]
+pub(super) struct TextureRequests {
+    list: Vec<Request>,
+    known: HashMap<Key, u32>,
+}
+
+/// What makes two requests the same: where the picture is, or its name where it is nowhere, and how
+/// it is read.
+type Key = (PathBuf, bool, bool, bool, [u32; 4]);
+
+impl TextureRequests {
+    /// Asks for a picture of `folder`, looked for in `bases` in turn.
+    pub fn ask(
+        &mut self,
+        folder: &Folder,
+        bases: &[&Path],
+        map: &MapStatement,
+        is_color: bool,
+        asked_by: Place,
+    ) -> TextureId {
+        let mut found = Err(FileProblem::Missing);
+        for base in bases {
+            found = folder.find(base, &map.file);
+            if found != Err(FileProblem::Missing) {
+                break;
+            }
+        }
+        let (place, there) = match &found {
+            Ok(path) => (path.clone(), true),
+            Err(_) => (PathBuf::from(&map.file), false),
+        };
+        let key = (place, there, is_color, map.clamp, map.scale_offset.map(f32::to_bits));
+        let id = self.list.len() as u32;
+        if let Some(&known) = self.known.get(&key) {
+            return TextureId(known);
+        }
+        self.known.insert(key, id);
+        self.list.push(Request {
+            name: map.file.clone(),
+            found,
+            asked_by,
+            is_color,
+            clamp: map.clamp,
+            scale_offset: map.scale_offset,
+        });
+        TextureId(id)
+    }
+
+    /// Reads and decodes all of them in parallel. Returns the textures, and for each id of
+    /// [`Self::ask`] the final one, or `None` where there is a warning instead.
+    pub fn load(
+        self,
+        folder: &mut Folder,
+        options: &LoadOptions,
+        warnings: &mut Vec<Warning>,
+    ) -> (Vec<Texture>, Vec<Option<TextureId>>) {
+        // One decoding for all requests of a file that read it the same way.
+        let mut jobs: Vec<(PathBuf, bool)> = Vec::new();
+        let mut job_of: HashMap<(PathBuf, bool), usize> = HashMap::new();
+        let of_request: Vec<Option<usize>> = self
+            .list
+            .iter()
+            .map(|r| {
+                let key = (r.found.clone().ok()?, r.is_color);
+                Some(*job_of.entry(key.clone()).or_insert_with(|| {
+                    jobs.push(key);
+                    jobs.len() - 1
+                }))
+            })
+            .collect();
+        let files: Vec<Result<(Contents, u64), String>> =
+            jobs.par_iter().map(|(path, _)| open(path, options)).collect();
+        // The sum is bounded in the order of the list, so that the same ones are kept every time.
+        let mut left = options.texture_bytes_max;
+        let files: Vec<Result<Contents, String>> = files
+            .into_iter()
+            .map(|f| {
+                let (contents, bytes) = f?;
+                if bytes > left {
+                    return Err(format!(
+                        "is one too many: all together may take {} bytes",
+                        options.texture_bytes_max
+                    ));
+                }
+                left -= bytes;
+                Ok(contents)
+            })
+            .collect();
+        for ((path, _), file) in jobs.iter().zip(&files) {
+            if let Ok(f) = file {
+                folder.note(folder.relative(path), f.hash);
+            }
+        }
+        let decoded: Vec<Result<(Arc<MipChain>, bool), String>> = jobs
+            .par_iter()
+            .zip(files)
+            .map(|((path, is_color), file)| {
+                let (mips, alpha) = decode(&file?.bytes, path, *is_color, options)?;
+                Ok((Arc::new(mips), alpha))
+            })
+            .collect();
+        let mut textures = Vec::new();
+        let mut ids = Vec::with_capacity(self.list.len());
+        let mut said: HashSet<&str> = HashSet::new();
+        for (r, job) in self.list.iter().zip(&of_request) {
+            let outcome = match job {
+                Some(j) => decoded[*j].clone(),
+                None => Err(r.found.as_ref().err().map(FileProblem::to_string).unwrap_or_default()),
+            };
+            match outcome {
+                Ok((mips, has_alpha)) => {
+                    let path = r.found.as_ref().map_or(Path::new(&r.name), PathBuf::as_path);
+                    textures.push(Texture {
+                        name: folder.relative(path),
+                        mips,
+                        has_alpha,
+                        is_color: r.is_color,
+                        clamp: r.clamp,
+                        scale_offset: r.scale_offset,
+                    });
+                    ids.push(Some(TextureId(textures.len() as u32 - 1)));
+                }
+                Err(why) => {
+                    ids.push(None);
+                    if said.insert(&r.name) {
+                        let message = format!("texture \"{}\" {why}; a plain colour instead", r.name);
+                        warnings.push(Warning::new(r.asked_by.clone(), message));
+                    }
+                }
+            }
+        }
+        (textures, ids)
+    }
+}
+
+/// A reader that knows the format, by content or else by name.
+fn reader<'a>(bytes: &'a [u8], path: &Path) -> Result<ImageReader<Cursor<&'a [u8]>>, String> {
+    let mut reader = ImageReader::new(Cursor::new(bytes))
+        .with_guessed_format()
+        .map_err(|e| format!("cannot be read: {e}"))?;
+    if reader.format().is_none() {
+        // TGA has no mark at its start.
+        let format = ImageFormat::from_path(path).map_err(|_| "is of no known picture format".to_owned())?;
+        reader.set_format(format);
+    }
+    Ok(reader)
+}
+
+/// Reads a file and, from its header alone, how many bytes its pixels will take.
+fn open(path: &Path, options: &LoadOptions) -> Result<(Contents, u64), String> {
+    let contents = read_file(path, options.file_bytes_max).map_err(|p| p.to_string())?;
+    let bytes = pixel_bytes(&contents.bytes, path, options)?;
+    Ok((contents, bytes))
+}
+
+fn pixel_bytes(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<u64, String> {
+    let mut r = reader(bytes, path)?;
+    r.no_limits();
+    let (w, h) = r.into_dimensions().map_err(|e| format!("is no readable picture: {e}"))?;
+    let side = options.texture_side_max;
+    if w > side || h > side {
+        return Err(format!("declares {w} × {h} pixels, more than {side} on a side"));
+    }
+    if w == 0 || h == 0 {
+        return Err("has no pixels".to_owned());
+    }
+    let bytes = u64::from(w) * u64::from(h) * 4;
+    if bytes > options.picture_bytes_max {
+        let limit = options.picture_bytes_max;
+        return Err(format!("declares {w} × {h} pixels, more than fit into {limit} bytes"));
+    }
+    Ok(bytes)
+}
+
+/// Decodes within the limits; the header has been checked.
+fn pixels(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<DynamicImage, String> {
+    pixel_bytes(bytes, path, options)?;
+    let mut r = reader(bytes, path)?;
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(options.texture_side_max);
+    limits.max_image_height = Some(options.texture_side_max);
+    limits.max_alloc = Some(options.picture_bytes_max);
+    r.limits(limits);
+    let broken = |e| format!("is broken: {e}");
+    let decoder = r.into_decoder().map_err(broken)?;
+    if decoder.total_bytes() > options.picture_bytes_max {
+        return Err(format!(
+            "needs {} bytes, more than {}",
+            decoder.total_bytes(),
+            options.picture_bytes_max
+        ));
+    }
+    DynamicImage::from_decoder(decoder).map_err(broken)
+}
+
+/// The mip chain of a picture, and whether it has an alpha channel.
+fn decode(
+    bytes: &[u8],
+    path: &Path,
+    is_color: bool,
+    options: &LoadOptions,
+) -> Result<(MipChain, bool), String> {
+    let image = pixels(bytes, path, options)?;
+    let (w, h) = (image.width() as usize, image.height() as usize);
+    let alpha = image.color().has_alpha();
+    let mips = match image.color() {
+        ColorType::L16 | ColorType::La16 | ColorType::Rgb16 | ColorType::Rgba16 if !is_color => {
+            MipChain::from_rgba16(w, h, image.into_rgba16().pixels().map(|p| p.0).collect())
+        }
+        ColorType::Rgb32F | ColorType::Rgba32F => {
+            let clean = |v: f32| if v.is_finite() { v.max(0.0) } else { 0.0 };
+            MipChain::from_linear(w, h, image.into_rgba32f().pixels().map(|p| p.0.map(clean)).collect())
+        }
+        _ => {
+            let texels = image.into_rgba8().into_raw();
+            MipChain::from_rgba8(
+                w,
+                h,
+                texels.chunks_exact(4).map(|p| [p[0], p[1], p[2], p[3]]).collect(),
+                is_color,
+            )
+        }
+    };
+    Ok((mips, alpha))
+}
+
+/// Decodes an equirectangular map. Returns the number of texels that were no radiance (negative,
+/// NaN or infinite) and were set to 0, or to the largest half float where they were infinite.
+pub(super) fn radiance_map(
+    bytes: &[u8],
+    path: &Path,
+    options: &LoadOptions,
+) -> Result<(Map2d<Vec3>, usize), String> {
+    let format = reader(bytes, path)?.format();
+    if !matches!(format, Some(ImageFormat::Hdr | ImageFormat::OpenExr)) {
+        return Err("is neither Radiance (.hdr) nor OpenEXR (.exr)".to_owned());
+    }
+    let image = pixels(bytes, path, options)?.into_rgb32f();
+    let (w, h) = (image.width() as usize, image.height() as usize);
+    let mut bad = 0;
+    let texels = image
+        .pixels()
+        .map(|p| {
+            let v = Vec3::from(p.0);
+            if v.is_finite() && v.min_element() >= 0.0 {
+                return v;
+            }
+            bad += 1;
+            // 65504: the largest half float, what an overflow while writing stood for.
+            Vec3::from(p.0.map(|c| if c.is_nan() { 0.0 } else { c.clamp(0.0, 65_504.0) }))
+        })
+        .collect();
+    Ok((Map2d::from_vec(w, h, texels), bad))
+}

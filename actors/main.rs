@@ -1,2 +1,7 @@
 //! The program `foveal`.
-fn main() {}
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    foveal_actors::cli::run()
+}

@@ -20,3 +20,4 @@ pub mod sampling;
 pub mod scene;
 pub mod splatting;
 pub mod transport;
+pub mod world;

@@ -1,4 +1,357 @@
-//! The renderer.
+//! The renderer: what is on screen.
+//!
+//! Owns the camera, the frame buffers, the splat layer. Hears: a frame began, its deadline, aged
+//! samples, traced samples, convergence. Says: to the cache ager and the allocator, that there is a new
+//! view; to the analyzer, what was shown.
+
 #[cfg(feature = "window")]
 pub mod gpu;
 pub mod overlay;
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use foveal::display::FrameBuffers;
+use foveal::display::tone::{Encoder, ToneMap};
+use foveal::display::twin::{self, Passes};
+use foveal::image::Map2d;
+use foveal::scene::Camera;
+use foveal::splatting::{SampleBatch, SplatLayer, WarpedSample};
+use foveal::world::World;
+use foveal_runtime::{Actor, Address, Class, Cx};
+use glam::Vec3;
+use rayon::prelude::*;
+use xxhash_rust::xxh3::Xxh3;
+
+use crate::message::cache_ager::Forget;
+use crate::message::{
+    AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameIndex, FrameSnapshot, RendererInput,
+    RendererMessage, View,
+};
+use crate::settings::Settings;
+use crate::stages::{Stage, StageTimes};
+
+/// Kind of the mark that each shown frame leaves in a recording; its value is the picture's hash.
+pub const MARK_FRAME: u32 = 0;
+
+/// Counts of one frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameCounts {
+    /// Fresh samples splatted.
+    pub traced: u32,
+    /// Warped samples that painted something.
+    pub reused: u32,
+    /// Samples that expired for the frame's view.
+    pub expired: u32,
+    /// Fresh samples of an older view, which came too late to be shown.
+    pub late: u32,
+}
+
+/// Who sees the frames: a window, a writer of files, a comparison.
+pub trait FrameSink: Send {
+    /// A frame was shown. `renderer` may be asked for its layers.
+    fn frame_shown(&mut self, snapshot: &Arc<FrameSnapshot>, counts: FrameCounts, renderer: &Renderer);
+}
+
+/// The renderer's state.
+pub struct Renderer {
+    settings: Settings,
+    world: World,
+    passes: Passes,
+    tone: ToneMap,
+    encoder: Encoder,
+    /// The camera of the current view; `None` before the first frame.
+    camera: Option<Camera>,
+    view: View,
+    drawn: Option<Arc<DrawnView>>,
+    /// Views drawn before, whose buffers are used again once nobody else holds them.
+    retired: Vec<Arc<DrawnView>>,
+    layer: SplatLayer,
+    counts: FrameCounts,
+    /// Whether every sample of the current view is splatted.
+    converged: bool,
+    /// Whether anything changed since the last frame was shown.
+    changed: bool,
+    /// The last frame, shown again while nothing changes.
+    shown: Option<Arc<FrameSnapshot>>,
+    /// When the drawing of the current frame ended; only for the stage's time.
+    drawn_at: Option<Instant>,
+    /// `None` in a diffuse scene, where there is nothing to correct.
+    neighbours: Option<Neighbours>,
+    stages: StageTimes,
+    sink: Box<dyn FrameSink>,
+}
+
+/// Whom the renderer tells, in a scene that has something to correct.
+#[derive(Clone)]
+pub struct Neighbours {
+    /// Hears of each new view.
+    pub cache_ager: Address<CacheAgerMessage>,
+    /// Hears of each new view once it is drawn.
+    pub allocator: Address<AllocatorMessage>,
+    /// Sees each frame.
+    pub analyzer: Address<AnalyzerMessage>,
+}
+
+impl Renderer {
+    /// A renderer that has not shown anything.
+    pub fn new(
+        settings: Settings,
+        world: World,
+        passes: Passes,
+        neighbours: Option<Neighbours>,
+        stages: StageTimes,
+        sink: Box<dyn FrameSink>,
+    ) -> Self {
+        let (width, height) = (settings.width as usize, settings.height as usize);
+        Self {
+            layer: SplatLayer::new(width, height, settings.k_max, settings.footprint),
+            tone: ToneMap::from(&world.scene.display),
+            settings,
+            world,
+            passes,
+            encoder: Encoder::default(),
+            camera: None,
+            view: View(0),
+            drawn: None,
+            retired: Vec::new(),
+            counts: FrameCounts::default(),
+            converged: false,
+            changed: false,
+            shown: None,
+            drawn_at: None,
+            neighbours,
+            stages,
+            sink,
+        }
+    }
+
+    /// Whether every non-diffuse pixel of the current view shows its own ray.
+    pub fn is_converged(&self) -> bool {
+        self.converged
+    }
+
+    /// Whether the last frame shows all there is.
+    pub fn is_shown(&self) -> bool {
+        !self.changed
+    }
+
+    /// The last frame that was shown.
+    pub fn shown(&self) -> Option<&Arc<FrameSnapshot>> {
+        self.shown.as_ref()
+    }
+
+    /// The current view.
+    pub fn drawn(&self) -> Option<&Arc<DrawnView>> {
+        self.drawn.as_ref()
+    }
+
+    /// The camera of the current view.
+    pub fn camera(&self) -> Option<Camera> {
+        self.camera
+    }
+
+    /// The splat layer.
+    pub fn layer(&self) -> &SplatLayer {
+        &self.layer
+    }
+
+    /// The picture as it stands, linear radiance: base layer + splat layer. `None` before the first frame.
+    pub fn picture(&self) -> Option<Map2d<Vec3>> {
+        let base = &self.drawn.as_ref()?.buffers.color;
+        let sum = base.data().iter().zip(self.layer.colors().data()).map(|(&b, &s)| b + s).collect();
+        Some(Map2d::from_vec(base.width(), base.height(), sum))
+    }
+
+    fn on_frame_began(&mut self, camera: Camera, cx: &mut Cx<'_, RendererMessage>) {
+        self.counts = FrameCounts::default();
+        if self.camera != Some(camera) {
+            self.camera = Some(camera);
+            self.begin_view(&camera, Forget::Nothing, cx);
+        }
+        self.drawn_at = Some(Instant::now());
+    }
+
+    /// Draws a new view; the others work on it meanwhile.
+    fn begin_view(&mut self, camera: &Camera, forget: Forget, cx: &mut Cx<'_, RendererMessage>) {
+        self.view = self.view.next();
+        self.converged = self.neighbours.is_none();
+        self.changed = true;
+        let frame = camera.frame(self.settings.width, self.settings.height);
+        if let Some(neighbours) = &self.neighbours {
+            let moved = CacheAgerMessage::CameraMoved { view: self.view, frame, forget };
+            let accepted = cx.tell(&neighbours.cache_ager, moved);
+            debug_assert!(accepted.is_ok(), "the cache ager has room for a view");
+        }
+        let mut buffers = self.buffers();
+        self.stages.clone().time(Stage::Display, || {
+            twin::draw(&self.world, &frame, self.passes, &mut buffers);
+        });
+        if self.neighbours.is_some() {
+            self.layer.clear();
+        }
+        let drawn = Arc::new(DrawnView {
+            view: self.view,
+            frame,
+            hash: hash_view(&buffers, self.view),
+            buffers,
+            world: self.world.clone(),
+            object_count: self.world.scene.objects.len().max(1),
+        });
+        if let Some(before) = self.drawn.replace(drawn.clone()) {
+            self.retired.push(before);
+        }
+        if let Some(neighbours) = &self.neighbours {
+            let accepted = cx.tell(&neighbours.allocator, AllocatorMessage::ViewDrawn { drawn });
+            debug_assert!(accepted.is_ok(), "the allocator has room for a view");
+        }
+    }
+
+    /// Buffers to draw into: those of a view that nobody looks at any more, or new ones.
+    fn buffers(&mut self) -> FrameBuffers {
+        // A window or a tracer may hold a view for long; beyond these few, memory is given back instead.
+        const RETIRED_MAX: usize = 4;
+        while self.retired.len() > RETIRED_MAX {
+            self.retired.remove(0);
+        }
+        for i in 0..self.retired.len() {
+            if Arc::strong_count(&self.retired[i]) == 1 {
+                if let Ok(free) = Arc::try_unwrap(self.retired.swap_remove(i)) {
+                    return free.buffers;
+                }
+                break;
+            }
+        }
+        FrameBuffers::new(self.settings.width as usize, self.settings.height as usize)
+    }
+
+    fn on_samples_aged(&mut self, view: View, samples: &[WarpedSample], expired: u32) {
+        if view != self.view {
+            return;
+        }
+        let Some(drawn) = self.drawn.clone() else { return };
+        let (layer, buffers) = (&mut self.layer, &drawn.buffers);
+        let reused = self
+            .stages
+            .time(Stage::WarpSplat, || layer.splat_warped(samples, &buffers.object, &buffers.depth));
+        self.counts.reused += reused as u32;
+        self.counts.expired += expired;
+        self.changed |= reused > 0;
+    }
+
+    fn on_samples_traced(&mut self, batch: &SampleBatch, tracer: u32) {
+        let (Some(drawn), true) = (self.drawn.clone(), batch.view == self.view.0) else {
+            self.counts.late += batch.len() as u32;
+            return;
+        };
+        self.counts.traced += batch.len() as u32;
+        self.changed = true;
+        let layer = &mut self.layer;
+        let source = (tracer % 255) as u8 + 1;
+        self.stages.time(Stage::WarpSplat, || layer.splat_fresh(batch, &drawn.buffers.object, source));
+    }
+
+    fn on_view_converged(&mut self, view: View) {
+        if view == self.view {
+            self.converged = true;
+        }
+    }
+
+    /// Shows the frame; while nothing changes the last picture stands, and nobody has work.
+    fn on_deadline_reached(&mut self, index: FrameIndex, cx: &mut Cx<'_, RendererMessage>) {
+        if let Some(since) = self.drawn_at.take() {
+            self.stages.add(Stage::Correct, since.elapsed());
+        }
+        let Some(drawn) = self.drawn.clone() else { return };
+        let (rgb8, hash) = match (&self.shown, self.changed) {
+            (Some(shown), false) => (None, shown.hash),
+            _ => {
+                let picture = self.stages.clone().time(Stage::Compose, || self.compose(&drawn.buffers));
+                let hash = xxhash_rust::xxh3::xxh3_64(picture.data().as_flattened());
+                (Some(picture), hash)
+            }
+        };
+        let snapshot = match (rgb8, &self.shown) {
+            (None, Some(shown)) => {
+                Arc::new(FrameSnapshot { index, drawn: drawn.clone(), rgb8: shown.rgb8.clone(), hash })
+            }
+            (Some(rgb8), _) => {
+                let snapshot =
+                    Arc::new(FrameSnapshot { index, drawn: drawn.clone(), rgb8: Arc::new(rgb8), hash });
+                if let Some(neighbours) = &self.neighbours {
+                    // Newest only: always accepted.
+                    let shown = AnalyzerMessage::FrameShown { snapshot: snapshot.clone() };
+                    let _ = cx.tell(&neighbours.analyzer, shown);
+                }
+                snapshot
+            }
+            (None, None) => return,
+        };
+        cx.mark(MARK_FRAME, hash);
+        self.changed = false;
+        self.shown = Some(snapshot.clone());
+        if cx.effects() {
+            let counts = self.counts;
+            // The sink is lent to itself: it may look at the layers.
+            let mut sink = std::mem::replace(&mut self.sink, Box::new(NoSink));
+            sink.frame_shown(&snapshot, counts, self);
+            self.sink = sink;
+        }
+    }
+
+    fn compose(&self, buffers: &FrameBuffers) -> Map2d<[u8; 3]> {
+        let (width, height) = (buffers.width(), buffers.height());
+        let mut rgb8 = Map2d::new(width, height, [0u8; 3]);
+        let (encoder, tone) = (&self.encoder, &self.tone);
+        rgb8.data_mut()
+            .par_chunks_mut(width.max(1) * 16)
+            .zip(buffers.color.data().par_chunks(width.max(1) * 16))
+            .zip(self.layer.colors().data().par_chunks(width.max(1) * 16))
+            .for_each(|((out, base), splats)| {
+                for ((out, &base), &splat) in out.iter_mut().zip(base).zip(splats) {
+                    *out = encoder.rgb8(tone, base + splat);
+                }
+            });
+        rgb8
+    }
+}
+
+/// Shows nothing.
+struct NoSink;
+
+impl FrameSink for NoSink {
+    fn frame_shown(&mut self, _snapshot: &Arc<FrameSnapshot>, _counts: FrameCounts, _renderer: &Renderer) {}
+}
+
+/// What followers could depend on: ids and depths.
+fn hash_view(buffers: &FrameBuffers, view: View) -> u64 {
+    let mut h = Xxh3::new();
+    h.update(&view.0.to_le_bytes());
+    h.update(bytemuck::cast_slice(buffers.object.data()));
+    h.update(bytemuck::cast_slice(buffers.depth.data()));
+    h.digest()
+}
+
+impl Actor for Renderer {
+    type Msg = RendererMessage;
+    const NAME: &'static str = "renderer";
+    const CLASS: Class = Class::Pinned;
+
+    fn handle(&mut self, message: RendererMessage, cx: &mut Cx<'_, RendererMessage>) {
+        match message {
+            RendererMessage::Input(RendererInput::FrameBegan { frame: _, camera }) => {
+                self.on_frame_began(camera, cx)
+            }
+            RendererMessage::Input(RendererInput::DeadlineReached { frame }) => {
+                self.on_deadline_reached(frame, cx)
+            }
+            RendererMessage::SamplesAged { view, samples, expired, hash: _ } => {
+                self.on_samples_aged(view, &samples, expired);
+            }
+            RendererMessage::SamplesTraced { batch, tracer, hash: _ } => {
+                self.on_samples_traced(&batch, tracer)
+            }
+            RendererMessage::ViewConverged { view } => self.on_view_converged(view),
+        }
+    }
+}

@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 
+use crate::geometry::Hit;
 use crate::image::Map2d;
 use crate::scene::TextureId;
 
@@ -25,6 +26,17 @@ impl PrimaryHit {
     /// Whether there is no hit.
     pub fn is_miss(&self) -> bool {
         self.triangle == u32::MAX
+    }
+
+    /// As the geometry index gives it.
+    pub fn hit(&self) -> Option<Hit> {
+        (!self.is_miss()).then_some(Hit { t: self.t, triangle: self.triangle, b1: self.b1, b2: self.b2 })
+    }
+}
+
+impl From<Option<Hit>> for PrimaryHit {
+    fn from(hit: Option<Hit>) -> Self {
+        hit.map_or(Self::MISS, |h| Self { t: h.t, triangle: h.triangle, b1: h.b1, b2: h.b2 })
     }
 }
 

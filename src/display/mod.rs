@@ -5,5 +5,6 @@
 
 pub mod buffers;
 pub mod tone;
+pub mod twin;
 
 pub use buffers::{FrameBuffers, PrimaryHit, TextureLevel};

@@ -7,6 +7,7 @@
 pub mod cache;
 pub mod layer;
 pub mod sample;
+pub mod trace;
 pub mod warp;
 
 pub use cache::{AgeingRules, SampleCache};

@@ -1,0 +1,128 @@
+//! The cache ager: owns the samples of earlier views and says which still hold.
+//!
+//! Hears: the camera moved; samples were traced. Says: to the renderer, the samples that still hold,
+//! warped into the new view.
+
+use std::sync::Arc;
+
+use bytemuck::bytes_of;
+use foveal::scene::camera::CameraFrame;
+use foveal::splatting::{SampleBatch, SampleCache, WarpedSample, warp};
+use foveal::world::World;
+use foveal_runtime::{Actor, Address, Cx};
+use xxhash_rust::xxh3::Xxh3;
+
+use crate::message::cache_ager::Forget;
+use crate::message::{CacheAgerMessage, RendererMessage, View};
+use crate::settings::Settings;
+use crate::stages::{Stage, StageTimes};
+
+/// The cache ager's state.
+pub struct CacheAger {
+    settings: Settings,
+    cache: SampleCache,
+    /// Cosine of the largest turn of the view direction that each object's lobe allows, by object id.
+    angle_limits: Vec<f32>,
+    renderer: Address<RendererMessage>,
+    stages: StageTimes,
+}
+
+impl CacheAger {
+    /// An empty cache for the objects of a world.
+    pub fn new(
+        settings: Settings,
+        world: &World,
+        renderer: Address<RendererMessage>,
+        stages: StageTimes,
+    ) -> Self {
+        Self {
+            cache: SampleCache::new(settings.cache_capacity),
+            angle_limits: world.scene.objects.iter().map(|o| angle_limit(world, o.material)).collect(),
+            settings,
+            renderer,
+            stages,
+        }
+    }
+
+    /// Samples per level set k.
+    pub fn len_per_level(&self) -> Vec<usize> {
+        self.cache.len_per_level()
+    }
+
+    fn on_camera_moved(
+        &mut self,
+        view: View,
+        frame: &CameraFrame,
+        forget: Forget,
+        cx: &mut Cx<'_, CacheAgerMessage>,
+    ) {
+        let limits = &self.angle_limits;
+        let expired = self.stages.time(Stage::Age, || match forget {
+            Forget::Everything => self.cache.clear(),
+            Forget::Nothing => self.cache.age(view.0, frame.eye, &self.settings.ageing, |object| {
+                limits.get(object as usize).copied().unwrap_or(-1.0)
+            }),
+        });
+        let samples = self.stages.time(Stage::WarpSplat, || warp(&self.cache, view.0, frame));
+        let hash = digest(&samples);
+        let aged =
+            RendererMessage::SamplesAged { view, samples: Arc::new(samples), expired: expired as u32, hash };
+        // One answer for each view that the renderer began: its mailbox has room for two.
+        let accepted = cx.tell(&self.renderer, aged);
+        debug_assert!(accepted.is_ok(), "one answer for each view");
+    }
+
+    fn on_samples_traced(&mut self, batch: Arc<SampleBatch>) {
+        self.cache.insert(batch);
+    }
+}
+
+/// Cosine of the turn of the view direction within which samples of a material still hold: a few degrees for
+/// mirrors, whose reflections slide but keep their look under small turns, more for rough lobes
+/// (REFERENCE §11: half of atan α on top).
+fn angle_limit(world: &World, material: foveal::scene::MaterialId) -> f32 {
+    use foveal::scene::Model;
+    const SMOOTH_DEGREES: f32 = 4.0;
+    let alpha = match &world.scene.materials[material.0 as usize].model {
+        Model::Lambert { .. } | Model::Mirror { .. } => 0.0,
+        Model::Conductor { roughness, .. }
+        | Model::Metal { roughness, .. }
+        | Model::Dielectric { roughness, .. }
+        | Model::Plastic { roughness, .. }
+        | Model::CookTorrance { roughness, .. }
+        | Model::Ward { roughness, .. } => roughness.alpha_x.max(roughness.alpha_y),
+    };
+    (SMOOTH_DEGREES.to_radians() + 0.5 * alpha.atan()).cos()
+}
+
+fn digest(samples: &[WarpedSample]) -> u64 {
+    let mut h = Xxh3::new();
+    for s in samples {
+        let words: [u32; 8] = [
+            u32::from(s.x) | u32::from(s.y) << 16,
+            s.depth.to_bits(),
+            s.color.x.to_bits(),
+            s.color.y.to_bits(),
+            s.color.z.to_bits(),
+            s.object,
+            u32::from(s.age) | u32::from(s.half_side) << 16 | u32::from(s.k) << 24,
+            s.depth_tolerance.to_bits(),
+        ];
+        h.update(bytes_of(&words));
+    }
+    h.digest()
+}
+
+impl Actor for CacheAger {
+    type Msg = CacheAgerMessage;
+    const NAME: &'static str = "cache ager";
+
+    fn handle(&mut self, message: CacheAgerMessage, cx: &mut Cx<'_, CacheAgerMessage>) {
+        match message {
+            CacheAgerMessage::CameraMoved { view, frame, forget } => {
+                self.on_camera_moved(view, &frame, forget, cx)
+            }
+            CacheAgerMessage::SamplesTraced { batch, hash: _ } => self.on_samples_traced(batch),
+        }
+    }
+}

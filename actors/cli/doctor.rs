@@ -1,0 +1,101 @@
+//! `foveal doctor`: what this machine offers.
+
+use clap::Args;
+use serde_json::json;
+
+use super::failure::Failure;
+use super::output::{print_json, print_line};
+
+/// Arguments of `foveal doctor`.
+#[derive(Args, Debug)]
+pub struct DoctorArguments {
+    /// One JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// Vector instructions that this processor has and the program knows of.
+fn simd() -> Vec<&'static str> {
+    #[cfg(target_arch = "x86_64")]
+    {
+        let mut found = vec!["sse2"];
+        for (name, there) in [
+            ("sse4.1", std::arch::is_x86_feature_detected!("sse4.1")),
+            ("avx2", std::arch::is_x86_feature_detected!("avx2")),
+            ("fma", std::arch::is_x86_feature_detected!("fma")),
+            ("avx512f", std::arch::is_x86_feature_detected!("avx512f")),
+        ] {
+            if there {
+                found.push(name);
+            }
+        }
+        found
+    }
+    #[cfg(target_arch = "aarch64")]
+    {
+        vec!["neon"]
+    }
+    #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
+    {
+        Vec::new()
+    }
+}
+
+/// The display a window could open on, if the environment names one.
+fn display() -> Option<String> {
+    let named = |variable: &str| std::env::var(variable).ok().filter(|v| !v.is_empty());
+    named("WAYLAND_DISPLAY")
+        .map(|d| format!("wayland {d}"))
+        .or_else(|| named("DISPLAY").map(|d| format!("x11 {d}")))
+}
+
+/// Name of the processor, where the system tells.
+fn processor() -> Option<String> {
+    let info = std::fs::read_to_string("/proc/cpuinfo").ok()?;
+    let line = info.lines().find(|l| l.starts_with("model name"))?;
+    line.split_once(':').map(|(_, name)| name.trim().to_owned())
+}
+
+/// The machine, as reports and benchmarks name it.
+pub fn machine() -> serde_json::Value {
+    json!({
+        "processor": processor(),
+        "cores": std::thread::available_parallelism().map_or(1, usize::from),
+        "simd": simd(),
+        "os": std::env::consts::OS,
+        "version": env!("CARGO_PKG_VERSION"),
+    })
+}
+
+/// Runs the command.
+pub fn run(a: &DoctorArguments) -> Result<(), Failure> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let document = json!({
+        "schema": "foveal.doctor/1",
+        "version": env!("CARGO_PKG_VERSION"),
+        "processor": processor(),
+        "cores": cores,
+        "simd": simd(),
+        "adapter": null,
+        "display": display(),
+        "cache": super::session::cache_folder(None).map(|p| p.display().to_string()),
+    });
+    if a.json {
+        print_json(&document);
+        return Ok(());
+    }
+    print_line(&format!("foveal    {}", env!("CARGO_PKG_VERSION")));
+    print_line(&format!(
+        "processor {}, {cores} cores, {}",
+        processor().unwrap_or_default(),
+        simd().join(" ")
+    ));
+    print_line("adapter   none: this build draws on the processor (the CPU twin)");
+    print_line(&format!(
+        "display   {}",
+        display().unwrap_or_else(|| "none named by DISPLAY or WAYLAND_DISPLAY".into())
+    ));
+    let cache = document["cache"].as_str().unwrap_or("none (set FOVEAL_CACHE)");
+    print_line(&format!("bakes     {cache}"));
+    Ok(())
+}

@@ -1,0 +1,145 @@
+//! The program's command line: arguments → files → wiring → exit code.
+
+pub mod arguments;
+pub mod bake;
+pub mod compare;
+pub mod doctor;
+pub mod explain;
+pub mod failure;
+pub mod figures;
+pub mod output;
+pub mod pictures;
+pub mod reference;
+pub mod report;
+pub mod session;
+pub mod walk;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand, ValueEnum};
+use tracing_subscriber::EnvFilter;
+
+use failure::Failure;
+
+/// Walk through lit buildings at interactive rates; rays are spent where the eye looks.
+#[derive(Debug, Parser)]
+#[command(name = "foveal", version, max_term_width = 100, arg_required_else_help = true)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// More messages (-v: decisions, -vv: every turn)
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    verbose: u8,
+    /// No progress and no messages but errors
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    quiet: bool,
+    /// Colour of messages
+    #[arg(long, global = true, value_enum, default_value_t = ColorChoice::Auto)]
+    color: ColorChoice,
+}
+
+/// When messages are coloured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ColorChoice {
+    /// On a terminal, unless NO_COLOR is set.
+    Auto,
+    /// Always.
+    Always,
+    /// Never.
+    Never,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Walk along a camera path without a window; leaves pictures and a report
+    Walk(walk::WalkArguments),
+    /// Compute the view-independent illumination and keep it
+    Bake(bake::BakeArguments),
+    /// Render the gold standard: what a still view converges to, or an unbiased path-traced picture
+    Reference(reference::ReferenceArguments),
+    /// Measure how two pictures differ: FLIP, PSNR, relMSE
+    Compare(compare::CompareArguments),
+    /// Say what a scene needs, what is skipped, and why
+    Explain(explain::ExplainArguments),
+    /// Say what this machine offers
+    Doctor(doctor::DoctorArguments),
+}
+
+/// Runs the program.
+pub fn run() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(e) => {
+            let _ = e.print();
+            return ExitCode::from(if e.use_stderr() { 2 } else { 0 });
+        }
+    };
+    log_to_stderr(&cli);
+    let progress = Progress { shown: !cli.quiet && std::io::IsTerminal::is_terminal(&std::io::stderr()) };
+    let result = match cli.command {
+        Command::Walk(a) => walk::run(&a, progress),
+        Command::Bake(a) => bake::run(&a, progress),
+        Command::Reference(a) => reference::run(&a, progress),
+        Command::Compare(a) => compare::run(&a),
+        Command::Explain(a) => explain::run(&a),
+        Command::Doctor(a) => doctor::run(&a),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            report_failure(&failure);
+            ExitCode::from(failure.exit_code())
+        }
+    }
+}
+
+/// Whether progress bars are drawn.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    /// On a terminal and not quiet.
+    pub shown: bool,
+}
+
+impl Progress {
+    /// A bar over `length` steps, hidden where none is wanted.
+    pub fn bar(self, length: u64, what: &'static str) -> indicatif::ProgressBar {
+        if !self.shown {
+            return indicatif::ProgressBar::hidden();
+        }
+        let bar = indicatif::ProgressBar::new(length);
+        if let Ok(style) = indicatif::ProgressStyle::with_template("{msg:>14} {bar:30} {pos}/{len} {eta}") {
+            bar.set_style(style);
+        }
+        bar.set_message(what);
+        bar
+    }
+}
+
+#[expect(clippy::print_stderr, reason = "the one message of a failure")]
+fn report_failure(failure: &Failure) {
+    eprintln!("foveal: {failure}");
+}
+
+fn log_to_stderr(cli: &Cli) {
+    let default = match (cli.quiet, cli.verbose) {
+        (true, _) => "error",
+        (_, 0) => "warn",
+        (_, 1) => "foveal=info,foveal_actors=info,foveal_runtime=info",
+        _ => "foveal=debug,foveal_actors=debug,foveal_runtime=debug",
+    };
+    let filter = EnvFilter::try_from_env("FOVEAL_LOG").unwrap_or_else(|_| EnvFilter::new(default));
+    let colored = match cli.color {
+        ColorChoice::Always => true,
+        ColorChoice::Never => false,
+        ColorChoice::Auto => {
+            std::env::var_os("NO_COLOR").is_none() && std::io::IsTerminal::is_terminal(&std::io::stderr())
+        }
+    };
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(colored)
+        .with_target(false)
+        .without_time()
+        .init();
+}

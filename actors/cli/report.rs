@@ -1,0 +1,172 @@
+//! The report of a walk: one HTML file that stands alone, pictures and plots inside it.
+
+use std::fmt::Write as _;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use plotters::prelude::*;
+
+/// A picture with its caption.
+#[derive(Clone, Debug)]
+pub struct Figure {
+    /// Short title.
+    pub title: String,
+    /// What it shows, in a sentence or two.
+    pub caption: String,
+    /// PNG bytes.
+    pub png: Vec<u8>,
+}
+
+/// A table: a header and rows of cells.
+#[derive(Clone, Debug)]
+pub struct Table {
+    /// Title.
+    pub title: String,
+    /// Column names.
+    pub header: Vec<String>,
+    /// Rows.
+    pub rows: Vec<Vec<String>>,
+}
+
+/// One frame's time for the plot.
+#[derive(Clone, Copy, Debug)]
+pub struct FramePoint {
+    /// Milliseconds from its beginning until it was shown.
+    pub total_ms: f32,
+    /// Milliseconds of drawing.
+    pub display_ms: f32,
+    /// Samples that were traced for it.
+    pub samples: u32,
+}
+
+/// Everything on the page.
+#[derive(Clone, Debug, Default)]
+pub struct Page {
+    /// Heading.
+    pub title: String,
+    /// Sentences under the heading.
+    pub summary: Vec<String>,
+    /// Figures.
+    pub figures: Vec<Figure>,
+    /// Tables.
+    pub tables: Vec<Table>,
+    /// Frames.
+    pub frames: Vec<FramePoint>,
+    /// The deadline of a frame.
+    pub deadline_ms: f32,
+}
+
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+/// Frame times against the deadline, as SVG; `None` where there are too few frames for a plot.
+fn frame_plot(frames: &[FramePoint], deadline_ms: f32) -> Option<String> {
+    if frames.len() < 2 {
+        return None;
+    }
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, (860, 260)).into_drawing_area();
+        let top = frames.iter().map(|f| f.total_ms).fold(deadline_ms, f32::max) * 1.1;
+        let mut chart = ChartBuilder::on(&root)
+            .margin(8)
+            .x_label_area_size(34)
+            .y_label_area_size(46)
+            .build_cartesian_2d(0..frames.len() - 1, 0f32..top)
+            .ok()?;
+        chart.configure_mesh().x_desc("frame").y_desc("ms").light_line_style(TRANSPARENT).draw().ok()?;
+        let line = |f: fn(&FramePoint) -> f32, color: RGBColor| {
+            LineSeries::new(frames.iter().enumerate().map(move |(i, p)| (i, f(p))), color.stroke_width(2))
+        };
+        chart.draw_series(line(|f| f.total_ms, RGBColor(31, 119, 180))).ok()?.label("shown after");
+        chart.draw_series(line(|f| f.display_ms, RGBColor(255, 127, 14))).ok()?.label("drawing");
+        chart
+            .draw_series(std::iter::once(PathElement::new(
+                vec![(0, deadline_ms), (frames.len() - 1, deadline_ms)],
+                RGBColor(214, 39, 40),
+            )))
+            .ok()?;
+        root.present().ok()?;
+    }
+    Some(svg)
+}
+
+/// The page as HTML.
+pub fn html(page: &Page) -> String {
+    let mut out = String::from(
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\">\
+         <meta name=\"viewport\" content=\"width=device-width\"><style>\
+         body{font:15px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222}\
+         figure{display:inline-block;margin:.5rem 1rem 1rem 0;vertical-align:top;max-width:32rem}\
+         img{max-width:100%;image-rendering:pixelated}figcaption{font-size:13px;color:#555}\
+         table{border-collapse:collapse;margin:.5rem 0 1.5rem}td,th{padding:.15rem .8rem .15rem 0;text-align:right}\
+         td:first-child,th:first-child{text-align:left}tr+tr{border-top:1px solid #ddd}\
+         @media(prefers-color-scheme:dark){body{background:#161616;color:#ddd}figcaption{color:#aaa}}\
+         </style>",
+    );
+    let _ = write!(out, "<title>{0}</title><h1>{0}</h1>", escape(&page.title));
+    for sentence in &page.summary {
+        let _ = write!(out, "<p>{}</p>", escape(sentence));
+    }
+    if let Some(svg) = frame_plot(&page.frames, page.deadline_ms) {
+        let _ = write!(
+            out,
+            "<h2>Frames</h2><figure style=\"max-width:none\">{svg}<figcaption>Blue: from a frame's beginning until \
+             it was shown. Orange: drawing of the base layer. Red: the deadline.</figcaption></figure>"
+        );
+    }
+    for table in &page.tables {
+        let _ = write!(out, "<h2>{}</h2><table><tr>", escape(&table.title));
+        for cell in &table.header {
+            let _ = write!(out, "<th>{}</th>", escape(cell));
+        }
+        out.push_str("</tr>");
+        for row in &table.rows {
+            out.push_str("<tr>");
+            for cell in row {
+                let _ = write!(out, "<td>{}</td>", escape(cell));
+            }
+            out.push_str("</tr>");
+        }
+        out.push_str("</table>");
+    }
+    if !page.figures.is_empty() {
+        out.push_str("<h2>Pictures</h2>");
+    }
+    for figure in &page.figures {
+        let _ = write!(
+            out,
+            "<figure><img alt=\"{0}\" src=\"data:image/png;base64,{1}\"><figcaption><b>{0}</b> {2}</figcaption></figure>",
+            escape(&figure.title).replace('"', "&quot;"),
+            STANDARD.encode(&figure.png),
+            escape(&figure.caption),
+        );
+    }
+    out.push_str("</html>\n");
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_stands_alone_and_escapes_names() {
+        let page = Page {
+            title: "a<b>".into(),
+            frames: vec![FramePoint { total_ms: 10.0, display_ms: 4.0, samples: 3 }; 5],
+            deadline_ms: 12.5,
+            figures: vec![Figure { title: "x".into(), caption: "y".into(), png: vec![1, 2, 3] }],
+            tables: vec![Table {
+                title: "t".into(),
+                header: vec!["h".into()],
+                rows: vec![vec!["<script>".into()]],
+            }],
+            summary: vec!["s".into()],
+        };
+        let html = html(&page);
+        assert!(html.contains("a&lt;b&gt;") && !html.contains("<script>") && html.contains("<svg"));
+        assert!(!html.contains("src=\"http") && !html.contains("href="), "nothing is fetched");
+    }
+}

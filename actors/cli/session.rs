@@ -1,0 +1,229 @@
+//! From files to a world: load the scene, find or make its illumination.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+
+use foveal::geometry::Accel;
+use foveal::illumination::Irradiance;
+use foveal::illumination::bake::{BakeSettings, Baked, Baker, Stage, cache_key, quick_direct};
+use foveal::illumination::cache::{load_illumination, save};
+use foveal::illumination::stored::Illumination;
+use foveal::scene::{NamedCamera, Scene, load};
+use foveal::transport::light::Lights;
+use foveal::transport::particle::SceneTransport;
+use foveal::world::World;
+
+use super::Progress;
+use super::arguments::{duration, share};
+use super::failure::Failure;
+
+static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+/// From now on Ctrl-C asks for an end instead of forcing one; a second one forces it.
+pub fn end_on_interrupt() {
+    let handler = || {
+        if INTERRUPTED.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    };
+    if ctrlc::set_handler(handler).is_err() {
+        tracing::debug!("Ctrl-C is handled elsewhere");
+    }
+}
+
+/// Whether Ctrl-C was pressed.
+pub fn interrupted() -> bool {
+    INTERRUPTED.load(Ordering::Relaxed)
+}
+
+/// Where illumination comes from.
+#[derive(Args, Clone, Debug)]
+pub struct IlluminationArguments {
+    /// Illumination made by `foveal bake --out`; without it one is taken from the cache, or baked and kept there
+    #[arg(long, value_name = "FILE")]
+    pub bake: Option<PathBuf>,
+    /// Do not bake: direct light and a constant ambient
+    #[arg(long, conflicts_with = "bake")]
+    pub quick: bool,
+    /// Folder of kept bakes (default: FOVEAL_CACHE, else the user's cache folder)
+    #[arg(long, value_name = "DIR")]
+    pub cache: Option<PathBuf>,
+    #[command(flatten)]
+    pub settings: BakeSettingsArguments,
+}
+
+/// When a bake is good enough.
+#[derive(Args, Clone, Debug)]
+pub struct BakeSettingsArguments {
+    /// Stop at this relative error of irradiance
+    #[arg(long, value_name = "SHARE", value_parser = share, default_value = "2%")]
+    pub error: f32,
+    /// Stop after so many particles
+    #[arg(long, value_name = "N", default_value_t = 1 << 22)]
+    pub particles: u64,
+    /// Texels of the lightmap, about
+    #[arg(long, value_name = "N", default_value_t = 256 * 1024, value_parser = clap::value_parser!(u32).range(0..=1 << 26))]
+    pub texels: u32,
+    /// Seed of the bake's random numbers
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub bake_seed: u64,
+    /// Stop after this time, e.g. 10s
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub time: Option<Duration>,
+}
+
+impl BakeSettingsArguments {
+    /// As the core takes them.
+    pub fn settings(&self) -> BakeSettings {
+        BakeSettings {
+            texels: self.texels,
+            seed: self.bake_seed,
+            particles: Some(self.particles.max(1)),
+            error: Some(self.error),
+            ..BakeSettings::default()
+        }
+    }
+}
+
+/// A scene that is ready for a picture.
+pub struct Session {
+    /// Scene, geometry, lights and illumination.
+    pub world: World,
+    /// What went wrong without stopping anything, each said once.
+    pub warnings: Vec<String>,
+}
+
+/// Loads a scene; warnings go to the log and into the list.
+pub fn load_scene(path: &Path) -> Result<(Arc<Scene>, Vec<String>), Failure> {
+    let loaded = load::load(path).map_err(|e| Failure::Input(e.to_string()))?;
+    let warnings: Vec<String> = loaded.warnings.iter().map(ToString::to_string).collect();
+    for warning in &warnings {
+        tracing::warn!("{warning}");
+    }
+    Ok((Arc::new(loaded.scene), warnings))
+}
+
+/// Loads a scene and its illumination.
+pub fn open(path: &Path, a: &IlluminationArguments, progress: Progress) -> Result<Session, Failure> {
+    let (scene, mut warnings) = load_scene(path)?;
+    let accel = Arc::new(Accel::build(&scene));
+    let lights = Arc::new(Lights::build(&scene));
+    let illumination = illuminate(&scene, &accel, &lights, a, progress, &mut warnings)?;
+    Ok(Session { world: World { scene, accel, lights, illumination }, warnings })
+}
+
+fn illuminate(
+    scene: &Arc<Scene>,
+    accel: &Accel,
+    lights: &Lights,
+    a: &IlluminationArguments,
+    progress: Progress,
+    warnings: &mut Vec<String>,
+) -> Result<Arc<dyn Irradiance>, Failure> {
+    let transport = SceneTransport::new(scene, accel, lights);
+    if a.quick {
+        return Ok(Arc::new(quick_direct(scene, &transport, a.settings.bake_seed)));
+    }
+    let settings = a.settings.settings();
+    let key = cache_key(scene, &settings);
+    let triangles = scene.mesh.triangles.len();
+    if let Some(file) = &a.bake {
+        let map = load_illumination(file, &key, triangles).map_err(|e| {
+            Failure::Input(format!(
+                "{}: {e}; bake this scene with the same --texels and --bake-seed again",
+                file.display()
+            ))
+        })?;
+        return Ok(Arc::new(map));
+    }
+    let kept = cache_file(a.cache.as_deref(), scene, &settings);
+    if let Some(file) = kept.as_ref().filter(|f| f.exists()) {
+        match load_illumination(file, &key, triangles) {
+            Ok(map) => return Ok(Arc::new(map)),
+            Err(e) => {
+                let warning = format!("{}: {e}; the illumination is baked anew", file.display());
+                tracing::warn!("{warning}");
+                warnings.push(warning);
+            }
+        }
+    }
+    let baked = bake_with_progress(scene, &transport, &settings, a.settings.time, progress);
+    if interrupted() {
+        return Err(Failure::Interrupted("interrupted while baking".into()));
+    }
+    // A bake that a time limit ended is not what the settings ask for.
+    if let Some(file) = kept.filter(|_| baked.complete) {
+        let kept = std::fs::create_dir_all(file.parent().unwrap_or(Path::new("."))).is_ok()
+            && save(&file, &key, &baked.illumination).is_ok();
+        if !kept {
+            let warning =
+                format!("{}: the illumination cannot be kept; set FOVEAL_CACHE or --cache", file.display());
+            tracing::warn!("{warning}");
+            warnings.push(warning);
+        }
+    }
+    Ok(Arc::new(baked.illumination))
+}
+
+/// Bakes with a bar, until the settings are met, the time is up, or Ctrl-C.
+pub fn bake_with_progress(
+    scene: &Scene,
+    transport: &SceneTransport<'_>,
+    settings: &BakeSettings,
+    time: Option<Duration>,
+    progress: Progress,
+) -> Baked {
+    let bar = progress.bar(settings.particles.unwrap_or(0), "bake");
+    let start = Instant::now();
+    let keep_going = |p: &foveal::illumination::bake::Progress| {
+        bar.set_position(p.particles);
+        let stage = match p.stage {
+            Stage::Particles => "particles",
+            Stage::Direct => "direct light",
+            Stage::Density => "irradiance",
+        };
+        bar.set_message(match p.relative_error {
+            Some(e) => format!("{stage}, error {:.1} %", 100.0 * e),
+            None => stage.to_owned(),
+        });
+        !interrupted() && time.is_none_or(|t| start.elapsed() < t)
+    };
+    let baked = Baker::new(scene, transport, settings).run(&keep_going, &mut |_: &Illumination| {});
+    bar.finish_and_clear();
+    baked
+}
+
+/// The folder of kept bakes.
+pub fn cache_folder(given: Option<&Path>) -> Option<PathBuf> {
+    let from = |variable: &str| std::env::var_os(variable).filter(|v| !v.is_empty()).map(PathBuf::from);
+    given
+        .map(Path::to_path_buf)
+        .or_else(|| from("FOVEAL_CACHE"))
+        .or_else(|| from("XDG_CACHE_HOME").map(|p| p.join("foveal")))
+        .or_else(|| from("HOME").map(|p| p.join(".cache/foveal")))
+}
+
+/// Where the bake of a scene with these settings is kept: its name holds all that decides its content.
+pub fn cache_file(given: Option<&Path>, scene: &Scene, settings: &BakeSettings) -> Option<PathBuf> {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&cache_key(scene, settings));
+    hasher.update(&settings.particles.unwrap_or(0).to_le_bytes());
+    hasher.update(&settings.error.unwrap_or(0.0).to_le_bytes());
+    let name = format!("{}.fvbake", &hasher.finalize().to_hex()[..32]);
+    cache_folder(given).map(|folder| folder.join(name))
+}
+
+/// A camera of the scene by name, or the first.
+pub fn camera<'s>(scene: &'s Scene, name: Option<&str>) -> Result<&'s NamedCamera, Failure> {
+    match name {
+        None => scene.cameras.first().ok_or_else(|| Failure::Input("the scene has no camera".into())),
+        Some(name) => scene.cameras.iter().find(|c| c.name == name).ok_or_else(|| {
+            let names: Vec<&str> = scene.cameras.iter().map(|c| c.name.as_str()).collect();
+            Failure::Usage(format!("no camera \"{name}\"; the scene has {}", names.join(", ")))
+        }),
+    }
+}

@@ -1,0 +1,464 @@
+//! `foveal walk`: a walkthrough without a window, along a camera path at a frame-time budget.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use clap::{Args, ValueEnum};
+use crossbeam_queue::SegQueue;
+use serde_json::{Value, json};
+
+use foveal::allocation::policy::{Policy, RayPolicy};
+use foveal::display::twin::Passes;
+use foveal::scene::plan::{Part, ScenePlan};
+use foveal::scene::{Camera, CameraPath};
+use foveal::splatting::Footprint;
+use foveal_runtime::{Config, Limit, Runtime};
+
+use super::arguments::{Size, positive, unit};
+use super::failure::Failure;
+use super::output::{make_folder, peak_memory_bytes, print_json, print_line, write_atomic};
+use super::pictures::PictureWriter;
+use super::report::FramePoint;
+use super::session::{self, IlluminationArguments, Session, camera, interrupted};
+use super::{Progress, figures};
+use crate::message::{FrameIndex, FrameSnapshot, RendererInput};
+use crate::renderer::{FrameCounts, FrameSink, Renderer};
+use crate::settings::Settings;
+use crate::stages::{Stage, StageTimes};
+use crate::wiring::{Actors, Parts, wire};
+
+/// Arguments of `foveal walk`.
+#[derive(Args, Debug)]
+pub struct WalkArguments {
+    /// An OBJ file or a sidecar
+    scene: PathBuf,
+    /// Camera path (default: the scene's first, unless a camera is named)
+    #[arg(long, value_name = "NAME", conflicts_with = "camera")]
+    path: Option<String>,
+    /// Stand still at this camera
+    #[arg(long, value_name = "NAME")]
+    camera: Option<String>,
+    /// Number of frames (default: the path's length)
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    frames: Option<u32>,
+    /// Frames per second to keep (default: the scene's, else 10)
+    #[arg(long, value_parser = positive)]
+    fps: Option<f32>,
+    /// Picture size
+    #[arg(long, value_name = "WxH", default_value = "512x512")]
+    size: Size,
+    /// Number of tracers (default: one per core)
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=256))]
+    workers: Option<u32>,
+    /// What decides which samples come first
+    #[arg(long, value_enum, default_value_t = PolicyName::Attention)]
+    policy: PolicyName,
+    /// Seed of every random number
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// After the last frame stay until the picture has converged (without --path: at the start camera)
+    #[arg(long)]
+    until_converged: bool,
+    /// Folder for pictures and reports
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Weight of saliency against the task, 0 to 1
+    #[arg(long, value_name = "W", default_value = "0.5", value_parser = unit)]
+    saliency: f32,
+    /// Priority of each next level relative to the last, 0 to 1 (the paper: 0.8 to 0.9)
+    #[arg(long, value_name = "F", default_value = "0.25", value_parser = unit)]
+    reduction: f32,
+    /// Correct the most attended object until it has converged, then the next
+    #[arg(long)]
+    winner_takes_all: bool,
+    /// Samples of one job (the paper's n_job)
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    n_job: u32,
+    /// Coarsest level set of the √5 lattice: K + 1 levels
+    #[arg(long, value_name = "K", default_value_t = 6, value_parser = clap::value_parser!(u32).range(0..=7))]
+    levels: u32,
+    /// What a fresh sample paints
+    #[arg(long, value_enum, default_value_t = FootprintName::Tile)]
+    footprint: FootprintName,
+    /// Ageing: largest change of ⟨normal, view⟩ (the paper's δ)
+    #[arg(long, default_value = "0.1", value_parser = unit)]
+    delta: f32,
+    /// Ageing: largest age of a sample in views
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(0..=65_535))]
+    max_age: u32,
+    /// Ageing: samples that a level needs to vote
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    n_min: usize,
+    #[command(flatten)]
+    illumination: IlluminationArguments,
+    /// One JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// Names of policies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum PolicyName {
+    /// Saliency and task, reduced per level (Haber et al.)
+    Attention,
+    /// Largest objects first
+    Coverage,
+    /// Level by level
+    Uniform,
+    /// Any order
+    Random,
+}
+
+impl From<PolicyName> for Policy {
+    fn from(name: PolicyName) -> Self {
+        match name {
+            PolicyName::Attention => Self::Attention,
+            PolicyName::Coverage => Self::Coverage,
+            PolicyName::Uniform => Self::Uniform,
+            PolicyName::Random => Self::Random,
+        }
+    }
+}
+
+/// Names of footprints.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum FootprintName {
+    /// Exact tiles of the lattice
+    Tile,
+    /// Squares, the paper's look
+    Square,
+}
+
+/// Where the camera is at a time.
+enum Motion<'s> {
+    Still(Camera),
+    Along(&'s CameraPath, Camera),
+}
+
+impl Motion<'_> {
+    fn at(&self, seconds: f32) -> Camera {
+        match self {
+            Self::Still(camera) => *camera,
+            Self::Along(path, like) => path.at(seconds, like.up, like.fov_y),
+        }
+    }
+}
+
+/// A frame as the renderer handed it over.
+struct Shown {
+    snapshot: Arc<FrameSnapshot>,
+    counts: FrameCounts,
+}
+
+struct Handover(Arc<SegQueue<Shown>>);
+
+impl FrameSink for Handover {
+    fn frame_shown(&mut self, snapshot: &Arc<FrameSnapshot>, counts: FrameCounts, _renderer: &Renderer) {
+        self.0.push(Shown { snapshot: snapshot.clone(), counts });
+    }
+}
+
+/// What a walk came to.
+pub struct Walked {
+    /// Times from beginning to showing, ms, of each frame.
+    pub frame_ms: Vec<f32>,
+    /// The same frames for the plot.
+    pub points: Vec<FramePoint>,
+    /// Durations by stage, ms.
+    pub stages: Vec<(Stage, f32)>,
+    /// Sums over all frames.
+    pub traced: u64,
+    /// Warped samples that painted something, over all frames.
+    pub reused: u64,
+    /// Expired samples.
+    pub expired: u64,
+    /// Samples that came after their view.
+    pub late: u64,
+}
+
+/// Runs the command.
+pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
+    session::end_on_interrupt();
+    let session = session::open(&a.scene, &a.illumination, progress)?;
+    let scene = session.world.scene.clone();
+    let plan = ScenePlan::new(&scene, &scene.budget);
+    let start_camera = camera(&scene, a.camera.as_deref())?.camera;
+    let path = match &a.path {
+        Some(name) => Some(scene.paths.iter().find(|p| p.name == *name).ok_or_else(|| {
+            let names: Vec<&str> = scene.paths.iter().map(|p| p.name.as_str()).collect();
+            Failure::Usage(format!("no path \"{name}\"; the scene has {}", names.join(", ")))
+        })?),
+        None if a.camera.is_some() || a.until_converged => None,
+        None => scene.paths.first(),
+    };
+    let motion = path.map_or(Motion::Still(start_camera), |p| Motion::Along(p, start_camera));
+    let fps = a.fps.or(scene.budget.fps).unwrap_or(10.0);
+    let frames = a.frames.unwrap_or_else(|| match path {
+        Some(p) => ((p.duration() * fps).ceil() as u32).clamp(1, 100_000),
+        None => 1,
+    });
+    let cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
+    let settings = Settings {
+        policy: RayPolicy {
+            policy: a.policy.into(),
+            reduction: a.reduction.clamp(1e-3, 0.999),
+            seed: a.seed,
+        },
+        saliency_weight: a.saliency,
+        seed: a.seed,
+        samples_per_job: a.n_job,
+        k_max: a.levels,
+        footprint: match a.footprint {
+            FootprintName::Tile => Footprint::Tile,
+            FootprintName::Square => Footprint::Square,
+        },
+        ageing: foveal::splatting::AgeingRules { delta: a.delta, max_age: a.max_age, n_min: a.n_min },
+        winner_takes_all: a.winner_takes_all,
+        ..Settings::new(a.size.width, a.size.height, a.workers.unwrap_or(cores))
+    };
+    if let Some(out) = &a.out {
+        make_folder(out)?;
+    }
+    let corrects = plan.needs(Part::Tracers);
+    let stages = StageTimes::default();
+    let handover = Arc::new(SegQueue::new());
+    let parts = Parts {
+        settings,
+        world: session.world.clone(),
+        passes: Passes { texture_ids: plan.needs(Part::TextureIdPass) },
+        corrects,
+        stages: stages.clone(),
+        sink: Box::new(Handover(handover.clone())),
+    };
+    // One thread more than tracers: of k threads, k − 1 may trace at once, so the light actors keep one.
+    let threads = if corrects { settings.tracers as usize + 1 } else { 0 };
+    let (mut runtime, actors) = Runtime::build(Config::live(threads), |w| wire(w, parts))
+        .map_err(|e| Failure::Environment(format!("the actors cannot be started: {e}")))?;
+    let pictures = a.out.as_ref().map(|out| PictureWriter::new(out.clone()));
+
+    let walked = walk(
+        a,
+        &mut runtime,
+        &actors,
+        &motion,
+        frames,
+        fps,
+        &stages,
+        &handover,
+        pictures.as_ref(),
+        progress,
+    )?;
+    let converged = runtime.inspect(actors.renderer, Renderer::is_converged).unwrap_or(false);
+    let deliveries = runtime.deliveries();
+    let (lost_jobs, incidents) = actors.correction.map_or((0, Vec::new()), |c| {
+        let look = |a: &crate::allocator::Allocator| {
+            (a.lost_jobs(), a.incidents().iter().map(|i| format!("{i:?}")).collect::<Vec<_>>())
+        };
+        runtime.inspect(c.allocator, look).unwrap_or_default()
+    });
+    let document =
+        document(a, &session, &settings, &plan, fps, &walked, converged, deliveries, lost_jobs, &incidents);
+    if let (Some(out), Some(pictures)) = (&a.out, pictures) {
+        let linear = runtime.inspect(actors.renderer, Renderer::picture).flatten();
+        if let Some(picture) = linear {
+            write_atomic(&out.join("last.exr"), &super::output::exr_bytes(&picture)?)?;
+        }
+        pictures.finish()?;
+        let page = figures::page(&runtime, &actors, &session.world, &settings, &document, &walked, fps)?;
+        write_atomic(&out.join("report.html"), super::report::html(&page).as_bytes())?;
+        write_atomic(&out.join("report.json"), format!("{document:#}\n").as_bytes())?;
+    }
+    let end = runtime.shutdown(Duration::from_secs(10));
+    if !end.drained {
+        tracing::warn!("the actors did not come to rest within 10 s");
+    }
+    if a.json {
+        print_json(&document);
+    } else {
+        summary(a, &document);
+    }
+    if interrupted() {
+        return Err(Failure::Interrupted("interrupted; what was done is kept".into()));
+    }
+    Ok(())
+}
+
+#[expect(clippy::too_many_arguments, reason = "the one caller has them all")]
+fn walk(
+    a: &WalkArguments,
+    runtime: &mut Runtime,
+    actors: &Actors,
+    motion: &Motion<'_>,
+    frames: u32,
+    fps: f32,
+    stages: &StageTimes,
+    handover: &SegQueue<Shown>,
+    pictures: Option<&PictureWriter>,
+    progress: Progress,
+) -> Result<Walked, Failure> {
+    let mut walked = Walked {
+        frame_ms: Vec::new(),
+        points: Vec::new(),
+        stages: Vec::new(),
+        traced: 0,
+        reused: 0,
+        expired: 0,
+        late: 0,
+    };
+    let bar = progress.bar(u64::from(frames), "walk");
+    let budget = Duration::from_secs_f32(1.0 / fps);
+    let start = Instant::now();
+    let renderer = actors.renderer;
+    let mut frame = 0;
+    let mut pose = motion.at(0.0);
+    loop {
+        let staying = frame >= frames;
+        if interrupted() || (staying && (!a.until_converged || is_converged(runtime, actors))) {
+            break;
+        }
+        let began = Instant::now();
+        if !staying {
+            pose = motion.at((began - start).as_secs_f32());
+        }
+        send(actors, RendererInput::FrameBegan { frame: FrameIndex(frame), camera: pose })?;
+        // The camera has not moved and all is traced: nothing to wait for once the stay has begun.
+        let done_early = |r: &Runtime| {
+            interrupted() || (staying && r.inspect(renderer, Renderer::is_converged) == Some(true))
+        };
+        runtime.pump_until(Limit::time(budget.saturating_sub(began.elapsed())), done_early);
+        send(actors, RendererInput::DeadlineReached { frame: FrameIndex(frame) })?;
+        runtime.pump_until(Limit::time(Duration::from_secs(60)), |_| !handover.is_empty());
+        let Some(shown) = handover.pop() else {
+            return Err(Failure::Check(format!("frame {frame} was not shown within a minute")));
+        };
+        let total_ms = began.elapsed().as_secs_f32() * 1e3;
+        let measured: Vec<(Stage, f32)> =
+            stages.drain().into_iter().map(|(s, d)| (s, d.as_secs_f32() * 1e3)).collect();
+        let of = |stage| measured.iter().filter(|m| m.0 == stage).map(|m| m.1).sum::<f32>();
+        // Warping and splatting come in many pieces; what counts is their sum over a frame.
+        for stage in Stage::ALL {
+            let sum = of(stage);
+            if measured.iter().any(|m| m.0 == stage) {
+                walked.stages.push((stage, sum));
+            }
+        }
+        walked.frame_ms.push(total_ms);
+        walked.points.push(FramePoint {
+            total_ms,
+            display_ms: of(Stage::Display),
+            samples: shown.counts.traced,
+        });
+        walked.traced += u64::from(shown.counts.traced);
+        walked.reused += u64::from(shown.counts.reused);
+        walked.expired += u64::from(shown.counts.expired);
+        walked.late += u64::from(shown.counts.late);
+        // Of a stay only the last picture is kept; it takes the place of the last frame's.
+        if let Some(pictures) = pictures {
+            pictures.write(&format!("frame-{:04}.png", frame.min(frames - 1)), shown.snapshot)?;
+        }
+        frame += 1;
+        bar.set_position(u64::from(frame.min(frames)));
+    }
+    bar.finish_and_clear();
+    Ok(walked)
+}
+
+fn is_converged(runtime: &Runtime, actors: &Actors) -> bool {
+    runtime.inspect(actors.renderer, |r| r.is_converged() && r.is_shown()).unwrap_or(false)
+}
+
+fn send(actors: &Actors, input: RendererInput) -> Result<(), Failure> {
+    actors.input.send(input).map_err(|e| Failure::Check(format!("the renderer takes no input: {e}")))
+}
+
+/// Median, 95th and 99th percentile.
+pub fn percentiles(values: &[f32]) -> [f32; 3] {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let at = |q: f32| match sorted.len() {
+        0 => 0.0,
+        n => sorted[((n - 1) as f32 * q).round() as usize],
+    };
+    [at(0.5), at(0.95), at(0.99)]
+}
+
+fn round(ms: f32) -> f64 {
+    (f64::from(ms) * 1e4).round() / 1e4
+}
+
+#[expect(clippy::too_many_arguments, reason = "the one caller has them all")]
+fn document(
+    a: &WalkArguments,
+    session: &Session,
+    settings: &Settings,
+    plan: &ScenePlan,
+    fps: f32,
+    walked: &Walked,
+    converged: bool,
+    deliveries: u64,
+    lost_jobs: u32,
+    incidents: &[String],
+) -> Value {
+    let [median, p95, p99] = percentiles(&walked.frame_ms);
+    let stage_ms: serde_json::Map<String, Value> = Stage::ALL
+        .into_iter()
+        .map(|stage| {
+            let of: Vec<f32> = walked.stages.iter().filter(|s| s.0 == stage).map(|s| s.1).collect();
+            (stage.key().to_owned(), json!(round(percentiles(&of)[0])))
+        })
+        .collect();
+    json!({
+        "schema": "foveal.walk/1",
+        "scene": session.world.scene.name,
+        "title": session.world.scene.title,
+        "size": [settings.width, settings.height],
+        "frames": walked.frame_ms.len(),
+        "fps": fps,
+        "workers": settings.tracers,
+        "policy": settings.policy.policy.name(),
+        "seed": settings.seed,
+        "frame_ms": {"median": round(median), "p95": round(p95), "p99": round(p99)},
+        "stage_ms": stage_ms,
+        "samples": {
+            "traced": walked.traced + walked.late,
+            "reused": walked.reused,
+            "expired": walked.expired,
+            "splatted": walked.traced + walked.reused,
+            "late": walked.late,
+        },
+        "messages": {"delivered": deliveries},
+        "lost_jobs": lost_jobs,
+        "converged": converged,
+        "plan": super::explain::plan_json(plan),
+        "peak_memory_bytes": peak_memory_bytes(),
+        "machine": super::doctor::machine(),
+        "out": a.out.as_ref().map(|o| o.display().to_string()),
+        "warnings": session.warnings.iter().chain(incidents).collect::<Vec<_>>(),
+    })
+}
+
+fn summary(a: &WalkArguments, d: &Value) {
+    let samples = &d["samples"];
+    print_line(&format!(
+        "{} frames of {}, median {} ms, 99th percentile {} ms",
+        d["frames"],
+        d["title"].as_str().unwrap_or_default(),
+        d["frame_ms"]["median"],
+        d["frame_ms"]["p99"],
+    ));
+    print_line(&format!(
+        "{} samples traced, {} reused, {} expired; {}",
+        samples["traced"],
+        samples["reused"],
+        samples["expired"],
+        if d["converged"] == true {
+            "the last picture has converged"
+        } else {
+            "the last picture is still growing"
+        },
+    ));
+    if let Some(out) = &a.out {
+        print_line(&format!("open {}", out.join("report.html").display()));
+    }
+}

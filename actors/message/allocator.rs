@@ -1,0 +1,74 @@
+//! The allocator's inbox.
+
+use std::sync::Arc;
+
+use foveal_runtime::{Digest, Incident, Lane, Message};
+
+use super::{DrawnView, View};
+
+/// Everything the allocator can be told.
+#[derive(Clone, Debug)]
+pub enum AllocatorMessage {
+    /// From the renderer: a new view is drawn; jobs of older ones are void.
+    ViewDrawn {
+        /// The view.
+        drawn: Arc<DrawnView>,
+    },
+    /// From the analyzer: how much each object matters to the eye.
+    ObjectsRanked {
+        /// The view that was looked at.
+        view: View,
+        /// Mean saliency of each object's pixels, by object id, in [0, 1].
+        saliency: Arc<Vec<f32>>,
+    },
+    /// From a tracer: a job is done and its samples are on their way.
+    JobDone {
+        /// The view it was for.
+        view: View,
+        /// Object id.
+        object: u32,
+        /// Level.
+        level: u32,
+        /// Samples traced.
+        samples: u32,
+    },
+    /// From the runtime: an actor panicked, a job was given up, or a tracer was stopped.
+    Incident(Incident),
+}
+
+impl Message for AllocatorMessage {
+    fn digest(&self, digest: &mut Digest) {
+        match self {
+            Self::ViewDrawn { drawn } => {
+                digest.u32(drawn.view.0);
+                digest.u64(drawn.hash);
+            }
+            Self::ObjectsRanked { view, saliency } => {
+                digest.u32(view.0);
+                saliency.iter().for_each(|s| digest.f32(*s));
+            }
+            Self::JobDone { view, object, level, samples } => {
+                for word in [view.0, *object, *level, *samples] {
+                    digest.u32(word);
+                }
+            }
+            Self::Incident(incident) => digest.bytes(format!("{incident:?}").as_bytes()),
+        }
+    }
+
+    fn kind(&self) -> &'static str {
+        match self {
+            Self::ViewDrawn { .. } => "ViewDrawn",
+            Self::ObjectsRanked { .. } => "ObjectsRanked",
+            Self::JobDone { .. } => "JobDone",
+            Self::Incident(_) => "Incident",
+        }
+    }
+
+    fn lane(&self) -> Lane {
+        match self {
+            Self::Incident(_) => Lane::Control,
+            Self::ViewDrawn { .. } | Self::ObjectsRanked { .. } | Self::JobDone { .. } => Lane::Data,
+        }
+    }
+}

@@ -1,0 +1,68 @@
+//! The cache ager's inbox.
+
+use std::sync::Arc;
+
+use foveal::scene::camera::CameraFrame;
+use foveal::splatting::SampleBatch;
+use foveal_runtime::{Digest, Message};
+
+use super::View;
+
+/// Everything the cache ager can be told.
+#[derive(Clone, Debug)]
+pub enum CacheAgerMessage {
+    /// From the renderer, as a view begins: age and warp for it.
+    CameraMoved {
+        /// The new view.
+        view: View,
+        /// Its camera.
+        frame: CameraFrame,
+        /// The illumination changed, so no sample holds.
+        forget: Forget,
+    },
+    /// From a tracer.
+    SamplesTraced {
+        /// The samples.
+        batch: Arc<SampleBatch>,
+        /// Their hash.
+        hash: u64,
+    },
+}
+
+/// Whether older samples may still hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Forget {
+    /// Ageing decides.
+    Nothing,
+    /// Nothing of before holds.
+    Everything,
+}
+
+impl Message for CacheAgerMessage {
+    fn digest(&self, digest: &mut Digest) {
+        match self {
+            Self::CameraMoved { view, frame, forget } => {
+                digest.u32(view.0);
+                for v in [frame.eye, frame.forward, frame.right, frame.up] {
+                    v.to_array().into_iter().for_each(|c| digest.f32(c));
+                }
+                digest.u32(u32::from(*forget == Forget::Everything));
+            }
+            Self::SamplesTraced { batch: _, hash } => digest.u64(*hash),
+        }
+    }
+
+    fn kind(&self) -> &'static str {
+        match self {
+            Self::CameraMoved { .. } => "CameraMoved",
+            Self::SamplesTraced { .. } => "SamplesTraced",
+        }
+    }
+
+    fn size_bytes(&self) -> usize {
+        match self {
+            Self::CameraMoved { .. } => 0,
+            Self::SamplesTraced { batch, .. } => batch.size_bytes(),
+        }
+    }
+}

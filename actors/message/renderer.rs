@@ -1,0 +1,108 @@
+//! The renderer's inbox.
+
+use std::sync::Arc;
+
+use foveal::scene::Camera;
+use foveal::splatting::{SampleBatch, WarpedSample};
+use foveal_runtime::{Digest, Message};
+
+use super::{FrameIndex, View};
+
+/// What reaches the renderer from outside: the clock and the user. Recorded with its payload.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub enum RendererInput {
+    /// A frame begins. The camera is where the path or the user has it at this time.
+    FrameBegan {
+        /// Its number.
+        frame: FrameIndex,
+        /// Camera of this moment.
+        camera: Camera,
+    },
+    /// The frame's time is up: show what there is.
+    DeadlineReached {
+        /// Its number.
+        frame: FrameIndex,
+    },
+}
+
+/// Everything the renderer can be told.
+#[derive(Clone, Debug)]
+pub enum RendererMessage {
+    /// From outside.
+    Input(RendererInput),
+    /// From the cache ager: the cached samples that still hold, in the picture of `view`.
+    SamplesAged {
+        /// The view they were warped for.
+        view: View,
+        /// Coarse before fine.
+        samples: Arc<Vec<WarpedSample>>,
+        /// How many samples expired for this view.
+        expired: u32,
+        /// Hash of the samples.
+        hash: u64,
+    },
+    /// From a tracer.
+    SamplesTraced {
+        /// The samples.
+        batch: Arc<SampleBatch>,
+        /// Which tracer, counted from 0.
+        tracer: u32,
+        /// Their hash.
+        hash: u64,
+    },
+    /// From the allocator: every sample of the view has been traced, and all of them are in the
+    /// mailbox before this message.
+    ViewConverged {
+        /// Which view.
+        view: View,
+    },
+}
+
+impl From<RendererInput> for RendererMessage {
+    fn from(input: RendererInput) -> Self {
+        Self::Input(input)
+    }
+}
+
+impl Message for RendererMessage {
+    fn digest(&self, digest: &mut Digest) {
+        match self {
+            Self::Input(RendererInput::FrameBegan { frame, camera }) => {
+                digest.u32(frame.0);
+                for v in [camera.eye, camera.target, camera.up] {
+                    v.to_array().into_iter().for_each(|c| digest.f32(c));
+                }
+                digest.f32(camera.fov_y);
+            }
+            Self::Input(RendererInput::DeadlineReached { frame }) => digest.u32(frame.0),
+            Self::SamplesAged { view, samples: _, expired, hash } => {
+                digest.u32(view.0);
+                digest.u32(*expired);
+                digest.u64(*hash);
+            }
+            Self::SamplesTraced { batch: _, tracer, hash } => {
+                digest.u32(*tracer);
+                digest.u64(*hash);
+            }
+            Self::ViewConverged { view } => digest.u32(view.0),
+        }
+    }
+
+    fn kind(&self) -> &'static str {
+        match self {
+            Self::Input(RendererInput::FrameBegan { .. }) => "FrameBegan",
+            Self::Input(RendererInput::DeadlineReached { .. }) => "DeadlineReached",
+            Self::SamplesAged { .. } => "SamplesAged",
+            Self::SamplesTraced { .. } => "SamplesTraced",
+            Self::ViewConverged { .. } => "ViewConverged",
+        }
+    }
+
+    fn size_bytes(&self) -> usize {
+        match self {
+            Self::SamplesAged { samples, .. } => samples.len() * size_of::<WarpedSample>(),
+            Self::SamplesTraced { batch, .. } => batch.size_bytes(),
+            Self::Input(_) | Self::ViewConverged { .. } => 0,
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! Who is there and who tells whom: the only file that knows all actors.
+//!
+//! Mailboxes, and why they suffice:
+//!
+//! | inbox | holds | because |
+//! | --- | --- | --- |
+//! | renderer | inputs, aged samples, samples of every job that can be out while it draws | jobs are bounded by the pixels of the views on their way |
+//! | cache ager | a view, the same samples | as above |
+//! | allocator | views, ranks, one answer for each job in flight | jobs in flight are bounded by `Settings::jobs_in_flight` |
+//! | analyzer | one frame, the newest | |
+
+use foveal::display::twin::Passes;
+use foveal::world::World;
+use foveal_runtime::{Bounds, Declared, Handle, JobPool, OnPanic, Port, Wiring};
+
+use crate::allocator::Allocator;
+use crate::analyzer::Analyzer;
+use crate::cache_ager::CacheAger;
+use crate::message::{AllocatorMessage, RendererInput, RendererMessage, TraceJob};
+use crate::renderer::{FrameSink, Neighbours, Renderer};
+use crate::settings::Settings;
+use crate::stages::StageTimes;
+use crate::tracer::Tracer;
+
+/// What a system of actors is made of.
+pub struct Parts {
+    /// Settings of the session.
+    pub settings: Settings,
+    /// What is walked through.
+    pub world: World,
+    /// What the display pass must fill.
+    pub passes: Passes,
+    /// Whether there is anything to correct; if not, only the renderer is started.
+    pub corrects: bool,
+    /// Where durations go.
+    pub stages: StageTimes,
+    /// Who sees the frames.
+    pub sink: Box<dyn FrameSink>,
+}
+
+/// The actors of a running system, to be inspected, and its ingress.
+pub struct Actors {
+    /// Clock and user.
+    pub input: Port<RendererInput, RendererMessage>,
+    /// What is on screen.
+    pub renderer: Handle<Renderer>,
+    /// The others; `None` in a scene without anything to correct.
+    pub correction: Option<Correction>,
+}
+
+/// The actors behind the corrections.
+#[derive(Clone, Copy)]
+pub struct Correction {
+    /// Owns the sample cache.
+    pub cache_ager: Handle<CacheAger>,
+    /// Looks at frames.
+    pub analyzer: Handle<Analyzer>,
+    /// Orders jobs.
+    pub allocator: Handle<Allocator>,
+}
+
+/// Samples of all the jobs that can be done while a receiver is busy with one turn: every pixel of two views.
+fn batches_on_their_way(settings: &Settings) -> usize {
+    let pixels = settings.width as usize * settings.height as usize;
+    2 * (pixels / settings.samples_per_job.max(1) as usize) + 4096
+}
+
+/// Makes mailboxes and starts actors. The same function for live, recorded, replayed and simulated runs.
+pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
+    let Parts { settings, world, passes, corrects, stages, sink } = parts;
+    let batches = batches_on_their_way(&settings);
+    let renderer: Declared<Renderer> = wiring.declare(Bounds::messages(batches + 64));
+    let input = wiring.port("input", &renderer.address());
+    if !corrects {
+        let actor = Renderer::new(settings, world, passes, None, stages, sink);
+        return Actors { input, renderer: wiring.spawn(renderer, actor), correction: None };
+    }
+    let cache_ager: Declared<CacheAger> = wiring.declare(Bounds::messages(batches + 64));
+    let analyzer: Declared<Analyzer> = wiring.declare(Bounds::messages(4));
+    let allocator: Declared<Allocator> =
+        wiring.declare(Bounds::messages(2 * settings.jobs_in_flight() as usize + 256));
+    let pool: JobPool<TraceJob> = wiring.pool(settings.jobs_in_flight() as usize + 64);
+    wiring.supervisor(&allocator.address(), AllocatorMessage::Incident);
+    for index in 0..settings.tracers {
+        let tracer: Declared<Tracer> = wiring.declare(Bounds::messages(4));
+        let new = {
+            let (lattice, renderer) = (settings.lattice(), renderer.address());
+            let (cache_ager, allocator) = (cache_ager.address(), allocator.address());
+            move || Tracer::new(index, lattice, renderer.clone(), cache_ager.clone(), allocator.clone())
+        };
+        let actor = new();
+        wiring.spawn_worker(tracer, actor, &pool, OnPanic::Restart(Box::new(new)));
+    }
+    let neighbours = Neighbours {
+        cache_ager: cache_ager.address(),
+        allocator: allocator.address(),
+        analyzer: analyzer.address(),
+    };
+    let correction = Correction {
+        cache_ager: {
+            let actor = CacheAger::new(settings, &world, renderer.address(), stages.clone());
+            wiring.spawn(cache_ager, actor)
+        },
+        analyzer: {
+            let actor = Analyzer::new(allocator.address(), stages.clone());
+            wiring.spawn(analyzer, actor)
+        },
+        allocator: {
+            let actor = Allocator::new(settings, renderer.address(), pool, stages.clone());
+            wiring.spawn(allocator, actor)
+        },
+    };
+    let actor = Renderer::new(settings, world, passes, Some(neighbours), stages, sink);
+    Actors { input, renderer: wiring.spawn(renderer, actor), correction: Some(correction) }
+}

@@ -1,0 +1,56 @@
+//! Samples traced through the pixels of a drawn view: the work of a tracer.
+
+use super::{Sample, SampleBatch};
+use crate::display::FrameBuffers;
+use crate::display::twin::primary_ray;
+use crate::rng::Stream;
+use crate::scene::camera::CameraFrame;
+use crate::transport::interaction::Interaction;
+use crate::world::World;
+
+/// The random numbers of a pixel: of the seed and the pixel alone, so that a still view converges to the
+/// same picture whoever traces it and in whatever order.
+pub fn pixel_stream(seed: u64, x: u32, y: u32, sample: u64) -> Stream {
+    Stream::new(seed, u64::from(y) << 32 | u64::from(x), sample)
+}
+
+/// What the samples belong to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Owner {
+    /// The view (age of the camera).
+    pub view: u32,
+    /// Object id.
+    pub object: u32,
+    /// Level set of the lattice.
+    pub k: u32,
+}
+
+/// Traces one sample through the centre of each pixel, from the hits that the display pass left.
+pub fn trace_samples(
+    world: &World,
+    frame: &CameraFrame,
+    buffers: &FrameBuffers,
+    owner: Owner,
+    pixels: impl Iterator<Item = (i32, i32)>,
+    seed: u64,
+) -> SampleBatch {
+    let mut batch =
+        SampleBatch::new(owner.view, owner.object, owner.k, pixels.size_hint().1.unwrap_or(0).min(4096));
+    let tracer = world.tracer();
+    for (x, y) in pixels {
+        let Some(hit) = buffers.hit.at(x as usize, y as usize).hit() else { continue };
+        let ray = primary_ray(frame, x as u32, y as u32);
+        let at = Interaction::at(&world.scene, &ray, &hit);
+        let normal =
+            if at.shading_normal.dot(ray.direction) > 0.0 { -at.shading_normal } else { at.shading_normal };
+        batch.push(Sample {
+            pixel: [x as u16, y as u16],
+            position: at.position,
+            normal,
+            view: -ray.direction,
+            color: tracer.view_dependent(&at, pixel_stream(seed, x as u32, y as u32, 0)),
+            pixel_width: hit.t * ray.direction.dot(frame.forward) * frame.pixel_angle(),
+        });
+    }
+    batch
+}

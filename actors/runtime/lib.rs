@@ -192,6 +192,8 @@ mod log;
 mod look;
 mod mailbox;
 mod message;
+#[cfg(all(test, loom))]
+mod model;
 mod node;
 pub mod pool;
 mod port;

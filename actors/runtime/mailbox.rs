@@ -105,7 +105,9 @@ impl Link {
 
     /// Sets a signal; a signal that is already up says it all.
     pub(crate) fn raise(&self, bit: u32, thread: &ThreadCx) {
-        if self.signals.fetch_or(bit, Ordering::AcqRel) & bit == 0 {
+        // Sequentially consistent together with the look at `parked`: a runner that parks the actor does both in the
+        // other order.
+        if self.signals.fetch_or(bit, Ordering::SeqCst) & bit == 0 {
             self.wake(thread);
             if bit & (signal::CONTROL | signal::START) != 0 && self.parked.swap(false, Ordering::SeqCst) {
                 self.env.scheduler.activate(self.class, self.id.0, thread);

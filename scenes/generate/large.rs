@@ -34,7 +34,7 @@ Ni 1.5
 illum 7
 newmtl Light
 Kd 0.5 0.5 0.5
-Ke 10 9.6 9
+Ke 5 4.8 4.5
 ";
 
 const TOML: &str = r#"
@@ -109,9 +109,10 @@ pub fn hall(triangle_count: usize) -> ImageResult<SceneFiles> {
             quad(v(x, 3.99, z), v(4.0, 0.0, 0.0), v(0.0, 0.0, 4.0), [1.0, 1.0]),
         );
     }
-    // A vase of `around` × `around` quadrilaterals.
-    let per_vase = triangle_count as f64 / (side * side) as f64;
-    let around = (per_vase / 2.0).sqrt().round().max(8.0) as usize;
+    // A vase: ten pieces of `steps` rings of `around` quadrilaterals.
+    let per_vase = triangle_count as f64 / (side * side) as f64 - 12.0;
+    let steps = ((per_vase / 2.0).sqrt() / 10.0).round().max(1.0) as usize;
+    let around = (per_vase / (20 * steps - 2) as f64).round().max(8.0) as usize;
     for index in 0..side * side {
         let r = |k: i64| hash(index as i64, k, 1);
         let (column, row) = ((index % side) as f64, (index / side) as f64);
@@ -135,7 +136,7 @@ pub fn hall(triangle_count: usize) -> ImageResult<SceneFiles> {
             [0.07, 0.06],
             [0.0, 0.03],
         ];
-        let stroke = curve(&profile, around.div_ceil(10));
+        let stroke = curve(&profile, steps);
         let materials =
             ["Clay", "Chalk", "Slate", "Clay", "Chalk", "Glaze", "Chrome", "Glass", "Slate", "Glaze"];
         let material = materials[(r(6) * 10.0) as usize];

@@ -40,9 +40,19 @@ pub struct BsdfSample {
 /// Fresnel reflectance of a facet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Facet {
-    Conductor { eta: Vec3, k: Vec3 },
-    Schlick { f0: Vec3 },
-    Dielectric { eta: f32 },
+    Conductor {
+        eta: Vec3,
+        k: Vec3,
+    },
+    /// From the reflectance `f0` at normal incidence, but never above `most`: what a diffuse part beside it leaves.
+    /// F depends on ⟨o, h⟩ = ⟨i, h⟩ alone, so the limit keeps f reciprocal.
+    Schlick {
+        f0: Vec3,
+        most: Vec3,
+    },
+    Dielectric {
+        eta: f32,
+    },
 }
 
 impl Facet {
@@ -53,7 +63,7 @@ impl Facet {
                 fresnel::conductor(cosine, eta.y, k.y),
                 fresnel::conductor(cosine, eta.z, k.z),
             ),
-            Self::Schlick { f0 } => fresnel::schlick(cosine, f0),
+            Self::Schlick { f0, most } => fresnel::schlick(cosine, f0).min(most),
             Self::Dielectric { eta } => Vec3::splat(fresnel::dielectric(cosine, eta)),
         }
     }
@@ -151,7 +161,11 @@ impl Bsdf {
                 bsdf.lobe = facet_lobe(Facet::Conductor { eta: *eta, k: *k }, roughness, false);
             }
             Model::Metal { specular, roughness } => {
-                bsdf.lobe = facet_lobe(Facet::Schlick { f0: lookup(scene, at, specular) }, roughness, false);
+                bsdf.lobe = facet_lobe(
+                    Facet::Schlick { f0: lookup(scene, at, specular), most: Vec3::ONE },
+                    roughness,
+                    false,
+                );
             }
             Model::Dielectric { ior, transmittance, thin, roughness } => {
                 let ior = ior.clamp(1.0, 10.0);
@@ -179,12 +193,17 @@ impl Bsdf {
                 let f0 = lookup(scene, at, specular);
                 if f0.max_element() > 0.0 {
                     let v_groove = roughness.distribution == Distribution::Beckmann;
-                    bsdf.lobe = facet_lobe(Facet::Schlick { f0 }, roughness, v_groove);
+                    bsdf.lobe = facet_lobe(
+                        Facet::Schlick { f0, most: Vec3::ONE - bsdf.diffuse },
+                        roughness,
+                        v_groove,
+                    );
                 }
             }
             Model::Ward { diffuse, specular, roughness } => {
                 bsdf.diffuse = lookup(scene, at, diffuse);
-                let specular = lookup(scene, at, specular);
+                // Textures can ask for more than all of the light.
+                let specular = lookup(scene, at, specular).min(Vec3::ONE - bsdf.diffuse);
                 if specular.max_element() > 0.0 {
                     let beckmann = Roughness { distribution: Distribution::Beckmann, ..*roughness };
                     bsdf.lobe = match microfacet(&beckmann, false) {

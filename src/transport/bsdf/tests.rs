@@ -10,7 +10,11 @@ fn rough(ax: f32, ay: f32, distribution: Distribution, v_groove: bool) -> Microf
 }
 
 fn white(microfacet: Microfacet) -> Bsdf {
-    bsdf(Vec3::ZERO, 1.0, Lobe::Glossy { facet: Facet::Schlick { f0: Vec3::ONE }, microfacet })
+    bsdf(
+        Vec3::ZERO,
+        1.0,
+        Lobe::Glossy { facet: Facet::Schlick { f0: Vec3::ONE, most: Vec3::ONE }, microfacet },
+    )
 }
 
 fn direction(theta: f32, phi: f32) -> Vec3 {
@@ -206,6 +210,27 @@ fn extremes_stay_finite() {
                     }
                 }
             }
+        }
+    }
+}
+
+/// Over a diffuse part, Schlick's rise at grazing angles takes no more than that part leaves.
+#[test]
+fn diffuse_and_glossy_parts_share_the_light() {
+    let half = Vec3::splat(0.5);
+    for m in [rough(0.1, 0.1, Distribution::Beckmann, true), rough(0.3, 0.3, Distribution::Ggx, false)] {
+        let b = bsdf(
+            half,
+            1.0,
+            Lobe::Glossy { facet: Facet::Schlick { f0: Vec3::splat(0.04), most: half }, microfacet: m },
+        );
+        for theta in [0.0, 60.0, 80.0, 86.0, 89.0] {
+            let wo = direction(theta, 0.2);
+            let (glossy, error) = albedo(&b, wo, 20_000);
+            assert!(glossy <= 0.5 + 4.0 * error, "{theta}°: {glossy}");
+            let wi = direction(88.0, 3.0);
+            let (f, back) = (b.evaluate(wo, wi).x, b.evaluate(wi, wo).x);
+            assert!((f - back).abs() <= 1e-3 * f.max(1e-3), "{f} {back}");
         }
     }
 }

@@ -322,7 +322,7 @@ fn shared_hand_made_files_end_as_their_readme_says() {
             "texture-utf8.obj" => assert_eq!(loaded.scene.textures.len(), 1),
             "texture-escapes.obj" => assert_eq!(said(&loaded, "passwd"), 1),
             "texture-cut.obj" => assert_eq!(said(&loaded, "cut.png"), 1),
-            "texture-vast.obj" => assert_eq!(said(&loaded, "65535 × 65535"), 1),
+            "texture-vast.obj" => assert_eq!(said(&loaded, "vast.png"), 1),
             "path-one-key.toml" => assert_eq!(loaded.scene.paths[0].duration(), 0.0),
             _ => {}
         }

@@ -186,7 +186,9 @@ fn open(path: &Path, options: &LoadOptions) -> Result<(Contents, u64), String> {
 
 fn pixel_bytes(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<u64, String> {
     let mut r = reader(bytes, path)?;
-    r.no_limits();
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(options.picture_bytes_max);
+    r.limits(limits);
     let (w, h) = r.into_dimensions().map_err(|e| format!("is no readable picture: {e}"))?;
     let side = options.texture_side_max;
     if w > side || h > side {

@@ -55,7 +55,7 @@ impl Lights {
                 let environment = scene.environment.as_ref()?;
                 let (towards, pdf) = self.environment.as_ref()?.sample(environment, u)?;
                 let flux = environment.radiance(towards) * (PI * self.radius * self.radius / pdf);
-                (self.from_outside(-towards, v), flux)
+                (self.incoming(-towards, v), flux)
             }
         };
         let flux = (flux.as_dvec3() / probability).as_vec3();
@@ -63,7 +63,7 @@ impl Lights {
     }
 
     /// A ray along the unit `direction` from the disk that covers the scene.
-    fn from_outside(&self, direction: Vec3, u: [f32; 2]) -> Ray {
+    fn incoming(&self, direction: Vec3, u: [f32; 2]) -> Ray {
         let (x, y) = direction.any_orthonormal_pair();
         let [a, b] = disk(u);
         Ray::new(self.centre + (x * a + y * b - direction) * self.radius, direction)
@@ -82,7 +82,7 @@ impl Lights {
                 (Ray::new(position, towards), intensity * (falloff * TAU * (1.0 - low)))
             }
             Light::Directional { direction, irradiance } => {
-                let ray = self.from_outside(direction.normalize(), u);
+                let ray = self.incoming(direction.normalize(), u);
                 (ray, irradiance * (PI * self.radius * self.radius))
             }
         }

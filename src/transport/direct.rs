@@ -5,6 +5,7 @@ use glam::Vec3;
 use super::bsdf::fresnel;
 use super::interaction::Interaction;
 use super::light::{LightSample, Lights};
+use super::medium::Media;
 use crate::geometry::{Accel, Hit, Ray};
 use crate::scene::{Model, Scene};
 
@@ -20,10 +21,16 @@ pub(super) fn mis_weight(n: u32, p: f32, m: u32, q: f32) -> f32 {
     (1.0 / (1.0 + r * r)) as f32
 }
 
+/// Relative difference of distances that are one: a few roundings.
+const SAME: f32 = 2e-6;
+
 /// The share of light that passes along `ray`: thin panes let it through attenuated, in a straight line; all
 /// else blocks it, refracting glass too, whose light arrives by other ways.
 pub(super) fn visibility(scene: &Scene, accel: &Accel, ray: &Ray) -> Vec3 {
     let mut passed = Vec3::ONE;
+    // A ray through the common edge of two triangles meets both, but one pane.
+    let mut crossed = [(f32::NAN, false); 8];
+    let mut count = 0;
     let blocked = accel.any_hit(scene, ray, |hit: Hit| {
         let material = &scene.materials[scene.mesh.materials[hit.triangle as usize].0 as usize];
         let Model::Dielectric { ior, transmittance, thin: true, .. } = &material.model else { return true };
@@ -31,6 +38,11 @@ pub(super) fn visibility(scene: &Scene, accel: &Accel, ray: &Ray) -> Vec3 {
         if at.back && !material.two_sided {
             return true;
         }
+        if crossed.iter().any(|&(t, back)| back == at.back && (t - hit.t).abs() <= SAME * t) {
+            return false;
+        }
+        crossed[count % crossed.len()] = (hit.t, at.back);
+        count += 1;
         let cosine = at.wo.dot(at.facing_shading()).abs();
         passed *= fresnel::pane(cosine, ior.clamp(1.0, 10.0), *transmittance).1;
         passed.max_element() <= 0.0
@@ -38,15 +50,25 @@ pub(super) fn visibility(scene: &Scene, accel: &Accel, ray: &Ray) -> Vec3 {
     if blocked { Vec3::ZERO } else { passed }
 }
 
-/// A light sample for `at` with the share of it that arrives; `None` where that is nothing.
+/// A light sample for `at`, which lies inside of `media`, with the share of it that arrives; `None` where that is
+/// nothing.
 #[inline]
-pub(super) fn arriving(scene: &Scene, accel: &Accel, at: &Interaction, sample: &LightSample) -> Option<Vec3> {
+pub(super) fn arriving(
+    scene: &Scene,
+    accel: &Accel,
+    at: &Interaction,
+    media: &Media,
+    sample: &LightSample,
+) -> Option<Vec3> {
     let ray = if sample.distance.is_finite() {
         at.spawn_to(at.position + sample.wi * sample.distance)
     } else {
         at.spawn(sample.wi)
     };
-    let passed = visibility(scene, accel, &ray);
+    let mut passed = visibility(scene, accel, &ray);
+    if sample.distance.is_finite() && !media.is_empty() {
+        passed *= media.transmittance(scene, sample.distance);
+    }
     (passed.max_element() > 0.0).then(|| sample.radiance * passed)
 }
 
@@ -67,23 +89,6 @@ impl Found {
             return 1.0;
         }
         mis_weight(self.n, self.pdf, self.m, lights.pdf_direct(scene, self.point, wi, hit))
-    }
-}
-
-/// What light loses on its way inside of glass: transmittance per scene unit, to the power of the distance.
-#[inline]
-pub(super) fn absorption(inside: Vec3, distance: f32) -> Vec3 {
-    if inside == Vec3::ONE { Vec3::ONE } else { inside.clamp(Vec3::ZERO, Vec3::ONE).powf(distance.max(0.0)) }
-}
-
-/// Transmittance per scene unit on the far side of a boundary that light has crossed: the sign of the crossing
-/// alone tells, so nested glasses hand over at each boundary.
-#[inline]
-pub(super) fn beyond(scene: &Scene, at: &Interaction, inside: Vec3) -> Vec3 {
-    match &at.material(scene).model {
-        Model::Dielectric { transmittance, thin: false, .. } if !at.back => *transmittance,
-        Model::Dielectric { thin: false, .. } => Vec3::ONE,
-        _ => inside,
     }
 }
 

@@ -7,9 +7,10 @@
 use glam::Vec3;
 
 use super::bsdf::Bsdf;
-use super::direct::{Found, absorption, arriving, beyond, is_pane, mis_weight};
+use super::direct::{Found, arriving, is_pane, mis_weight};
 use super::interaction::{self, Interaction};
 use super::light::Lights;
+use super::medium::Media;
 use crate::geometry::{Accel, Ray};
 use crate::rng::Stream;
 use crate::scene::Scene;
@@ -27,7 +28,7 @@ pub fn path_radiance(scene: &Scene, accel: &Accel, lights: &Lights, ray: &Ray, m
     let (mut sum, mut throughput) = (Vec3::ZERO, Vec3::ONE);
     // Square of refractive indices crossed; kept apart, so that roulette does not end paths inside of glass.
     let mut index_scale = 1.0;
-    let mut inside = Vec3::ONE;
+    let mut media = Media::default();
     let mut found: Option<Found> = None;
     for bounce in 0..BOUNCES_MAX {
         let hit = accel.intersect(scene, &ray);
@@ -39,8 +40,8 @@ pub fn path_radiance(scene: &Scene, accel: &Accel, lights: &Lights, ray: &Ray, m
             sum += throughput * share(lights.escaped(scene, ray.direction)) * index_scale;
             break;
         };
-        throughput *= absorption(inside, hit.t);
         let at = Interaction::at(scene, &ray, hit);
+        throughput *= media.transmittance_to(scene, &at, hit.t);
         let bsdf = Bsdf::at(scene, &at);
         sum += throughput * share(interaction::emission(scene, &at)) * index_scale;
         // The density of light samples is needed for the next surface's weights too, so they are drawn
@@ -49,7 +50,7 @@ pub fn path_radiance(scene: &Scene, accel: &Accel, lights: &Lights, ray: &Ray, m
         if let Some(light) = lights.sample_direct(scene, at.position, stream.next_f32(), stream.next_2d()) {
             let f = bsdf.evaluate_all(at.wo, light.wi) * light.wi.dot(at.facing_shading()).max(0.0);
             if f.max_element() > 0.0
-                && let Some(arriving) = arriving(scene, accel, &at, &light)
+                && let Some(arriving) = arriving(scene, accel, &at, &media, &light)
             {
                 let weight = if light.delta {
                     1.0
@@ -63,7 +64,7 @@ pub fn path_radiance(scene: &Scene, accel: &Accel, lights: &Lights, ray: &Ray, m
         throughput *= sample.weight;
         if sample.transmitted {
             index_scale *= sample.radiance_scale;
-            inside = beyond(scene, &at, inside);
+            media = media.crossed(scene, &at);
         }
         if !(sample.transmitted && is_pane(scene, &at)) {
             found = (!sample.delta).then_some(Found { point: at.position, pdf: sample.pdf, n: 1, m });
@@ -78,7 +79,6 @@ pub fn path_radiance(scene: &Scene, accel: &Accel, lights: &Lights, ray: &Ray, m
         }
         ray = at.spawn(sample.wi);
     }
-    debug_assert!(sum.is_finite(), "a radiance of {sum}");
     if sum.is_finite() { sum } else { Vec3::ZERO }
 }
 

@@ -16,9 +16,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::Vec3;
 
 use super::bsdf::{Bsdf, BsdfSample};
-use super::direct::{Found, absorption, arriving, beyond, is_pane, mis_weight};
+use super::direct::{Found, arriving, is_pane, mis_weight};
 use super::interaction::{self, Interaction};
 use super::light::Lights;
+use super::medium::Media;
 use crate::geometry::{Accel, Ray};
 use crate::illumination::Irradiance;
 use crate::rng::Stream;
@@ -60,8 +61,8 @@ struct Branch {
     /// Share of the sample's value that it can still add.
     contribution: f32,
     depth: u32,
-    /// Transmittance per scene unit where it travels.
-    inside: Vec3,
+    /// Where it travels.
+    media: Media,
     /// How it was found, if lights are sampled there too.
     found: Option<Found>,
 }
@@ -97,7 +98,7 @@ impl<'a> Tracer<'a> {
         if !bsdf.has_view_dependent() {
             return Vec3::ZERO;
         }
-        let branch = Branch { contribution: 1.0, depth: 0, inside: Vec3::ONE, found: None };
+        let branch = Branch { contribution: 1.0, depth: 0, media: Media::default(), found: None };
         let diffuse = bsdf.diffuse_albedo() * self.diffuse_light(at, &bsdf);
         self.finite(diffuse * (bsdf.coat_factor(at.wo) - 1.0) + self.scatter(at, &bsdf, branch, stream))
     }
@@ -107,12 +108,11 @@ impl<'a> Tracer<'a> {
         let Some(direction) = ray.direction.try_normalize() else { return Vec3::ZERO };
         let scale = ray.direction.length();
         let ray = Ray { direction, t_min: ray.t_min * scale, t_max: ray.t_max * scale, ..*ray };
-        let branch = Branch { contribution: 1.0, depth: 0, inside: Vec3::ONE, found: None };
+        let branch = Branch { contribution: 1.0, depth: 0, media: Media::default(), found: None };
         self.finite(self.follow(&ray, branch, stream))
     }
 
     fn finite(&self, value: Vec3) -> Vec3 {
-        debug_assert!(value.is_finite(), "a radiance of {value}");
         if value.is_finite() {
             return value;
         }
@@ -156,7 +156,7 @@ impl<'a> Tracer<'a> {
         let bsdf = Bsdf::at(self.scene, &at);
         let mut radiance = share(interaction::emission(self.scene, &at));
         radiance += bsdf.diffuse_albedo() * self.diffuse_light(&at, &bsdf) * bsdf.coat_factor(at.wo);
-        let absorbed = absorption(branch.inside, hit.t);
+        let absorbed = branch.media.transmittance_to(self.scene, &at, hit.t);
         if bsdf.has_view_dependent() {
             branch.contribution *= absorbed.max_element();
             radiance += self.scatter(&at, &bsdf, branch, stream);
@@ -205,7 +205,9 @@ impl<'a> Tracer<'a> {
             }
             let weight =
                 if light.delta { 1.0 } else { mis_weight(m, light.pdf, n, bsdf.pdf(at.wo, light.wi)) };
-            let Some(arriving) = arriving(self.scene, self.accel, at, &light) else { continue };
+            let Some(arriving) = arriving(self.scene, self.accel, at, &branch.media, &light) else {
+                continue;
+            };
             sum += f * arriving * (weight / (light.pdf * m as f32));
         }
         sum
@@ -226,7 +228,7 @@ impl<'a> Tracer<'a> {
         }
         let mut next = Branch { contribution, depth: branch.depth + 1, found, ..branch };
         if sample.transmitted {
-            next.inside = beyond(self.scene, at, branch.inside);
+            next.media = branch.media.crossed(self.scene, at);
             // Through a pane the ray goes on as it was found, and light samples were weighed so.
             if is_pane(self.scene, at) {
                 next.found = branch.found;

@@ -152,3 +152,50 @@ fn broken_rays_and_empty_scenes_are_black() {
         assert_eq!(render(&scene, Ray::new(Vec3::ZERO, direction), 4).0, 0.0);
     }
 }
+
+/// A wall in a glass block in which there is a bubble of denser glass: every stretch is absorbed by the glass that
+/// it runs through, also the last one, after the bubble was left.
+#[test]
+fn nested_glasses_absorb_in_turn() {
+    let mut b = Builder::default();
+    let outer = b.material(glass(1.0, 0.5, false));
+    let inner = b.material(glass(1.0, 0.25, false));
+    let wall = b.emitter(lambert(0.0), Vec3::ONE);
+    b.cube(Vec3::ZERO, 4.0, outer);
+    b.cube(Vec3::ZERO, 0.5, inner);
+    b.rectangle(Vec3::new(0.0, 0.0, -2.0), Vec3::X, Vec3::Y, wall);
+    let value = render(&b.scene(), Ray::new(Vec3::new(0.1, 0.2, 9.0), Vec3::NEG_Z * 3.0), 2000);
+    check(value, 0.5f64.powf(3.5) * 0.25 * 0.5f64.powf(1.5), "outer, inner, outer");
+}
+
+/// A white floor in a box of panes, in a furnace: light that passes panes is found by light samples, by
+/// directions and after reflections inside, in total once.
+#[test]
+fn furnace_behind_panes() {
+    let mut b = Builder::default();
+    let pane = b.material(glass(1.5, 1.0, true));
+    let floor = b.material(lambert(1.0));
+    b.cube(Vec3::ZERO, 1.0, pane);
+    b.rectangle(Vec3::new(0.0, -0.5, 0.0), Vec3::Z * 0.5, Vec3::X * 0.5, floor);
+    let s = b.under_sky(Vec3::ONE);
+    let target = Vec3::new(0.1, -0.5, 0.1);
+    for eye in [Vec3::new(0.3, 0.4, 0.2), Vec3::new(0.3, 4.0, 0.2)] {
+        check(render(&s, Ray::new(eye, target - eye), 20_000), 1.0, "white floor");
+    }
+}
+
+/// The sun straight through the diagonal of a pane, where both of its triangles are hit: it is one pane.
+#[test]
+fn an_edge_inside_a_pane_filters_once() {
+    let mut b = Builder::default();
+    let pane = b.material(glass(1.5, 1.0, true));
+    let floor = b.material(lambert(0.5));
+    b.rectangle(Vec3::Z, Vec3::X, Vec3::Y, pane);
+    b.rectangle(Vec3::ZERO, Vec3::X * 0.01, Vec3::Y * 0.01, floor);
+    let mut scene = b.scene();
+    scene.lights = vec![Light::Directional { direction: Vec3::NEG_Z, irradiance: Vec3::ONE }];
+    let (value, _) = render(&scene, Ray::new(Vec3::new(0.0, -2.0, 0.5), Vec3::new(0.0, 2.0, -0.5)), 100);
+    let expected = 0.5 * f64::from(FRAC_1_PI) * (1.0 - 2.0 * 0.04 / 1.04);
+    // The pane's reflection of so small a floor adds next to nothing.
+    assert!((value - expected).abs() < 2e-3 * expected, "{value}, not {expected}");
+}

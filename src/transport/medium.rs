@@ -1,0 +1,137 @@
+//! What a path travels through: which dielectrics it is inside of, and how they absorb.
+
+use glam::Vec3;
+
+use super::interaction::Interaction;
+use crate::scene::{MaterialId, Model, Scene};
+
+/// How many nested dielectrics are remembered; beyond, the outermost is forgotten. The side on which a path
+/// meets a surface still tells what it leaves.
+const REMEMBERED: usize = 8;
+
+/// The dielectrics around a point, outermost first.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Media {
+    inside: [MaterialId; REMEMBERED],
+    count: u8,
+}
+
+/// Transmittance per band after `distance` in a material; 1 for what is not a solid dielectric.
+fn after(scene: &Scene, material: MaterialId, distance: f32) -> Vec3 {
+    match scene.materials[material.0 as usize].model {
+        Model::Dielectric { transmittance, thin: false, .. } => {
+            let t = transmittance.clamp(Vec3::ZERO, Vec3::ONE).powf(distance.max(0.0));
+            if t.is_finite() { t } else { Vec3::ZERO }
+        }
+        _ => Vec3::ONE,
+    }
+}
+
+impl Media {
+    /// Whether no dielectric is around.
+    pub fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+
+    /// Transmittance of a straight way of `distance` that begins and ends in here.
+    #[inline]
+    pub fn transmittance(&self, scene: &Scene, distance: f32) -> Vec3 {
+        match self.inside[..usize::from(self.count)].last() {
+            Some(&m) => after(scene, m, distance),
+            None => Vec3::ONE,
+        }
+    }
+
+    /// Transmittance of the way of `distance` to a surface. What is met from its back was travelled through,
+    /// whatever is remembered: a camera may begin inside.
+    #[inline]
+    pub fn transmittance_to(&self, scene: &Scene, at: &Interaction, distance: f32) -> Vec3 {
+        let solid = matches!(at.material(scene).model, Model::Dielectric { thin: false, .. });
+        if at.back && solid {
+            after(scene, at.material, distance)
+        } else {
+            self.transmittance(scene, distance)
+        }
+    }
+
+    /// The media beyond a surface that a path has passed.
+    #[inline]
+    pub fn crossed(mut self, scene: &Scene, at: &Interaction) -> Self {
+        if !matches!(at.material(scene).model, Model::Dielectric { thin: false, .. }) {
+            return self;
+        }
+        let count = usize::from(self.count);
+        if !at.back {
+            if count == REMEMBERED {
+                self.inside.copy_within(1.., 0);
+                self.inside[REMEMBERED - 1] = at.material;
+            } else {
+                self.inside[count] = at.material;
+                self.count += 1;
+            }
+        } else if let Some(i) = self.inside[..count].iter().rposition(|&m| m == at.material) {
+            // Not always the last one: dielectrics may overlap.
+            self.inside.copy_within(i + 1..count, i);
+            self.count -= 1;
+        }
+        self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Hit, Ray};
+    use crate::illumination::test_scenes::{join, lambert, quad, scene};
+    use crate::scene::{Mesh, Roughness};
+
+    fn glass(transmittance: f32) -> crate::scene::Material {
+        let mut m = lambert(0.0, 0.0);
+        m.model = Model::Dielectric {
+            ior: 1.5,
+            transmittance: Vec3::splat(transmittance),
+            thin: false,
+            roughness: Roughness { alpha_x: 0.0, alpha_y: 0.0, distribution: Default::default() },
+        };
+        m
+    }
+
+    #[test]
+    fn nested_dielectrics_absorb_in_turn() {
+        let mut mesh = Mesh::default();
+        for material in 0..3 {
+            join(&mut mesh, &quad(Vec3::ZERO, Vec3::X, Vec3::Y), material);
+        }
+        let s = scene(mesh, vec![glass(0.5), glass(0.25), lambert(0.5, 0.0)], vec![]);
+        let side = |material: u32, back: bool| {
+            let z = if back { 1.0 } else { -1.0 };
+            let hit = Hit { t: 1.0, triangle: 2 * material, b1: 0.2, b2: 0.2 };
+            let at = Interaction::at(&s, &Ray::new(Vec3::new(0.3, 0.2, -z), Vec3::Z * z), &hit);
+            assert_eq!(at.back, back);
+            at
+        };
+        let outside = Media::default();
+        assert_eq!(outside.transmittance(&s, 2.0), Vec3::ONE);
+        let outer = outside.crossed(&s, &side(0, false));
+        let inner = outer.crossed(&s, &side(1, false));
+        assert_eq!(outer.transmittance(&s, 2.0), Vec3::splat(0.25));
+        assert_eq!(inner.transmittance(&s, 2.0), Vec3::splat(0.0625));
+        // A wall in the glass: the glass absorbs on the way to it, and it is no border.
+        assert_eq!(outer.transmittance_to(&s, &side(2, true), 1.0), Vec3::splat(0.5));
+        assert_eq!(outer.crossed(&s, &side(2, true)), outer);
+        assert_eq!(inner.crossed(&s, &side(1, true)).transmittance(&s, 1.0), Vec3::splat(0.5));
+        // Overlapping, the outer left first.
+        assert_eq!(inner.crossed(&s, &side(0, true)).transmittance(&s, 1.0), Vec3::splat(0.25));
+        // A camera that begins inside.
+        assert_eq!(outside.transmittance_to(&s, &side(0, true), 1.0), Vec3::splat(0.5));
+        assert!(outside.crossed(&s, &side(0, true)).is_empty());
+        let mut deep = outside;
+        for _ in 0..60 {
+            deep = deep.crossed(&s, &side(0, false));
+        }
+        for _ in 0..60 {
+            deep = deep.crossed(&s, &side(0, true));
+        }
+        assert!(deep.is_empty());
+    }
+}

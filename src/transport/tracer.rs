@@ -32,6 +32,8 @@ pub struct Settings {
     pub glossy_samples: u32,
     /// Light samples of a glossy lobe there; 1 on what it reflects. 0: none anywhere.
     pub light_samples: u32,
+    /// Surfaces along a ray at which both reflection and refraction are followed; later ones choose one.
+    pub split_depth: u32,
     /// Surfaces that one ray may meet in a row.
     pub max_depth: u32,
     /// Share of the sample's value below which a ray goes on with a probability only.
@@ -40,7 +42,13 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { glossy_samples: 4, light_samples: 2, max_depth: 64, min_contribution: 1.0 / 32.0 }
+        Self {
+            glossy_samples: 4,
+            light_samples: 2,
+            split_depth: 2,
+            max_depth: 64,
+            min_contribution: 1.0 / 32.0,
+        }
     }
 }
 
@@ -168,6 +176,12 @@ impl<'a> Tracer<'a> {
     fn scatter(&self, at: &Interaction, bsdf: &Bsdf, branch: Branch, mut stream: Stream) -> Vec3 {
         let mut sum = Vec3::ZERO;
         let lobes = bsdf.delta_lobes(at.wo);
+        if lobes.iter().all(Option::is_some) && branch.depth >= self.settings.split_depth {
+            return match bsdf.sample(at.wo, stream.next_2d(), stream.next_f32()) {
+                Some(sample) => self.follow_sample(at, &sample, branch, None, stream),
+                None => Vec3::ZERO,
+            };
+        }
         if lobes.iter().any(Option::is_some) {
             for (i, sample) in lobes.iter().enumerate() {
                 if let Some(sample) = sample {

@@ -31,7 +31,7 @@ impl Prepared {
 
 /// Rays that decide nothing by chance.
 const EXACT: Settings =
-    Settings { glossy_samples: 4, light_samples: 2, max_depth: 64, min_contribution: 0.0 };
+    Settings { glossy_samples: 4, light_samples: 2, split_depth: 64, max_depth: 64, min_contribution: 0.0 };
 
 fn white() -> Reflectance {
     Reflectance::constant(Vec3::ONE)
@@ -233,4 +233,24 @@ fn measure_glass_samples() {
         }
     }
     println!("{rounds} × {} samples, mean {}", hits.len(), sum / (rounds * hits.len()).max(1) as f32);
+}
+
+/// Choosing between reflection and refraction, at once or further on, gives the mean of following both.
+#[test]
+fn choosing_a_branch_keeps_the_mean() {
+    let mut b = Builder::default();
+    let ball = b.material(glass(1.5, 0.8, false));
+    let wall = b.material(lambert(0.5));
+    let lamp = b.emitter(lambert(0.0), Vec3::splat(5.0));
+    b.sphere(Vec3::ZERO, 1.0, 24, ball);
+    b.cube(Vec3::ZERO, -4.0, wall);
+    b.rectangle(Vec3::new(0.0, 0.0, 3.9), Vec3::Y, Vec3::X, lamp);
+    let p = Prepared::new(b.scene(), 1.0);
+    let ray = Ray::new(Vec3::new(0.5, 0.3, -3.0), Vec3::Z);
+    let (exact, _) = p.trace(ray, 1, Settings { min_contribution: 1e-5, ..EXACT });
+    for split_depth in [0, 1, 2] {
+        let (value, error) = p.trace(ray, 20_000, Settings { split_depth, ..EXACT });
+        assert!((value - exact).abs() < 4.0 * error + 1e-4, "{split_depth}: {value} ± {error}, not {exact}");
+        assert!(error > 0.0, "chance decides nothing at depth {split_depth}");
+    }
 }

@@ -66,7 +66,7 @@ pub struct BakeSettingsArguments {
     #[arg(long, value_name = "N", default_value_t = 1 << 22)]
     pub particles: u64,
     /// Texels of the lightmap, about
-    #[arg(long, value_name = "N", default_value_t = 256 * 1024, value_parser = clap::value_parser!(u32).range(0..=1 << 26))]
+    #[arg(long, value_name = "N", default_value_t = 128 * 1024, value_parser = clap::value_parser!(u32).range(0..=1 << 26))]
     pub texels: u32,
     /// Seed of the bake's random numbers
     #[arg(long, value_name = "N", default_value_t = 1)]

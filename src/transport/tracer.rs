@@ -38,6 +38,9 @@ pub struct Settings {
     pub max_depth: u32,
     /// Share of the sample's value below which a ray goes on with a probability only.
     pub min_contribution: f32,
+    /// Most that one chain glossy → mirror or glass → light may add, in units of display white. No light sampling
+    /// finds such chains, so that they come as lone bright pixels; the bound makes them a little too dark instead.
+    pub caustic_bound: f32,
 }
 
 impl Default for Settings {
@@ -48,6 +51,7 @@ impl Default for Settings {
             split_depth: 2,
             max_depth: 64,
             min_contribution: 1.0 / 32.0,
+            caustic_bound: 0.1,
         }
     }
 }
@@ -73,6 +77,8 @@ struct Branch {
     media: Media,
     /// How it was found, if lights are sampled there too.
     found: Option<Found>,
+    /// Whether a glossy lobe lies on its way.
+    blurred: bool,
 }
 
 impl<'a> Tracer<'a> {
@@ -106,7 +112,8 @@ impl<'a> Tracer<'a> {
         if !bsdf.has_view_dependent() {
             return Vec3::ZERO;
         }
-        let branch = Branch { contribution: 1.0, depth: 0, media: Media::default(), found: None };
+        let branch =
+            Branch { contribution: 1.0, depth: 0, media: Media::default(), found: None, blurred: false };
         let diffuse = bsdf.diffuse_albedo() * self.diffuse_light(at, &bsdf);
         self.finite(diffuse * (bsdf.coat_factor(at.wo) - 1.0) + self.scatter(at, &bsdf, branch, stream))
     }
@@ -116,7 +123,8 @@ impl<'a> Tracer<'a> {
         let Some(direction) = ray.direction.try_normalize() else { return Vec3::ZERO };
         let scale = ray.direction.length();
         let ray = Ray { direction, t_min: ray.t_min * scale, t_max: ray.t_max * scale, ..*ray };
-        let branch = Branch { contribution: 1.0, depth: 0, media: Media::default(), found: None };
+        let branch =
+            Branch { contribution: 1.0, depth: 0, media: Media::default(), found: None, blurred: false };
         self.finite(self.follow(&ray, branch, stream))
     }
 
@@ -154,6 +162,9 @@ impl<'a> Tracer<'a> {
         }
         let hit = self.accel.intersect(self.scene, ray);
         let share = |light: Vec3| {
+            if branch.found.is_none() && branch.blurred {
+                return self.bounded(light, branch.contribution);
+            }
             let Some(found) = branch.found.filter(|_| light != Vec3::ZERO) else { return light };
             light * found.weight(self.scene, self.lights, ray.direction, hit.as_ref())
         };
@@ -170,6 +181,14 @@ impl<'a> Tracer<'a> {
             radiance += self.scatter(&at, &bsdf, branch, stream);
         }
         radiance * absorbed * scale
+    }
+
+    /// Light at the end of a chain that light sampling cannot find, see [`Settings::caustic_bound`].
+    fn bounded(&self, light: Vec3, contribution: f32) -> Vec3 {
+        let white = 1.0 / self.scene.display.exposure.max(f32::MIN_POSITIVE);
+        let added = light.max_element() * contribution;
+        let bound = self.settings.caustic_bound * white;
+        if added > bound { light * (bound / added) } else { light }
     }
 
     /// Radiance of the view-dependent lobes, without the coat's share of the diffuse part.
@@ -240,7 +259,8 @@ impl<'a> Tracer<'a> {
         if contribution.is_nan() || contribution <= 0.0 {
             return Vec3::ZERO;
         }
-        let mut next = Branch { contribution, depth: branch.depth + 1, found, ..branch };
+        let blurred = branch.blurred || !sample.delta;
+        let mut next = Branch { contribution, depth: branch.depth + 1, found, blurred, ..branch };
         if sample.transmitted {
             next.media = branch.media.crossed(self.scene, at);
             // Through a pane the ray goes on as it was found, and light samples were weighed so.

@@ -30,8 +30,14 @@ impl Prepared {
 }
 
 /// Rays that decide nothing by chance.
-const EXACT: Settings =
-    Settings { glossy_samples: 4, light_samples: 2, split_depth: 64, max_depth: 64, min_contribution: 0.0 };
+const EXACT: Settings = Settings {
+    glossy_samples: 4,
+    light_samples: 2,
+    split_depth: 64,
+    max_depth: 64,
+    min_contribution: 0.0,
+    caustic_bound: f32::INFINITY,
+};
 
 fn white() -> Reflectance {
     Reflectance::constant(Vec3::ONE)

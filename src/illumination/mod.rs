@@ -9,6 +9,7 @@ pub mod cache;
 pub mod clusters;
 pub mod density;
 pub mod direct;
+#[cfg(test)]
 mod raster;
 pub mod simplify;
 mod smoothing;

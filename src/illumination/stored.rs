@@ -31,7 +31,7 @@ pub struct Summary {
     pub particle_error: f32,
     /// Its part from the width of kernels, estimated by doubling their area.
     pub bias_error: f32,
-    /// Area-weighted mean irradiance per band, W/m².
+    /// Power that arrives on both sides per area of surface and band, W/m².
     pub mean: [f32; 3],
     /// Whether light arrives anywhere after a diffuse reflection.
     pub has_indirect: bool,

@@ -9,7 +9,6 @@ pub mod cache;
 pub mod clusters;
 pub mod density;
 pub mod direct;
-#[cfg(test)]
 mod raster;
 pub mod simplify;
 mod smoothing;

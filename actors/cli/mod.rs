@@ -7,9 +7,12 @@ pub mod doctor;
 pub mod explain;
 pub mod failure;
 pub mod figures;
+pub mod log;
 pub mod output;
 pub mod pictures;
+pub mod recording;
 pub mod reference;
+pub mod replay;
 pub mod report;
 pub mod session;
 pub mod walk;
@@ -57,6 +60,10 @@ enum Command {
     Bake(bake::BakeArguments),
     /// Render the gold standard: what a still view converges to, or an unbiased path-traced picture
     Reference(reference::ReferenceArguments),
+    /// Run a recorded walk again, on any number of threads, and compare every message
+    Replay(replay::ReplayArguments),
+    /// Is a recording whole, what is in it, keep its good part
+    Log(log::LogArguments),
     /// Measure how two pictures differ: FLIP, PSNR, relMSE
     Compare(compare::CompareArguments),
     /// Say what a scene needs, what is skipped, and why
@@ -80,6 +87,8 @@ pub fn run() -> ExitCode {
         Command::Walk(a) => walk::run(&a, progress),
         Command::Bake(a) => bake::run(&a, progress),
         Command::Reference(a) => reference::run(&a, progress),
+        Command::Replay(a) => replay::run(&a, progress),
+        Command::Log(a) => log::run(&a),
         Command::Compare(a) => compare::run(&a),
         Command::Explain(a) => explain::run(&a),
         Command::Doctor(a) => doctor::run(&a),

@@ -40,8 +40,8 @@ pub fn interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }
 
-/// Where illumination comes from.
-#[derive(Args, Clone, Debug)]
+/// Where illumination comes from; part of a recording's header.
+#[derive(Args, Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct IlluminationArguments {
     /// Illumination made by `foveal bake --out`; without it one is taken from the cache, or baked and kept there
     #[arg(long, value_name = "FILE")]
@@ -51,13 +51,15 @@ pub struct IlluminationArguments {
     pub quick: bool,
     /// Folder of kept bakes (default: FOVEAL_CACHE, else the user's cache folder)
     #[arg(long, value_name = "DIR")]
+    #[serde(skip)]
     pub cache: Option<PathBuf>,
+    /// When a bake is good enough
     #[command(flatten)]
     pub settings: BakeSettingsArguments,
 }
 
 /// When a bake is good enough.
-#[derive(Args, Clone, Debug)]
+#[derive(Args, Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct BakeSettingsArguments {
     /// Stop at this relative error of irradiance
     #[arg(long, value_name = "SHARE", value_parser = share, default_value = "2%")]
@@ -109,7 +111,17 @@ pub fn load_scene(path: &Path) -> Result<(Arc<Scene>, Vec<String>), Failure> {
 
 /// Loads a scene and its illumination.
 pub fn open(path: &Path, a: &IlluminationArguments, progress: Progress) -> Result<Session, Failure> {
-    let (scene, mut warnings) = load_scene(path)?;
+    let (scene, warnings) = load_scene(path)?;
+    illuminated(scene, warnings, a, progress)
+}
+
+/// The illumination of a scene that is loaded, with what went wrong so far.
+pub fn illuminated(
+    scene: Arc<Scene>,
+    mut warnings: Vec<String>,
+    a: &IlluminationArguments,
+    progress: Progress,
+) -> Result<Session, Failure> {
     let accel = Arc::new(Accel::build(&scene));
     let lights = Arc::new(Lights::build(&scene));
     let illumination = illuminate(&scene, &accel, &lights, a, progress, &mut warnings)?;

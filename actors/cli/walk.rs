@@ -13,12 +13,13 @@ use foveal::display::twin::Passes;
 use foveal::scene::plan::{Part, ScenePlan};
 use foveal::scene::{Camera, CameraPath};
 use foveal::splatting::Footprint;
-use foveal_runtime::{Config, Limit, Runtime};
+use foveal_runtime::{BuildError, Config, Limit, RecordingStatus, Runtime};
 
 use super::arguments::{Size, positive, unit};
 use super::failure::Failure;
 use super::output::{make_folder, peak_memory_bytes, print_json, print_line, write_atomic};
 use super::pictures::PictureWriter;
+use super::recording::{RecordedRun, TRACERS_MAX};
 use super::report::FramePoint;
 use super::session::{self, IlluminationArguments, Session, camera, interrupted};
 use super::{Progress, figures};
@@ -49,7 +50,7 @@ pub struct WalkArguments {
     #[arg(long, value_name = "WxH", default_value = "512x512")]
     size: Size,
     /// Number of tracers (default: one per core)
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=256))]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(TRACERS_MAX)))]
     workers: Option<u32>,
     /// What decides which samples come first
     #[arg(long, value_enum, default_value_t = PolicyName::Attention)]
@@ -63,6 +64,9 @@ pub struct WalkArguments {
     /// Folder for pictures and reports
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Record the walk, so that `foveal replay` can run it again
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
     /// Weight of saliency against the task, 0 to 1
     #[arg(long, value_name = "W", default_value = "0.5", value_parser = unit)]
     saliency: f32,
@@ -180,7 +184,7 @@ pub struct Walked {
 /// Runs the command.
 pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
     session::end_on_interrupt();
-    let session = session::open(&a.scene, &a.illumination, progress)?;
+    let mut session = session::open(&a.scene, &a.illumination, progress)?;
     let scene = session.world.scene.clone();
     let plan = ScenePlan::new(&scene, &scene.budget);
     let start_camera = camera(&scene, a.camera.as_deref())?.camera;
@@ -215,7 +219,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         },
         ageing: foveal::splatting::AgeingRules { delta: a.delta, max_age: a.max_age, n_min: a.n_min },
         winner_takes_all: a.winner_takes_all,
-        ..Settings::new(a.size.width, a.size.height, a.workers.unwrap_or(cores))
+        ..Settings::new(a.size.width, a.size.height, a.workers.unwrap_or(cores.min(TRACERS_MAX)))
     };
     if let Some(out) = &a.out {
         make_folder(out)?;
@@ -223,18 +227,33 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
     let corrects = plan.needs(Part::Tracers);
     let stages = StageTimes::default();
     let handover = Arc::new(SegQueue::new());
-    let parts = Parts {
+    let passes = Passes { texture_ids: plan.needs(Part::TextureIdPass) };
+    let world = session.world.clone();
+    let parts = || Parts {
         settings,
-        world: session.world.clone(),
-        passes: Passes { texture_ids: plan.needs(Part::TextureIdPass) },
+        world: world.clone(),
+        passes,
         corrects,
         stages: stages.clone(),
         sink: Box::new(Handover(handover.clone())),
     };
     // One thread more than tracers: of k threads, k − 1 may trace at once, so the light actors keep one.
     let threads = if corrects { settings.tracers as usize + 1 } else { 0 };
-    let (mut runtime, actors) = Runtime::build(Config::live(threads), |w| wire(w, parts))
-        .map_err(|e| Failure::Environment(format!("the actors cannot be started: {e}")))?;
+    let mut config = Config { seed: a.seed, ..Config::live(threads) };
+    if let Some(file) = &a.record {
+        let run = RecordedRun::new("walk", &a.scene, &session, &a.illumination, &settings, passes, corrects)?;
+        config.application = run.to_bytes()?;
+        config = config.record(file);
+    }
+    let built = match Runtime::build(config, |w| wire(w, parts())) {
+        Err(BuildError::Record(e)) => {
+            warn(&mut session, format!("the walk is not recorded: {e}; choose another --record"));
+            Runtime::build(Config { seed: a.seed, ..Config::live(threads) }, |w| wire(w, parts()))
+        }
+        built => built,
+    };
+    let (mut runtime, actors) =
+        built.map_err(|e| Failure::Environment(format!("the actors cannot be started: {e}")))?;
     let pictures = a.out.as_ref().map(|out| PictureWriter::new(out.clone()));
 
     let walked = walk(
@@ -249,6 +268,9 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         pictures.as_ref(),
         progress,
     )?;
+    if let RecordingStatus::Stopped { reason } = runtime.recording() {
+        session.warnings.push(format!("the recording ends early: {reason}"));
+    }
     let converged = runtime.inspect(actors.renderer, Renderer::is_converged).unwrap_or(false);
     let deliveries = runtime.deliveries();
     let (lost_jobs, incidents) = actors.correction.map_or((0, Vec::new()), |c| {
@@ -282,6 +304,11 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         return Err(Failure::Interrupted("interrupted; what was done is kept".into()));
     }
     Ok(())
+}
+
+fn warn(session: &mut Session, warning: String) {
+    tracing::warn!("{warning}");
+    session.warnings.push(warning);
 }
 
 #[expect(clippy::too_many_arguments, reason = "the one caller has them all")]
@@ -433,6 +460,7 @@ fn document(
         "plan": super::explain::plan_json(plan),
         "peak_memory_bytes": peak_memory_bytes(),
         "machine": super::doctor::machine(),
+        "recording": a.record.as_ref().map(|f| f.display().to_string()),
         "out": a.out.as_ref().map(|o| o.display().to_string()),
         "warnings": session.warnings.iter().chain(incidents).collect::<Vec<_>>(),
     })

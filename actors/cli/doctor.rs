@@ -67,16 +67,43 @@ pub fn machine() -> serde_json::Value {
     })
 }
 
+#[cfg(feature = "window")]
+use crate::renderer::gpu::{AdapterInfo, adapter};
+
+/// Stands for an adapter where the program cannot use one.
+#[cfg(not(feature = "window"))]
+type AdapterInfo = String;
+
+#[cfg(not(feature = "window"))]
+fn adapter() -> Result<AdapterInfo, String> {
+    Err("this build has no window; build it with the feature `window`".into())
+}
+
+#[cfg(feature = "window")]
+fn adapter_json(found: &Result<AdapterInfo, String>) -> serde_json::Value {
+    found.as_ref().map_or(
+        serde_json::Value::Null,
+        |a| json!({"name": a.name, "backend": a.backend, "software": a.software, "driver": a.driver}),
+    )
+}
+
+#[cfg(not(feature = "window"))]
+fn adapter_json(_: &Result<AdapterInfo, String>) -> serde_json::Value {
+    serde_json::Value::Null
+}
+
 /// Runs the command.
 pub fn run(a: &DoctorArguments) -> Result<(), Failure> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let adapter = adapter();
     let document = json!({
         "schema": "foveal.doctor/1",
         "version": env!("CARGO_PKG_VERSION"),
         "processor": processor(),
         "cores": cores,
         "simd": simd(),
-        "adapter": null,
+        "adapter": adapter_json(&adapter),
+        "adapter_missing": adapter.as_ref().err(),
         "display": display(),
         "cache": super::session::cache_folder(None).map(|p| p.display().to_string()),
     });
@@ -90,7 +117,10 @@ pub fn run(a: &DoctorArguments) -> Result<(), Failure> {
         processor().unwrap_or_default(),
         simd().join(" ")
     ));
-    print_line("adapter   none: this build draws on the processor (the CPU twin)");
+    print_line(&match &adapter {
+        Ok(a) => format!("adapter   {a}"),
+        Err(e) => format!("adapter   none: {e}; pictures are drawn and shown by the processor"),
+    });
     print_line(&format!(
         "display   {}",
         display().unwrap_or_else(|| "none named by DISPLAY or WAYLAND_DISPLAY".into())

@@ -15,6 +15,8 @@ pub mod reference;
 pub mod replay;
 pub mod report;
 pub mod session;
+#[cfg(feature = "window")]
+pub mod view;
 pub mod walk;
 
 use std::process::ExitCode;
@@ -54,6 +56,9 @@ pub enum ColorChoice {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Walk through a scene in a window
+    #[cfg(feature = "window")]
+    View(Box<view::ViewArguments>),
     /// Walk along a camera path without a window; leaves pictures and a report
     Walk(walk::WalkArguments),
     /// Compute the view-independent illumination and keep it
@@ -84,6 +89,8 @@ pub fn run() -> ExitCode {
     log_to_stderr(&cli);
     let progress = Progress { shown: !cli.quiet && std::io::IsTerminal::is_terminal(&std::io::stderr()) };
     let result = match cli.command {
+        #[cfg(feature = "window")]
+        Command::View(a) => view::run(*a, progress),
         Command::Walk(a) => walk::run(&a, progress),
         Command::Bake(a) => bake::run(&a, progress),
         Command::Reference(a) => reference::run(&a, progress),

@@ -16,7 +16,7 @@ pub mod geometry;
 pub mod readback;
 pub mod splat;
 #[cfg(test)]
-mod test_scene;
+pub(crate) mod test_scene;
 pub mod textures;
 #[cfg(test)]
 mod twin_tests;

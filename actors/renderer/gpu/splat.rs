@@ -330,7 +330,7 @@ mod tests {
         ] {
             let table = tile_table(4, footprint);
             let ones: u32 = table[10..].iter().map(|w| w.count_ones()).sum();
-            assert_eq!(ones, (0..=4).map(area).sum());
+            assert_eq!(ones, (0..=4).map(area).sum::<u32>());
         }
     }
 

@@ -1,0 +1,202 @@
+//! `foveal view`: a window on the walk.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use clap::{Args, ValueEnum};
+use serde_json::json;
+
+use super::Progress;
+use super::arguments::{Size, positive};
+use super::failure::Failure;
+use super::output::{print_json, print_line, write_atomic};
+use super::session::{self, IlluminationArguments};
+use crate::renderer::overlay::Overlay;
+use crate::settings::Settings;
+use crate::window::walk::{Next, Walk};
+use crate::window::{self, Backend, Build, FrameSource, Loader, Session, WindowError, screenshot};
+
+/// Arguments of `foveal view`.
+#[derive(Args, Clone, Debug)]
+pub struct ViewArguments {
+    /// An OBJ file or a sidecar
+    scene: PathBuf,
+    /// Picture size
+    #[arg(long, value_name = "WxH", default_value = "512x512")]
+    size: Size,
+    /// Frames per second to aim at (default: the scene's, else 10)
+    #[arg(long, value_parser = positive)]
+    fps: Option<f32>,
+    /// Number of tracers (default: one per core)
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=256))]
+    workers: Option<u32>,
+    /// Who paints the window
+    #[arg(long, value_enum, default_value_t = BackendName::Auto)]
+    backend: BackendName,
+    /// Folder for screenshots (F12)
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    screenshots: PathBuf,
+    /// No window: correct the start view until it has converged, and write --out
+    #[arg(long, requires = "out")]
+    headless: bool,
+    /// The picture of --headless, PNG
+    #[arg(long, value_name = "FILE", requires = "headless")]
+    out: Option<PathBuf>,
+    /// What --headless paints over the picture
+    #[arg(long, value_enum, default_value_t = OverlayName::None, requires = "headless")]
+    overlay: OverlayName,
+    #[command(flatten)]
+    illumination: IlluminationArguments,
+    /// One JSON document, with --headless
+    #[arg(long, requires = "headless")]
+    json: bool,
+}
+
+/// Names of backends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum BackendName {
+    /// A graphics adapter if there is one, else the processor
+    Auto,
+    /// A graphics adapter, or fail
+    Gpu,
+    /// The processor
+    Cpu,
+}
+
+impl From<BackendName> for Backend {
+    fn from(name: BackendName) -> Self {
+        match name {
+            BackendName::Auto => Self::Auto,
+            BackendName::Gpu => Self::Gpu,
+            BackendName::Cpu => Self::Cpu,
+        }
+    }
+}
+
+/// Names of overlays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum OverlayName {
+    /// Nothing
+    None,
+    /// How much the eye is drawn to each object
+    Saliency,
+    /// Object ids
+    Objects,
+    /// Level of the shown sample
+    Level,
+    /// Age of the shown sample
+    Age,
+    /// Which tracer made the shown sample
+    Tracer,
+    /// Mip level wanted
+    Mip,
+}
+
+impl From<OverlayName> for Overlay {
+    fn from(name: OverlayName) -> Self {
+        match name {
+            OverlayName::None => Self::None,
+            OverlayName::Saliency => Self::Saliency,
+            OverlayName::Objects => Self::Objects,
+            OverlayName::Level => Self::Level,
+            OverlayName::Age => Self::Age,
+            OverlayName::Tracer => Self::Tracer,
+            OverlayName::Mip => Self::Mip,
+        }
+    }
+}
+
+/// Runs the command.
+pub fn run(a: ViewArguments, progress: Progress) -> Result<(), Failure> {
+    if a.headless {
+        return headless(&a, progress);
+    }
+    let name = a.scene.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let options = window::Options {
+        name,
+        size: [a.size.width, a.size.height],
+        backend: a.backend.into(),
+        screenshots: a.screenshots.clone(),
+        loader: loader(a),
+    };
+    window::run(options).map_err(|e| match e {
+        WindowError::Environment(m) => Failure::Environment(m),
+        WindowError::Scene(m) => Failure::Input(m),
+    })
+}
+
+/// Loads the scene of the command line, or another one that was dropped on the window.
+fn loader(a: ViewArguments) -> Loader {
+    Arc::new(move |path: Option<&Path>| {
+        let path = path.unwrap_or(&a.scene).to_path_buf();
+        // The bar is for terminals; the window says itself that it loads.
+        let quiet = Progress { shown: false };
+        let opened = session::open(&path, &a.illumination, quiet).map_err(|e| e.to_string())?;
+        let a = a.clone();
+        let build: Build =
+            Box::new(move || start(&a, &path, opened).map(|s| Box::new(s) as Box<dyn FrameSource>));
+        Ok(build)
+    })
+}
+
+fn start(a: &ViewArguments, path: &Path, opened: session::Session) -> Result<Session, String> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
+    let settings = Settings::new(a.size.width, a.size.height, a.workers.unwrap_or(cores));
+    let fps = a.fps.or(opened.world.scene.budget.fps).unwrap_or(10.0);
+    let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let facts = vec![
+        ("Software".to_owned(), format!("foveal {}", env!("CARGO_PKG_VERSION"))),
+        ("foveal file".to_owned(), file),
+    ];
+    Session::start(opened.world, settings, fps, facts)
+}
+
+/// The start view, converged, into a file: what the window would show after a while.
+fn headless(a: &ViewArguments, progress: Progress) -> Result<(), Failure> {
+    session::end_on_interrupt();
+    let opened = session::open(&a.scene, &a.illumination, progress)?;
+    let mut source = start(a, &a.scene, opened).map_err(Failure::Environment)?;
+    let controls = window::Controls { overlay: a.overlay.into(), ..source.controls() };
+    source.set_controls(&controls);
+    let begin = Instant::now();
+    let mut walk = Walk::new(Box::new(source), 0.0);
+    let mut frames = 0u32;
+    loop {
+        if session::interrupted() {
+            break;
+        }
+        let now = begin.elapsed().as_secs_f64();
+        let (shown, next) = walk.tick(now);
+        frames += u32::from(shown);
+        match next {
+            Next::Now => {}
+            Next::At(t) => std::thread::sleep(Duration::from_secs_f64((t - now).clamp(0.0, 0.1))),
+            Next::Input => break,
+        }
+    }
+    let (Some(picture), Some(out)) = (walk.picture(), &a.out) else {
+        return Err(Failure::Interrupted("interrupted before there was a picture".into()));
+    };
+    let bytes = screenshot::png(picture, &walk.facts()).map_err(Failure::Input)?;
+    write_atomic(out, &bytes)?;
+    let converged = walk.status().converged;
+    if a.json {
+        print_json(&json!({
+            "schema": "foveal.view/1",
+            "scene": walk.place().title,
+            "size": [picture.width(), picture.height()],
+            "frames": frames,
+            "seconds": begin.elapsed().as_secs_f64(),
+            "converged": converged,
+            "file": out.display().to_string(),
+        }));
+    } else {
+        let state = if converged { "converged" } else { "still growing" };
+        print_line(&format!("{}: {frames} frames, {state}", out.display()));
+    }
+    if session::interrupted() {
+        return Err(Failure::Interrupted("interrupted; what was done is kept".into()));
+    }
+    Ok(())
+}

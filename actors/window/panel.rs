@@ -1,0 +1,225 @@
+//! The panel: sliders, overlays, how the frames go, help.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use egui::{Color32, Pos2, Rect, RichText, Sense, Shape, Slider, Stroke, Ui, Vec2};
+use foveal::allocation::policy::Policy;
+use foveal::display::tone::ToneCurve;
+
+use super::source::{ActorStatus, Controls, Status};
+use crate::renderer::overlay::Overlay;
+
+/// Frames in the graph.
+const HISTORY: usize = 120;
+/// Points that the panel is wide.
+pub const WIDTH: f32 = 270.0;
+
+/// Keys, for the help.
+pub const KEYS: [(&str, &str); 15] = [
+    ("W A S D", "walk"),
+    ("Q E", "down, up"),
+    ("right drag", "look around"),
+    ("wheel", "speed"),
+    ("Shift, Ctrl", "faster, slower"),
+    ("O", "orbit about the middle of the view"),
+    ("1 - 9", "go to a bookmark (at first the scene's cameras)"),
+    ("Ctrl + 1 - 9", "set a bookmark"),
+    ("R", "record a path, and end it"),
+    ("P", "play the recorded path, or the scene's"),
+    ("Tab", "next overlay"),
+    ("F1", "this help"),
+    ("F5", "read the scene again"),
+    ("F12", "screenshot"),
+    ("Esc, Ctrl + Q", "release the mouse, quit"),
+];
+
+/// How long the last frames took.
+#[derive(Clone, Debug, Default)]
+pub struct FrameTimes {
+    times: VecDeque<Duration>,
+}
+
+impl FrameTimes {
+    /// A frame took so long.
+    pub fn push(&mut self, time: Duration) {
+        if self.times.len() == HISTORY {
+            self.times.pop_front();
+        }
+        self.times.push_back(time);
+    }
+
+    /// Median and 99th percentile, seconds.
+    pub fn median_p99(&self) -> Option<(f32, f32)> {
+        let mut sorted: Vec<f32> = self.times.iter().map(Duration::as_secs_f32).collect();
+        sorted.sort_by(f32::total_cmp);
+        let at =
+            |share: f32| sorted.get(((sorted.len().max(1) - 1) as f32 * share).round() as usize).copied();
+        Some((at(0.5)?, at(0.99)?))
+    }
+}
+
+/// What the panel shows beside the controls.
+pub struct Shown<'a> {
+    /// Where the session stands.
+    pub status: &'a Status,
+    /// The last frames.
+    pub times: &'a FrameTimes,
+    /// Speed of walking, scene units per second.
+    pub speed: f32,
+    /// Who presents: an adapter or the processor.
+    pub presenter: &'a str,
+    /// The last thing that went well or wrong.
+    pub notice: Option<&'a Notice>,
+}
+
+/// A line for the user.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Notice {
+    /// What happened.
+    pub text: String,
+    /// Whether it went wrong.
+    pub failed: bool,
+}
+
+/// The panel's content. Changes `controls` as the user does.
+pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
+    ui.spacing_mut().slider_width = 110.0;
+    egui::ScrollArea::vertical().show(ui, |ui| {
+        state(ui, shown);
+        ui.separator();
+        graph(ui, shown.times, controls.fps);
+        ui.separator();
+        ui.add(Slider::new(&mut controls.fps, 1.0..=60.0).logarithmic(true).text("frames per second"));
+        ui.horizontal(|ui| {
+            ui.label("task");
+            ui.add(Slider::new(&mut controls.saliency_weight, 0.0..=1.0).text("saliency"));
+        });
+        egui::ComboBox::from_label("policy").selected_text(controls.policy.name()).show_ui(ui, |ui| {
+            for policy in Policy::ALL {
+                ui.selectable_value(&mut controls.policy, policy, policy.name());
+            }
+        });
+        ui.add(
+            Slider::new(&mut controls.samples_per_job, 16..=4096).logarithmic(true).text("samples per job"),
+        );
+        ui.add(Slider::new(&mut controls.ageing.delta, 0.01..=0.5).text("delta"));
+        ui.add(Slider::new(&mut controls.ageing.max_age, 0..=256).text("MAX_AGE"));
+        ui.add(Slider::new(&mut controls.ageing.n_min, 1..=100).text("N_min"));
+        ui.separator();
+        exposure(ui, controls);
+        ui.separator();
+        ui.label("overlay");
+        ui.horizontal_wrapped(|ui| {
+            for overlay in Overlay::ALL {
+                ui.selectable_value(&mut controls.overlay, overlay, overlay.name());
+            }
+        });
+        ui.separator();
+        actors(ui, &shown.status.actors);
+        ui.separator();
+        ui.weak(shown.presenter);
+        ui.weak("F1: help");
+    });
+}
+
+fn state(ui: &mut Ui, shown: &Shown<'_>) {
+    let status = shown.status;
+    let state = if status.converged { "converged" } else { "correcting" };
+    ui.label(RichText::new(format!("view {}, {state}", status.view)).strong());
+    ui.label(format!("{} traced, {} reused, {} expired", status.traced, status.reused, status.expired));
+    ui.label(format!("speed {:.3} per second", shown.speed));
+    if let Some(notice) = shown.notice {
+        let color = if notice.failed { ui.visuals().error_fg_color } else { ui.visuals().text_color() };
+        ui.colored_label(color, &notice.text);
+    }
+}
+
+fn exposure(ui: &mut Ui, controls: &mut Controls) {
+    let mut stops = controls.tone.exposure.max(1e-6).log2();
+    if ui.add(Slider::new(&mut stops, -12.0..=12.0).text("exposure, stops")).changed() {
+        controls.tone.exposure = stops.exp2();
+    }
+    let mut compresses = matches!(controls.tone.curve, ToneCurve::Reinhard { .. });
+    if ui.checkbox(&mut compresses, "compress highlights").changed() {
+        controls.tone.curve = if compresses { ToneCurve::Reinhard { white: 4.0 } } else { ToneCurve::Clamp };
+    }
+    if let ToneCurve::Reinhard { white } = &mut controls.tone.curve {
+        ui.add(Slider::new(white, 0.5..=64.0).logarithmic(true).text("white"));
+    }
+}
+
+/// Frame times against the deadline.
+fn graph(ui: &mut Ui, times: &FrameTimes, fps: f32) {
+    let deadline = 1.0 / fps.max(0.1);
+    match times.median_p99() {
+        Some((median, p99)) => ui.label(format!(
+            "frame {:.0} ms, p99 {:.0} ms, deadline {:.0} ms",
+            median * 1e3,
+            p99 * 1e3,
+            deadline * 1e3
+        )),
+        None => ui.label("no frame yet"),
+    };
+    let (rect, _) = ui.allocate_exact_size(Vec2::new(ui.available_width().min(WIDTH), 48.0), Sense::hover());
+    let painter = ui.painter_at(rect);
+    painter.rect_filled(rect, 0.0, ui.visuals().extreme_bg_color);
+    let full = 2.0 * deadline;
+    let height = |seconds: f32| rect.bottom() - rect.height() * (seconds / full).min(1.0);
+    let step = rect.width() / HISTORY as f32;
+    for (i, time) in times.times.iter().enumerate() {
+        let seconds = time.as_secs_f32();
+        let late = seconds > 1.1 * deadline;
+        let color = if late { Color32::from_rgb(220, 90, 60) } else { Color32::from_rgb(90, 170, 110) };
+        let left = rect.left() + i as f32 * step;
+        let bar = Rect::from_min_max(Pos2::new(left, height(seconds)), Pos2::new(left + step, rect.bottom()));
+        painter.rect_filled(bar, 0.0, color);
+    }
+    let line = [Pos2::new(rect.left(), height(deadline)), Pos2::new(rect.right(), height(deadline))];
+    painter.add(Shape::line_segment(line, Stroke::new(1.0, ui.visuals().text_color())));
+}
+
+fn actors(ui: &mut Ui, actors: &[ActorStatus]) {
+    egui::Grid::new("actors").striped(true).num_columns(4).show(ui, |ui| {
+        for heading in ["actor", "delivered", "waited", "busy, s"] {
+            ui.weak(heading);
+        }
+        ui.end_row();
+        for actor in actors {
+            ui.label(&actor.name);
+            ui.label(actor.delivered.to_string());
+            ui.label(actor.waiting_max.to_string());
+            ui.label(format!("{:.2}", actor.busy.as_secs_f32()));
+            ui.end_row();
+        }
+    });
+}
+
+/// The help overlay.
+pub fn help(ctx: &egui::Context, open: &mut bool) {
+    egui::Window::new("Help").open(open).collapsible(false).resizable(false).show(ctx, |ui| {
+        egui::Grid::new("keys").num_columns(2).show(ui, |ui| {
+            for (key, what) in KEYS {
+                ui.strong(key);
+                ui.label(what);
+                ui.end_row();
+            }
+        });
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_of_the_last_frames() {
+        let mut times = FrameTimes::default();
+        assert_eq!(times.median_p99(), None);
+        for i in 0..(HISTORY as u64 + 50) {
+            times.push(Duration::from_millis(if i < 50 { 9000 } else { 10 + i % 3 }));
+        }
+        let (median, p99) = times.median_p99().expect("frames");
+        assert!((median - 0.011).abs() < 1e-6 && (p99 - 0.012).abs() < 1e-6, "{median} {p99}");
+    }
+}

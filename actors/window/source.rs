@@ -1,0 +1,117 @@
+//! What a window shows: a session of actors, seen from outside.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use foveal::allocation::policy::Policy;
+use foveal::display::tone::ToneMap;
+use foveal::image::Map2d;
+use foveal::scene::{Camera, CameraPath, NamedCamera};
+use foveal::splatting::AgeingRules;
+use glam::Vec3;
+
+use crate::renderer::overlay::Overlay;
+
+/// What the user may change while walking.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Controls {
+    /// Frames per second to aim at.
+    pub fps: f32,
+    /// Weight of saliency against importance, 0 (task only) to 1 (saliency only).
+    pub saliency_weight: f32,
+    /// Order of rays.
+    pub policy: Policy,
+    /// Samples per job.
+    pub samples_per_job: u32,
+    /// Ageing: δ, MAX_AGE, N_min.
+    pub ageing: AgeingRules,
+    /// Exposure and tone curve. Of the display alone: invalidates nothing.
+    pub tone: ToneMap,
+    /// What is painted over the picture. Of the display alone.
+    pub overlay: Overlay,
+}
+
+impl Controls {
+    /// Whether what is computed differs, not only how it is shown.
+    pub fn differ_in_work(&self, other: &Self) -> bool {
+        let shown = Self { tone: other.tone, overlay: other.overlay, ..*self };
+        shown != *other
+    }
+}
+
+/// One actor as the window sees it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ActorStatus {
+    /// Its name.
+    pub name: String,
+    /// Messages delivered to it.
+    pub delivered: u64,
+    /// Most messages that ever waited when it began to work.
+    pub waiting_max: u64,
+    /// Time it has been at work.
+    pub busy: Duration,
+}
+
+/// Where a session stands.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Status {
+    /// Views so far.
+    pub view: u32,
+    /// Every non-diffuse pixel shows its own ray.
+    pub converged: bool,
+    /// Fresh samples splatted in the last frame.
+    pub traced: u32,
+    /// Warped samples shown in the last frame.
+    pub reused: u32,
+    /// Samples that expired in the last frame.
+    pub expired: u32,
+    /// The actors.
+    pub actors: Vec<ActorStatus>,
+}
+
+/// What a window needs to know of a scene.
+#[derive(Clone, Debug)]
+pub struct Place {
+    /// Title for people.
+    pub title: String,
+    /// Up axis, unit.
+    pub up: Vec3,
+    /// Diagonal of the bounds, scene units.
+    pub diagonal: f32,
+    /// Cameras; never empty, the first is the start view.
+    pub cameras: Vec<NamedCamera>,
+    /// Paths that can be played.
+    pub paths: Vec<CameraPath>,
+}
+
+/// A session of actors on the window's thread.
+pub trait FrameSource {
+    /// The scene.
+    fn place(&self) -> Place;
+    /// Columns and rows of the picture.
+    fn size(&self) -> [u32; 2];
+    /// What it starts with.
+    fn controls(&self) -> Controls;
+    /// The user changed something.
+    fn set_controls(&mut self, controls: &Controls);
+    /// A frame begins, seen from `camera`.
+    fn begin_frame(&mut self, camera: &Camera);
+    /// Works for at most `time`; does not use the processor while there is nothing to do.
+    fn work(&mut self, time: Duration);
+    /// The frame's time is up: shows what there is.
+    fn end_frame(&mut self);
+    /// The picture as it was last shown, with tone map and overlay of the controls; `None` before the first.
+    fn picture(&mut self) -> Option<Map2d<[u8; 3]>>;
+    /// Where it stands.
+    fn status(&self) -> Status;
+    /// Names and values that say how a picture came to be, for a screenshot's metadata.
+    fn facts(&self) -> Vec<(String, String)>;
+}
+
+/// Makes a session on the window's thread, of what was loaded on another.
+pub type Build = Box<dyn FnOnce() -> Result<Box<dyn FrameSource>, String> + Send>;
+
+/// Loads the scene at a path, or the first one (again) without path. Called on a thread of its own, so
+/// that the window lives on meanwhile.
+pub type Loader = Arc<dyn Fn(Option<&Path>) -> Result<Build, String> + Send + Sync>;

@@ -1,1 +1,16 @@
-//! Tests of the whole program.
+//! The program as a user runs it, its bundled scenes, and the rules of the source tree.
+//!
+//! The program runs as a process of its own, on the bundled scenes at small sizes, with illumination baked
+//! cheaply into a folder that the tests of one run share.
+
+#[path = "../scenes/generate/mod.rs"]
+mod generate;
+
+mod bundled;
+mod exits;
+mod hostile;
+mod skipped;
+mod still;
+mod support;
+mod tidy;
+mod walk;

@@ -1,0 +1,97 @@
+//! Exit codes that other programs rely on, and the messages beside them.
+
+use std::fs;
+
+use crate::support::{CHEAP_BAKE, Foveal, folder, scene};
+
+#[test]
+fn help_and_version_succeed() {
+    let help = Foveal::new("--help").ok();
+    for command in ["walk", "bake", "reference", "compare", "explain", "doctor"] {
+        assert!(help.out.lines().any(|l| l.trim_start().starts_with(command)), "{command}: {}", help.out);
+        assert!(Foveal::new(command).arg("--help").ok().out.contains("Usage: foveal"));
+    }
+    assert_eq!(Foveal::new("--version").ok().out, concat!("foveal ", env!("CARGO_PKG_VERSION"), "\n"));
+}
+
+#[test]
+fn wrong_command_lines_end_with_2() {
+    for (words, told) in [
+        ("", "Usage"),
+        ("stroll", "stroll"),
+        ("walk", "SCENE"),
+        ("walk a.obj --no-such-flag", "--no-such-flag"),
+        ("walk a.obj --size 0x48", "0x48"),
+        ("walk a.obj --size 64", "64"),
+        ("walk a.obj --frames 0", "--frames"),
+        ("walk a.obj --workers 0", "--workers"),
+        ("walk a.obj --policy best", "attention"),
+        ("walk a.obj --saliency 2", "0 to 1"),
+        ("walk a.obj --fps nan", "--fps"),
+        ("walk a.obj --camera main --path tour", "--camera"),
+        ("walk a.obj --quick --bake b", "--bake"),
+        ("reference a.obj", "--out"),
+        ("bake a.obj --time soon", "16ms"),
+        ("compare a.png", "REFERENCE"),
+    ] {
+        Foveal::new(words).fails(2, &[told]);
+    }
+    let quick = "walk --quick --size 32x24 --frames 1";
+    Foveal::new(quick).arg("--camera").arg("nowhere").arg(scene("box")).fails(2, &["nowhere", "mirror-ball"]);
+    Foveal::new(quick).arg("--path").arg("nowhere").arg(scene("box")).fails(2, &["nowhere", "tour"]);
+}
+
+#[test]
+fn unusable_files_end_with_3() {
+    let folder = folder("unusable");
+    let write = |name: &str, text: &str| {
+        let path = folder.join(name);
+        fs::write(&path, text).expect("a file");
+        path
+    };
+    for command in ["walk --json", "bake", "explain", "reference --out never.exr"] {
+        Foveal::new(command).arg("no-such-file.obj").fails(3, &["no-such-file.obj"]);
+    }
+    let unknown = write("unknown.toml", "format = 1\n\n[geometry]\nfiels = [\"a.obj\"]\n");
+    Foveal::new("explain").arg(&unknown).fails(3, &["unknown.toml", "4", "fiels", "files"]);
+    let missing = write("missing.toml", "format = 1\n[geometry]\nfiles = [\"not-there.obj\"]\n");
+    Foveal::new("explain").arg(&missing).fails(3, &["missing.toml", "not-there.obj"]);
+    let later = write("later.toml", "format = 99\n");
+    Foveal::new("explain").arg(&later).fails(3, &["later.toml", "99"]);
+    let empty = write("empty.obj", "# nothing\n");
+    Foveal::new("explain").arg(&empty).fails(3, &["empty.obj"]);
+    let text = write("text.png", "not a picture");
+    Foveal::new("compare").arg(&text).arg(&text).fails(3, &["text.png"]);
+    // A file stands where the pictures should go.
+    let out = text.join("inside");
+    Foveal::new("walk --quick --frames 1 --size 32x24")
+        .arg(scene("box"))
+        .arg("--out")
+        .arg(&out)
+        .fails(3, &["--out"]);
+}
+
+/// Ctrl-C ends a walk soon, and what was done is kept.
+#[cfg(unix)]
+#[test]
+fn interrupted_walks_keep_what_was_done() {
+    use std::time::{Duration, Instant};
+
+    let out = folder("interrupted");
+    let walk = Foveal::new(&format!("walk --frames 100000 --fps 20 --size 32x24 {CHEAP_BAKE} --out"))
+        .arg(&out)
+        .arg(scene("box"))
+        .start();
+    let start = Instant::now();
+    while !out.join("frame-0001.png").exists() {
+        assert!(start.elapsed() < Duration::from_secs(120), "no second frame");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let sent = std::process::Command::new("kill").arg("-INT").arg(walk.id().to_string()).status();
+    assert!(sent.is_ok_and(|s| s.success()));
+    let ended = walk.wait();
+    assert_eq!(ended.code, Some(130), "{}", ended.err);
+    for file in ["frame-0000.png", "last.exr", "report.html", "report.json"] {
+        assert!(out.join(file).exists(), "{file}");
+    }
+}

@@ -1,0 +1,309 @@
+//! Rules of the source tree that no compiler keeps.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
+
+use crate::support::root;
+
+/// Sources by their path from the root, with `/`.
+fn sources(extension: &str) -> BTreeMap<String, String> {
+    fn visit(folder: &Path, name: &str, extension: &str, found: &mut BTreeMap<String, String>) {
+        for entry in fs::read_dir(folder).expect("a folder").flatten() {
+            let path = entry.path();
+            let name = format!("{name}/{}", entry.file_name().to_string_lossy());
+            if path.is_dir() {
+                visit(&path, &name, extension, found);
+            } else if path.extension().is_some_and(|e| e == extension) {
+                found.insert(name, fs::read_to_string(&path).expect("a text"));
+            }
+        }
+    }
+    let mut found = BTreeMap::new();
+    for top in ["src", "actors", "tests", "scenes"] {
+        visit(&root().join(top), top, extension, &mut found);
+    }
+    assert!(!found.is_empty());
+    found
+}
+
+/// A source without its comments.
+fn code(source: &str) -> String {
+    source
+        .lines()
+        .map(|l| l.split("//").next().unwrap_or_default())
+        .fold(String::new(), |all, l| all + l + "\n")
+}
+
+/// Code without the tests at its end.
+fn code_without_tests(source: &str) -> String {
+    let code = code(source);
+    let end = code.find("#[cfg(test)]\nmod tests {").unwrap_or(code.len());
+    code[..end].to_owned()
+}
+
+/// Whether a file holds nothing but tests and what they need.
+fn is_for_tests(path: &str) -> bool {
+    let stem = path.rsplit('/').next().unwrap_or(path).trim_end_matches(".rs");
+    stem.ends_with("tests")
+        || stem.starts_with("test_")
+        || path.contains("/tests/")
+        || path.starts_with("tests/")
+}
+
+/// Whether `word` stands in `text` as a word of its own.
+fn has_word(text: &str, word: &str) -> bool {
+    let part = |c: char| c.is_alphanumeric() || c == '_';
+    text.match_indices(word).any(|(at, _)| {
+        !text[..at].chars().next_back().is_some_and(part)
+            && !text[at + word.len()..].chars().next().is_some_and(part)
+    })
+}
+
+/// Fails if code of `src/` or `actors/` names one of `words` elsewhere than in `places` (beginnings of paths).
+fn only_in(words: &[&str], places: &[&str]) {
+    for (path, source) in sources("rs") {
+        if path.starts_with("src/") || path.starts_with("actors/") {
+            let code = code(&source);
+            for word in words {
+                let allowed = places.iter().any(|p| path.starts_with(p));
+                assert!(allowed || !has_word(&code, word), "{path} names {word}; only {places:?} may");
+            }
+        }
+    }
+}
+
+#[test]
+fn words_are_found() {
+    assert!(has_word("a Mutex<u8>", "Mutex") && !has_word("MutexLike, a_Mutex", "Mutex"));
+    assert_eq!(code("a // Mutex\nb"), "a \nb\n");
+    assert!(
+        is_for_tests("src/a/b_tests.rs") && is_for_tests("src/a/tests.rs") && !is_for_tests("src/a/b.rs")
+    );
+}
+
+/// One owner and messages instead. The loom model of the job pool stands a lock in for a queue of another crate.
+#[test]
+fn no_locks() {
+    only_in(&["Mutex", "RwLock", "Condvar"], &["actors/runtime/model.rs"]);
+}
+
+#[test]
+fn crates_are_named_where_they_belong() {
+    only_in(&["obvhs"], &["src/geometry/bvh"]);
+    only_in(&["tobj"], &["src/scene/load/"]);
+    only_in(&["wgpu"], &["actors/renderer/gpu/", "actors/window/"]);
+    only_in(&["winit", "egui", "softbuffer"], &["actors/window/"]);
+    only_in(&["clap", "indicatif", "plotters"], &["actors/cli/"]);
+    only_in(&["crossbeam_deque"], &["actors/runtime/"]);
+}
+
+/// Results and messages come from the command line; the core and the actors return them.
+#[test]
+fn only_the_command_line_prints() {
+    let may = ["actors/cli/", "actors/runtime/examples/", "actors/runtime/build.rs"];
+    for (path, source) in sources("rs") {
+        let is_program = path.starts_with("src/") || path.starts_with("actors/");
+        if is_program && !is_for_tests(&path) && !may.iter().any(|p| path.starts_with(p)) {
+            let code = code_without_tests(&source);
+            for word in ["println", "eprintln", "print", "eprint"] {
+                assert!(!has_word(&code, word) || !code.contains(&format!("{word}!")), "{path} prints");
+            }
+        }
+    }
+}
+
+/// The core's modules, each of which may use the ones before it.
+const CORE: [&str; 13] = [
+    "rng",
+    "image",
+    "scene",
+    "geometry",
+    "transport",
+    "illumination",
+    "world",
+    "display",
+    "perception",
+    "sampling",
+    "splatting",
+    "allocation",
+    "metrics",
+];
+
+/// Uses against the order, each with its reason.
+const BACKWARD: [(&str, &str); 2] = [
+    // The interface by which the tracer is given its diffuse illumination.
+    ("src/transport/", "illumination::Irradiance"),
+    // Radiosity's quadtrees are what is simplified.
+    ("src/transport/radiosity/", "illumination::simplify"),
+];
+
+/// Paths below `crate::` that a source names, lists unfolded one level.
+fn crate_paths(code: &str) -> Vec<String> {
+    let mut found = Vec::new();
+    for (at, prefix) in code.match_indices("crate::") {
+        let rest = &code[at + prefix.len()..];
+        if let Some(list) = rest.strip_prefix('{') {
+            let list = &list[..list.find("};").unwrap_or(list.len())];
+            let (mut depth, mut item) = (0, String::new());
+            for c in list.chars().chain([',']) {
+                match c {
+                    '{' => depth += 1,
+                    '}' => depth -= 1,
+                    ',' if depth == 0 => found.push(std::mem::take(&mut item)),
+                    c if !c.is_whitespace() => item.push(c),
+                    _ => {}
+                }
+            }
+        } else {
+            let path = |c: char| c.is_alphanumeric() || c == '_' || c == ':';
+            found.push(rest.split(|c| !path(c)).next().unwrap_or_default().to_owned());
+        }
+    }
+    found.retain(|p| !p.is_empty());
+    found
+}
+
+#[test]
+fn imports_of_the_core_point_one_way() {
+    assert_eq!(
+        crate_paths("use crate::a::B; use crate::{c, d::{E, F}};"),
+        ["a::B", "c", "d::EF"].map(|p| p.replace("EF", "E,F"))
+    );
+    let rank = |module: &str| CORE.iter().position(|m| *m == module);
+    for (path, source) in sources("rs") {
+        let Some(own) = path.strip_prefix("src/") else { continue };
+        let own = own.split('/').next().unwrap_or_default().trim_end_matches(".rs");
+        if own == "lib" || is_for_tests(&path) {
+            continue;
+        }
+        let own_rank =
+            rank(own).unwrap_or_else(|| panic!("{path}: where does {own} stand in the core's order?"));
+        for used in crate_paths(&code_without_tests(&source)) {
+            let module = used.split("::").next().unwrap_or_default();
+            let Some(used_rank) = rank(module) else { panic!("{path} names crate::{used}") };
+            let allowed = BACKWARD.iter().any(|(from, to)| path.starts_with(from) && used.starts_with(to));
+            assert!(used_rank <= own_rank || allowed, "{path} uses {used}, which comes later");
+            let knows_scenes = own == "perception" && !["perception", "image", "rng"].contains(&module);
+            assert!(!knows_scenes, "{path}: perception works on maps, but this uses {used}");
+        }
+    }
+}
+
+/// The compiler keeps the rest: what a package does not depend on, it cannot name.
+#[test]
+fn packages_depend_one_way() {
+    for (manifest, must_not) in [
+        ("Cargo.toml", &["foveal-runtime", "foveal-actors", "crossbeam", "wgpu", "winit", "clap"][..]),
+        ("actors/runtime/Cargo.toml", &["foveal", "foveal-actors", "wgpu", "image", "glam"]),
+    ] {
+        let text = fs::read_to_string(root().join(manifest)).expect("a manifest");
+        let after = text.split("[dependencies]").nth(1).expect("dependencies");
+        let dependencies = after.split("\n[").next().unwrap_or_default();
+        for line in dependencies.lines() {
+            let name = line.split(['=', '.', ' ']).next().unwrap_or_default();
+            let wrong =
+                must_not.iter().any(|m| name == *m || *m == "crossbeam" && name.starts_with("crossbeam"));
+            assert!(!wrong, "{manifest} depends on {name}");
+        }
+    }
+}
+
+/// Actors share messages, never each other's types.
+#[test]
+fn actors_do_not_know_each_other() {
+    let actors = ["allocator", "analyzer", "cache_ager", "renderer", "tracer"];
+    for (path, source) in sources("rs") {
+        let Some(own) = path.strip_prefix("actors/") else { continue };
+        let own = own.split('/').next().unwrap_or_default().trim_end_matches(".rs");
+        if actors.contains(&own) && !is_for_tests(&path) {
+            for used in crate_paths(&code_without_tests(&source)) {
+                let module = used.split("::").next().unwrap_or_default();
+                assert!(module == own || !actors.contains(&module), "{path} uses {used}");
+            }
+        }
+    }
+}
+
+/// What lies outside of the checkout is for tests that say when they skip, not for the program.
+#[test]
+fn nothing_outside_the_checkout_is_needed() {
+    for extension in ["rs", "wgsl", "toml"] {
+        for (path, source) in sources(extension) {
+            let outside = code_without_tests(&source).contains("../shared");
+            assert!(!outside || is_for_tests(&path), "{path} names ../shared");
+        }
+    }
+}
+
+/// Modules that `path` declares, as paths of files that may hold them.
+fn declared(path: &str, source: &str) -> Vec<String> {
+    let (folder, file) = path.rsplit_once('/').expect("a folder");
+    let stem = file.trim_end_matches(".rs");
+    let is_root = ["main", "lib", "mod", "generate", "build"].contains(&stem) || folder.ends_with("examples");
+    let below = if is_root { folder.to_owned() } else { format!("{folder}/{stem}") };
+    let mut found = Vec::new();
+    let mut given: Option<String> = None;
+    for line in code(source).lines().map(str::trim) {
+        if let Some(rest) = line.strip_prefix("#[path = \"") {
+            given = rest.split('"').next().map(str::to_owned);
+        } else if let Some(name) = line.strip_suffix(';').and_then(|l| l.rsplit_once("mod ")).map(|(_, n)| n)
+        {
+            match given.take() {
+                Some(up) if up.starts_with("../") => found.push(up["../".len()..].to_owned()),
+                Some(path) => found.push(format!("{folder}/{path}")),
+                None => found.extend([format!("{below}/{name}.rs"), format!("{below}/{name}/mod.rs")]),
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn every_source_is_used() {
+    let all = sources("rs");
+    let is_root = |path: &str| {
+        ["src/lib.rs", "actors/lib.rs", "actors/main.rs", "actors/runtime/lib.rs", "actors/runtime/build.rs"]
+            .contains(&path)
+            || ["tests/main.rs", "actors/runtime/tests/main.rs", "scenes/generate.rs"].contains(&path)
+            || path.starts_with("actors/runtime/examples/")
+    };
+    let mut waiting: Vec<String> = all.keys().filter(|p| is_root(p)).cloned().collect();
+    let mut used = BTreeSet::new();
+    while let Some(path) = waiting.pop() {
+        if let Some(source) = all.get(&path)
+            && used.insert(path.clone())
+        {
+            waiting.extend(declared(&path, source));
+        }
+    }
+    for path in all.keys() {
+        assert!(used.contains(path), "{path} is part of no crate");
+    }
+    let text: String = all.values().cloned().collect();
+    for path in sources("wgsl").keys() {
+        let name = path.rsplit('/').next().unwrap_or(path);
+        assert!(text.contains(&format!("!(\"{name}\")")), "{path} is used nowhere");
+    }
+}
+
+/// Files and options that the README names exist.
+#[test]
+fn the_readme_is_true() {
+    let readme = fs::read_to_string(root().join("README.md")).expect("the README");
+    let is_end = |c: char| c.is_whitespace() || "`()[]|,;".contains(c);
+    let mut scenes = 0;
+    for word in readme.split(is_end).filter(|w| w.starts_with("scenes/") || w.ends_with(".md")) {
+        assert!(root().join(word).exists(), "the README names {word}");
+        scenes += 1;
+    }
+    assert!(scenes >= 5, "the README names scenes to walk through");
+    let help: String = ["", "walk", "bake", "reference", "compare", "explain", "doctor"]
+        .map(|command| crate::support::Foveal::new(command).arg("--help").ok().out)
+        .concat();
+    let is_option = |w: &str| w.strip_prefix("--").is_some_and(|n| n.starts_with(char::is_alphabetic));
+    let cargo = ["--release", "--example", "--no-default-features"];
+    for option in readme.split(is_end).filter(|w| is_option(w) && !cargo.contains(w)) {
+        assert!(help.contains(option), "the README names {option}");
+    }
+}

@@ -53,7 +53,8 @@ impl TextureLevel {
 
     /// Texture and level; the level is kept to an eighth, between 0 and 31.
     pub fn new(texture: TextureId, level: f32) -> Self {
-        let level = (level.max(0.0).min(31.0) * Self::STEPS) as u32;
+        // The cast turns NaN into 0.
+        let level = (level.clamp(0.0, 31.0) * Self::STEPS) as u32;
         Self((texture.0.min(0x00ff_fffe) << 8) | level)
     }
 

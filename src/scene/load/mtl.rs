@@ -110,10 +110,10 @@ fn number(word: Option<&str>) -> Result<f32, String> {
 fn color(rest: &str) -> Result<Vec3, String> {
     let mut words = rest.split_whitespace().take_while(|w| !w.starts_with('#'));
     match words.next() {
-        Some("spectral") => return Err("spectral colours are not read".to_owned()),
+        Some("spectral") => Err("spectral colours are not read".to_owned()),
         Some("xyz") => {
             let xyz = [number(words.next())?, number(words.next())?, number(words.next())?];
-            return Ok(rgb_from_xyz(Vec3::from(xyz)).max(Vec3::ZERO));
+            Ok(rgb_from_xyz(Vec3::from(xyz)).max(Vec3::ZERO))
         }
         first => {
             let r = number(first)?;
@@ -155,12 +155,11 @@ fn map(rest: &str, line: u32) -> Result<MapStatement, String> {
     // One to three numbers, of which two count.
     fn pair<'a>(rest: &mut &'a str, absent: f32) -> [f32; 2] {
         let mut values = [absent, absent];
-        for i in 0..3 {
+        let mut ignored = 0.0;
+        for value in values.iter_mut().chain(std::iter::once(&mut ignored)) {
             let (word, after): (&'a str, &'a str) = after_word(rest);
             let Ok(v) = number(Some(word)) else { break };
-            if i < 2 {
-                values[i] = v;
-            }
+            *value = v;
             *rest = after;
         }
         values

@@ -42,7 +42,7 @@ pub struct BakeArguments {
 pub fn run(a: &BakeArguments, progress: Progress) -> Result<(), Failure> {
     session::end_on_interrupt();
     let (scene, warnings) = load_scene(&a.scene)?;
-    let settings = a.settings.settings();
+    let settings = a.settings.settings(&scene);
     let key = cache_key(&scene, &settings);
     let kept = cache_file(a.cache.as_deref(), &scene, &settings);
     let Some(file) = a.out.clone().or_else(|| kept.clone()) else {

@@ -67,9 +67,9 @@ pub struct BakeSettingsArguments {
     /// Stop after so many particles
     #[arg(long, value_name = "N", default_value_t = 1 << 22)]
     pub particles: u64,
-    /// Texels of the lightmap, about
-    #[arg(long, value_name = "N", default_value_t = 128 * 1024, value_parser = clap::value_parser!(u32).range(0..=1 << 26))]
-    pub texels: u32,
+    /// Texels of the lightmap, about (default: by the number of triangles, 32 Ki to 256 Ki)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1 << 26))]
+    pub texels: Option<u32>,
     /// Seed of the bake's random numbers
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub bake_seed: u64,
@@ -80,9 +80,11 @@ pub struct BakeSettingsArguments {
 
 impl BakeSettingsArguments {
     /// As the core takes them.
-    pub fn settings(&self) -> BakeSettings {
+    pub fn settings(&self, scene: &Scene) -> BakeSettings {
+        // A room of a few walls needs no fine map, and its bake should take seconds.
+        let of_scene = || (32 * 1024 + 4 * scene.mesh.triangles.len()).min(256 * 1024) as u32;
         BakeSettings {
-            texels: self.texels,
+            texels: self.texels.unwrap_or_else(of_scene),
             seed: self.bake_seed,
             particles: Some(self.particles.max(1)),
             error: Some(self.error),
@@ -140,7 +142,7 @@ fn illuminate(
     if a.quick {
         return Ok(Arc::new(quick_direct(scene, &transport, a.settings.bake_seed)));
     }
-    let settings = a.settings.settings();
+    let settings = a.settings.settings(scene);
     let key = cache_key(scene, &settings);
     let triangles = scene.mesh.triangles.len();
     if let Some(file) = &a.bake {

@@ -75,8 +75,8 @@ pub struct Config {
     pub ring_turns: usize,
     /// Sees every delivery.
     pub observer: Option<Observer>,
-    /// Called when the main thread is not in [`Runtime::pump`] and a pinned actor has something to do: wake the event
-    /// loop here.
+    /// Called when the main thread is not in [`Runtime::pump`](crate::Runtime::pump) and a pinned actor has
+    /// something to do: wake the event loop here.
     pub waker: Option<Box<dyn Fn() + Send + Sync>>,
 }
 

@@ -10,7 +10,7 @@ use crate::rng::Stream;
 pub type Visible<'a> = &'a (dyn Fn(Vec3, Vec3) -> bool + Sync);
 
 /// Fraction of the energy leaving a point at `p` with normal `np` that reaches a disc of `area` at `q`:
-/// [cos]+ [cos]+ A / (π r² + A). Bounded by 1 at any distance.
+/// \[cos\]+ \[cos\]+ A / (π r² + A). Bounded by 1 at any distance.
 pub fn disc(p: Vec3, np: Vec3, q: Vec3, nq: Vec3, area: f32) -> f32 {
     let d = q - p;
     let r2 = d.length_squared();

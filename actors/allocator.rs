@@ -12,14 +12,19 @@ use foveal::perception::importance::{ObjectScan, ObjectStatistics, priorities};
 use foveal_runtime::{Actor, Address, Cx, Incident, JobPool};
 
 use crate::message::{AllocatorMessage, DrawnView, RendererMessage, TraceJob};
+use crate::outbox::Outbox;
 use crate::settings::Settings;
 use crate::stages::{Stage, StageTimes};
+use crate::tracer::TracerMessage;
 
 /// The allocator's state.
 pub struct Allocator {
     settings: Settings,
     renderer: Address<RendererMessage>,
     pool: JobPool<TraceJob>,
+    /// By number.
+    tracers: Vec<Address<TracerMessage>>,
+    outbox: Outbox<AllocatorMessage>,
     stages: StageTimes,
     /// Progress through the levels.
     jobs: SampleJobs,
@@ -94,6 +99,7 @@ impl Allocator {
         settings: Settings,
         renderer: Address<RendererMessage>,
         pool: JobPool<TraceJob>,
+        tracers: Vec<Address<TracerMessage>>,
         stages: StageTimes,
     ) -> Self {
         Self {
@@ -101,6 +107,8 @@ impl Allocator {
             settings,
             renderer,
             pool,
+            tracers,
+            outbox: Outbox::new(|| AllocatorMessage::SendAgain),
             stages,
             drawn: None,
             statistics: Vec::new(),
@@ -117,6 +125,11 @@ impl Allocator {
     /// Jobs that were given up after killing their tracers.
     pub fn lost_jobs(&self) -> u32 {
         self.lost_jobs
+    }
+
+    /// Jobs that nobody has answered yet, in the pool, with a tracer or on their way.
+    pub fn in_flight(&self) -> u32 {
+        self.in_flight
     }
 
     /// Panics, jobs given up and tracers stopped.
@@ -164,7 +177,14 @@ impl Allocator {
                 self.incidents.push(incident);
                 self.on_job_done(cx);
             }
-            Incident::CircuitOpen { .. } | Incident::Panicked { .. } => self.incidents.push(incident),
+            Incident::Panicked { actor, .. } => {
+                // Its timer's message may have been what it panicked over.
+                if let Some(tracer) = self.tracers.iter().find(|tracer| tracer.id() == *actor) {
+                    self.outbox.tell(cx, tracer, TracerMessage::SendAgain);
+                }
+                self.incidents.push(incident);
+            }
+            Incident::CircuitOpen { .. } => self.incidents.push(incident),
         }
     }
 
@@ -186,14 +206,14 @@ impl Allocator {
                 let Some((order, priority)) = next else { break };
                 let job = TraceJob { drawn: drawn.clone(), order, seed: self.settings.seed };
                 let bucket = bucket_of(priority);
-                let accepted = cx.push(&self.pool, bucket, u64::from(drawn.view.0), job);
-                debug_assert!(accepted.is_ok(), "the pool has room for every job in flight");
+                self.outbox.push(cx, &self.pool, bucket, u64::from(drawn.view.0), job);
                 self.in_flight += 1;
             }
         });
         if self.in_flight == 0 && self.jobs.is_exhausted() && !self.told_converged {
             let message = RendererMessage::ViewConverged { view: drawn.view };
-            self.told_converged = cx.tell(&self.renderer, message).is_ok();
+            self.outbox.tell(cx, &self.renderer, message);
+            self.told_converged = true;
         }
     }
 }
@@ -208,6 +228,7 @@ impl Actor for Allocator {
             AllocatorMessage::ObjectsRanked { view: _, saliency } => self.on_objects_ranked(saliency),
             AllocatorMessage::JobDone { .. } => self.on_job_done(cx),
             AllocatorMessage::Incident(incident) => self.on_incident(incident, cx),
+            AllocatorMessage::SendAgain => self.outbox.send(cx),
         }
     }
 }

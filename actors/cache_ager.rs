@@ -14,6 +14,7 @@ use xxhash_rust::xxh3::Xxh3;
 
 use crate::message::cache_ager::Forget;
 use crate::message::{CacheAgerMessage, RendererMessage, View};
+use crate::outbox::Outbox;
 use crate::settings::Settings;
 use crate::stages::{Stage, StageTimes};
 
@@ -24,6 +25,7 @@ pub struct CacheAger {
     /// Cosine of the largest turn of the view direction that each object's lobe allows, by object id.
     angle_limits: Vec<f32>,
     renderer: Address<RendererMessage>,
+    outbox: Outbox<CacheAgerMessage>,
     stages: StageTimes,
 }
 
@@ -40,8 +42,19 @@ impl CacheAger {
             angle_limits: world.scene.objects.iter().map(|o| angle_limit(world, o.material)).collect(),
             settings,
             renderer,
+            outbox: Outbox::new(|| CacheAgerMessage::SendAgain),
             stages,
         }
+    }
+
+    /// Number of samples kept.
+    pub fn len(&self) -> usize {
+        self.cache.len()
+    }
+
+    /// Whether no sample is kept.
+    pub fn is_empty(&self) -> bool {
+        self.cache.is_empty()
     }
 
     /// Samples per level set k.
@@ -67,9 +80,7 @@ impl CacheAger {
         let hash = digest(&samples);
         let aged =
             RendererMessage::SamplesAged { view, samples: Arc::new(samples), expired: expired as u32, hash };
-        // One answer for each view that the renderer began: its mailbox has room for two.
-        let accepted = cx.tell(&self.renderer, aged);
-        debug_assert!(accepted.is_ok(), "one answer for each view");
+        self.outbox.tell(cx, &self.renderer, aged);
     }
 
     fn on_samples_traced(&mut self, batch: Arc<SampleBatch>) {
@@ -123,6 +134,7 @@ impl Actor for CacheAger {
                 self.on_camera_moved(view, &frame, forget, cx)
             }
             CacheAgerMessage::SamplesTraced { batch, hash: _ } => self.on_samples_traced(batch),
+            CacheAgerMessage::SendAgain => self.outbox.send(cx),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! A tracer: pops the best job, traces it, sends the samples on. Owns nothing that lasts.
+//! A tracer: pops the best job, traces it, sends the samples on. Owns nothing that lasts but what was not accepted.
 
 use std::sync::Arc;
 
@@ -8,18 +8,26 @@ use foveal::splatting::trace::{Owner, trace_samples};
 use foveal_runtime::{Actor, Address, Class, Cx, Digest, Job, Message, Worker};
 
 use crate::message::{AllocatorMessage, CacheAgerMessage, RendererMessage, TraceJob};
+use crate::outbox::Outbox;
 
-/// What a tracer can be told: nothing. Its work comes from the pool.
+/// What a tracer can be told. Its work comes from the pool.
 #[derive(Clone, Copy, Debug)]
-pub enum TracerMessage {}
+pub enum TracerMessage {
+    /// From its own timer, or from the allocator after a panic that may have lost it: send what waits.
+    SendAgain,
+}
 
 impl Message for TracerMessage {
-    fn digest(&self, _digest: &mut Digest) {
-        match *self {}
+    fn digest(&self, digest: &mut Digest) {
+        match self {
+            Self::SendAgain => digest.u32(0),
+        }
     }
 
     fn kind(&self) -> &'static str {
-        match *self {}
+        match self {
+            Self::SendAgain => "SendAgain",
+        }
     }
 }
 
@@ -64,6 +72,7 @@ pub struct Tracer {
     renderer: Address<RendererMessage>,
     cache_ager: Address<CacheAgerMessage>,
     allocator: Address<AllocatorMessage>,
+    outbox: Outbox<TracerMessage>,
 }
 
 impl Tracer {
@@ -75,19 +84,23 @@ impl Tracer {
         cache_ager: Address<CacheAgerMessage>,
         allocator: Address<AllocatorMessage>,
     ) -> Self {
-        Self { index, lattice, renderer, cache_ager, allocator }
+        let outbox = Outbox::new(|| TracerMessage::SendAgain);
+        Self { index, lattice, renderer, cache_ager, allocator, outbox }
     }
 
-    fn job_done(&self, job: &TraceJob, samples: u32, cx: &mut Cx<'_, TracerMessage>) {
+    /// Whether everything it traced is with those who need it.
+    pub fn is_empty_handed(&self) -> bool {
+        self.outbox.is_empty()
+    }
+
+    fn job_done(&mut self, job: &TraceJob, samples: u32, cx: &mut Cx<'_, TracerMessage>) {
         let done = AllocatorMessage::JobDone {
             view: job.drawn.view,
             object: job.order.object,
             level: job.order.level,
             samples,
         };
-        // The allocator's mailbox holds an answer to every job that can be out.
-        let accepted = cx.tell(&self.allocator, done);
-        debug_assert!(accepted.is_ok(), "one answer for each job");
+        self.outbox.tell(cx, &self.allocator, done);
     }
 }
 
@@ -96,8 +109,10 @@ impl Actor for Tracer {
     const NAME: &'static str = "tracer";
     const CLASS: Class = Class::Heavy;
 
-    fn handle(&mut self, message: TracerMessage, _cx: &mut Cx<'_, TracerMessage>) {
-        match message {}
+    fn handle(&mut self, message: TracerMessage, cx: &mut Cx<'_, TracerMessage>) {
+        match message {
+            TracerMessage::SendAgain => self.outbox.send(cx),
+        }
     }
 }
 
@@ -114,13 +129,8 @@ impl Worker for Tracer {
         let (samples, hash) = (batch.len() as u32, batch.digest());
         // Samples before the word that the job is done: so the allocator's "converged" comes after them.
         let to_renderer = RendererMessage::SamplesTraced { batch: batch.clone(), tracer: self.index, hash };
-        let accepted = cx.tell(&self.renderer, to_renderer);
-        debug_assert!(accepted.is_ok(), "the renderer has room for the samples of every job that can be out");
-        let accepted = cx.tell(&self.cache_ager, CacheAgerMessage::SamplesTraced { batch, hash });
-        debug_assert!(
-            accepted.is_ok(),
-            "the cache ager has room for the samples of every job that can be out"
-        );
+        self.outbox.tell(cx, &self.renderer, to_renderer);
+        self.outbox.tell(cx, &self.cache_ager, CacheAgerMessage::SamplesTraced { batch, hash });
         self.job_done(job, samples, cx);
     }
 

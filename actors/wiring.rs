@@ -46,6 +46,10 @@ pub struct Actors {
     pub renderer: Handle<Renderer>,
     /// The others; `None` in a scene without anything to correct.
     pub correction: Option<Correction>,
+    /// By number; none in a scene without anything to correct.
+    pub tracers: Vec<Handle<Tracer>>,
+    /// What the tracers take their work from.
+    pub pool: Option<JobPool<TraceJob>>,
 }
 
 /// The actors behind the corrections.
@@ -73,7 +77,8 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
     let input = wiring.port("input", &renderer.address());
     if !corrects {
         let actor = Renderer::new(settings, world, passes, None, stages, sink);
-        return Actors { input, renderer: wiring.spawn(renderer, actor), correction: None };
+        let renderer = wiring.spawn(renderer, actor);
+        return Actors { input, renderer, correction: None, tracers: Vec::new(), pool: None };
     }
     let cache_ager: Declared<CacheAger> = wiring.declare(Bounds::messages(batches + 64));
     let analyzer: Declared<Analyzer> = wiring.declare(Bounds::messages(4));
@@ -81,15 +86,19 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
         wiring.declare(Bounds::messages(2 * settings.jobs_in_flight() as usize + 256));
     let pool: JobPool<TraceJob> = wiring.pool(settings.jobs_in_flight() as usize + 64);
     wiring.supervisor(&allocator.address(), AllocatorMessage::Incident);
+    let (mut addresses, mut tracers) = (Vec::new(), Vec::new());
     for index in 0..settings.tracers {
         let tracer: Declared<Tracer> = wiring.declare(Bounds::messages(4));
-        let new = {
-            let (lattice, renderer) = (settings.lattice(), renderer.address());
-            let (cache_ager, allocator) = (cache_ager.address(), allocator.address());
-            move || Tracer::new(index, lattice, renderer.clone(), cache_ager.clone(), allocator.clone())
-        };
-        let actor = new();
-        wiring.spawn_worker(tracer, actor, &pool, OnPanic::Restart(Box::new(new)));
+        let actor = Tracer::new(
+            index,
+            settings.lattice(),
+            renderer.address(),
+            cache_ager.address(),
+            allocator.address(),
+        );
+        addresses.push(tracer.address());
+        // It tells only after it has traced, so what it holds is whole whatever it panicked over.
+        tracers.push(wiring.spawn_worker(tracer, actor, &pool, OnPanic::Resume));
     }
     let neighbours = Neighbours {
         cache_ager: cache_ager.address(),
@@ -106,10 +115,11 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
             wiring.spawn(analyzer, actor)
         },
         allocator: {
-            let actor = Allocator::new(settings, renderer.address(), pool, stages.clone());
+            let actor = Allocator::new(settings, renderer.address(), pool.clone(), addresses, stages.clone());
             wiring.spawn(allocator, actor)
         },
     };
     let actor = Renderer::new(settings, world, passes, Some(neighbours), stages, sink);
-    Actors { input, renderer: wiring.spawn(renderer, actor), correction: Some(correction) }
+    let renderer = wiring.spawn(renderer, actor);
+    Actors { input, renderer, correction: Some(correction), tracers, pool: Some(pool) }
 }

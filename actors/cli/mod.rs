@@ -15,6 +15,7 @@ pub mod reference;
 pub mod replay;
 pub mod report;
 pub mod session;
+pub mod simulate;
 #[cfg(feature = "window")]
 pub mod view;
 pub mod walk;
@@ -67,6 +68,8 @@ enum Command {
     Reference(reference::ReferenceArguments),
     /// Run a recorded walk again, on any number of threads, and compare every message
     Replay(replay::ReplayArguments),
+    /// Run the actors on one thread under seeded schedules and faults
+    Simulate(simulate::SimulateArguments),
     /// Is a recording whole, what is in it, keep its good part
     Log(log::LogArguments),
     /// Measure how two pictures differ: FLIP, PSNR, relMSE
@@ -95,6 +98,7 @@ pub fn run() -> ExitCode {
         Command::Bake(a) => bake::run(&a, progress),
         Command::Reference(a) => reference::run(&a, progress),
         Command::Replay(a) => replay::run(&a, progress),
+        Command::Simulate(a) => simulate::run(&a, progress),
         Command::Log(a) => log::run(&a),
         Command::Compare(a) => compare::run(&a),
         Command::Explain(a) => explain::run(&a),

@@ -78,6 +78,12 @@ pub struct BakeSettingsArguments {
     pub time: Option<Duration>,
 }
 
+impl Default for BakeSettingsArguments {
+    fn default() -> Self {
+        Self { error: 0.02, particles: 1 << 22, texels: 256 * 1024, bake_seed: 1, time: None }
+    }
+}
+
 impl BakeSettingsArguments {
     /// As the core takes them.
     pub fn settings(&self, scene: &Scene) -> BakeSettings {

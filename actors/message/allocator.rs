@@ -34,6 +34,8 @@ pub enum AllocatorMessage {
     },
     /// From the runtime: an actor panicked, a job was given up, or a tracer was stopped.
     Incident(Incident),
+    /// From its own timer: send what was not accepted.
+    SendAgain,
 }
 
 impl Message for AllocatorMessage {
@@ -53,6 +55,7 @@ impl Message for AllocatorMessage {
                 }
             }
             Self::Incident(incident) => digest.bytes(format!("{incident:?}").as_bytes()),
+            Self::SendAgain => {}
         }
     }
 
@@ -62,13 +65,16 @@ impl Message for AllocatorMessage {
             Self::ObjectsRanked { .. } => "ObjectsRanked",
             Self::JobDone { .. } => "JobDone",
             Self::Incident(_) => "Incident",
+            Self::SendAgain => "SendAgain",
         }
     }
 
     fn lane(&self) -> Lane {
         match self {
             Self::Incident(_) => Lane::Control,
-            Self::ViewDrawn { .. } | Self::ObjectsRanked { .. } | Self::JobDone { .. } => Lane::Data,
+            Self::ViewDrawn { .. } | Self::ObjectsRanked { .. } | Self::JobDone { .. } | Self::SendAgain => {
+                Lane::Data
+            }
         }
     }
 }

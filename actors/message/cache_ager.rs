@@ -27,6 +27,8 @@ pub enum CacheAgerMessage {
         /// Their hash.
         hash: u64,
     },
+    /// From its own timer: send what was not accepted.
+    SendAgain,
 }
 
 /// Whether older samples may still hold.
@@ -49,6 +51,7 @@ impl Message for CacheAgerMessage {
                 digest.u32(u32::from(*forget == Forget::Everything));
             }
             Self::SamplesTraced { batch: _, hash } => digest.u64(*hash),
+            Self::SendAgain => {}
         }
     }
 
@@ -56,12 +59,13 @@ impl Message for CacheAgerMessage {
         match self {
             Self::CameraMoved { .. } => "CameraMoved",
             Self::SamplesTraced { .. } => "SamplesTraced",
+            Self::SendAgain => "SendAgain",
         }
     }
 
     fn size_bytes(&self) -> usize {
         match self {
-            Self::CameraMoved { .. } => 0,
+            Self::CameraMoved { .. } | Self::SendAgain => 0,
             Self::SamplesTraced { batch, .. } => batch.size_bytes(),
         }
     }

@@ -56,6 +56,8 @@ pub enum RendererMessage {
         /// Which view.
         view: View,
     },
+    /// From its own timer: send what was not accepted.
+    SendAgain,
 }
 
 impl From<RendererInput> for RendererMessage {
@@ -85,6 +87,7 @@ impl Message for RendererMessage {
                 digest.u64(*hash);
             }
             Self::ViewConverged { view } => digest.u32(view.0),
+            Self::SendAgain => {}
         }
     }
 
@@ -95,6 +98,7 @@ impl Message for RendererMessage {
             Self::SamplesAged { .. } => "SamplesAged",
             Self::SamplesTraced { .. } => "SamplesTraced",
             Self::ViewConverged { .. } => "ViewConverged",
+            Self::SendAgain => "SendAgain",
         }
     }
 
@@ -102,7 +106,7 @@ impl Message for RendererMessage {
         match self {
             Self::SamplesAged { samples, .. } => samples.len() * size_of::<WarpedSample>(),
             Self::SamplesTraced { batch, .. } => batch.size_bytes(),
-            Self::Input(_) | Self::ViewConverged { .. } => 0,
+            Self::Input(_) | Self::ViewConverged { .. } | Self::SendAgain => 0,
         }
     }
 }

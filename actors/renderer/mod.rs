@@ -28,6 +28,7 @@ use crate::message::{
     AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameIndex, FrameSnapshot, RendererInput,
     RendererMessage, View,
 };
+use crate::outbox::Outbox;
 use crate::settings::Settings;
 use crate::stages::{Stage, StageTimes};
 
@@ -78,6 +79,7 @@ pub struct Renderer {
     drawn_at: Option<Instant>,
     /// `None` in a diffuse scene, where there is nothing to correct.
     neighbours: Option<Neighbours>,
+    outbox: Outbox<RendererMessage>,
     stages: StageTimes,
     sink: Box<dyn FrameSink>,
 }
@@ -121,6 +123,7 @@ impl Renderer {
             shown: None,
             drawn_at: None,
             neighbours,
+            outbox: Outbox::new(|| RendererMessage::SendAgain),
             stages,
             sink,
         }
@@ -180,8 +183,7 @@ impl Renderer {
         let frame = camera.frame(self.settings.width, self.settings.height);
         if let Some(neighbours) = &self.neighbours {
             let moved = CacheAgerMessage::CameraMoved { view: self.view, frame, forget };
-            let accepted = cx.tell(&neighbours.cache_ager, moved);
-            debug_assert!(accepted.is_ok(), "the cache ager has room for a view");
+            self.outbox.tell(cx, &neighbours.cache_ager, moved);
         }
         let mut buffers = self.buffers();
         self.stages.clone().time(Stage::Display, || {
@@ -202,8 +204,7 @@ impl Renderer {
             self.retired.push(before);
         }
         if let Some(neighbours) = &self.neighbours {
-            let accepted = cx.tell(&neighbours.allocator, AllocatorMessage::ViewDrawn { drawn });
-            debug_assert!(accepted.is_ok(), "the allocator has room for a view");
+            self.outbox.tell(cx, &neighbours.allocator, AllocatorMessage::ViewDrawn { drawn });
         }
     }
 
@@ -279,7 +280,7 @@ impl Renderer {
                 let snapshot =
                     Arc::new(FrameSnapshot { index, drawn: drawn.clone(), rgb8: Arc::new(rgb8), hash });
                 if let Some(neighbours) = &self.neighbours {
-                    // Newest only: always accepted.
+                    // Newest only: where it comes back, the next frame serves as well.
                     let shown = AnalyzerMessage::FrameShown { snapshot: snapshot.clone() };
                     let _ = cx.tell(&neighbours.analyzer, shown);
                 }
@@ -352,6 +353,7 @@ impl Actor for Renderer {
                 self.on_samples_traced(&batch, tracer)
             }
             RendererMessage::ViewConverged { view } => self.on_view_converged(view),
+            RendererMessage::SendAgain => self.outbox.send(cx),
         }
     }
 }

@@ -80,7 +80,7 @@ pub struct BakeSettingsArguments {
 
 impl Default for BakeSettingsArguments {
     fn default() -> Self {
-        Self { error: 0.02, particles: 1 << 22, texels: 256 * 1024, bake_seed: 1, time: None }
+        Self { error: 0.02, particles: 1 << 22, texels: None, bake_seed: 1, time: None }
     }
 }
 

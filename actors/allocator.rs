@@ -11,11 +11,10 @@ use foveal::allocation::policy::{Demand, RayPolicy, bucket_of};
 use foveal::perception::importance::{ObjectScan, ObjectStatistics, priorities};
 use foveal_runtime::{Actor, Address, Cx, Incident, JobPool};
 
-use crate::message::{AllocatorMessage, DrawnView, RendererMessage, TraceJob};
+use crate::message::{AllocatorMessage, DrawnView, RendererMessage, TraceJob, TracerMessage};
 use crate::outbox::Outbox;
 use crate::settings::Settings;
 use crate::stages::{Stage, StageTimes};
-use crate::tracer::TracerMessage;
 
 /// The allocator's state.
 pub struct Allocator {

@@ -5,64 +5,10 @@ use std::sync::Arc;
 use foveal::allocation::jobs::job_pixels;
 use foveal::sampling::Lattice;
 use foveal::splatting::trace::{Owner, trace_samples};
-use foveal_runtime::{Actor, Address, Class, Cx, Digest, Job, Message, Worker};
+use foveal_runtime::{Actor, Address, Class, Cx, Worker};
 
-use crate::message::{AllocatorMessage, CacheAgerMessage, RendererMessage, TraceJob};
+use crate::message::{AllocatorMessage, CacheAgerMessage, RendererMessage, TraceJob, TracerMessage};
 use crate::outbox::Outbox;
-
-/// What a tracer can be told. Its work comes from the pool.
-#[derive(Clone, Copy, Debug)]
-pub enum TracerMessage {
-    /// From its own timer, or from the allocator after a panic that may have lost it: send what waits.
-    SendAgain,
-}
-
-impl Message for TracerMessage {
-    fn digest(&self, digest: &mut Digest) {
-        match self {
-            Self::SendAgain => digest.u32(0),
-        }
-    }
-
-    fn kind(&self) -> &'static str {
-        match self {
-            Self::SendAgain => "SendAgain",
-        }
-    }
-}
-
-impl Job for TraceJob {
-    fn digest(&self, digest: &mut Digest) {
-        digest.u32(self.drawn.view.0);
-        digest.u64(self.drawn.hash);
-        let o = &self.order;
-        for word in [o.object, o.level, o.count, o.start.x as u32, o.start.y as u32] {
-            digest.u32(word);
-        }
-    }
-
-    fn describe(&self) -> String {
-        let (o, r) = (&self.order, &self.order.rect);
-        format!(
-            "{} samples of object {}, level {}, view {}, pixels [{}, {}) × [{}, {}) from ({}, {}), seed {}",
-            o.count,
-            o.object,
-            o.level,
-            self.drawn.view.0,
-            r.x0,
-            r.x1,
-            r.y0,
-            r.y1,
-            o.start.x,
-            o.start.y,
-            self.seed
-        )
-    }
-
-    fn kind(&self) -> &'static str {
-        "TraceJob"
-    }
-}
 
 /// A tracer's state.
 pub struct Tracer {

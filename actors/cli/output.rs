@@ -1,6 +1,7 @@
 //! Files and documents that commands leave: atomic writes, PNG, EXR, JSON.
 
 use std::fs;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
@@ -87,15 +88,14 @@ pub fn read_picture(path: &Path) -> Result<Map2d<Vec3>, Failure> {
 }
 
 /// Prints the one JSON document of a command.
-#[expect(clippy::print_stdout, reason = "results go to standard output")]
 pub fn print_json(document: &serde_json::Value) {
-    println!("{document:#}");
+    print_line(&format!("{document:#}"));
 }
 
 /// Prints a line of a result.
-#[expect(clippy::print_stdout, reason = "results go to standard output")]
 pub fn print_line(line: &str) {
-    println!("{line}");
+    // A reader that has gone (`| head`) is no reason to fail.
+    let _ = writeln!(std::io::stdout(), "{line}");
 }
 
 /// Largest resident memory of this process so far, bytes; `None` where the system does not tell.

@@ -205,42 +205,6 @@ fn closed_rooms_do_not_leak_at_any_scale() {
     }
 }
 
-/// Two million samples on the glass of a room, pixel by pixel; run with `--ignored --nocapture` under the
-/// shell's `time`. With `FOVEAL_PRIMARY_ONLY` set it shows what everything but the samples costs.
-#[test]
-#[ignore = "a measurement"]
-fn measure_glass_samples() {
-    let mut b = Builder::default();
-    let wall = b.material(lambert(0.7));
-    let crystal = b.material(glass(1.5, 0.9, false));
-    b.cube(Vec3::ZERO, -4.0, wall);
-    for i in 0..5 {
-        b.sphere(Vec3::new(i as f32 - 2.0, 0.3 * i as f32 - 0.6, 0.0), 0.45, 64, crystal);
-    }
-    let p = Prepared::new(b.scene(), 1.0);
-    let tracer = p.tracer(Settings::default());
-    let mut hits = Vec::new();
-    for i in 0..512 * 512 {
-        let (x, y) = ((i % 512) as f32 / 512.0, (i / 512) as f32 / 512.0);
-        let ray = Ray::new(Vec3::new(0.0, 0.0, -3.5), Vec3::new(5.0 * x - 2.5, 2.4 * y - 1.2, 3.5));
-        if let Some(hit) = p.accel.intersect(&p.scene, &ray) {
-            let at = Interaction::at(&p.scene, &ray, &hit);
-            if at.material.0 == 1 {
-                hits.push((ray, hit));
-            }
-        }
-    }
-    let mut sum = Vec3::ZERO;
-    let rounds = if std::env::var_os("FOVEAL_PRIMARY_ONLY").is_some() { 0 } else { 2_000_000 / hits.len() };
-    for round in 0..rounds {
-        for (i, (ray, hit)) in hits.iter().enumerate() {
-            let at = Interaction::at(&p.scene, ray, hit);
-            sum += tracer.view_dependent(&at, Stream::new(1, i as u64, round as u64));
-        }
-    }
-    println!("{rounds} × {} samples, mean {}", hits.len(), sum / (rounds * hits.len()).max(1) as f32);
-}
-
 /// Choosing between reflection and refraction, at once or further on, gives the mean of following both.
 #[test]
 fn choosing_a_branch_keeps_the_mean() {

@@ -35,6 +35,13 @@ pub(super) struct MaterialUse {
     pub definition: Option<(usize, usize)>,
 }
 
+impl MaterialUse {
+    /// What a sidecar calls it: faces without `usemtl` are of the material "default".
+    pub fn called(&self) -> &str {
+        if self.name.is_empty() { "default" } else { &self.name }
+    }
+}
+
 /// Files joined so far.
 #[derive(Default)]
 pub(super) struct Joined {
@@ -75,7 +82,7 @@ impl Joined {
 
     /// Whether a mesh uses or a library holds a material.
     pub fn knows_material(&self, name: &str) -> bool {
-        self.uses.iter().any(|u| u.name == name)
+        self.uses.iter().any(|u| u.called() == name)
             || self.libraries.iter().any(|l| l.materials.iter().any(|m| m.name == name))
     }
 

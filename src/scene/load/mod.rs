@@ -239,10 +239,28 @@ fn library_names(folder: &Folder, base: &Path, text: &str) -> Vec<String> {
     if folder.find(base, whole) != Err(FileProblem::Missing) {
         return vec![whole.to_owned()];
     }
-    let mut words: Vec<String> = text.split_whitespace().map(str::to_owned).collect();
+    let mut words = escaped_words(text);
     words.dedup();
     let any = words.iter().any(|w| folder.find(base, w) != Err(FileProblem::Missing));
     if any { words } else { vec![whole.to_owned()] }
+}
+
+/// Words between blanks; a blank after a backslash belongs to its word.
+fn escaped_words(text: &str) -> Vec<String> {
+    let mut words = vec![String::new()];
+    let mut letters = text.chars().peekable();
+    while let Some(c) = letters.next() {
+        if c == '\\' && letters.peek() == Some(&' ') {
+            letters.next();
+            words.last_mut().into_iter().for_each(|w| w.push(' '));
+        } else if c.is_whitespace() {
+            words.push(String::new());
+        } else {
+            words.last_mut().into_iter().for_each(|w| w.push(c));
+        }
+    }
+    words.retain(|w| !w.is_empty());
+    words
 }
 
 /// The materials that triangles use, from sidecar and MTL, and which of them are from MTL; texture
@@ -260,7 +278,7 @@ fn materials(
     let mut materials = Vec::with_capacity(joined.uses.len());
     let mut from_library = Vec::new();
     for used in &joined.uses {
-        let mut material = if let Some(&i) = by_name.get(used.name.as_str()) {
+        let mut material = if let Some(&i) = by_name.get(used.called()) {
             let table = &sidecar.materials[i];
             let mut ids = Vec::new();
             for m in &table.maps {

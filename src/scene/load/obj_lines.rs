@@ -316,6 +316,7 @@ impl<'a> ObjLines<'a> {
         let text = || String::from_utf8_lossy(name).into_owned();
         match keyword {
             b"mtllib" => self.libraries.push((text(), self.line)),
+            b"usemtl" if name.is_empty() => self.current.material = None,
             b"usemtl" => {
                 // A name twice in the list does no harm; it only costs memory where a line is continued.
                 let known = self.material_of.get(name).copied();

@@ -158,6 +158,7 @@ impl<M: Message> Cx<'_, M> {
         if !self.journal.replaying() {
             let deadline = self.env.clock.now().saturating_add(nanoseconds(delay));
             let target: Arc<dyn Alarm> = Arc::clone(&self.address.mailbox) as Arc<dyn Alarm>;
+            self.env.scheduler.timer_started();
             if self.env.timers.start(deadline, timer, target) {
                 self.env.scheduler.notify();
             }

@@ -211,7 +211,7 @@ impl Journal {
         if let Some(recorder) = &mut self.recorder {
             recorder.delivery(symbol, payload);
             match self.hashing {
-                Hashing::Exact => recorder.hashes.extend_from_slice(&short(self.chain).to_le_bytes()),
+                Hashing::Exact => recorder.hashes.extend_from_slice(&short(self.chain).to_le_bytes()[..3]),
                 Hashing::Every(period) if (self.index + 1).is_multiple_of(u64::from(period.max(1))) => {
                     recorder.hashes.extend_from_slice(&self.chain.to_le_bytes());
                 }
@@ -238,14 +238,14 @@ impl Journal {
         chain.u64(state);
         self.chain = chain.finish();
         if let Some(recorder) = &mut self.recorder {
-            recorder.hashes.extend_from_slice(&short(self.chain).to_le_bytes());
+            recorder.hashes.extend_from_slice(&short(self.chain).to_le_bytes()[..3]);
         }
         if let Some(script) = &mut self.script
-            && let Some(expected) = script.hash16()
+            && let Some(expected) = script.hash24()
             && expected != short(self.chain)
         {
-            let found = format!("state hash {:04x}", short(self.chain));
-            return self.diverge(self.index - 1, format!("state hash {expected:04x}"), found);
+            let found = format!("state hash {:06x}", short(self.chain));
+            return self.diverge(self.index - 1, format!("state hash {expected:06x}"), found);
         }
         Ok(())
     }
@@ -262,7 +262,7 @@ impl Journal {
             return self.diverge(index.saturating_sub(1), value::name(tag).to_owned(), found);
         }
         let (expected, found) = match script.hashing {
-            Hashing::Exact => match script.hash16() {
+            Hashing::Exact => match script.hash24() {
                 Some(expected) => (u64::from(expected), u64::from(short(self.chain))),
                 None => return self.stop_here(),
             },
@@ -499,9 +499,9 @@ impl Journal {
     }
 }
 
-/// The 16 bits of a chained hash that are recorded. Every bit of the hash reaches them.
-fn short(chain: u64) -> u16 {
-    (chain.wrapping_mul(0xff51_afd7_ed55_8ccd) >> 48) as u16
+/// The 24 bits of a chained hash that are recorded. Every bit of the hash reaches them.
+fn short(chain: u64) -> u32 {
+    (chain.wrapping_mul(0xff51_afd7_ed55_8ccd) >> 40) as u32
 }
 
 fn count_of(counts: &[(ActorId, u8, u32)], id: ActorId, key: u8) -> u32 {

@@ -140,7 +140,8 @@ fn model_pool_gives_every_job_once() {
         let pusher = {
             let shared = Arc::clone(&shared);
             thread::spawn(move || {
-                for bucket in [1, 0] {
+                // Twice the same bucket: a worker may find it empty between the two and clear its bit.
+                for bucket in [0, 0] {
                     shared.1[bucket].push(bucket as u32);
                     shared.0.raise(bucket as u32);
                 }

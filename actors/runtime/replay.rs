@@ -168,8 +168,8 @@ impl Script {
         Some(taken.content)
     }
 
-    pub(crate) fn hash16(&mut self) -> Option<u16> {
-        self.walk.hash16(&self.log)
+    pub(crate) fn hash24(&mut self) -> Option<u32> {
+        self.walk.hash24(&self.log)
     }
 
     pub(crate) fn hash64(&mut self) -> Option<u64> {

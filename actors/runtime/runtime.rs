@@ -170,7 +170,7 @@ impl Runtime {
             let now =
                 if end.is_some() || (alone && env.timers.next() != u64::MAX) { env.clock.now() } else { 0 };
             if alone {
-                env.timers.serve(now, &self.thread);
+                env.timers.serve(now, &env.scheduler, &self.thread);
             }
             if end.is_some_and(|end| now >= end) {
                 return Exit::Time;
@@ -197,7 +197,7 @@ impl Runtime {
                 return Exit::Time;
             }
             self.thread.last_end.set(0);
-            let idle = || limit.idle && env.scheduler.idle() && env.timers.next() == u64::MAX;
+            let idle = || limit.idle && env.scheduler.settled();
             if idle() {
                 return if env.halted() { Exit::Halted } else { Exit::Idle };
             }

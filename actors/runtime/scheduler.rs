@@ -8,7 +8,7 @@ use crossbeam_deque::{Injector, Steal, Stealer, Worker};
 use crossbeam_queue::SegQueue;
 use crossbeam_utils::CachePadded;
 use std::cell::Cell;
-use std::sync::atomic::{AtomicBool, AtomicU8, AtomicUsize, Ordering, fence};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, AtomicUsize, Ordering, fence};
 use std::sync::{Arc, OnceLock};
 use std::thread::Thread;
 use std::time::Duration;
@@ -34,6 +34,9 @@ impl ThreadCx {
     }
 }
 
+/// One running timer in the word that counts active actors.
+const TIMER: u64 = 1 << 32;
+
 const AWAY: u8 = 0;
 const PUMPING: u8 = 1;
 const PARKED: u8 = 2;
@@ -56,7 +59,9 @@ pub(crate) struct Scheduler {
     handles: OnceLock<Box<[Thread]>>,
     sleepers: EventCount,
     main: MainGate,
-    active: CachePadded<AtomicUsize>,
+    /// Actors on a queue or in a turn, and from bit 32 on the timers that run: one word, so that neither can pass into
+    /// the other unseen.
+    active: CachePadded<AtomicU64>,
     heavy_running: CachePadded<AtomicUsize>,
     heavy_limit: usize,
     stopping: AtomicBool,
@@ -86,7 +91,7 @@ impl Scheduler {
                 called: AtomicBool::new(false),
                 waker,
             },
-            active: CachePadded::new(AtomicUsize::new(0)),
+            active: CachePadded::new(AtomicU64::new(0)),
             heavy_running: CachePadded::new(AtomicUsize::new(0)),
             heavy_limit: threads.saturating_sub(1).max(1),
             stopping: AtomicBool::new(false),
@@ -234,7 +239,24 @@ impl Scheduler {
 
     /// No actor is on a run queue or in a turn.
     pub(crate) fn idle(&self) -> bool {
+        self.active.load(Ordering::SeqCst).is_multiple_of(TIMER)
+    }
+
+    /// Neither is one, nor will a timer make one so.
+    pub(crate) fn settled(&self) -> bool {
         self.active.load(Ordering::SeqCst) == 0
+    }
+
+    /// A timer runs from here on.
+    pub(crate) fn timer_started(&self) {
+        self.active.fetch_add(TIMER, Ordering::SeqCst);
+    }
+
+    /// A timer has fired; its actor is active already, or was.
+    pub(crate) fn timer_fired(&self) {
+        if self.active.fetch_sub(TIMER, Ordering::SeqCst) == TIMER {
+            self.notify_main();
+        }
     }
 
     /// A turn may be running on a worker thread.
@@ -257,7 +279,7 @@ impl Scheduler {
         let node = &nodes[actor as usize];
         if node.turn(thread) {
             self.again(node.link().class, actor, thread);
-        } else if self.active.fetch_sub(1, Ordering::SeqCst) == 1 {
+        } else if self.active.fetch_sub(1, Ordering::SeqCst) % TIMER == 1 {
             self.notify_main();
         }
     }
@@ -366,7 +388,7 @@ fn worker(env: &Env, nodes: &[Box<dyn Runnable>], local: Worker<u32>, index: usi
         }
         let next_timer = env.timers.next();
         if next_timer != u64::MAX {
-            env.timers.serve(env.clock.now(), &thread);
+            env.timers.serve(env.clock.now(), scheduler, &thread);
         }
         // Every so often a heavy actor goes first, so that a flood of light ones cannot starve it.
         if tick.is_multiple_of(61) && run_heavy(env, nodes, &thread) {

@@ -347,7 +347,7 @@ impl Runtime {
             if end.is_some_and(|end| now >= end) {
                 break Exit::Time;
             }
-            env.timers.serve(now, &self.thread);
+            env.timers.serve(now, &env.scheduler, &self.thread);
             let queues = &env.scheduler;
             while let Some(actor) =
                 queues.next_pinned().or_else(|| queues.next_light()).or_else(|| queues.next_heavy())

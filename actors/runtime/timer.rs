@@ -9,7 +9,7 @@ use std::collections::BinaryHeap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::scheduler::ThreadCx;
+use crate::scheduler::{Scheduler, ThreadCx};
 
 /// Timers one actor may have running (cancelled ones count until their time).
 pub const TIMERS_PER_ACTOR: usize = 64;
@@ -82,7 +82,7 @@ impl Timers {
     }
 
     /// Fires what is due at `now`, unless another thread is at it.
-    pub(crate) fn serve(&self, now: u64, thread: &ThreadCx) {
+    pub(crate) fn serve(&self, now: u64, scheduler: &Scheduler, thread: &ThreadCx) {
         if now < self.next() {
             return;
         }
@@ -95,6 +95,7 @@ impl Timers {
         while heap.peek().is_some_and(|Reverse(entry)| entry.deadline <= now) {
             if let Some(Reverse(entry)) = heap.pop() {
                 entry.target.fire(entry.timer, thread);
+                scheduler.timer_fired();
             }
         }
         let next = heap.peek().map_or(u64::MAX, |Reverse(entry)| entry.deadline);

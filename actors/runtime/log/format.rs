@@ -10,7 +10,7 @@
 //! | order | runs of deliveries from one (sender, lane), numbered by first appearance |
 //! | external | payloads of what comes from outside: port payloads, timers, controls, job pops, skipped older values |
 //! | values | what the actor asked for or said while handling: time, durations, marks, verdicts on panics |
-//! | hashes | the chained hash: 16 bits for each delivery, or 64 bits for each K deliveries |
+//! | hashes | the chained hash: 24 bits for each delivery, or 64 bits for each K deliveries |
 //! | rejected | which of the actor's own sends came back |
 
 use serde::{Deserialize, Serialize};
@@ -38,7 +38,7 @@ pub enum Hashing {
     Off,
     /// 64 bits for each so many deliveries of an actor: 8/K bytes a message, a divergence is known to within K.
     Every(u32),
-    /// 16 bits for each delivery: 2 bytes a message, a divergence is named at its exact message.
+    /// 24 bits for each delivery: 3 bytes a message, a divergence is named at its exact message.
     Exact,
 }
 
@@ -197,8 +197,8 @@ impl<'a> Cursor<'a> {
         self.slice(length)
     }
 
-    pub(crate) fn u16(&mut self) -> Option<u16> {
-        self.slice(2)?.try_into().ok().map(u16::from_le_bytes)
+    pub(crate) fn u24(&mut self) -> Option<u32> {
+        self.slice(3).map(|bytes| u32::from_le_bytes([bytes[0], bytes[1], bytes[2], 0]))
     }
 
     pub(crate) fn u64(&mut self) -> Option<u64> {

@@ -197,9 +197,9 @@ impl Walk {
         Some(Value { index, tag, content, kind })
     }
 
-    pub(crate) fn hash16(&mut self, log: &ActorLog) -> Option<u16> {
+    pub(crate) fn hash24(&mut self, log: &ActorLog) -> Option<u32> {
         let mut cursor = Cursor::new(&log.hashes, self.hashes);
-        let hash = cursor.u16()?;
+        let hash = cursor.u24()?;
         self.hashes = cursor.at;
         Some(hash)
     }
@@ -549,11 +549,11 @@ impl Trace {
     }
 }
 
-/// The first delivery whose 16-bit hash differs.
+/// The first delivery whose recorded hash differs.
 fn first_hash_difference(left: &ActorLog, right: &ActorLog) -> Option<u64> {
     // One hash for each delivery, or two where the actor's state is hashed as well.
-    let each = (left.hashes.len() as u64 / 2).checked_div(left.deliveries)?.max(1);
-    let pairs = left.hashes.chunks_exact(2).zip(right.hashes.chunks_exact(2));
+    let each = (left.hashes.len() as u64 / 3).checked_div(left.deliveries)?.max(1);
+    let pairs = left.hashes.chunks_exact(3).zip(right.hashes.chunks_exact(3));
     pairs.into_iter().position(|(a, b)| a != b).map(|position| position as u64 / each)
 }
 

@@ -9,8 +9,8 @@ use crate::workshop::{self, Options};
 
 static RING: LazyLock<Vec<u8>> = LazyLock::new(|| record_ring(2, 7, 300, Hashing::Exact));
 
-/// A recording with several segments, as from a run of some length.
-static SHOP: LazyLock<Vec<u8>> = LazyLock::new(|| record_workshop(2, 200, Options::new(2)));
+/// A recording of at least 200 ms, so of several segments.
+static SHOP: LazyLock<Vec<u8>> = LazyLock::new(|| record_workshop(2, 1000, Options::new(2)));
 
 #[test]
 fn a_cut_recording_replays_to_its_consistent_end() {
@@ -32,7 +32,7 @@ fn a_cut_recording_replays_to_its_consistent_end() {
         let kept = read(&bytes[..trace.whole_bytes() as usize]);
         assert_eq!(kept.stat(), trace.stat());
     }
-    assert!(replayed.last().is_some_and(|last| *last > 0));
+    assert!(replayed.iter().any(|deliveries| *deliveries > 0));
 }
 
 proptest! {

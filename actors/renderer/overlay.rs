@@ -13,7 +13,7 @@ pub enum Overlay {
     /// Nothing.
     #[default]
     None = 0,
-    /// How much the eye is drawn to each object.
+    /// How much the eye is drawn to each object that is corrected.
     Saliency = 1,
     /// Object ids, a colour each.
     Objects = 2,
@@ -92,6 +92,7 @@ fn overlay_color(overlay: Overlay, sources: &Sources<'_>, x: usize, y: usize, gr
     let tinted = |color: Vec3| grey.lerp(color, 0.7);
     match overlay {
         Overlay::None => None,
+        Overlay::Saliency if object == 0 => None,
         Overlay::Saliency => sources.attention.get(object as usize).map(|a| tinted(heat(*a))),
         Overlay::Objects => (object != 0).then(|| tinted(distinct(object))),
         Overlay::Level => {

@@ -338,7 +338,14 @@ impl App {
         }
     }
 
-    fn on_key(&mut self, key: KeyCode, pressed: bool, repeated: bool, event_loop: &ActiveEventLoop) {
+    fn on_key(
+        &mut self,
+        key: KeyCode,
+        pressed: bool,
+        repeated: bool,
+        types: bool,
+        event_loop: &ActiveEventLoop,
+    ) {
         let now = self.now();
         let control = self.modifiers.control_key();
         if control && key == KeyCode::KeyQ && pressed {
@@ -350,6 +357,8 @@ impl App {
             KeyCode::F5 if pressed && !repeated && self.loading.is_none() => self.load(None),
             KeyCode::F12 if pressed && !repeated => self.screenshot(),
             KeyCode::Escape if pressed => self.look_around(false),
+            // A key that went down before a value was typed must still go up.
+            _ if types && pressed => {}
             _ => self.on_walk_key(key, pressed, repeated, now),
         }
         self.request_redraw();
@@ -515,10 +524,15 @@ impl ApplicationHandler<Wake> for App {
 
     fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
         let Some(screen) = &mut self.screen else { return };
-        let response = screen.egui.on_window_event(&screen.window, &event);
-        // egui answers a redraw with the wish for another one.
-        if response.repaint && event != WindowEvent::RedrawRequested {
-            screen.window.request_redraw();
+        // Keys steer the walk; the interface gets them while a value is typed. (Tab would go from slider to slider,
+        // and each would keep the keys.)
+        let types = self.context.egui_wants_keyboard_input();
+        if types || !matches!(event, WindowEvent::KeyboardInput { .. }) {
+            let response = screen.egui.on_window_event(&screen.window, &event);
+            // egui answers a redraw with the wish for another one.
+            if response.repaint && event != WindowEvent::RedrawRequested {
+                screen.window.request_redraw();
+            }
         }
         match &event {
             WindowEvent::CloseRequested => event_loop.exit(),
@@ -549,10 +563,8 @@ impl ApplicationHandler<Wake> for App {
                 }
             }
             WindowEvent::KeyboardInput { event, .. } => {
-                if let PhysicalKey::Code(key) = event.physical_key
-                    && !(self.context.egui_wants_keyboard_input() && event.state.is_pressed())
-                {
-                    self.on_key(key, event.state.is_pressed(), event.repeat, event_loop);
+                if let PhysicalKey::Code(key) = event.physical_key {
+                    self.on_key(key, event.state.is_pressed(), event.repeat, types, event_loop);
                 }
             }
             WindowEvent::DroppedFile(path) if self.loading.is_none() => self.load(Some(path.clone())),

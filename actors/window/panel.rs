@@ -13,7 +13,7 @@ use crate::renderer::overlay::Overlay;
 /// Frames in the graph.
 const HISTORY: usize = 120;
 /// Points that the panel is wide.
-pub const WIDTH: f32 = 270.0;
+pub const WIDTH: f32 = 310.0;
 
 /// Keys, for the help.
 pub const KEYS: [(&str, &str); 15] = [
@@ -84,7 +84,7 @@ pub struct Notice {
 
 /// The panel's content. Changes `controls` as the user does.
 pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
-    ui.spacing_mut().slider_width = 110.0;
+    ui.spacing_mut().slider_width = 100.0;
     egui::ScrollArea::vertical().show(ui, |ui| {
         state(ui, shown);
         ui.separator();
@@ -161,7 +161,8 @@ fn graph(ui: &mut Ui, times: &FrameTimes, fps: f32) {
         )),
         None => ui.label("no frame yet"),
     };
-    let (rect, _) = ui.allocate_exact_size(Vec2::new(ui.available_width().min(WIDTH), 48.0), Sense::hover());
+    let (rect, _) =
+        ui.allocate_exact_size(Vec2::new(ui.available_width().min(WIDTH - 20.0), 48.0), Sense::hover());
     let painter = ui.painter_at(rect);
     painter.rect_filled(rect, 0.0, ui.visuals().extreme_bg_color);
     let full = 2.0 * deadline;

@@ -54,7 +54,7 @@ pub struct Session {
     facts: Vec<(String, String)>,
 }
 
-/// Saliency of the objects on screen, for the overlay alone: the allocator's own numbers belong to its thread.
+/// Relative saliency of the objects on screen, for the overlay alone: the allocator's own numbers belong to its thread.
 #[derive(Default)]
 struct AttentionView {
     model: SaliencyModel,
@@ -281,7 +281,10 @@ impl AttentionView {
     fn of(&mut self, rgb8: &Map2d<[u8; 3]>, objects: &Map2d<u32>, count: usize) -> Vec<f32> {
         let map = &self.model.compute_rgb8(rgb8.data().as_flattened(), rgb8.width(), rgb8.height()).map;
         self.scan.gather(objects, Some(map), count, &mut self.statistics);
-        self.statistics.iter().map(|s| s.saliency).collect()
+        // Relative to the most salient of the objects that can be corrected.
+        let highest = self.statistics.iter().skip(1).map(|s| s.saliency).fold(0.0, f32::max);
+        let scale = if highest > 0.0 { 1.0 / highest } else { 0.0 };
+        self.statistics.iter().map(|s| s.saliency * scale).collect()
     }
 }
 

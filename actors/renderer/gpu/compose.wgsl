@@ -80,7 +80,7 @@ fn fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
     var color = grey;
     switch compose.overlay {
         case SALIENCY: {
-            if object < arrayLength(&attention) {
+            if object != 0u && object < arrayLength(&attention) {
                 color = mix(grey, heat(attention[object]), 0.7);
             }
         }

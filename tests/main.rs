@@ -9,6 +9,7 @@ mod generate;
 mod bundled;
 mod exits;
 mod hostile;
+mod replay;
 mod skipped;
 mod still;
 mod support;

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
-use crate::support::root;
+use crate::support::{Foveal, root};
 
 /// Sources by their path from the root, with `/`.
 fn sources(extension: &str) -> BTreeMap<String, String> {
@@ -298,9 +298,15 @@ fn the_readme_is_true() {
         scenes += 1;
     }
     assert!(scenes >= 5, "the README names scenes to walk through");
-    let help: String = ["", "walk", "bake", "reference", "compare", "explain", "doctor"]
-        .map(|command| crate::support::Foveal::new(command).arg("--help").ok().out)
-        .concat();
+    let list = Foveal::new("--help").ok().out;
+    let names = list.split("Commands:").nth(1).and_then(|l| l.split("Options:").next()).unwrap_or_default();
+    let names: Vec<&str> = names.lines().filter_map(|l| l.split_whitespace().next()).collect();
+    for line in readme.lines().filter_map(|l| l.strip_prefix("| `foveal ")) {
+        let name = line.split([' ', '`']).next().unwrap_or_default();
+        assert!(names.contains(&name) || name == "view" && !cfg!(feature = "window"), "there is no {name}");
+    }
+    let help: String =
+        names.iter().filter(|n| **n != "help").map(|n| Foveal::new(n).arg("--help").run().out).collect();
     let is_option = |w: &str| w.strip_prefix("--").is_some_and(|n| n.starts_with(char::is_alphabetic));
     let cargo = ["--release", "--example", "--no-default-features"];
     for option in readme.split(is_end).filter(|w| is_option(w) && !cargo.contains(w)) {

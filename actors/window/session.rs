@@ -186,6 +186,13 @@ impl FrameSource for Session {
 
     fn begin_frame(&mut self, camera: &Camera) {
         self.send(RendererInput::FrameBegan { frame: FrameIndex(self.frame), camera: *camera });
+        // Until the renderer has heard of it, "converged" is said of the view before.
+        if let Some((runtime, actors)) = &mut self.system {
+            let renderer = actors.renderer;
+            runtime.pump_until(Limit::time(SHOWING), |r| {
+                r.inspect(renderer, |r| r.camera() == Some(*camera)) == Some(true)
+            });
+        }
     }
 
     fn work(&mut self, time: Duration) {

@@ -7,8 +7,7 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-#[path = "generate/mod.rs"]
-mod generate;
+use foveal_actors::cli::bench::made::generate;
 
 fn main() -> ExitCode {
     let mut out = None;
@@ -27,7 +26,9 @@ fn main() -> ExitCode {
         eprintln!("usage: scenes OUT [--large]");
         return ExitCode::from(2);
     };
-    for scene in generate::scenes(large) {
+    let sizes: &[usize] = if large { &[100_000, 300_000, 1_000_000] } else { &[] };
+    let bundled = generate::BUNDLED.iter().map(|(_, make)| make());
+    for scene in bundled.chain(sizes.iter().map(|&n| generate::hall(n))) {
         let scene = match scene {
             Ok(scene) => scene,
             Err(error) => {

@@ -3,16 +3,16 @@
 use std::collections::BTreeSet;
 use std::fs;
 
-use crate::generate;
 use crate::support::root;
+use foveal_actors::cli::bench::made::generate;
 
 /// Text byte by byte; pictures pixel by pixel, since another version of an encoder may pack them otherwise.
 #[test]
 fn scenes_are_the_generators_output() {
     let again = "run `cargo run --release --example scenes -- scenes`";
     let mut made = BTreeSet::new();
-    for scene in generate::scenes(false) {
-        let scene = scene.expect("textures");
+    for (_, make) in generate::BUNDLED {
+        let scene = make().expect("textures");
         let folder = root().join("scenes").join(&scene.name);
         for (name, bytes) in &scene.files {
             if name.ends_with(".obj") {

@@ -3,9 +3,6 @@
 //! The program runs as a process of its own, on the bundled scenes at small sizes, with illumination baked
 //! cheaply into a folder that the tests of one run share.
 
-#[path = "../scenes/generate/mod.rs"]
-mod generate;
-
 mod bundled;
 mod exits;
 mod hostile;

@@ -2,6 +2,7 @@
 
 pub mod arguments;
 pub mod bake;
+pub mod bench;
 pub mod compare;
 pub mod doctor;
 pub mod explain;
@@ -76,6 +77,9 @@ enum Command {
     Compare(compare::CompareArguments),
     /// Say what a scene needs, what is skipped, and why
     Explain(explain::ExplainArguments),
+    /// Measure: tables of medians with aims and peers
+    #[command(subcommand)]
+    Bench(bench::BenchCommand),
     /// Say what this machine offers
     Doctor(doctor::DoctorArguments),
 }
@@ -102,6 +106,7 @@ pub fn run() -> ExitCode {
         Command::Log(a) => log::run(&a),
         Command::Compare(a) => compare::run(&a),
         Command::Explain(a) => explain::run(&a),
+        Command::Bench(c) => bench::run(&c, progress),
         Command::Doctor(a) => doctor::run(&a),
     };
     match result {

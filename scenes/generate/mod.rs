@@ -14,18 +14,21 @@ mod textures;
 
 pub use obj::SceneFiles;
 
-/// The bundled scenes, one at a time; with `large`, the rooms for measurements too.
-pub fn scenes(large: bool) -> impl Iterator<Item = image::ImageResult<SceneFiles>> {
-    type Make = fn() -> image::ImageResult<SceneFiles>;
-    let bundled: [Make; 7] = [
-        cornell::scene,
-        duck::scene,
-        table::scene,
-        gallery::scene,
-        chess::scene,
-        test_rooms::furnace,
-        test_rooms::diffuse,
-    ];
-    let rooms: [Make; 3] = [|| large::hall(100_000), || large::hall(300_000), || large::hall(1_000_000)];
-    bundled.into_iter().chain(rooms.into_iter().filter(move |_| large)).map(|make| make())
+/// Makes a scene.
+pub type Make = fn() -> image::ImageResult<SceneFiles>;
+
+/// The bundled scenes by name.
+pub const BUNDLED: [(&str, Make); 7] = [
+    ("box", cornell::scene),
+    ("duck", duck::scene),
+    ("table", table::scene),
+    ("gallery", gallery::scene),
+    ("chess", chess::scene),
+    ("furnace", test_rooms::furnace),
+    ("diffuse", test_rooms::diffuse),
+];
+
+/// A hall of vases of about `triangle_count` triangles, for measurements.
+pub fn hall(triangle_count: usize) -> image::ImageResult<SceneFiles> {
+    large::hall(triangle_count)
 }

@@ -1,0 +1,33 @@
+//! `foveal bench WHAT`: medians of repeated runs, each beside its aim and its peer, the machine named.
+
+pub mod made;
+pub mod stages;
+pub mod table;
+
+use std::time::Instant;
+
+use clap::Subcommand;
+
+use super::Progress;
+use super::failure::Failure;
+
+/// What to measure.
+#[derive(Debug, Subcommand)]
+pub enum BenchCommand {
+    /// Each stage of a frame, the first paper's figures beside it
+    Stages(stages::StagesArguments),
+}
+
+/// Runs the command.
+pub fn run(command: &BenchCommand, progress: Progress) -> Result<(), Failure> {
+    match command {
+        BenchCommand::Stages(a) => stages::run(a, progress),
+    }
+}
+
+/// Milliseconds that `work` takes, and what it made.
+pub fn timed<R>(work: impl FnOnce() -> R) -> (f64, R) {
+    let start = Instant::now();
+    let made = work();
+    (start.elapsed().as_secs_f64() * 1e3, made)
+}

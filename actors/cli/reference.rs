@@ -15,7 +15,6 @@ use foveal::geometry::Ray;
 use foveal::image::Map2d;
 use foveal::scene::camera::CameraFrame;
 use foveal::splatting::trace::pixel_stream;
-use foveal::transport::interaction::Interaction;
 use foveal::world::World;
 
 use super::Progress;
@@ -87,7 +86,7 @@ pub fn traced_picture(
             };
             let (px, py) = (x as u32, y as u32);
             let ray = twin::primary_ray(frame, px, py);
-            let at = Interaction::at(&world.scene, &ray, &hit);
+            let at = twin::primary_interaction(world, frame, &ray, &hit);
             let mut sum = tracer.view_dependent(&at, pixel_stream(seed, px, py, 0));
             for sample in 1..samples {
                 sum += tracer.view_dependent(&at, pixel_stream(seed, px, py, u64::from(sample)));

@@ -4,7 +4,8 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{FrameBuffers, PrimaryHit, TextureLevel};
-use crate::geometry::Ray;
+use crate::geometry::{Hit, Ray};
+use crate::scene::Scene;
 use crate::scene::camera::CameraFrame;
 use crate::transport::interaction::Interaction;
 use crate::world::World;
@@ -25,6 +26,19 @@ pub struct Passes {
 #[inline]
 pub fn primary_ray(frame: &CameraFrame, x: u32, y: u32) -> Ray {
     Ray::new(frame.eye, frame.direction(x as f32 + 0.5, y as f32 + 0.5))
+}
+
+/// Where a primary ray ends, seen through the cone of a pixel: what display and samples shade alike.
+#[inline]
+pub fn primary_interaction(world: &World, frame: &CameraFrame, ray: &Ray, hit: &Hit) -> Interaction {
+    Interaction::at(&world.scene, ray, hit).with_footprint(hit.t * frame.pixel_angle())
+}
+
+/// The texture that makes a surface's picture, with the mip level wanted of it.
+fn wanted_texture(scene: &Scene, at: &Interaction) -> TextureLevel {
+    let material = at.material(scene);
+    let Some(map) = material.picture() else { return TextureLevel::NONE };
+    TextureLevel::new(map, at.texture_level(&scene.textures[map.0 as usize]))
 }
 
 /// Draws a view into `buffers`, whose size must be the frame's.
@@ -99,17 +113,60 @@ fn shade_pixel(
     primary: PrimaryHit,
     texture_ids: bool,
 ) -> Surface {
-    let _ = texture_ids;
     let Some(hit) = primary.hit() else {
         let color = world.scene.environment.as_ref().map_or(Vec3::ZERO, |e| e.radiance(direction));
         return Surface { color, depth: f32::INFINITY, object: 0, texture: TextureLevel::NONE };
     };
     let ray = Ray::new(frame.eye, direction);
-    let interaction = Interaction::at(&world.scene, &ray, &hit);
+    let interaction = primary_interaction(world, frame, &ray, &hit);
     Surface {
         color: world.tracer().base(&interaction),
         depth: primary.t * direction.dot(frame.forward),
         object: world.scene.mesh.objects[primary.triangle as usize],
-        texture: TextureLevel::NONE,
+        texture: if texture_ids { wanted_texture(&world.scene, &interaction) } else { TextureLevel::NONE },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::illumination::Uniform;
+    use crate::scene::test_scenes::{add_box, grey, scene};
+    use crate::scene::texture::MipChain;
+    use crate::scene::{Camera, Mesh, Model, Reflectance, Texture, TextureId};
+
+    /// A checker of single texels on all walls of a room; `Vec3::ONE` of light everywhere.
+    fn checkered() -> World {
+        let mut mesh = Mesh::default();
+        add_box(&mut mesh, Vec3::splat(-1.0), Vec3::ONE, 0, true);
+        for (uv, p) in mesh.uvs.iter_mut().zip(&mesh.positions) {
+            *uv = glam::Vec2::new(p.x + p.z, p.y);
+        }
+        let texels = (0..256 * 256u32).map(|i| [[0, 255][((i + i / 256) % 2) as usize]; 4]).collect();
+        let mut material = grey();
+        material.model = Model::Lambert { albedo: Reflectance { color: Vec3::ONE, map: Some(TextureId(0)) } };
+        let mut scene = scene(mesh, vec![material]);
+        scene.textures.push(Texture::new("checker", MipChain::from_rgba8(256, 256, texels, true)));
+        World::new(Arc::new(scene), Arc::new(Uniform(Vec3::splat(std::f32::consts::PI))))
+    }
+
+    #[test]
+    fn what_is_smaller_than_a_pixel_is_averaged_and_its_level_known() {
+        let world = checkered();
+        let camera = Camera { eye: Vec3::new(0.0, 0.0, 0.9), target: Vec3::ZERO, up: Vec3::Y, fov_y: 1.2 };
+        let frame = camera.frame(40, 30);
+        let mut buffers = FrameBuffers::new(40, 30);
+        draw(&world, &frame, Passes { texture_ids: true }, &mut buffers);
+        let (color, wanted) = (buffers.color.at(20, 15), buffers.texture.at(20, 15));
+        assert!((color - Vec3::splat(0.5)).abs().max_element() < 0.01, "{color}");
+        let ray = primary_ray(&frame, 20, 15);
+        let at = primary_interaction(&world, &frame, &ray, &buffers.hit.at(20, 15).hit().unwrap());
+        let level = (at.footprint * at.uv_density * 256.0).log2();
+        assert!(level > 3.0 && (wanted.level() - level).abs() < 0.13, "{wanted:?} {level}");
+        assert_eq!(wanted.texture(), Some(TextureId(0)));
+        draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
+        assert_eq!(buffers.color.at(20, 15), color);
     }
 }

@@ -150,6 +150,19 @@ pub struct Material {
 }
 
 impl Material {
+    /// The texture that shows most of it: the diffuse one, else the specular one, else that of its light.
+    pub fn picture(&self) -> Option<TextureId> {
+        let reflection = match &self.model {
+            Model::Lambert { albedo } | Model::Plastic { albedo, .. } => albedo.map,
+            Model::Mirror { specular } | Model::Metal { specular, .. } => specular.map,
+            Model::CookTorrance { diffuse, specular, .. } | Model::Ward { diffuse, specular, .. } => {
+                diffuse.map.or(specular.map)
+            }
+            Model::Conductor { .. } | Model::Dielectric { .. } => None,
+        };
+        reflection.or(self.emission.map)
+    }
+
     /// Whether all of its reflection is view-independent, so that it gets object id 0.
     pub fn is_diffuse(&self) -> bool {
         let black = |r: &Reflectance| r.color.max_element() <= 0.0;

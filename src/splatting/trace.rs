@@ -2,10 +2,9 @@
 
 use super::{Sample, SampleBatch};
 use crate::display::FrameBuffers;
-use crate::display::twin::primary_ray;
+use crate::display::twin::{primary_interaction, primary_ray};
 use crate::rng::Stream;
 use crate::scene::camera::CameraFrame;
-use crate::transport::interaction::Interaction;
 use crate::world::World;
 
 /// The random numbers of a pixel: of the seed and the pixel alone, so that a still view converges to the
@@ -40,7 +39,7 @@ pub fn trace_samples(
     for (x, y) in pixels {
         let Some(hit) = buffers.hit.at(x as usize, y as usize).hit() else { continue };
         let ray = primary_ray(frame, x as u32, y as u32);
-        let at = Interaction::at(&world.scene, &ray, &hit);
+        let at = primary_interaction(world, frame, &ray, &hit);
         let normal =
             if at.shading_normal.dot(ray.direction) > 0.0 { -at.shading_normal } else { at.shading_normal };
         batch.push(Sample {

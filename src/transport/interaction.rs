@@ -3,7 +3,7 @@
 use glam::{Vec2, Vec3};
 
 use crate::geometry::{Hit, Ray, gamma, offset_origin};
-use crate::scene::{Material, MaterialId, Scene};
+use crate::scene::{Material, MaterialId, Scene, Texture, TextureId};
 
 /// A point on a surface, seen along a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,6 +40,9 @@ pub struct Interaction {
     pub wo: Vec3,
     /// Distance along the ray, in its own units.
     pub t: f32,
+    /// Width of the ray's cone here, scene units, which decides the mip level that textures are read at; 0 reads the
+    /// finest.
+    pub footprint: f32,
 }
 
 /// Which mip level a texture is read at, from the width of the ray's footprint.
@@ -102,6 +105,7 @@ impl Interaction {
             back: wo.dot(geometric_normal) < 0.0,
             wo,
             t: hit.t,
+            footprint: 0.0,
         };
         at.set_frame(along_u);
         let m = at.material(scene);
@@ -110,6 +114,28 @@ impl Interaction {
         }
         at.keep_visible();
         at
+    }
+
+    /// The same point seen through a cone of this width, scene units.
+    #[inline]
+    pub fn with_footprint(mut self, footprint: f32) -> Self {
+        self.footprint = footprint;
+        self
+    }
+
+    /// The mip level at which a texture is read here. A function of the ray alone, so that displays and tracers read
+    /// the same.
+    #[inline]
+    pub fn texture_level(&self, texture: &Texture) -> f32 {
+        let [su, sv, ..] = texture.scale_offset;
+        mip_level(self.uv_density * (su * sv).abs().sqrt(), self.footprint, texture.size(0))
+    }
+
+    /// A texture's colour here, linear RGB and alpha.
+    #[inline]
+    pub fn texel(&self, scene: &Scene, map: TextureId) -> [f32; 4] {
+        let texture = &scene.textures[map.0 as usize];
+        texture.sample(self.uv, self.texture_level(texture))
     }
 
     /// The material.
@@ -210,7 +236,7 @@ pub fn emission(scene: &Scene, at: &Interaction) -> Vec3 {
     match m.emission.map {
         None => m.emission.color,
         Some(map) => {
-            let [r, g, b, _] = scene.textures[map.0 as usize].sample(at.uv, 0.0);
+            let [r, g, b, _] = at.texel(scene, map);
             m.emission.color * Vec3::new(r, g, b)
         }
     }

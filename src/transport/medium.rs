@@ -16,6 +16,11 @@ pub struct Media {
     count: u8,
 }
 
+impl Media {
+    /// Outside of everything.
+    pub const EMPTY: Self = Self { inside: [MaterialId(0); REMEMBERED], count: 0 };
+}
+
 /// Transmittance per band after `distance` in a material; 1 for what is not a solid dielectric.
 fn after(scene: &Scene, material: MaterialId, distance: f32) -> Vec3 {
     match scene.materials[material.0 as usize].model {

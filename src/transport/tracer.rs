@@ -79,6 +79,23 @@ struct Branch {
     found: Option<Found>,
     /// Whether a glossy lobe lies on its way.
     blurred: bool,
+    /// Width of its cone where it starts, scene units.
+    width: f32,
+    /// What a unit of length adds to that (ray cones, Akenine-Möller et al. 2019). Surfaces count as flat.
+    spread: f32,
+}
+
+impl Branch {
+    /// The beginning of a tree, without width: textures are read at their finest.
+    const START: Self = Self {
+        contribution: 1.0,
+        depth: 0,
+        media: Media::EMPTY,
+        found: None,
+        blurred: false,
+        width: 0.0,
+        spread: 0.0,
+    };
 }
 
 impl<'a> Tracer<'a> {
@@ -112,8 +129,11 @@ impl<'a> Tracer<'a> {
         if !bsdf.has_view_dependent() {
             return Vec3::ZERO;
         }
-        let branch =
-            Branch { contribution: 1.0, depth: 0, media: Media::default(), found: None, blurred: false };
+        let branch = Branch {
+            width: at.footprint,
+            spread: at.footprint / at.t.max(f32::MIN_POSITIVE),
+            ..Branch::START
+        };
         let diffuse = bsdf.diffuse_albedo() * self.diffuse_light(at, &bsdf);
         self.finite(diffuse * (bsdf.coat_factor(at.wo) - 1.0) + self.scatter(at, &bsdf, branch, stream))
     }
@@ -123,9 +143,7 @@ impl<'a> Tracer<'a> {
         let Some(direction) = ray.direction.try_normalize() else { return Vec3::ZERO };
         let scale = ray.direction.length();
         let ray = Ray { direction, t_min: ray.t_min * scale, t_max: ray.t_max * scale, ..*ray };
-        let branch =
-            Branch { contribution: 1.0, depth: 0, media: Media::default(), found: None, blurred: false };
-        self.finite(self.follow(&ray, branch, stream))
+        self.finite(self.follow(&ray, Branch::START, stream))
     }
 
     fn finite(&self, value: Vec3) -> Vec3 {
@@ -171,7 +189,8 @@ impl<'a> Tracer<'a> {
         let Some(hit) = &hit else {
             return share(self.lights.escaped(self.scene, ray.direction)) * scale;
         };
-        let at = Interaction::at(self.scene, ray, hit);
+        branch.width += branch.spread * hit.t;
+        let at = Interaction::at(self.scene, ray, hit).with_footprint(branch.width);
         let bsdf = Bsdf::at(self.scene, &at);
         let mut radiance = share(interaction::emission(self.scene, &at));
         radiance += bsdf.diffuse_albedo() * self.diffuse_light(&at, &bsdf) * bsdf.coat_factor(at.wo);

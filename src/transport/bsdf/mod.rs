@@ -114,7 +114,7 @@ fn lookup(scene: &Scene, at: &Interaction, r: &Reflectance) -> Vec3 {
     let color = match r.map {
         None => r.color,
         Some(map) => {
-            let [red, green, blue, _] = scene.textures[map.0 as usize].sample(at.uv, 0.0);
+            let [red, green, blue, _] = at.texel(scene, map);
             r.color * Vec3::new(red, green, blue)
         }
     };

@@ -1,7 +1,7 @@
 //! The allocator: decides which samples are traced next.
 //!
 //! Owns the progress of every visible object through its levels, the policy, and how deep the job pool
-//! is filled. Hears: a view was drawn, objects were ranked, a job is done, residuals were measured, a
+//! is filled. Hears: a view is begun, a view was drawn, objects were ranked, a job is done, residuals were measured, a
 //! job was given up. Says: jobs into the pool; to the renderer, that a view has converged.
 
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use foveal::allocation::policy::{Demand, RayPolicy, bucket_of};
 use foveal::perception::importance::{ObjectScan, ObjectStatistics, priorities};
 use foveal_runtime::{Actor, Address, Cx, Incident, JobPool};
 
-use crate::message::{AllocatorMessage, DrawnView, RendererMessage, TraceJob, TracerMessage};
+use crate::message::{AllocatorMessage, DrawnView, RendererMessage, TraceJob, TracerMessage, View};
 use crate::outbox::Outbox;
 use crate::settings::Settings;
 use crate::stages::{Stage, StageTimes};
@@ -27,7 +27,7 @@ pub struct Allocator {
     stages: StageTimes,
     /// Progress through the levels.
     jobs: SampleJobs,
-    /// The newest view.
+    /// The newest view; `None` while one is being drawn.
     drawn: Option<Arc<DrawnView>>,
     /// Objects of that view, by id.
     statistics: Vec<ObjectStatistics>,
@@ -141,9 +141,13 @@ impl Allocator {
         &self.attention
     }
 
+    fn on_view_begun(&mut self, view: View, cx: &mut Cx<'_, AllocatorMessage>) {
+        // Jobs of older views come back as stale, and none is handed out until there is something to trace.
+        cx.retire(&self.pool, u64::from(view.0));
+        self.drawn = None;
+    }
+
     fn on_view_drawn(&mut self, drawn: Arc<DrawnView>, cx: &mut Cx<'_, AllocatorMessage>) {
-        // Jobs of older views come back as stale.
-        cx.retire(&self.pool, u64::from(drawn.view.0));
         let stages = self.stages.clone();
         stages.time(Stage::Allocate, || {
             self.scan.gather(&drawn.buffers.object, None, drawn.object_count, &mut self.statistics);
@@ -223,6 +227,7 @@ impl Actor for Allocator {
 
     fn handle(&mut self, message: AllocatorMessage, cx: &mut Cx<'_, AllocatorMessage>) {
         match message {
+            AllocatorMessage::ViewBegun { view } => self.on_view_begun(view, cx),
             AllocatorMessage::ViewDrawn { drawn } => self.on_view_drawn(drawn, cx),
             AllocatorMessage::ObjectsRanked { view: _, saliency } => self.on_objects_ranked(saliency),
             AllocatorMessage::JobDone { .. } => self.on_job_done(cx),

@@ -250,7 +250,8 @@ fn declared(path: &str, source: &str) -> Vec<String> {
         } else if let Some(name) = line.strip_suffix(';').and_then(|l| l.rsplit_once("mod ")).map(|(_, n)| n)
         {
             match given.take() {
-                Some(up) if up.starts_with("../") => found.push(up["../".len()..].to_owned()),
+                // All of these lead up to the root.
+                Some(up) if up.starts_with("../") => found.push(up.trim_start_matches("../").to_owned()),
                 Some(path) => found.push(format!("{folder}/{path}")),
                 None => found.extend([format!("{below}/{name}.rs"), format!("{below}/{name}/mod.rs")]),
             }

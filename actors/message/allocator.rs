@@ -9,6 +9,12 @@ use super::{DrawnView, View};
 /// Everything the allocator can be told.
 #[derive(Clone, Debug)]
 pub enum AllocatorMessage {
+    /// From the renderer: a new view is being drawn; jobs of older ones are void, so that the tracers leave the
+    /// cores to the drawing.
+    ViewBegun {
+        /// The view.
+        view: View,
+    },
     /// From the renderer: a new view is drawn; jobs of older ones are void.
     ViewDrawn {
         /// The view.
@@ -41,6 +47,7 @@ pub enum AllocatorMessage {
 impl Message for AllocatorMessage {
     fn digest(&self, digest: &mut Digest) {
         match self {
+            Self::ViewBegun { view } => digest.u32(view.0),
             Self::ViewDrawn { drawn } => {
                 digest.u32(drawn.view.0);
                 digest.u64(drawn.hash);
@@ -61,6 +68,7 @@ impl Message for AllocatorMessage {
 
     fn kind(&self) -> &'static str {
         match self {
+            Self::ViewBegun { .. } => "ViewBegun",
             Self::ViewDrawn { .. } => "ViewDrawn",
             Self::ObjectsRanked { .. } => "ObjectsRanked",
             Self::JobDone { .. } => "JobDone",
@@ -72,9 +80,11 @@ impl Message for AllocatorMessage {
     fn lane(&self) -> Lane {
         match self {
             Self::Incident(_) => Lane::Control,
-            Self::ViewDrawn { .. } | Self::ObjectsRanked { .. } | Self::JobDone { .. } | Self::SendAgain => {
-                Lane::Data
-            }
+            Self::ViewBegun { .. }
+            | Self::ViewDrawn { .. }
+            | Self::ObjectsRanked { .. }
+            | Self::JobDone { .. }
+            | Self::SendAgain => Lane::Data,
         }
     }
 }

@@ -184,6 +184,7 @@ impl Renderer {
         if let Some(neighbours) = &self.neighbours {
             let moved = CacheAgerMessage::CameraMoved { view: self.view, frame, forget };
             self.outbox.tell(cx, &neighbours.cache_ager, moved);
+            self.outbox.tell(cx, &neighbours.allocator, AllocatorMessage::ViewBegun { view: self.view });
         }
         let mut buffers = self.buffers();
         self.stages.clone().time(Stage::Display, || {

@@ -9,9 +9,10 @@ use crate::clock::{Time, nanoseconds};
 use crate::env::Env;
 use crate::journal::Journal;
 use crate::log::format::{lane, quantise, unquantise, value};
-use crate::mailbox::{Address, Envelope};
+use crate::mailbox::{Address, Envelope, Inbound};
 use crate::message::{ActorId, LATEST_KEYS, Lane, Message, Reason, Rejected};
 use crate::scheduler::ThreadCx;
+use crate::snapshot::{Loader, Saver};
 use crate::timer::{Alarm, TIMERS_PER_ACTOR};
 
 /// How an actor is scheduled.
@@ -63,17 +64,34 @@ pub trait Actor: Send + 'static {
     fn digest(&self) -> Option<u64> {
         None
     }
+
+    /// Writes the state for a snapshot of a replay. Whoever does not say how has no snapshots.
+    fn save(&self, saver: &mut Saver) {
+        saver.refuse();
+    }
+
+    /// Puts a new actor into the state that was saved; `None` if it is not one.
+    fn restore(&mut self, _loader: &mut Loader<'_>) -> Option<()> {
+        None
+    }
 }
 
 /// Names a timer of one actor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimerId(u32);
 
+/// A timer that runs.
+pub(crate) struct OwnTimer<M> {
+    /// What it will deliver; `None` once cancelled: it still fires.
+    pub(crate) message: Option<M>,
+    /// Deliveries to the actor before it was started, the one at hand included.
+    pub(crate) started_in: u64,
+}
+
 /// The timers an actor has running, with the messages they will deliver.
 pub(crate) struct OwnTimers<M> {
-    next: u32,
-    /// `None` once cancelled: it still fires, with nothing to deliver.
-    running: BTreeMap<u32, Option<M>>,
+    pub(crate) next: u32,
+    pub(crate) running: BTreeMap<u32, OwnTimer<M>>,
 }
 
 impl<M> OwnTimers<M> {
@@ -81,8 +99,8 @@ impl<M> OwnTimers<M> {
         Self { next: 0, running: BTreeMap::new() }
     }
 
-    /// Takes what a fired timer carries; the outer `None` says that no such timer runs.
-    pub(crate) fn take(&mut self, timer: u32) -> Option<Option<M>> {
+    /// Takes a timer that has fired; `None` says that no such timer runs.
+    pub(crate) fn take(&mut self, timer: u32) -> Option<OwnTimer<M>> {
         self.running.remove(&timer)
     }
 
@@ -154,7 +172,8 @@ impl<M: Message> Cx<'_, M> {
         }
         let timer = self.timers.next;
         self.timers.next = timer.wrapping_add(1);
-        self.timers.running.insert(timer, Some(message));
+        let started_in = self.journal.index;
+        self.timers.running.insert(timer, OwnTimer { message: Some(message), started_in });
         if !self.journal.replaying() {
             let deadline = self.env.clock.now().saturating_add(nanoseconds(delay));
             let target: Arc<dyn Alarm> = Arc::clone(&self.address.mailbox) as Arc<dyn Alarm>;
@@ -168,7 +187,7 @@ impl<M: Message> Cx<'_, M> {
 
     /// Takes a running timer back, with its message. `None` if it was delivered or cancelled before.
     pub fn cancel(&mut self, timer: TimerId) -> Option<M> {
-        self.timers.running.get_mut(&timer.0)?.take()
+        self.timers.running.get_mut(&timer.0)?.message.take()
     }
 
     /// Orders another actor to stop, pause or resume. Needs no room, cannot fail.
@@ -214,7 +233,8 @@ pub(crate) fn post<N: Message>(
         if journal.replays_rejection(number) {
             return Err(Rejected { message, reason: Reason::Full });
         }
-        to.mailbox.accept_replayed(from, lane_code(way), message, thread);
+        let (lane, sent_in) = (lane_code(way), journal.index);
+        to.mailbox.accept_replayed(Inbound { from, lane, sent_in, message }, thread);
         return Ok(());
     }
     if journal.rejects_by_fault(number) {
@@ -256,6 +276,9 @@ pub struct Delivery<'a> {
     pub from: ActorId,
     /// The variant's name, or what else was delivered.
     pub kind: &'static str,
+    /// In replay: the delivery during which it was sent, pushed or started, by its actor and number. None for what
+    /// comes from outside or was sent at the start.
+    pub cause: Option<(ActorId, u64)>,
     /// The message (`Actor::Msg`) or job, for an observer that knows the type; a unit where there is neither.
     pub content: &'a dyn std::any::Any,
     /// The receiver's chained hash with this delivery in it; 0 where hashes are off.

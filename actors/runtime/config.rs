@@ -12,6 +12,7 @@ use crate::message::ActorId;
 use crate::profile::RING_TURNS;
 use crate::replay::Until;
 use crate::simulate::Simulation;
+use crate::snapshot::Snapshot;
 
 /// How a turn is bounded: the actor goes to the back of the queue after either.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,6 +76,8 @@ pub struct Config {
     pub ring_turns: usize,
     /// Sees every delivery.
     pub observer: Option<Observer>,
+    /// Where a replay begins, if not at the start: a snapshot of a replay of the same recording.
+    pub from: Option<Arc<Snapshot>>,
     /// Called when the main thread is not in [`Runtime::pump`](crate::Runtime::pump) and a pinned actor has
     /// something to do: wake the event loop here.
     pub waker: Option<Box<dyn Fn() + Send + Sync>>,
@@ -93,6 +96,7 @@ impl Config {
             budget: Budget::default(),
             ring_turns: RING_TURNS,
             observer: None,
+            from: None,
             waker: None,
         }
     }
@@ -121,6 +125,8 @@ pub enum BuildError {
     Record(std::io::Error),
     /// Threads cannot be started.
     Threads(std::io::Error),
+    /// The snapshot is not of this recording and this program.
+    OtherSnapshot,
     /// The recording is of a system with other actors.
     OtherSystem {
         /// The first actor or port that differs.
@@ -137,6 +143,7 @@ impl fmt::Display for BuildError {
         match self {
             Self::Record(error) => write!(f, "cannot write the recording: {error}"),
             Self::Threads(error) => write!(f, "cannot start threads: {error}"),
+            Self::OtherSnapshot => f.write_str("the snapshot is of another recording or program"),
             Self::OtherSystem { actor, recorded, found } => {
                 write!(f, "the recording is of another system: {actor} is {recorded} there and {found} here")
             }
@@ -148,7 +155,7 @@ impl std::error::Error for BuildError {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match self {
             Self::Record(error) | Self::Threads(error) => Some(error),
-            Self::OtherSystem { .. } => None,
+            Self::OtherSystem { .. } | Self::OtherSnapshot => None,
         }
     }
 }

@@ -16,6 +16,7 @@ use crate::message::ActorId;
 use crate::replay::{Divergence, Until};
 use crate::scheduler::{Scheduler, ThreadCx};
 use crate::simulate::{FaultKind, Faults, Simulation};
+use crate::snapshot::Snapshot;
 use crate::supervise::Incident;
 use crate::timer::Timers;
 
@@ -35,7 +36,7 @@ pub(crate) struct Env {
     pub(crate) timers: Timers,
     pub(crate) seed: u64,
     pub(crate) hashing: Hashing,
-    pub(crate) budget: TurnBudget,
+    pub(crate) budget: Budget,
     pub(crate) observer: Option<Observer>,
     pub(crate) log: Option<Arc<LogQueue>>,
     driven: Driven,
@@ -55,24 +56,6 @@ pub(crate) struct Env {
     marks_made: AtomicU64,
 }
 
-/// The bounds of a turn; stepping lowers one of them for a while.
-pub(crate) struct TurnBudget {
-    messages: AtomicU64,
-    pub(crate) nanoseconds: u64,
-}
-
-impl TurnBudget {
-    #[inline]
-    pub(crate) fn messages(&self) -> u64 {
-        self.messages.load(Ordering::Relaxed)
-    }
-
-    /// Sets the number of messages and returns what it was.
-    pub(crate) fn set_messages(&self, messages: u64) -> u64 {
-        self.messages.swap(messages, Ordering::Relaxed)
-    }
-}
-
 /// The parts of a configuration that are used up while a system is built.
 pub(crate) struct Parts {
     pub(crate) locals: Vec<Worker<u32>>,
@@ -80,12 +63,24 @@ pub(crate) struct Parts {
     pub(crate) application: Vec<u8>,
     pub(crate) ring_turns: usize,
     pub(crate) simulation: Option<Simulation>,
+    pub(crate) from: Option<Arc<Snapshot>>,
 }
 
 impl Env {
     pub(crate) fn new(config: Config) -> (Self, Parts) {
-        let Config { threads, mode, record, hashing, application, seed, budget, ring_turns, observer, waker } =
-            config;
+        let Config {
+            threads,
+            mode,
+            record,
+            hashing,
+            application,
+            seed,
+            budget,
+            ring_turns,
+            observer,
+            from,
+            waker,
+        } = config;
         let log = record.as_ref().map(|_| Arc::new(LogQueue::new()));
         let (driven, trace, until, simulation) = match mode {
             Mode::Live => (Driven::Live, None, None, None),
@@ -106,7 +101,7 @@ impl Env {
             timers: Timers::new(),
             seed: trace.as_ref().map_or(seed, |trace| trace.header().seed),
             hashing,
-            budget: TurnBudget { messages: AtomicU64::new(budget.messages), nanoseconds: budget.nanoseconds },
+            budget,
             observer,
             log,
             driven,
@@ -126,7 +121,7 @@ impl Env {
             marks_made: AtomicU64::new(0),
         };
         env.set_until(until);
-        (env, Parts { locals, record, application, ring_turns, simulation })
+        (env, Parts { locals, record, application, ring_turns, simulation, from })
     }
 
     /// Says where replay stops; only while nothing runs.
@@ -206,9 +201,13 @@ impl Env {
         (kind != u32::MAX).then(|| (kind, self.mark_value.load(Ordering::Relaxed)))
     }
 
-    pub(crate) fn marked(&self, kind: u32, value: u64) {
+    pub(crate) fn set_last_mark(&self, kind: u32, value: u64) {
         self.mark_kind.store(kind, Ordering::Relaxed);
         self.mark_value.store(value, Ordering::Relaxed);
+    }
+
+    pub(crate) fn marked(&self, kind: u32, value: u64) {
+        self.set_last_mark(kind, value);
         if self.until_tag.load(Ordering::Relaxed) == 1
             && self.until_who.load(Ordering::Relaxed) == kind
             && self.marks_made.fetch_add(1, Ordering::Relaxed) + 1 == self.until_count.load(Ordering::Relaxed)

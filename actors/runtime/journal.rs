@@ -13,6 +13,7 @@ use crate::log::writer::BACKLOG_BYTES_MAX;
 use crate::mailbox::Link;
 use crate::message::{ActorId, Digest};
 use crate::replay::{Divergence, Script, Turn};
+use crate::snapshot::JournalState;
 
 /// Deliveries kept for a report of a divergence.
 const HISTORY: usize = 20;
@@ -146,6 +147,8 @@ pub(crate) struct Journal {
     /// Deliveries so far.
     pub(crate) index: u64,
     pub(crate) chain: u64,
+    /// What the next delivery comes of, where it is known: for observers.
+    pub(crate) cause: Option<(ActorId, u64)>,
     sends: u64,
     jobs_made: u64,
     randoms: u64,
@@ -172,6 +175,7 @@ impl Journal {
             id: link.id,
             index: 0,
             chain: Digest::new().finish(),
+            cause: None,
             sends: 0,
             jobs_made: 0,
             randoms: 0,
@@ -189,6 +193,12 @@ impl Journal {
             link: Arc::clone(link),
             env: Arc::clone(env),
         }
+    }
+
+    /// Says what the next delivery comes of: `sent_in` deliveries had been made to `from` by then.
+    #[inline]
+    pub(crate) fn comes_of(&mut self, from: ActorId, sent_in: u64) {
+        self.cause = sent_in.checked_sub(1).map(|index| (from, index));
     }
 
     /// Passes one delivery. `Err` if replay diverged here or was told to stop.
@@ -219,8 +229,9 @@ impl Journal {
             }
         }
         if let Some(observer) = &self.env.observer {
-            let (actor, index, from, chain) = (self.id, self.index, symbol.from, self.chain);
-            observer(&Delivery { actor, index, from, kind, content, chain });
+            let (actor, index, from, chain, cause) =
+                (self.id, self.index, symbol.from, self.chain, self.cause.take());
+            observer(&Delivery { actor, index, from, kind, cause, content, chain });
         }
         let passed = if self.script.is_some() { self.compare(symbol, kind) } else { Ok(()) };
         self.index += 1;
@@ -304,6 +315,30 @@ impl Journal {
     /// Replay and recording agree that something else comes next.
     pub(crate) fn diverge_here(&self, expected: String, found: String) {
         let _ = self.diverge(self.index, expected, found);
+    }
+
+    /// What a snapshot keeps of it.
+    pub(crate) fn state(&self) -> Option<JournalState> {
+        let script = self.script.as_ref()?;
+        Some(JournalState {
+            index: self.index,
+            chain: self.chain,
+            sends: self.sends,
+            jobs_made: self.jobs_made,
+            randoms: self.randoms,
+            sent: self.sent.clone(),
+            seen: self.seen.clone(),
+            walk: script.walk().clone(),
+        })
+    }
+
+    pub(crate) fn restore(&mut self, state: JournalState) -> Option<()> {
+        let JournalState { index, chain, sends, jobs_made, randoms, sent, seen, walk } = state;
+        (self.index, self.chain) = (index, chain);
+        (self.sends, self.jobs_made, self.randoms) = (sends, jobs_made, randoms);
+        (self.sent, self.seen) = (sent, seen);
+        self.script.as_mut()?.go_on_from(walk);
+        Some(())
     }
 
     pub(crate) fn replaying(&self) -> bool {

@@ -5,7 +5,7 @@ use crossbeam_queue::{ArrayQueue, SegQueue};
 use crossbeam_utils::CachePadded;
 use std::fmt;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering};
 
 use crate::activation::Activation;
 use crate::actor::{Class, Control};
@@ -56,6 +56,8 @@ pub(crate) struct Envelope<M> {
 pub(crate) struct Inbound<M> {
     pub(crate) from: ActorId,
     pub(crate) lane: u8,
+    /// Deliveries to the sender before it was sent, the one that it was sent in included.
+    pub(crate) sent_in: u64,
     pub(crate) message: M,
 }
 
@@ -90,6 +92,8 @@ pub(crate) struct Link {
     pub(crate) closed: AtomicBool,
     /// Has log bytes that are not yet with the writer.
     pub(crate) unflushed: AtomicBool,
+    /// Replay: nothing is delivered beyond so many deliveries.
+    pub(crate) limit: AtomicU64,
     pub(crate) counters: Arc<Counters>,
     pub(crate) env: Arc<Env>,
 }
@@ -210,8 +214,8 @@ impl<M: Message> Mailbox<M> {
     }
 
     /// Takes a regenerated message during replay.
-    pub(crate) fn accept_replayed(&self, from: ActorId, lane: u8, message: M, thread: &ThreadCx) {
-        self.inbound.push(Inbound { from, lane, message });
+    pub(crate) fn accept_replayed(&self, inbound: Inbound<M>, thread: &ThreadCx) {
+        self.inbound.push(inbound);
         self.link.wake(thread);
     }
 

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use crate::snapshot::{Loader, Saver};
+
 /// Identity of an actor or a port: the order in which the wiring made it, never an address in memory.
 ///
 /// Actors and ports share one numbering, since both are senders.
@@ -45,6 +47,19 @@ pub trait Message: Send + 'static {
     /// How this message travels.
     fn lane(&self) -> Lane {
         Lane::Data
+    }
+
+    /// Writes the message for a snapshot that is taken while it waits. Where nobody says how, there is none then.
+    fn save(&self, saver: &mut Saver) {
+        saver.refuse();
+    }
+
+    /// Reads a message that was saved.
+    fn restore(_loader: &mut Loader<'_>) -> Option<Self>
+    where
+        Self: Sized,
+    {
+        None
     }
 }
 

@@ -7,14 +7,15 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use crate::actor::{Actor, Cx, OwnTimers, lane_code};
+use crate::actor::{Actor, Cx, OwnTimer, OwnTimers, lane_code};
 use crate::journal::{Halted, Journal, Payload};
 use crate::log::format::{Symbol, lane};
-use crate::mailbox::{Address, Decoder, Envelope, Link, Mailbox, signal};
+use crate::mailbox::{Address, Decoder, Envelope, Inbound, Link, Mailbox, signal};
 use crate::message::{ActorId, LATEST_KEYS, Lane, Message};
 use crate::pool::{Killed, Popped, Seat, job_symbol};
 use crate::replay::{Next, Script, Stash};
 use crate::scheduler::ThreadCx;
+use crate::snapshot::{Loader, Saver, load_messages, load_timers, save_messages, save_timers};
 use crate::supervise::{Circuit, Incident, Injected, OnPanic, message_of, verdict};
 
 /// An actor as the scheduler sees it.
@@ -28,6 +29,9 @@ pub(crate) trait Runnable: Send + Sync {
     fn position(&self) -> Option<(u64, u64)>;
     /// Replay: what the script still wants, unless the actor is in a turn.
     fn script_state(&self) -> Option<ScriptState>;
+    /// Writes everything that a snapshot of a replay needs, unless the actor is in a turn.
+    fn save(&self, saver: &mut Saver);
+    fn restore(&self, loader: &mut Loader<'_>) -> Option<()>;
     /// Hands over what is left of the log, and ends the journal.
     fn end_log(&self);
     /// Throws away what waits, when nothing runs any more.
@@ -58,6 +62,7 @@ struct Core<A: Actor> {
     circuit: Circuit,
     stash: Stash<A::Msg>,
     decoders: Vec<(ActorId, Decoder<A::Msg>)>,
+    started: bool,
     paused: bool,
     stopping: bool,
     stopped: bool,
@@ -97,6 +102,7 @@ impl<A: Actor> Node<A> {
             circuit: Circuit::default(),
             stash: Stash::new(),
             decoders: Vec::new(),
+            started: false,
             paused: false,
             stopping: false,
             stopped: false,
@@ -153,6 +159,8 @@ impl<A: Actor> Node<A> {
         let kind = seat.kind();
         let symbol = job_symbol(&core.journal, popped.stale);
         let payload = Payload::Job { id: popped.id, attempt: popped.attempt };
+        // A job's identity begins with who made it.
+        core.journal.comes_of(ActorId((popped.id >> 40) as u32), popped.pushed_in);
         core.journal.deliver(symbol, payload, kind, seat.content(), |digest| seat.digest(digest))?;
         let _span = tracing::trace_span!("job", actor = A::NAME, job = popped.id).entered();
         let done = self.guarded(core, thread, |actor, seat, cx| {
@@ -196,7 +204,7 @@ impl<A: Actor> Node<A> {
             _ => None,
         };
         let open = (verdict == verdict::OPEN).then(|| Incident::CircuitOpen { actor, name: name.clone() });
-        let first = Incident::Panicked { actor, name, kind, message };
+        let first = Incident::Panicked { actor, name, kind: kind.to_owned(), message };
         for incident in [Some(first), dead, open].into_iter().flatten() {
             env.report(&mut core.journal, thread, incident);
         }
@@ -210,6 +218,10 @@ impl<A: Actor> Node<A> {
     fn start(&self, core: &mut Core<A>, thread: &ThreadCx) {
         while let Some(decoder) = self.mailbox().decoders.pop() {
             core.decoders.push(decoder);
+        }
+        // One that was put where a snapshot was taken has started before.
+        if std::mem::replace(&mut core.started, true) {
+            return;
         }
         if let Err(panic) = self.guarded(core, thread, |actor, _, cx| actor.started(cx)) {
             self.panicked(core, thread, "start", panic);
@@ -256,7 +268,10 @@ impl<A: Actor> Node<A> {
         let symbol = Symbol { from: self.link.id, lane: lane::TIMER };
         let payload = Payload::Timer { timer, time };
         match core.timers.take(timer) {
-            Some(Some(message)) => self.deliver(core, thread, symbol, payload, message),
+            Some(OwnTimer { message: Some(message), started_in }) => {
+                core.journal.comes_of(self.link.id, started_in);
+                self.deliver(core, thread, symbol, payload, message)
+            }
             // It was cancelled after it fired: a delivery all the same, since it made room for another timer.
             _ => {
                 core.journal.deliver(symbol, payload, "cancelled timer", &(), |digest| digest.u32(timer))?;
@@ -333,7 +348,7 @@ impl<A: Actor> Node<A> {
             if core.stopping || core.paused {
                 return Ok(());
             }
-            if turn.messages >= env.budget.messages() {
+            if turn.messages >= env.budget.messages {
                 turn.again = true;
                 return Ok(());
             }
@@ -384,8 +399,11 @@ impl<A: Actor> Node<A> {
             if core.stopping {
                 return Ok(());
             }
-            if turn.messages >= env.budget.messages() {
+            if turn.messages >= env.budget.messages {
                 turn.again = true;
+                return Ok(());
+            }
+            if core.journal.index >= self.link.limit.load(Ordering::Relaxed) {
                 return Ok(());
             }
             let Some(next) = core.journal.script().and_then(Script::next) else { return Ok(()) };
@@ -429,16 +447,21 @@ impl<A: Actor> Node<A> {
                 self.order(core, thread, bits)?;
             }
             (Payload::Job { id, attempt }, None) => {
-                if !core.seat.as_mut().is_some_and(|seat| seat.hold(id, attempt)) {
+                let Some(pushed_in) = core.seat.as_mut().and_then(|seat| seat.hold(id, attempt)) else {
                     return Ok(false);
-                }
+                };
                 pass(core);
-                self.deliver_job(core, thread, Popped { id, attempt, stale: symbol.lane == lane::STALE })?;
+                self.deliver_job(
+                    core,
+                    thread,
+                    Popped { id, attempt, pushed_in, stale: symbol.lane == lane::STALE },
+                )?;
             }
             (payload, None) => {
                 let skipped = if let Payload::Skipped(count) = payload { count } else { 0 };
-                let Some(message) = core.stash.take(symbol, skipped) else { return Ok(false) };
+                let Some((sent_in, message)) = core.stash.take(symbol, skipped) else { return Ok(false) };
                 pass(core);
+                core.journal.comes_of(symbol.from, sent_in);
                 self.deliver(core, thread, symbol, payload, message)?;
             }
         }
@@ -563,6 +586,52 @@ impl<A: Actor> Runnable for Node<A> {
                 (from, next.symbol.lane)
             });
             Some(ScriptState { made, recorded, wrong_end, waits_for })
+        })?
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        let saved = self.with_core(|core| {
+            let Some(journal) = core.journal.state() else { return saver.refuse() };
+            let link = &self.link;
+            let mut taken = 0;
+            while let Some(inbound) = self.mailbox().inbound.pop() {
+                taken += 1;
+                core.stash.put(inbound);
+            }
+            // These units of work are settled in the next turn.
+            link.activation.keep(link.activation.owed() + taken);
+            let waiting: Vec<_> = core.stash.messages().collect();
+            saver.put(&journal);
+            saver.put(&(core.started, core.paused, core.stopping, core.stopped));
+            saver.put(&core.circuit);
+            saver.put(&core.timers.next);
+            save_timers::<A>(saver, &core.timers.running);
+            save_messages(saver, &waiting);
+            if let Some(seat) = &mut core.seat {
+                seat.save(saver);
+            }
+            core.actor.save(saver);
+        });
+        if saved.is_none() {
+            saver.refuse();
+        }
+    }
+
+    fn restore(&self, loader: &mut Loader<'_>) -> Option<()> {
+        self.with_core(|core| {
+            core.journal.restore(loader.take()?)?;
+            (core.started, core.paused, core.stopping, core.stopped) = loader.take()?;
+            core.circuit = loader.take()?;
+            core.timers.next = loader.take()?;
+            core.timers.running = load_timers::<A>(loader)?;
+            for (from, lane, sent_in, message) in load_messages(loader)? {
+                core.stash.put(Inbound { from, lane, sent_in, message });
+            }
+            if let Some(seat) = &mut core.seat {
+                seat.restore(loader)?;
+            }
+            self.link.closed.store(core.stopped, Ordering::SeqCst);
+            core.actor.restore(loader)
         })?
     }
 

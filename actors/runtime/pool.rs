@@ -16,6 +16,7 @@ use crate::journal::Journal;
 use crate::mailbox::{Link, signal};
 use crate::message::{Digest, Message, Reason, Rejected};
 use crate::scheduler::ThreadCx;
+use crate::snapshot::{Loader, Saver};
 
 /// Priority buckets of a pool.
 pub const BUCKETS: u8 = 64;
@@ -33,6 +34,19 @@ pub trait Job: Send + 'static {
     /// The variant's name, for reports.
     fn kind(&self) -> &'static str {
         "job"
+    }
+
+    /// Writes the job for a snapshot, as [`Message::save`].
+    fn save(&self, saver: &mut Saver) {
+        saver.refuse();
+    }
+
+    /// Reads a job that was saved.
+    fn restore(_loader: &mut Loader<'_>) -> Option<Self>
+    where
+        Self: Sized,
+    {
+        None
     }
 }
 
@@ -117,6 +131,8 @@ struct Entry<J> {
     attempt: u32,
     epoch: u64,
     bucket: u32,
+    /// Deliveries to its maker before it was pushed, the one at hand included.
+    pushed_in: u64,
     job: J,
 }
 
@@ -149,6 +165,11 @@ struct Shared<J> {
 }
 
 impl<J: Job> Shared<J> {
+    /// What a snapshot keeps of a pool: in replay jobs wait with their workers.
+    fn numbers(&self) -> [&AtomicU64; 6] {
+        [&self.epoch, &self.pushed, &self.completed, &self.stale, &self.dead, &self.requeued]
+    }
+
     fn places(&self) -> &[Arc<Place<J>>] {
         self.places.get().map_or(&[], |places| places)
     }
@@ -321,7 +342,8 @@ impl<M: Message> Cx<'_, M> {
         shared.pushed.fetch_add(1, Ordering::Relaxed);
         let id = self.journal.next_job();
         let bucket = (u32::from(bucket.min(BUCKETS - 1)) + shared.base.load(Ordering::Relaxed)) % 64;
-        shared.put(Entry { id, attempt: 0, epoch, bucket, job }, self.thread);
+        let pushed_in = self.journal.index;
+        shared.put(Entry { id, attempt: 0, epoch, bucket, pushed_in, job }, self.thread);
         Ok(id)
     }
 
@@ -347,6 +369,7 @@ impl<M: Message> Cx<'_, M> {
 pub(crate) struct Popped {
     pub(crate) id: u64,
     pub(crate) attempt: u32,
+    pub(crate) pushed_in: u64,
     pub(crate) stale: bool,
 }
 
@@ -360,8 +383,8 @@ pub(crate) enum Killed {
 pub(crate) trait Seat<A: Actor>: Send {
     /// Pops the best job and holds it.
     fn pop(&mut self, thread: &ThreadCx) -> Option<Popped>;
-    /// Replay: holds this job; false if it was not pushed yet.
-    fn hold(&mut self, id: u64, attempt: u32) -> bool;
+    /// Replay: holds this job and tells when it was pushed; none if it was not yet.
+    fn hold(&mut self, id: u64, attempt: u32) -> Option<u64>;
     fn digest(&self, digest: &mut Digest);
     fn kind(&self) -> &'static str;
     fn content(&self) -> &dyn Any;
@@ -376,6 +399,9 @@ pub(crate) trait Seat<A: Actor>: Send {
     /// Leaves for good unless nobody else is left.
     fn leave(&self, thread: &ThreadCx) -> bool;
     fn leave_regardless(&self, thread: &ThreadCx);
+    /// Writes the jobs that wait for the script of a replay to call for them.
+    fn save(&mut self, saver: &mut Saver);
+    fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()>;
 }
 
 struct SeatOf<J> {
@@ -399,17 +425,17 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
             shared.wake(thread);
         }
         let stale = entry.epoch < shared.epoch.load(Ordering::Relaxed);
-        let popped = Popped { id: entry.id, attempt: entry.attempt, stale };
+        let popped = Popped { id: entry.id, attempt: entry.attempt, pushed_in: entry.pushed_in, stale };
         self.current = Some(entry);
         Some(popped)
     }
 
-    fn hold(&mut self, id: u64, attempt: u32) -> bool {
+    fn hold(&mut self, id: u64, attempt: u32) -> Option<u64> {
         while let Some(entry) = self.place.inbound.pop() {
             self.early.insert((entry.id, entry.attempt), entry);
         }
         self.current = self.early.remove(&(id, attempt));
-        self.current.is_some()
+        self.current.as_ref().map(|entry| entry.pushed_in)
     }
 
     fn digest(&self, digest: &mut Digest) {
@@ -507,12 +533,35 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
         let _ = self.pool.shared.workers.fetch_update(Ordering::SeqCst, Ordering::SeqCst, fewer);
         Seat::<A>::decline(self, thread);
     }
+
+    fn save(&mut self, saver: &mut Saver) {
+        while let Some(entry) = self.place.inbound.pop() {
+            self.early.insert((entry.id, entry.attempt), entry);
+        }
+        saver.put(&(self.early.len() as u64));
+        for Entry { id, attempt, epoch, bucket, pushed_in, job } in self.early.values() {
+            saver.put(&(*id, *attempt, *epoch, *bucket, *pushed_in));
+            job.save(saver);
+        }
+    }
+
+    fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        let count: u64 = loader.take()?;
+        for _ in 0..count {
+            let (id, attempt, epoch, bucket, pushed_in) = loader.take()?;
+            let job = J::restore(loader)?;
+            self.early.insert((id, attempt), Entry { id, attempt, epoch, bucket, pushed_in, job });
+        }
+        Some(())
+    }
 }
 
 /// Tells whether jobs wait, for the runtime's own checks.
 pub(crate) trait AnyPool: Send + Sync {
     fn seal(&self);
     fn stats(&self) -> PoolStats;
+    fn save(&self, saver: &mut Saver);
+    fn restore(&self, loader: &mut Loader<'_>) -> Option<()>;
 }
 
 impl<J: Job> AnyPool for JobPool<J> {
@@ -522,6 +571,20 @@ impl<J: Job> AnyPool for JobPool<J> {
 
     fn stats(&self) -> PoolStats {
         Self::stats(self)
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        saver.put(&self.shared.numbers().map(|number| number.load(Ordering::Relaxed)));
+    }
+
+    fn restore(&self, loader: &mut Loader<'_>) -> Option<()> {
+        let saved: [u64; 6] = loader.take()?;
+        self.shared
+            .numbers()
+            .iter()
+            .zip(saved)
+            .for_each(|(number, saved)| number.store(saved, Ordering::Relaxed));
+        Some(())
     }
 }
 

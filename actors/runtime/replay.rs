@@ -3,12 +3,14 @@
 use std::collections::VecDeque;
 use std::fmt;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use crate::journal::Payload;
 use crate::log::format::{Hashing, Symbol, value};
-use crate::log::reader::{ActorLog, Trace, Walk};
-use crate::mailbox::Inbound;
+use crate::log::reader::Trace;
+use crate::log::walk::{ActorLog, Walk};
+use crate::mailbox::{Inbound, signal};
 use crate::message::ActorId;
 use crate::node::ScriptState;
 use crate::runtime::{Limit, Runtime};
@@ -151,6 +153,14 @@ impl Script {
         self.walk.pass(next.payload, next.after);
     }
 
+    pub(crate) fn walk(&self) -> &Walk {
+        &self.walk
+    }
+
+    pub(crate) fn go_on_from(&mut self, walk: Walk) {
+        self.walk = walk;
+    }
+
     /// Nothing more is recorded of this actor.
     pub(crate) fn exhausted(&mut self) -> bool {
         self.walk.peek(&self.log).is_none()
@@ -188,7 +198,7 @@ impl Script {
 
 /// Messages that were made anew and wait until the script calls for them, by sender and lane.
 pub(crate) struct Stash<M> {
-    waiting: Vec<(Symbol, VecDeque<M>)>,
+    waiting: Vec<(Symbol, VecDeque<(u64, M)>)>,
 }
 
 impl<M> Stash<M> {
@@ -199,13 +209,22 @@ impl<M> Stash<M> {
     pub(crate) fn put(&mut self, inbound: Inbound<M>) {
         let symbol = Symbol { from: inbound.from, lane: inbound.lane };
         match self.waiting.iter_mut().find(|(other, _)| *other == symbol) {
-            Some((_, queue)) => queue.push_back(inbound.message),
-            None => self.waiting.push((symbol, VecDeque::from([inbound.message]))),
+            Some((_, queue)) => queue.push_back((inbound.sent_in, inbound.message)),
+            None => self.waiting.push((symbol, VecDeque::from([(inbound.sent_in, inbound.message)]))),
         }
     }
 
-    /// Takes the message after `skipped` older ones; none if it is not there yet.
-    pub(crate) fn take(&mut self, symbol: Symbol, skipped: u32) -> Option<M> {
+    /// All messages that wait: sender, way, deliveries to the sender by then, message.
+    pub(crate) fn messages(&self) -> impl Iterator<Item = (ActorId, u8, u64, &M)> {
+        let queues = self.waiting.iter();
+        queues.flat_map(|(symbol, queue)| {
+            queue.iter().map(|(sent_in, message)| (symbol.from, symbol.lane, *sent_in, message))
+        })
+    }
+
+    /// Takes the message after `skipped` older ones, with the deliveries to its sender by then; none if it is not there
+    /// yet.
+    pub(crate) fn take(&mut self, symbol: Symbol, skipped: u32) -> Option<(u64, M)> {
         let (_, queue) = self.waiting.iter_mut().find(|(other, _)| *other == symbol)?;
         if queue.len() <= skipped as usize {
             return None;
@@ -218,6 +237,7 @@ impl<M> Stash<M> {
 impl Runtime {
     /// Replays to the end of the recording, or to where it was to stop.
     pub fn replay(&mut self) -> ReplayReport {
+        self.set_limits(|_| u64::MAX);
         self.pump(Limit::IDLE);
         self.replay_report()
     }
@@ -303,7 +323,9 @@ impl Runtime {
 
     /// Waits until no turn runs: they end soon after a halt.
     pub(crate) fn settle(&self) {
-        while self.threads.is_some() && self.env.scheduler.busy(self.env.halted()) {
+        // A main thread that works alone is the only one to run turns, and it is here.
+        let others = self.threads.is_some() && self.threads() > 0;
+        while others && self.env.scheduler.busy(self.env.halted()) {
             std::thread::park_timeout(Duration::from_micros(100));
         }
     }
@@ -312,15 +334,67 @@ impl Runtime {
     pub fn resume(&mut self, until: Option<Until>) {
         self.settle();
         self.env.set_until(until);
+        self.set_limits(|_| u64::MAX);
         self.env.go_on();
     }
 
-    /// Makes one delivery, on a system whose main thread is alone. False if there is none to make.
-    pub fn step(&mut self) -> bool {
-        let before = self.deliveries();
-        let messages = self.env.budget.set_messages(1);
-        self.pump_until(Limit::IDLE, |runtime| runtime.deliveries() > before);
-        self.env.budget.set_messages(messages);
-        self.deliveries() > before
+    fn set_limits(&self, limit: impl Fn(usize) -> u64) {
+        let actors = self.actors().iter().zip(self.nodes.iter()).enumerate();
+        for (actor, (_, node)) in actors.filter(|(_, (info, _))| info.class.is_some()) {
+            let link = node.link();
+            link.limit.store(limit(actor), Ordering::SeqCst);
+            // Whoever waited at its limit looks again.
+            link.raise(signal::FLUSH, &self.thread);
+        }
+    }
+
+    /// Makes exactly the deliveries of `cut` (how many to each actor, by identity) that are not made yet. True if they
+    /// were made: a cut that ends between a message and its cause cannot be reached, nor can one behind the replay.
+    ///
+    /// Other threads begin as soon as the system is built: give it none, or an [`Until`], to be before the cut here.
+    pub fn run_to(&mut self, cut: &[u64]) -> bool {
+        self.run_within(cut, None);
+        let positions = self.positions();
+        positions.iter().zip(cut).all(|((deliveries, _), end)| deliveries == end)
+    }
+
+    /// The same, stopping at `until` if that comes before.
+    pub fn run_within(&mut self, cut: &[u64], until: Option<Until>) {
+        self.settle();
+        self.env.set_until(until);
+        self.set_limits(|actor| cut.get(actor).copied().unwrap_or(0));
+        self.env.go_on();
+        self.pump(Limit::IDLE);
+    }
+
+    /// Makes one delivery and returns its actor; none if there is none to make. Of the actors that can go on, the one
+    /// goes that has the least of its recording behind it, so steps come about as they came when it was recorded, and
+    /// in the same order wherever one begins. Where `within` is given, no actor goes beyond it.
+    pub fn step(&mut self, within: Option<&[u64]>) -> Option<ActorId> {
+        self.settle();
+        let before: Vec<u64> = self.positions().into_iter().map(|(deliveries, _)| deliveries).collect();
+        // First all that have not started do so.
+        self.run_to(&before);
+        let end = |actor: usize| {
+            let recorded = self.env.trace.as_ref().map_or(0, |trace| trace.deliveries(ActorId(actor as u32)));
+            recorded.min(within.and_then(|cut| cut.get(actor).copied()).unwrap_or(u64::MAX))
+        };
+        let recorded = |actor: usize| {
+            self.env.trace.as_ref().map_or(1, |trace| trace.deliveries(ActorId(actor as u32))).max(1)
+        };
+        let mut order: Vec<usize> = (0..before.len()).filter(|actor| before[*actor] < end(*actor)).collect();
+        order.sort_by(|a, b| {
+            let behind =
+                |actor: usize, other: usize| u128::from(before[actor] + 1) * u128::from(recorded(other));
+            behind(*a, *b).cmp(&behind(*b, *a)).then(a.cmp(b))
+        });
+        for actor in order {
+            let mut cut = before.clone();
+            cut[actor] += 1;
+            if self.run_to(&cut) || self.diverged() {
+                return Some(ActorId(actor as u32));
+            }
+        }
+        None
     }
 }

@@ -117,13 +117,13 @@ impl Runtime {
         let classes: Vec<Option<Class>> = infos.iter().map(|info| info.class).collect();
         let thread = ThreadCx::outside();
         links.iter().for_each(|link| link.raise(signal::START, &thread));
-        let threads = Threads::start(&env, &nodes, parts.locals).map_err(BuildError::Threads)?;
+        let restored = parts.from;
         let driver = parts.simulation.map(|simulation| Box::new(Driver::new(simulation, &classes)));
-        let runtime = Self {
+        let mut runtime = Self {
             env,
             nodes,
             pools,
-            threads: Some(threads),
+            threads: None,
             writer,
             driver,
             failure: None,
@@ -132,6 +132,11 @@ impl Runtime {
             heavy_passed: 0,
             stays: PhantomData,
         };
+        if let Some(snapshot) = restored {
+            runtime.restore(&snapshot).ok_or(BuildError::OtherSnapshot)?;
+        }
+        let threads = Threads::start(&runtime.env, &runtime.nodes, parts.locals);
+        runtime.threads = Some(threads.map_err(BuildError::Threads)?);
         Ok((runtime, wired))
     }
 

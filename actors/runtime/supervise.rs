@@ -1,5 +1,6 @@
 //! What happens when an actor panics: the mailbox stays in order, the job goes back, and somebody is told.
 
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
 use crate::message::ActorId;
@@ -17,7 +18,7 @@ pub enum OnPanic<A> {
 }
 
 /// What the supervisor is told.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Incident {
     /// A turn panicked.
     Panicked {
@@ -26,7 +27,7 @@ pub enum Incident {
         /// Its name.
         name: String,
         /// What it was handling.
-        kind: &'static str,
+        kind: String,
         /// The panic's message.
         message: String,
     },
@@ -54,7 +55,7 @@ const PANICS_MAX: usize = 8;
 const WINDOW: u64 = 64;
 
 /// Counts an actor's panics, by deliveries rather than by time, so that replay counts alike.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Circuit {
     recent: VecDeque<u64>,
 }

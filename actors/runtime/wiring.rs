@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::marker::PhantomData;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64};
 
 use crate::activation::Activation;
 use crate::actor::{Actor, Class, post};
@@ -17,6 +17,7 @@ use crate::port::{External, Port};
 use crate::profile::Counters;
 use crate::replay::Script;
 use crate::scheduler::ThreadCx;
+use crate::snapshot::{Loader, Saver};
 use crate::supervise::{Incident, OnPanic};
 
 /// An address whose actor is still to come.
@@ -89,6 +90,7 @@ impl Wiring {
             parked: AtomicBool::new(false),
             closed: AtomicBool::new(false),
             unflushed: AtomicBool::new(false),
+            limit: AtomicU64::new(u64::MAX),
             counters: Arc::new(Counters::new(self.ring_turns)),
             env: Arc::clone(&self.env),
         });
@@ -184,6 +186,7 @@ impl PortNode {
             parked: AtomicBool::new(false),
             closed: AtomicBool::new(true),
             unflushed: AtomicBool::new(false),
+            limit: AtomicU64::new(u64::MAX),
             counters: Arc::new(Counters::new(1)),
             env: Arc::clone(env),
         });
@@ -211,6 +214,12 @@ impl Runnable for PortNode {
     }
 
     fn end_log(&self) {}
+
+    fn save(&self, _saver: &mut Saver) {}
+
+    fn restore(&self, _loader: &mut Loader<'_>) -> Option<()> {
+        Some(())
+    }
 
     fn clear(&self) {}
 

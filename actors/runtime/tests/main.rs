@@ -6,4 +6,5 @@ mod live;
 mod recording;
 mod ring;
 mod simulation;
+mod snapshots;
 mod workshop;

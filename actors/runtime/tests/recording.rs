@@ -174,9 +174,9 @@ fn replay_stops_where_it_is_told_and_goes_on() {
     assert_eq!(runtime.positions()[office.0 as usize].0, index + 1);
     runtime.resume(None);
     let before = runtime.deliveries();
-    assert!(runtime.step() && runtime.deliveries() == before + 1);
+    assert!(runtime.step(None).is_some() && runtime.deliveries() == before + 1);
     assert_complete(&runtime.replay());
-    assert!(!runtime.step());
+    assert_eq!(runtime.step(None), None);
 }
 
 #[test]

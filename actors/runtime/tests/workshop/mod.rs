@@ -21,6 +21,15 @@ impl Job for Task {
     fn describe(&self) -> String {
         format!("task {}", self.number)
     }
+
+    fn save(&self, saver: &mut Saver) {
+        saver.put(&(self.number, self.kills));
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        let (number, kills) = loader.take()?;
+        Some(Self { number, kills })
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -28,6 +37,7 @@ pub struct Order {
     pub tasks: u64,
 }
 
+#[derive(Serialize, Deserialize)]
 pub enum OfficeMsg {
     Order(Order),
     Done { number: u64, by: u32 },
@@ -65,6 +75,14 @@ impl Message for OfficeMsg {
 
     fn lane(&self) -> Lane {
         if matches!(self, Self::Incident(_)) { Lane::Control } else { Lane::Data }
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        saver.put(self);
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        loader.take()
     }
 }
 
@@ -141,8 +159,18 @@ impl Actor for Office {
     fn digest(&self) -> Option<u64> {
         Some(self.state)
     }
+
+    fn save(&self, saver: &mut Saver) {
+        saver.put(&(self.made, self.done, self.given_up, self.panics, self.reminders, self.state));
+    }
+
+    fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        (self.made, self.done, self.given_up, self.panics, self.reminders, self.state) = loader.take()?;
+        Some(())
+    }
 }
 
+#[derive(Serialize, Deserialize)]
 pub enum WorkerMsg {
     Plan(u64),
 }
@@ -159,6 +187,14 @@ impl Message for WorkerMsg {
 
     fn lane(&self) -> Lane {
         Lane::Latest(2)
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        saver.put(self);
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        loader.take()
     }
 }
 
@@ -179,6 +215,15 @@ impl Actor for Hand {
     fn handle(&mut self, message: WorkerMsg, _: &mut Cx<'_, WorkerMsg>) {
         let WorkerMsg::Plan(plan) = message;
         self.plan = plan;
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        saver.put(&(self.plan, &self.kills));
+    }
+
+    fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        (self.plan, self.kills) = loader.take()?;
+        Some(())
     }
 }
 

@@ -1,0 +1,198 @@
+//! A position in the five streams of one actor's log, and how it moves on.
+
+use serde::{Deserialize, Serialize};
+
+use super::format::{Cursor, Header, Symbol, lane, value};
+use crate::journal::Payload;
+
+/// What was delivered to one actor, as recorded.
+#[derive(Debug, Default)]
+pub(crate) struct ActorLog {
+    pub(crate) symbols: Vec<Symbol>,
+    pub(crate) order: Vec<u8>,
+    pub(crate) external: Vec<u8>,
+    pub(crate) values: Vec<u8>,
+    pub(crate) hashes: Vec<u8>,
+    pub(crate) rejected: Vec<u8>,
+    pub(crate) deliveries: u64,
+    pub(crate) chain: u64,
+}
+
+/// A value an actor asked for or said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Value {
+    pub(crate) index: u64,
+    pub(crate) tag: u8,
+    /// Time in nanoseconds, duration code, mark, or verdict.
+    pub(crate) content: u64,
+    /// Of a mark.
+    pub(crate) kind: u32,
+}
+
+/// Positions in the streams of one actor.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Walk {
+    order: usize,
+    run: Option<(u32, u64)>,
+    external: usize,
+    last_job: u64,
+    last_timer: u64,
+    values: usize,
+    last_value: u64,
+    last_now: u64,
+    hashes: usize,
+    rejected: usize,
+    last_rejected: u64,
+    peeked_rejected: Option<u64>,
+}
+
+impl Walk {
+    /// Whose message is delivered next.
+    pub(crate) fn peek(&mut self, log: &ActorLog) -> Option<Symbol> {
+        if self.run.is_none() {
+            let mut cursor = Cursor::new(&log.order, self.order);
+            let code = cursor.number()?;
+            let length = if code & 1 == 1 { cursor.number()?.checked_add(2)? } else { 1 };
+            self.order = cursor.at;
+            self.run = Some((u32::try_from(code >> 1).ok()?, length));
+        }
+        let (number, _) = self.run?;
+        log.symbols.get(number as usize).copied()
+    }
+
+    /// The payload of the next delivery, without passing it.
+    pub(crate) fn payload<'a>(
+        &self,
+        log: &'a ActorLog,
+        symbol: Symbol,
+        port: bool,
+    ) -> Option<(Payload<'a>, usize)> {
+        let mut cursor = Cursor::new(&log.external, self.external);
+        let payload = match symbol.lane {
+            _ if port => Payload::External(cursor.bytes()?),
+            lane::TIMER => {
+                let timer = u32::try_from(cursor.number()?).ok()?;
+                Payload::Timer { timer, time: self.last_timer.wrapping_add(cursor.signed()? as u64) }
+            }
+            lane::ORDER => Payload::Order(u32::try_from(cursor.number()?).ok()?),
+            lane::JOB | lane::STALE => {
+                let id = self.last_job.wrapping_add(cursor.signed()? as u64);
+                Payload::Job { id, attempt: u32::try_from(cursor.number()?).ok()? }
+            }
+            lane::DATA | lane::CONTROL => Payload::None,
+            lane::LATEST..lane::END => Payload::Skipped(u32::try_from(cursor.number()?).ok()?),
+            _ => return None,
+        };
+        Some((payload, cursor.at))
+    }
+
+    /// Passes the delivery whose payload [`Walk::payload`] gave.
+    pub(crate) fn pass(&mut self, payload: Payload<'_>, external: usize) {
+        if let Some((_, left)) = &mut self.run {
+            *left -= 1;
+            if *left == 0 {
+                self.run = None;
+            }
+        }
+        self.external = external;
+        match payload {
+            Payload::Timer { time, .. } => self.last_timer = time,
+            Payload::Job { id, .. } => self.last_job = id,
+            _ => {}
+        }
+    }
+
+    /// Delivery and tag of the next value.
+    pub(crate) fn peek_value(&self, log: &ActorLog) -> Option<(u64, u8)> {
+        let mut cursor = Cursor::new(&log.values, self.values);
+        let index = self.last_value.checked_add(cursor.number()?)?;
+        Some((index, cursor.byte()?))
+    }
+
+    /// Takes the next value.
+    pub(crate) fn value(&mut self, log: &ActorLog) -> Option<Value> {
+        let mut cursor = Cursor::new(&log.values, self.values);
+        let index = self.last_value.checked_add(cursor.number()?)?;
+        let tag = cursor.byte()?;
+        let mut kind = 0;
+        let content = match tag {
+            value::NOW => {
+                self.last_now = self.last_now.wrapping_add(cursor.signed()? as u64);
+                self.last_now.checked_mul(1000)?
+            }
+            value::MEASURED | value::VERDICT => cursor.number()?,
+            value::MARK => {
+                kind = u32::try_from(cursor.number()?).ok()?;
+                cursor.u64()?
+            }
+            value::FAULT => 0,
+            _ => return None,
+        };
+        self.last_value = index;
+        self.values = cursor.at;
+        Some(Value { index, tag, content, kind })
+    }
+
+    pub(crate) fn hash24(&mut self, log: &ActorLog) -> Option<u32> {
+        let mut cursor = Cursor::new(&log.hashes, self.hashes);
+        let hash = cursor.u24()?;
+        self.hashes = cursor.at;
+        Some(hash)
+    }
+
+    pub(crate) fn hash64(&mut self, log: &ActorLog) -> Option<u64> {
+        let mut cursor = Cursor::new(&log.hashes, self.hashes);
+        let hash = cursor.u64()?;
+        self.hashes = cursor.at;
+        Some(hash)
+    }
+
+    /// Whether send `number` came back; asked once for each send, in order.
+    pub(crate) fn rejects(&mut self, log: &ActorLog, number: u64) -> bool {
+        if self.peeked_rejected.is_none() {
+            let mut cursor = Cursor::new(&log.rejected, self.rejected);
+            let Some(step) = cursor.number() else { return false };
+            self.rejected = cursor.at;
+            self.last_rejected = self.last_rejected.wrapping_add(step);
+            self.peeked_rejected = Some(self.last_rejected);
+        }
+        let rejects = self.peeked_rejected == Some(number);
+        if rejects {
+            self.peeked_rejected = None;
+        }
+        rejects
+    }
+
+    /// Passes the next `count` deliveries and checks that all of them, and all values, can be decoded.
+    pub(crate) fn validate(&mut self, log: &ActorLog, header: &Header, count: u64) -> Option<()> {
+        let mut left = count;
+        while left > 0 {
+            let symbol = self.peek(log)?;
+            let port = header.nodes[symbol.from.0 as usize].class.is_none();
+            let (_, run) = self.run?;
+            if matches!(symbol.lane, lane::DATA | lane::CONTROL) && !port {
+                // Runs without payloads pass at once: their length may be any number.
+                left = left.checked_sub(run)?;
+                self.run = None;
+            } else {
+                let (payload, external) = self.payload(log, symbol, port)?;
+                self.pass(payload, external);
+                left -= 1;
+            }
+        }
+        let ended =
+            self.run.is_none() && self.order == log.order.len() && self.external == log.external.len();
+        while self.values < log.values.len() {
+            let value = self.value(log)?;
+            if value.index > log.deliveries {
+                return None;
+            }
+        }
+        let mut rejected = Cursor::new(&log.rejected, self.rejected);
+        while !rejected.is_empty() {
+            rejected.number()?;
+        }
+        self.rejected = rejected.at;
+        ended.then_some(())
+    }
+}

@@ -30,6 +30,8 @@ pub struct Settings {
     pub ageing: AgeingRules,
     /// Most samples kept.
     pub cache_capacity: usize,
+    /// Most bytes of environment maps; with 0 only the coarsest of each object is drawn.
+    pub environment_bytes: u64,
     /// Winner takes all: the most attended object converges before the next.
     pub winner_takes_all: bool,
 }
@@ -49,6 +51,7 @@ impl Settings {
             footprint: Footprint::Tile,
             ageing: AgeingRules::default(),
             cache_capacity: (1 << 18).max(width as usize * height as usize),
+            environment_bytes: 64 << 20,
             winner_takes_all: false,
         }
     }
@@ -58,7 +61,7 @@ impl Settings {
         Lattice::new(self.k_max, [self.width as i32 / 2, self.height as i32 / 2])
     }
 
-    /// Jobs in the pool or with a tracer: enough that no tracer waits between two turns of the allocator, few
+    /// Jobs of samples in the pool or with a tracer: enough that no tracer waits between two turns of the allocator, few
     /// enough that a new view or priority takes effect within milliseconds.
     pub fn jobs_in_flight(&self) -> u32 {
         2 * self.tracers + 2

@@ -2,12 +2,19 @@
 
 use std::sync::Arc;
 
+use foveal::allocation::environment::MapContrast;
 use foveal::allocation::jobs::job_pixels;
+use foveal::display::environment_map::{self, EnvironmentMap, capture, direction, solid_angle};
+use foveal::image::luminance;
 use foveal::sampling::Lattice;
 use foveal::splatting::trace::{Owner, trace_samples};
 use foveal_runtime::{Actor, Address, Class, Cx, Worker};
 
-use crate::message::{AllocatorMessage, CacheAgerMessage, RendererMessage, TraceJob, TracerMessage};
+use crate::message::tracer::EnvironmentWork;
+use crate::message::{
+    AllocatorMessage, CacheAgerMessage, EnvironmentOrder, RendererMessage, SampleOrder, TraceJob,
+    TracerMessage,
+};
 use crate::outbox::Outbox;
 
 /// A tracer's state.
@@ -39,7 +46,57 @@ impl Tracer {
         self.outbox.is_empty()
     }
 
-    fn job_done(&mut self, job: &TraceJob, samples: u32, cx: &mut Cx<'_, TracerMessage>) {
+    fn trace_samples(&mut self, job: &SampleOrder, cx: &mut Cx<'_, TracerMessage>) {
+        let drawn = &job.drawn;
+        let owner =
+            Owner { view: drawn.view.0, object: job.order.object, k: self.lattice.k_of(job.order.level) };
+        let pixels = job_pixels(&self.lattice, &job.order, &drawn.buffers.object);
+        let batch =
+            Arc::new(trace_samples(&drawn.world, &drawn.frame, &drawn.buffers, owner, pixels, job.seed));
+        let (samples, hash) = (batch.len() as u32, batch.digest());
+        // Samples before the word that the job is done: so the allocator's "converged" comes after them.
+        let to_renderer = RendererMessage::SamplesTraced { batch: batch.clone(), tracer: self.index, hash };
+        self.outbox.tell(cx, &self.renderer, to_renderer);
+        self.outbox.tell(cx, &self.cache_ager, CacheAgerMessage::SamplesTraced { batch, hash });
+        self.job_done(job, samples, cx);
+    }
+
+    fn capture(&mut self, order: &EnvironmentOrder, cx: &mut Cx<'_, TracerMessage>) {
+        let Some(probe) = order.probes.probes.get(order.object as usize) else { return };
+        match &order.work {
+            EnvironmentWork::Capture { first, count } => {
+                let texels = *first as usize..(*first + *count) as usize;
+                let side = order.side as usize;
+                let (split_sum, centre) = (&order.probes.split_sum, probe.centre);
+                let (seen, duration) =
+                    cx.measure(|| capture(&order.world, split_sum, order.object, centre, side, texels));
+                let hash = environment_map::digest(&seen);
+                let seconds = duration.as_secs_f32();
+                let captured = AllocatorMessage::EnvironmentCaptured {
+                    object: order.object,
+                    seen: Arc::new(seen),
+                    hash,
+                    seconds,
+                };
+                self.outbox.tell(cx, &self.allocator, captured);
+            }
+            EnvironmentWork::Filter { seen } => {
+                let map = EnvironmentMap::of_capture(probe.centre, order.side as usize, seen, order.exponent);
+                let contrast = contrast(&map, &probe.map);
+                let hash = map.digest();
+                let changed = RendererMessage::EnvironmentChanged {
+                    object: order.object,
+                    map: Some(Arc::new(map)),
+                    hash,
+                };
+                self.outbox.tell(cx, &self.renderer, changed);
+                let filtered = AllocatorMessage::EnvironmentFiltered { object: order.object, contrast };
+                self.outbox.tell(cx, &self.allocator, filtered);
+            }
+        }
+    }
+
+    fn job_done(&mut self, job: &SampleOrder, samples: u32, cx: &mut Cx<'_, TracerMessage>) {
         let done = AllocatorMessage::JobDone {
             view: job.drawn.view,
             object: job.order.object,
@@ -66,21 +123,36 @@ impl Worker for Tracer {
     type Job = TraceJob;
 
     fn run(&mut self, job: &TraceJob, cx: &mut Cx<'_, TracerMessage>) {
-        let drawn = &job.drawn;
-        let owner =
-            Owner { view: drawn.view.0, object: job.order.object, k: self.lattice.k_of(job.order.level) };
-        let pixels = job_pixels(&self.lattice, &job.order, &drawn.buffers.object);
-        let batch =
-            Arc::new(trace_samples(&drawn.world, &drawn.frame, &drawn.buffers, owner, pixels, job.seed));
-        let (samples, hash) = (batch.len() as u32, batch.digest());
-        // Samples before the word that the job is done: so the allocator's "converged" comes after them.
-        let to_renderer = RendererMessage::SamplesTraced { batch: batch.clone(), tracer: self.index, hash };
-        self.outbox.tell(cx, &self.renderer, to_renderer);
-        self.outbox.tell(cx, &self.cache_ager, CacheAgerMessage::SamplesTraced { batch, hash });
-        self.job_done(job, samples, cx);
+        match job {
+            TraceJob::Samples(order) => self.trace_samples(order, cx),
+            TraceJob::Environment(order) => self.capture(order, cx),
+        }
     }
 
     fn stale(&mut self, job: TraceJob, cx: &mut Cx<'_, TracerMessage>) {
-        self.job_done(&job, 0, cx);
+        match job {
+            TraceJob::Samples(order) => self.job_done(&order, 0, cx),
+            TraceJob::Environment(order) => {
+                let nothing = AllocatorMessage::EnvironmentCaptured {
+                    object: order.object,
+                    seen: Arc::new(Vec::new()),
+                    hash: 0,
+                    seconds: 0.0,
+                };
+                self.outbox.tell(cx, &self.allocator, nothing);
+            }
+        }
     }
+}
+
+/// What is lost where the coarse map is drawn in the place of the fine one.
+fn contrast(fine: &EnvironmentMap, coarse: &EnvironmentMap) -> MapContrast {
+    let side = fine.radiance().side();
+    let texels: Vec<f32> = fine.radiance().texels().iter().map(|&t| luminance(t)).collect();
+    let (mut drawn, mut weights) = (Vec::with_capacity(texels.len()), Vec::with_capacity(texels.len()));
+    for i in 0..texels.len() {
+        drawn.push(luminance(coarse.radiance().sample(direction(side, i))));
+        weights.push(solid_angle(side, i));
+    }
+    MapContrast::of_map(&texels, &drawn, &weights)
 }

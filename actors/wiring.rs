@@ -9,11 +9,15 @@
 //! | allocator | views, ranks, one answer for each job in flight | jobs in flight are bounded by `Settings::jobs_in_flight` |
 //! | analyzer | one frame, the newest | |
 
+use std::sync::Arc;
+
+use foveal::display::first_approximation::{FirstApproximation, Probes};
 use foveal::display::twin::Passes;
 use foveal::world::World;
 use foveal_runtime::{Bounds, Declared, Handle, JobPool, OnPanic, Port, Wiring};
 
 use crate::allocator::Allocator;
+use crate::allocator::environments::Environments;
 use crate::analyzer::Analyzer;
 use crate::cache_ager::CacheAger;
 use crate::message::{AllocatorMessage, RendererInput, RendererMessage, TraceJob};
@@ -76,7 +80,7 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
     let renderer: Declared<Renderer> = wiring.declare(Bounds::messages(batches + 64));
     let input = wiring.port("input", &renderer.address());
     if !corrects {
-        let actor = Renderer::new(settings, world, passes, None, stages, sink);
+        let actor = Renderer::new(settings, world, passes, None, None, stages, sink);
         let renderer = wiring.spawn(renderer, actor);
         return Actors { input, renderer, correction: None, tracers: Vec::new(), pool: None };
     }
@@ -105,6 +109,7 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
         allocator: allocator.address(),
         analyzer: analyzer.address(),
     };
+    let probes = Arc::new(Probes::of_world(&world));
     let correction = Correction {
         cache_ager: {
             let actor = CacheAger::new(settings, &world, renderer.address(), stages.clone());
@@ -115,11 +120,20 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
             wiring.spawn(analyzer, actor)
         },
         allocator: {
-            let actor = Allocator::new(settings, renderer.address(), pool.clone(), addresses, stages.clone());
+            let environments = Environments::new(world.clone(), probes.clone(), settings.environment_bytes);
+            let actor = Allocator::new(
+                settings,
+                renderer.address(),
+                pool.clone(),
+                addresses,
+                environments,
+                stages.clone(),
+            );
             wiring.spawn(allocator, actor)
         },
     };
-    let actor = Renderer::new(settings, world, passes, Some(neighbours), stages, sink);
+    let approximation = Some(FirstApproximation::new(probes));
+    let actor = Renderer::new(settings, world, passes, Some(neighbours), approximation, stages, sink);
     let renderer = wiring.spawn(renderer, actor);
     Actors { input, renderer, correction: Some(correction), tracers, pool: Some(pool) }
 }

@@ -3,6 +3,7 @@
 //! The program runs as a process of its own, on the bundled scenes at small sizes, with illumination baked
 //! cheaply into a folder that the tests of one run share.
 
+mod approximation;
 mod bundled;
 mod exits;
 mod hostile;

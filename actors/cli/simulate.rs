@@ -442,7 +442,7 @@ impl Watched {
         let stats = self.pool.stats();
         let out = stats.pushed.saturating_sub(stats.completed + stats.stale + stats.dead);
         if let Some(in_flight) = runtime.inspect(self.correction.allocator, Allocator::in_flight)
-            && (u64::from(in_flight) < out || in_flight > settings.jobs_in_flight())
+            && (u64::from(in_flight) < out || in_flight > settings.jobs_in_flight() + 1)
         {
             return Err(format!("the allocator counts {in_flight} jobs in flight, {out} are out"));
         }

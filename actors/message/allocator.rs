@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use foveal::allocation::environment::MapContrast;
+use foveal::display::environment_map::Seen;
 use foveal_runtime::{Digest, Incident, Lane, Message};
 
 use super::{DrawnView, View};
@@ -38,6 +40,24 @@ pub enum AllocatorMessage {
         /// Samples traced.
         samples: u32,
     },
+    /// From a tracer: part of an environment map is captured.
+    EnvironmentCaptured {
+        /// Whose map.
+        object: u32,
+        /// What was seen; nothing where the order came back.
+        seen: Arc<Vec<Seen>>,
+        /// Hash of it.
+        hash: u64,
+        /// How long that took on one core, seconds, as measured.
+        seconds: f32,
+    },
+    /// From a tracer: a map is with the renderer.
+    EnvironmentFiltered {
+        /// Whose map.
+        object: u32,
+        /// What is lost without it.
+        contrast: MapContrast,
+    },
     /// From the runtime: an actor panicked, a job was given up, or a tracer was stopped.
     Incident(Incident),
     /// From its own timer: send what was not accepted.
@@ -61,6 +81,16 @@ impl Message for AllocatorMessage {
                     digest.u32(word);
                 }
             }
+            Self::EnvironmentCaptured { object, seen: _, hash, seconds } => {
+                digest.u32(*object);
+                digest.u64(*hash);
+                digest.f32(*seconds);
+            }
+            Self::EnvironmentFiltered { object, contrast } => {
+                digest.u32(*object);
+                digest.f32(contrast.mean);
+                digest.f32(contrast.relative_difference);
+            }
             Self::Incident(incident) => digest.bytes(format!("{incident:?}").as_bytes()),
             Self::SendAgain => {}
         }
@@ -72,6 +102,8 @@ impl Message for AllocatorMessage {
             Self::ViewDrawn { .. } => "ViewDrawn",
             Self::ObjectsRanked { .. } => "ObjectsRanked",
             Self::JobDone { .. } => "JobDone",
+            Self::EnvironmentCaptured { .. } => "EnvironmentCaptured",
+            Self::EnvironmentFiltered { .. } => "EnvironmentFiltered",
             Self::Incident(_) => "Incident",
             Self::SendAgain => "SendAgain",
         }
@@ -84,6 +116,8 @@ impl Message for AllocatorMessage {
             | Self::ViewDrawn { .. }
             | Self::ObjectsRanked { .. }
             | Self::JobDone { .. }
+            | Self::EnvironmentCaptured { .. }
+            | Self::EnvironmentFiltered { .. }
             | Self::SendAgain => Lane::Data,
         }
     }

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use foveal::display::environment_map::EnvironmentMap;
 use foveal::scene::Camera;
 use foveal::splatting::{SampleBatch, WarpedSample};
 use foveal_runtime::{Digest, Message};
@@ -50,6 +51,15 @@ pub enum RendererMessage {
         /// Their hash.
         hash: u64,
     },
+    /// From a tracer: an object's environment map is ready; or from the allocator: it is given up.
+    EnvironmentChanged {
+        /// Whose map.
+        object: u32,
+        /// The map; none where it is given up.
+        map: Option<Arc<EnvironmentMap>>,
+        /// Its hash.
+        hash: u64,
+    },
     /// From the allocator: every sample of the view has been traced, and all of them are in the
     /// mailbox before this message.
     ViewConverged {
@@ -86,6 +96,10 @@ impl Message for RendererMessage {
                 digest.u32(*tracer);
                 digest.u64(*hash);
             }
+            Self::EnvironmentChanged { object, map: _, hash } => {
+                digest.u32(*object);
+                digest.u64(*hash);
+            }
             Self::ViewConverged { view } => digest.u32(view.0),
             Self::SendAgain => {}
         }
@@ -97,6 +111,7 @@ impl Message for RendererMessage {
             Self::Input(RendererInput::DeadlineReached { .. }) => "DeadlineReached",
             Self::SamplesAged { .. } => "SamplesAged",
             Self::SamplesTraced { .. } => "SamplesTraced",
+            Self::EnvironmentChanged { .. } => "EnvironmentChanged",
             Self::ViewConverged { .. } => "ViewConverged",
             Self::SendAgain => "SendAgain",
         }
@@ -106,6 +121,7 @@ impl Message for RendererMessage {
         match self {
             Self::SamplesAged { samples, .. } => samples.len() * size_of::<WarpedSample>(),
             Self::SamplesTraced { batch, .. } => batch.size_bytes(),
+            Self::EnvironmentChanged { map, .. } => map.as_ref().map_or(0, |map| map.bytes()),
             Self::Input(_) | Self::ViewConverged { .. } | Self::SendAgain => 0,
         }
     }

@@ -3,19 +3,68 @@
 use std::sync::Arc;
 
 use foveal::allocation::jobs::SampleJob;
+use foveal::display::environment_map::Seen;
+use foveal::display::first_approximation::Probes;
+use foveal::world::World;
 use foveal_runtime::{Digest, Job, Message};
 
 use super::DrawnView;
 
 /// An order for a tracer, complete in itself.
 #[derive(Clone, Debug)]
-pub struct TraceJob {
+pub enum TraceJob {
+    /// Samples of a view.
+    Samples(SampleOrder),
+    /// Part of an environment map.
+    Environment(EnvironmentOrder),
+}
+
+/// Samples to trace.
+#[derive(Clone, Debug)]
+pub struct SampleOrder {
     /// The view to trace for.
     pub drawn: Arc<DrawnView>,
     /// Which samples.
     pub order: SampleJob,
     /// Seed of the random numbers.
     pub seed: u64,
+}
+
+/// Part of an object's environment map.
+#[derive(Clone, Debug)]
+pub struct EnvironmentOrder {
+    /// What is seen.
+    pub world: World,
+    /// Where maps are captured.
+    pub probes: Arc<Probes>,
+    /// The object.
+    pub object: u32,
+    /// Texels along an edge.
+    pub side: u32,
+    /// Phong exponent of its lobe; none for a mirror.
+    pub exponent: Option<f32>,
+    /// What to do.
+    pub work: EnvironmentWork,
+}
+
+/// What the description of a job says if it belongs to a map.
+pub const ENVIRONMENT_MAP: &str = "of the environment map";
+
+/// The two steps to a map.
+#[derive(Clone, Debug)]
+pub enum EnvironmentWork {
+    /// Trace `count` texels from `first` on.
+    Capture {
+        /// First texel.
+        first: u32,
+        /// Number of texels.
+        count: u32,
+    },
+    /// Filter what was captured, and hand it to the renderer.
+    Filter {
+        /// All texels.
+        seen: Arc<Vec<Seen>>,
+    },
 }
 
 /// What a tracer can be told. Its work comes from the pool.
@@ -41,33 +90,61 @@ impl Message for TracerMessage {
 
 impl Job for TraceJob {
     fn digest(&self, digest: &mut Digest) {
-        digest.u32(self.drawn.view.0);
-        digest.u64(self.drawn.hash);
-        let o = &self.order;
-        for word in [o.object, o.level, o.count, o.start.x as u32, o.start.y as u32] {
-            digest.u32(word);
+        match self {
+            Self::Samples(SampleOrder { drawn, order: o, seed: _ }) => {
+                digest.u32(drawn.view.0);
+                digest.u64(drawn.hash);
+                for word in [o.object, o.level, o.count, o.start.x as u32, o.start.y as u32] {
+                    digest.u32(word);
+                }
+            }
+            Self::Environment(o) => {
+                digest.u32(o.object);
+                digest.u32(o.side);
+                match &o.work {
+                    EnvironmentWork::Capture { first, count } => {
+                        digest.u32(*first);
+                        digest.u32(*count);
+                    }
+                    EnvironmentWork::Filter { seen } => digest.u32(seen.len() as u32),
+                }
+            }
         }
     }
 
     fn describe(&self) -> String {
-        let (o, r) = (&self.order, &self.order.rect);
-        format!(
-            "{} samples of object {}, level {}, view {}, pixels [{}, {}) × [{}, {}) from ({}, {}), seed {}",
-            o.count,
-            o.object,
-            o.level,
-            self.drawn.view.0,
-            r.x0,
-            r.x1,
-            r.y0,
-            r.y1,
-            o.start.x,
-            o.start.y,
-            self.seed
-        )
+        match self {
+            Self::Samples(SampleOrder { drawn, order: o, seed }) => {
+                let r = &o.rect;
+                format!(
+                    "{} samples of object {}, level {}, view {}, pixels [{}, {}) × [{}, {}) from ({}, {}), seed {}",
+                    o.count,
+                    o.object,
+                    o.level,
+                    drawn.view.0,
+                    r.x0,
+                    r.x1,
+                    r.y0,
+                    r.y1,
+                    o.start.x,
+                    o.start.y,
+                    seed
+                )
+            }
+            Self::Environment(o) => {
+                let what = match &o.work {
+                    EnvironmentWork::Capture { first, count } => format!("{count} texels from {first} on"),
+                    EnvironmentWork::Filter { .. } => "the filter".to_owned(),
+                };
+                format!("{what} {ENVIRONMENT_MAP} of object {}, side {}", o.object, o.side)
+            }
+        }
     }
 
     fn kind(&self) -> &'static str {
-        "TraceJob"
+        match self {
+            Self::Samples(_) => "TraceJob",
+            Self::Environment(_) => "EnvironmentJob",
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! The renderer: what is on screen.
 //!
 //! Owns the camera, the frame buffers, the splat layer. Hears: a frame began, its deadline, aged
-//! samples, traced samples, convergence. Says: to the cache ager and the allocator, that there is a new
+//! samples, traced samples, environment maps, convergence. Says: to the cache ager and the allocator, that there is a new
 //! view; to the analyzer, what was shown.
 
 #[cfg(feature = "window")]
@@ -12,6 +12,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use foveal::display::FrameBuffers;
+use foveal::display::environment_map::EnvironmentMap;
+use foveal::display::first_approximation::FirstApproximation;
 use foveal::display::tone::{Encoder, ToneMap};
 use foveal::display::twin::{self, Passes};
 use foveal::image::Map2d;
@@ -68,6 +70,8 @@ pub struct Renderer {
     /// Views drawn before, whose buffers are used again once nobody else holds them.
     retired: Vec<Arc<DrawnView>>,
     layer: SplatLayer,
+    /// What the splat layer of a view begins with.
+    approximation: Option<FirstApproximation>,
     counts: FrameCounts,
     /// Whether every sample of the current view is splatted.
     converged: bool,
@@ -102,6 +106,7 @@ impl Renderer {
         world: World,
         passes: Passes,
         neighbours: Option<Neighbours>,
+        approximation: Option<FirstApproximation>,
         stages: StageTimes,
         sink: Box<dyn FrameSink>,
     ) -> Self {
@@ -117,6 +122,7 @@ impl Renderer {
             view: View(0),
             drawn: None,
             retired: Vec::new(),
+            approximation,
             counts: FrameCounts::default(),
             converged: false,
             changed: false,
@@ -191,7 +197,11 @@ impl Renderer {
             twin::draw(&self.world, &frame, self.passes, &mut buffers);
         });
         if self.neighbours.is_some() {
-            self.layer.clear();
+            let (layer, world, approximation) = (&mut self.layer, &self.world, &self.approximation);
+            self.stages.time(Stage::Display, || match approximation {
+                Some(first) => layer.restart(|out| first.draw(world, &frame, &buffers, out)),
+                None => layer.clear(),
+            });
         }
         let drawn = Arc::new(DrawnView {
             view: self.view,
@@ -251,6 +261,21 @@ impl Renderer {
         let layer = &mut self.layer;
         let source = (tracer % 255) as u8 + 1;
         self.stages.time(Stage::WarpSplat, || layer.splat_fresh(batch, &drawn.buffers.object, source));
+    }
+
+    /// Pixels that no sample has reached yet show the new map at once.
+    fn on_environment_changed(&mut self, object: u32, map: Option<Arc<EnvironmentMap>>) {
+        let Some(approximation) = &mut self.approximation else { return };
+        approximation.set(object, map);
+        let (Some(drawn), false) = (&self.drawn, self.converged) else { return };
+        let (layer, world, buffers) = (&mut self.layer, &self.world, &drawn.buffers);
+        self.stages.time(Stage::WarpSplat, || {
+            layer.approximate(|x, y| {
+                (buffers.object.at(x, y) == object)
+                    .then(|| approximation.pixel(world, &drawn.frame, buffers, x, y))
+            });
+        });
+        self.changed = true;
     }
 
     fn on_view_converged(&mut self, view: View) {
@@ -352,6 +377,9 @@ impl Actor for Renderer {
             }
             RendererMessage::SamplesTraced { batch, tracer, hash: _ } => {
                 self.on_samples_traced(&batch, tracer)
+            }
+            RendererMessage::EnvironmentChanged { object, map, hash: _ } => {
+                self.on_environment_changed(object, map);
             }
             RendererMessage::ViewConverged { view } => self.on_view_converged(view),
             RendererMessage::SendAgain => self.outbox.send(cx),

@@ -4,6 +4,8 @@
 //! reflection), depth along the view axis, object id, texture id with mip level, and the primary hit.
 
 pub mod buffers;
+pub mod environment_map;
+pub mod first_approximation;
 pub mod tone;
 pub mod twin;
 

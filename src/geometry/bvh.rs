@@ -148,6 +148,22 @@ impl Accel {
         closest
     }
 
+    /// The nearest hit of anything but one object.
+    pub fn intersect_except(&self, scene: &Scene, ray: &Ray, object: u32) -> Option<Hit> {
+        let mut closest: Option<Hit> = None;
+        self.wide.traverse(ray, |found| {
+            let hit = self.accepted(scene, ray, &found);
+            let Some(hit) = hit.filter(|hit| scene.mesh.objects[hit.triangle as usize] != object) else {
+                return Some(f32::INFINITY);
+            };
+            if closest.is_none_or(|c| hit.t < c.t || hit.triangle < c.triangle) {
+                closest = Some(hit);
+            }
+            Some(hit.t)
+        });
+        closest
+    }
+
     /// Whether anything stands between the ray's bounds. Stops at the first hit. Glass stands in the way too;
     /// whoever wants light to pass asks [`Accel::any_hit`].
     pub fn occluded(&self, scene: &Scene, ray: &Ray) -> bool {

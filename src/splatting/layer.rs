@@ -1,6 +1,7 @@
 //! The splat layer: which sample each pixel shows (Haber 2001 §4.3; REFERENCE §3.5–3.6, §11).
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::{SampleBatch, WarpedSample};
 use crate::image::Map2d;
@@ -71,7 +72,30 @@ impl SplatLayer {
         self.source.data_mut().fill(0);
     }
 
-    /// View-dependent radiance of a pixel, zero where no splat lies.
+    /// Forgets all splats. Until others come, pixels show what `first` fills in: a first approximation of the
+    /// view-dependent radiance.
+    pub fn restart(&mut self, first: impl FnOnce(&mut Map2d<Vec3>)) {
+        self.rank.data_mut().fill(0);
+        self.source.data_mut().fill(0);
+        first(&mut self.color);
+    }
+
+    /// Asks anew for the first approximation of pixels on which no splat lies; `None` leaves a pixel as it is.
+    pub fn approximate(&mut self, first: impl Fn(usize, usize) -> Option<Vec3> + Sync) {
+        let width = self.color.width().max(1);
+        let rows = self.color.data_mut().par_chunks_mut(width).zip(self.rank.data().par_chunks(width));
+        rows.enumerate().for_each(|(y, (colors, ranks))| {
+            for (x, (color, _)) in
+                colors.iter_mut().zip(ranks).enumerate().filter(|(_, (_, rank))| **rank == 0)
+            {
+                if let Some(approximation) = first(x, y) {
+                    *color = approximation;
+                }
+            }
+        });
+    }
+
+    /// View-dependent radiance of a pixel: the first approximation where no splat lies, zero without one.
     #[inline]
     pub fn color(&self, x: usize, y: usize) -> Vec3 {
         self.color.at(x, y)
@@ -124,7 +148,7 @@ impl SplatLayer {
     }
 
     /// Splats fresh samples onto the pixels of their object. Returns the sum over the samples of
-    /// |new − shown before| on their own pixels, where something was shown: the residual of
+    /// |new − shown before| on their own pixels, the first approximation where no splat was: the residual of
     /// REFERENCE §13.1 in radiance, and the number of such pixels.
     pub fn splat_fresh(&mut self, batch: &SampleBatch, objects: &Map2d<u32>, source: u8) -> (f32, u32) {
         let (width, height) = (self.color.width() as i32, self.color.height() as i32);
@@ -145,10 +169,8 @@ impl SplatLayer {
                     continue;
                 }
                 if (dx, dy) == (0, 0) {
-                    if ranks[i] != 0 {
-                        residual += (color - colors[i]).abs().element_sum();
-                        compared += 1;
-                    }
+                    residual += (color - colors[i]).abs().element_sum();
+                    compared += 1;
                     ranks[i] = EXACT;
                     colors[i] = color;
                     sources[i] = source;

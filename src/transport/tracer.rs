@@ -138,6 +138,11 @@ impl<'a> Tracer<'a> {
         self.finite(diffuse * (bsdf.coat_factor(at.wo) - 1.0) + self.scatter(at, &bsdf, branch, stream))
     }
 
+    /// The diffuse part alone, averaged over directions: albedo / π × irradiance.
+    pub fn reflected_diffuse(&self, at: &Interaction, bsdf: &Bsdf) -> Vec3 {
+        self.finite(bsdf.diffuse_albedo() * self.diffuse_light(at, bsdf))
+    }
+
     /// Radiance that arrives at the ray's origin, against its direction. Finite.
     pub fn radiance(&self, ray: &Ray, stream: Stream) -> Vec3 {
         let Some(direction) = ray.direction.try_normalize() else { return Vec3::ZERO };

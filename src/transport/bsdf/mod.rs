@@ -10,6 +10,7 @@
 
 pub mod fresnel;
 pub mod microfacet;
+pub mod peaks;
 
 use std::f32::consts::{FRAC_1_PI, PI};
 

@@ -4,17 +4,28 @@
 //! is filled. Hears: a view is begun, a view was drawn, objects were ranked, a job is done, residuals were measured, a
 //! job was given up. Says: jobs into the pool; to the renderer, that a view has converged.
 
+pub mod environments;
+
 use std::sync::Arc;
 
+use foveal::allocation::environment::MapContrast;
 use foveal::allocation::jobs::SampleJobs;
 use foveal::allocation::policy::{Demand, RayPolicy, bucket_of};
+use foveal::display::environment_map::Seen;
 use foveal::perception::importance::{ObjectScan, ObjectStatistics, priorities};
 use foveal_runtime::{Actor, Address, Cx, Incident, JobPool};
 
-use crate::message::{AllocatorMessage, DrawnView, RendererMessage, TraceJob, TracerMessage, View};
+use crate::message::tracer::ENVIRONMENT_MAP;
+use crate::message::{
+    AllocatorMessage, DrawnView, RendererMessage, SampleOrder, TraceJob, TracerMessage, View,
+};
 use crate::outbox::Outbox;
 use crate::settings::Settings;
 use crate::stages::{Stage, StageTimes};
+use environments::Environments;
+
+/// Jobs of samples that are done between two jobs of environment maps, per tracer.
+const SAMPLES_BETWEEN_MAPS: u32 = 3;
 
 /// The allocator's state.
 pub struct Allocator {
@@ -36,8 +47,12 @@ pub struct Allocator {
     saliency: Arc<Vec<f32>>,
     /// Combined saliency and importance by object id.
     attention: Vec<f32>,
-    /// Jobs in the pool or with a tracer, of any view.
+    /// Jobs of samples in the pool or with a tracer, of any view.
     in_flight: u32,
+    /// First approximations.
+    environments: Environments,
+    /// Jobs of samples done since a job of an environment map was handed out.
+    since_map: u32,
     /// Whether the renderer knows that the view has converged.
     told_converged: bool,
     /// Jobs that were given up.
@@ -99,6 +114,7 @@ impl Allocator {
         renderer: Address<RendererMessage>,
         pool: JobPool<TraceJob>,
         tracers: Vec<Address<TracerMessage>>,
+        environments: Environments,
         stages: StageTimes,
     ) -> Self {
         Self {
@@ -115,6 +131,8 @@ impl Allocator {
             saliency: Arc::new(Vec::new()),
             attention: Vec::new(),
             in_flight: 0,
+            environments,
+            since_map: u32::MAX,
             told_converged: false,
             lost_jobs: 0,
             incidents: Vec::new(),
@@ -128,7 +146,12 @@ impl Allocator {
 
     /// Jobs that nobody has answered yet, in the pool, with a tracer or on their way.
     pub fn in_flight(&self) -> u32 {
-        self.in_flight
+        self.in_flight + u32::from(self.environments.in_flight())
+    }
+
+    /// Environment maps.
+    pub fn environments(&self) -> &Environments {
+        &self.environments
     }
 
     /// Panics, jobs given up and tracers stopped.
@@ -157,7 +180,54 @@ impl Allocator {
             let priorities = priorities!(self);
             self.jobs.start_view(&self.statistics, |o, l| priorities.of(o, l));
         });
+        self.rank_maps(cx);
         self.fill_pool(cx);
+    }
+
+    fn rank_maps(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {
+        let Some(drawn) = self.drawn.clone() else { return };
+        let dropped = self
+            .stages
+            .clone()
+            .time(Stage::Allocate, || self.environments.on_view(&drawn, &self.statistics, &self.attention));
+        for object in dropped {
+            let changed = RendererMessage::EnvironmentChanged { object, map: None, hash: 0 };
+            self.outbox.tell(cx, &self.renderer, changed);
+        }
+    }
+
+    /// Hands out a job of an environment map, if it is time for one.
+    fn capture_maps(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {
+        let idle = self.jobs.is_exhausted();
+        if !idle && self.since_map < SAMPLES_BETWEEN_MAPS * self.settings.tracers {
+            return;
+        }
+        if let Some(order) = self.environments.next_order() {
+            self.since_map = 0;
+            // Maps hold for every view, so they never go stale.
+            self.outbox.push(cx, &self.pool, 0, u64::MAX, TraceJob::Environment(order));
+        }
+    }
+
+    fn on_environment_captured(
+        &mut self,
+        object: u32,
+        seen: &[Seen],
+        seconds: f32,
+        cx: &mut Cx<'_, AllocatorMessage>,
+    ) {
+        self.environments.on_captured(object, seen, seconds);
+        self.capture_maps(cx);
+    }
+
+    fn on_environment_filtered(
+        &mut self,
+        object: u32,
+        contrast: MapContrast,
+        cx: &mut Cx<'_, AllocatorMessage>,
+    ) {
+        self.environments.on_filtered(object, contrast);
+        self.capture_maps(cx);
     }
 
     fn on_objects_ranked(&mut self, saliency: Arc<Vec<f32>>) {
@@ -170,15 +240,22 @@ impl Allocator {
 
     fn on_job_done(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {
         self.in_flight = self.in_flight.saturating_sub(1);
+        self.since_map = self.since_map.saturating_add(1);
         self.fill_pool(cx);
     }
 
     fn on_incident(&mut self, incident: Incident, cx: &mut Cx<'_, AllocatorMessage>) {
         match &incident {
-            Incident::JobDead { .. } => {
+            Incident::JobDead { description, .. } => {
                 self.lost_jobs += 1;
+                let of_map = description.contains(ENVIRONMENT_MAP);
                 self.incidents.push(incident);
-                self.on_job_done(cx);
+                if of_map {
+                    self.environments.on_job_lost();
+                    self.capture_maps(cx);
+                } else {
+                    self.on_job_done(cx);
+                }
             }
             Incident::Panicked { actor, .. } => {
                 // Its timer's message may have been what it panicked over.
@@ -207,12 +284,14 @@ impl Allocator {
                 let priorities = priorities!(self);
                 let next = self.jobs.next(&drawn.buffers.object, |o, l| priorities.of(o, l));
                 let Some((order, priority)) = next else { break };
-                let job = TraceJob { drawn: drawn.clone(), order, seed: self.settings.seed };
+                let seed = self.settings.seed;
+                let job = TraceJob::Samples(SampleOrder { drawn: drawn.clone(), order, seed });
                 let bucket = bucket_of(priority);
                 self.outbox.push(cx, &self.pool, bucket, u64::from(drawn.view.0), job);
                 self.in_flight += 1;
             }
         });
+        self.capture_maps(cx);
         if self.in_flight == 0 && self.jobs.is_exhausted() && !self.told_converged {
             let message = RendererMessage::ViewConverged { view: drawn.view };
             self.outbox.tell(cx, &self.renderer, message);
@@ -231,6 +310,12 @@ impl Actor for Allocator {
             AllocatorMessage::ViewDrawn { drawn } => self.on_view_drawn(drawn, cx),
             AllocatorMessage::ObjectsRanked { view: _, saliency } => self.on_objects_ranked(saliency),
             AllocatorMessage::JobDone { .. } => self.on_job_done(cx),
+            AllocatorMessage::EnvironmentCaptured { object, seen, hash: _, seconds } => {
+                self.on_environment_captured(object, &seen, seconds, cx);
+            }
+            AllocatorMessage::EnvironmentFiltered { object, contrast } => {
+                self.on_environment_filtered(object, contrast, cx);
+            }
             AllocatorMessage::Incident(incident) => self.on_incident(incident, cx),
             AllocatorMessage::SendAgain => self.outbox.send(cx),
         }

@@ -1,0 +1,282 @@
+//! Which environment maps are captured next, and which are kept: the allocator's part about first approximations.
+//!
+//! Each view ranks the visible objects by Dumont 2003 Eq. (10) under two limits, time until all of them could be there
+//! and memory. Captures go to the tracers in small jobs, one at a time, so that they spread over frames.
+
+use std::sync::Arc;
+
+use foveal::allocation::decision::{Constraint, decide};
+use foveal::allocation::environment::{COVERAGE_MIN, MapCandidate, MapChoices, MapContrast};
+use foveal::display::environment_map::{
+    PROBE_SIDE, Seen, phong_exponent, side_of_lobe, solid_angle, texel_count,
+};
+use foveal::display::first_approximation::Probes;
+use foveal::image::luminance;
+use foveal::perception::importance::ObjectStatistics;
+use foveal::world::World;
+
+use crate::message::DrawnView;
+use crate::message::tracer::{EnvironmentOrder, EnvironmentWork};
+
+/// Rays of one capture job: about a millisecond.
+const RAYS_PER_JOB: usize = 512;
+/// Bytes of a texel of a map: radiance and distance.
+const TEXEL_BYTES: usize = 16;
+/// Nanoseconds of a capture ray before any was measured.
+const RAY_NS_PRIOR: f32 = 2500.0;
+/// Time that captures may look ahead, nanoseconds of one core: what a second's share of the tracers gives.
+const TIME_LIMIT_NS: u64 = 500_000_000;
+
+/// What is known of an object's map.
+#[derive(Clone, Copy, Debug)]
+struct MapState {
+    /// Texels along an edge of the map that is there; 0 for none.
+    side: usize,
+    /// Lobe, or none for a mirror.
+    exponent: Option<f32>,
+    /// ρ_s.
+    albedo: f32,
+    /// Of the map, or of the probe before there is one.
+    contrast: MapContrast,
+}
+
+/// A capture on its way.
+#[derive(Debug)]
+struct Capture {
+    object: u32,
+    side: usize,
+    seen: Vec<Seen>,
+}
+
+/// Maps of all objects.
+#[derive(Debug)]
+pub struct Environments {
+    world: World,
+    probes: Arc<Probes>,
+    /// Most bytes of all maps.
+    budget: u64,
+    states: Vec<MapState>,
+    /// Objects to capture, the most useful first, with the side wanted.
+    wanted: Vec<(u32, usize)>,
+    current: Option<Capture>,
+    /// Whether a job is out.
+    in_flight: bool,
+    /// Moving average of a capture ray's time, nanoseconds.
+    ray_ns: f32,
+    /// Luminance sums of the base layer by object, kept for their room.
+    shown: Vec<f64>,
+    /// Maps that were captured.
+    captured: u32,
+}
+
+impl Environments {
+    /// No maps yet; `budget` in bytes.
+    pub fn new(world: World, probes: Arc<Probes>, budget: u64) -> Self {
+        let scene = world.scene.clone();
+        let state = |(id, object): (usize, &foveal::scene::Object)| {
+            let model = &scene.materials[object.material.0 as usize].model;
+            MapState {
+                side: 0,
+                exponent: phong_exponent(model.lobe_alpha()),
+                albedo: model.lobe_albedo(),
+                contrast: contrast_of_probe(&probes, id),
+            }
+        };
+        let states = scene.objects.iter().enumerate().map(state).collect();
+        Self {
+            states,
+            world,
+            probes,
+            budget,
+            wanted: Vec::new(),
+            current: None,
+            in_flight: false,
+            ray_ns: RAY_NS_PRIOR,
+            shown: Vec::new(),
+            captured: 0,
+        }
+    }
+
+    /// Whether a job is out.
+    pub fn in_flight(&self) -> bool {
+        self.in_flight
+    }
+
+    /// Maps captured so far.
+    pub fn captured(&self) -> u32 {
+        self.captured
+    }
+
+    /// Bytes of the maps that are there.
+    pub fn bytes(&self) -> u64 {
+        self.states.iter().map(|s| bytes_of(s.side)).sum()
+    }
+
+    /// Ranks anew for a view. Returns the objects whose maps are given up.
+    pub fn on_view(
+        &mut self,
+        drawn: &DrawnView,
+        statistics: &[ObjectStatistics],
+        attention: &[f32],
+    ) -> Vec<u32> {
+        if self.budget == 0 {
+            return Vec::new();
+        }
+        let display = self.world.scene.display;
+        let to_cd = display.exposure * display.white_cd_m2;
+        let pixels = drawn.buffers.object.data().len().max(1) as f32;
+        self.shown.clear();
+        self.shown.resize(self.states.len(), 0.0);
+        for (&id, &color) in drawn.buffers.object.data().iter().zip(drawn.buffers.color.data()) {
+            if let Some(sum) = self.shown.get_mut(id as usize).filter(|_| id != 0) {
+                *sum += f64::from(luminance(color));
+            }
+        }
+        let (mut ids, mut sides) = (Vec::new(), Vec::new());
+        let (mut by_time, mut by_memory) = (Vec::new(), Vec::new());
+        for (id, state) in self.states.iter().enumerate().skip(1) {
+            let shown = statistics.get(id).map_or(0, |s| s.pixels);
+            let coverage = shown as f32 / pixels;
+            let side = if coverage >= COVERAGE_MIN { side_wanted(shown, state.exponent) } else { 0 };
+            let side = side.max(state.side);
+            if side == 0 {
+                continue;
+            }
+            let candidate = MapCandidate {
+                // What is not seen is kept where there is room.
+                pixels: (shown as f32).max(1e-3),
+                coverage: coverage.max(if state.side > 0 { COVERAGE_MIN } else { 0.0 }),
+                diffuse_cd_m2: (self.shown[id] / f64::from(shown.max(1))) as f32 * to_cd,
+                reflection_cd_m2: (state.albedo * state.contrast.mean * to_cd).min(display.white_cd_m2),
+                relative_difference: state.contrast.relative_difference.max(1e-3),
+                mean_elevation: 1.0,
+                saliency: 0.1 + attention.get(id).copied().unwrap_or(0.0),
+                cost: bytes_of(side),
+            };
+            by_memory.push(candidate);
+            let rays = if side >= 2 * state.side { texel_count(side) } else { 0 };
+            by_time.push(MapCandidate { cost: (rays as f32 * self.ray_ns) as u64, ..candidate });
+            ids.push(id as u32);
+            sides.push(side);
+        }
+        let kept = decide(&MapChoices(&by_memory), Constraint::Bytes(self.budget), None);
+        let soon = decide(&MapChoices(&by_time), Constraint::Nanoseconds(TIME_LIMIT_NS), None);
+        // Without any map the cost is 0, so both limits can be met.
+        let (Ok(kept), Ok(soon)) = (kept, soon) else { return Vec::new() };
+        let mut dropped = Vec::new();
+        let mut ranked: Vec<(f32, u32, usize)> = Vec::new();
+        for (i, (&id, &side)) in ids.iter().zip(&sides).enumerate() {
+            let state = &mut self.states[id as usize];
+            if kept.states[i] == 0 {
+                if state.side > 0 {
+                    state.side = 0;
+                    dropped.push(id);
+                }
+            } else if soon.states[i] == 1 && side >= 2 * state.side.max(1) {
+                let c = &by_time[i];
+                let gain = c.saliency * c.pixels * c.visible_error() / (c.cost as f32).max(1.0);
+                ranked.push((gain, id, side));
+            }
+        }
+        ranked.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        self.wanted = ranked.into_iter().map(|(_, id, side)| (id, side)).collect();
+        dropped
+    }
+
+    /// The next job; none while one is out or nothing is wanted.
+    pub fn next_order(&mut self) -> Option<EnvironmentOrder> {
+        if self.in_flight || self.budget == 0 {
+            return None;
+        }
+        if self.current.is_none() {
+            if self.wanted.is_empty() {
+                return None;
+            }
+            let (object, side) = self.wanted.remove(0);
+            self.current = Some(Capture { object, side, seen: Vec::with_capacity(texel_count(side)) });
+        }
+        let capture = self.current.as_mut()?;
+        let (first, all) = (capture.seen.len(), texel_count(capture.side));
+        let work = if first < all {
+            EnvironmentWork::Capture { first: first as u32, count: RAYS_PER_JOB.min(all - first) as u32 }
+        } else {
+            EnvironmentWork::Filter { seen: Arc::new(std::mem::take(&mut capture.seen)) }
+        };
+        self.in_flight = true;
+        Some(EnvironmentOrder {
+            world: self.world.clone(),
+            probes: self.probes.clone(),
+            object: capture.object,
+            side: capture.side as u32,
+            exponent: self.states[capture.object as usize].exponent,
+            work,
+        })
+    }
+
+    /// A stretch was captured; an empty one ends the capture (its job was lost).
+    pub fn on_captured(&mut self, object: u32, seen: &[Seen], seconds: f32) {
+        self.in_flight = false;
+        let Some(capture) = self.current.as_mut().filter(|c| c.object == object) else { return };
+        if seen.is_empty() {
+            self.current = None;
+            return;
+        }
+        let room = texel_count(capture.side) - capture.seen.len();
+        capture.seen.extend_from_slice(&seen[..seen.len().min(room)]);
+        let ns = seconds * 1e9 / seen.len() as f32;
+        if ns > 0.0 && ns.is_finite() {
+            self.ray_ns += 0.2 * (ns - self.ray_ns);
+        }
+    }
+
+    /// A map is done and with the renderer.
+    pub fn on_filtered(&mut self, object: u32, contrast: MapContrast) {
+        self.in_flight = false;
+        if let Some(capture) = self.current.take()
+            && let Some(state) = self.states.get_mut(object as usize)
+        {
+            (state.side, state.contrast) = (capture.side, contrast);
+            self.captured += 1;
+        }
+    }
+
+    /// A job was given up, maybe this one.
+    pub fn on_job_lost(&mut self) {
+        self.in_flight = false;
+        self.current = None;
+    }
+}
+
+/// Bytes of a map of this side.
+fn bytes_of(side: usize) -> u64 {
+    (texel_count(side) * TEXEL_BYTES) as u64
+}
+
+/// Texels along an edge that an object of so many pixels can show, and its lobe keep apart.
+fn side_wanted(pixels: u32, exponent: Option<f32>) -> usize {
+    let by_pixels = ((pixels as f32).sqrt() * 0.5) as usize;
+    let by_lobe = exponent.map_or(128, |n| 2 * side_of_lobe(n));
+    by_pixels.next_power_of_two().clamp(16, 128).min(by_lobe)
+}
+
+/// How much a probe's directions differ: the best guess before a map is captured.
+fn contrast_of_probe(probes: &Probes, id: usize) -> MapContrast {
+    let Some(probe) = probes.probes.get(id) else { return MapContrast::default() };
+    let texels: Vec<f32> = probe.map.radiance().texels().iter().map(|&t| luminance(t)).collect();
+    let mean = vec![luminance(probe.map.mean()); texels.len()];
+    let weights: Vec<f32> = (0..texels.len()).map(|i| solid_angle(PROBE_SIDE, i)).collect();
+    MapContrast::of_map(&texels, &mean, &weights)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn maps_are_as_fine_as_lobe_and_picture_need() {
+        assert_eq!(side_wanted(100, None), 16);
+        assert_eq!(side_wanted(10_000, None), 64);
+        assert_eq!(side_wanted(1_000_000, None), 128);
+        assert_eq!(side_wanted(1_000_000, phong_exponent(0.3)), 16);
+    }
+}

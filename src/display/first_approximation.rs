@@ -1,0 +1,137 @@
+//! What is shown of mirrors, glass and gloss until rays correct it: their lobes' peaks, looked up in environment maps.
+//!
+//! In: a drawn view and the objects' maps. Out: the view-dependent radiance per pixel that the splat layer begins with
+//! (Dumont 2003 §5.3 joined to Haber 2001: the paper's base layer shows mirrors black).
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::FrameBuffers;
+use super::environment_map::{EnvironmentMap, Probe, probe};
+use super::twin::{primary_interaction, primary_ray};
+use crate::image::Map2d;
+use crate::scene::Model;
+use crate::scene::camera::CameraFrame;
+use crate::transport::bsdf::peaks::SplitSum;
+use crate::transport::bsdf::{Bsdf, BsdfSample};
+use crate::transport::interaction::Interaction;
+use crate::world::World;
+
+/// The coarsest map of every object of a world; made once, shared by all who decide or draw.
+#[derive(Debug)]
+pub struct Probes {
+    /// The table of lobe albedos.
+    pub split_sum: SplitSum,
+    /// By object id; 0 has one that nobody reads.
+    pub probes: Vec<Probe>,
+}
+
+impl Probes {
+    /// Looks around from every object.
+    pub fn of_world(world: &World) -> Self {
+        let split_sum = SplitSum::default();
+        let of_object = |(id, object)| probe(world, &split_sum, id as u32, object);
+        let probes = world.scene.objects.par_iter().enumerate().map(of_object).collect();
+        Self { split_sum, probes }
+    }
+}
+
+/// Approximates the view-dependent part of pictures.
+#[derive(Clone, Debug)]
+pub struct FirstApproximation {
+    probes: Arc<Probes>,
+    /// By object id; `None` draws the probe.
+    maps: Vec<Option<Arc<EnvironmentMap>>>,
+}
+
+impl FirstApproximation {
+    /// Without maps finer than the probes.
+    pub fn new(probes: Arc<Probes>) -> Self {
+        Self { maps: vec![None; probes.probes.len()], probes }
+    }
+
+    /// Gives an object a map, or takes it away.
+    pub fn set(&mut self, object: u32, map: Option<Arc<EnvironmentMap>>) {
+        if let Some(slot) = self.maps.get_mut(object as usize) {
+            *slot = map;
+        }
+    }
+
+    /// The map of an object, if it has one.
+    pub fn map(&self, object: u32) -> Option<&Arc<EnvironmentMap>> {
+        self.maps.get(object as usize)?.as_ref()
+    }
+
+    /// View-dependent radiance towards `at.wo`, about. Finite; may be negative where a coat takes light.
+    pub fn at(&self, world: &World, at: &Interaction) -> Vec3 {
+        let map = match self.map(at.object) {
+            Some(map) => &**map,
+            None => match self.probes.probes.get(at.object as usize) {
+                Some(probe) => &probe.map,
+                None => return Vec3::ZERO,
+            },
+        };
+        let bsdf = Bsdf::at(&world.scene, at);
+        let coat = bsdf.coat_factor(at.wo) - 1.0;
+        let mut sum =
+            if coat == 0.0 { Vec3::ZERO } else { world.tracer().reflected_diffuse(at, &bsdf) * coat };
+        for peak in bsdf.peaks(at.wo, &self.probes.split_sum).into_iter().flatten() {
+            // Into glass, radiance grows by n² and out of it shrinks again: what is looked up is outside.
+            sum += peak.weight
+                * match self.behind(world, at, &peak) {
+                    Some((position, direction, weight)) => weight * map.look_up(position, direction),
+                    None => map.look_up(at.position, peak.wi),
+                };
+        }
+        if sum.is_finite() { sum } else { Vec3::ZERO }
+    }
+
+    /// Where light that enters solid glass leaves it again, whereto and what is left of it; one ray, no reflection inside
+    /// but where all is reflected.
+    fn behind(&self, world: &World, at: &Interaction, peak: &BsdfSample) -> Option<(Vec3, Vec3, Vec3)> {
+        let Model::Dielectric { transmittance, thin: false, .. } = &at.material(&world.scene).model else {
+            return None;
+        };
+        if !peak.transmitted || at.back {
+            return None;
+        }
+        let ray = at.spawn(peak.wi);
+        let hit = world.accel.intersect(&world.scene, &ray)?;
+        let exit = Interaction::at(&world.scene, &ray, &hit);
+        if exit.object != at.object {
+            return None;
+        }
+        let peaks = Bsdf::at(&world.scene, &exit).peaks(exit.wo, &self.probes.split_sum);
+        let leaving = peaks.iter().flatten().find(|p| p.transmitted).or(peaks[0].as_ref())?;
+        let absorbed = transmittance.clamp(Vec3::ZERO, Vec3::ONE).powf(hit.t);
+        Some((exit.position, leaving.wi, absorbed))
+    }
+
+    /// Fills `out`, of the view's size, with what the view shows until rays correct it: zero at diffuse pixels.
+    pub fn draw(&self, world: &World, frame: &CameraFrame, buffers: &FrameBuffers, out: &mut Map2d<Vec3>) {
+        let width = buffers.width();
+        out.data_mut().par_chunks_mut(width.max(1)).enumerate().for_each(|(y, row)| {
+            for (x, out) in row.iter_mut().enumerate() {
+                *out = self.pixel(world, frame, buffers, x, y);
+            }
+        });
+    }
+
+    /// One pixel of [`Self::draw`].
+    pub fn pixel(
+        &self,
+        world: &World,
+        frame: &CameraFrame,
+        buffers: &FrameBuffers,
+        x: usize,
+        y: usize,
+    ) -> Vec3 {
+        let (true, Some(hit)) = (buffers.object.at(x, y) != 0, buffers.hit.at(x, y).hit()) else {
+            return Vec3::ZERO;
+        };
+        let ray = primary_ray(frame, x as u32, y as u32);
+        self.at(world, &primary_interaction(world, frame, &ray, &hit))
+    }
+}

@@ -1,4 +1,4 @@
-//! The CPU twin of the display pass: primary rays through the same BVH, eight at a time.
+//! The CPU twin of the display pass: primary rays through the same BVH, sixteen at a time.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -8,10 +8,11 @@ use crate::geometry::{Hit, Ray};
 use crate::scene::Scene;
 use crate::scene::camera::CameraFrame;
 use crate::transport::interaction::Interaction;
+use crate::transport::surface::SurfacePoint;
 use crate::world::World;
 
-/// Pixels of one packet: 4 × 2, so that rays stay close.
-const PACKET: [usize; 2] = [4, 2];
+/// Pixels of one packet: 4 × 4, so that rays stay close.
+const PACKET: [usize; 2] = [4, 4];
 /// Rows that one parallel task draws.
 const BAND: usize = 8;
 
@@ -35,7 +36,7 @@ pub fn primary_interaction(world: &World, frame: &CameraFrame, ray: &Ray, hit: &
 }
 
 /// The texture that makes a surface's picture, with the mip level wanted of it.
-fn wanted_texture(scene: &Scene, at: &Interaction) -> TextureLevel {
+fn wanted_texture(scene: &Scene, at: &SurfacePoint) -> TextureLevel {
     let material = at.material(scene);
     let Some(map) = material.picture() else { return TextureLevel::NONE };
     TextureLevel::new(map, at.texture_level(&scene.textures[map.0 as usize]))
@@ -82,7 +83,7 @@ pub fn draw(world: &World, frame: &CameraFrame, passes: Passes, buffers: &mut Fr
                     let pixel = |lane: usize| {
                         ((x + lane % PACKET[0]).min(width - 1), (row + lane / PACKET[0]).min(rows - 1))
                     };
-                    let directions: [Vec3; 8] = std::array::from_fn(|lane| {
+                    let directions: [Vec3; 16] = std::array::from_fn(|lane| {
                         let (px, py) = pixel(lane);
                         frame.direction(px as f32 + 0.5, (b * BAND + py) as f32 + 0.5)
                     });
@@ -117,13 +118,12 @@ fn shade_pixel(
         let color = world.scene.environment.as_ref().map_or(Vec3::ZERO, |e| e.radiance(direction));
         return Surface { color, depth: f32::INFINITY, object: 0, texture: TextureLevel::NONE };
     };
-    let ray = Ray::new(frame.eye, direction);
-    let interaction = primary_interaction(world, frame, &ray, &hit);
+    let point = SurfacePoint::at(&world.scene, direction, &hit, hit.t * frame.pixel_angle());
     Surface {
-        color: world.tracer().base(&interaction),
+        color: world.tracer().base(&point),
         depth: primary.t * direction.dot(frame.forward),
         object: world.scene.mesh.objects[primary.triangle as usize],
-        texture: if texture_ids { wanted_texture(&world.scene, &interaction) } else { TextureLevel::NONE },
+        texture: if texture_ids { wanted_texture(&world.scene, &point) } else { TextureLevel::NONE },
     }
 }
 

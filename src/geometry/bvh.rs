@@ -190,7 +190,7 @@ impl Accel {
         is_there.then_some(Hit { t: found.t, triangle, b1: found.b1, b2: found.b2 })
     }
 
-    /// Closest hits of eight rays from one point along unit directions.
+    /// Closest hits of sixteen rays from one point along unit directions.
     pub fn intersect_packet(
         &self,
         scene: &Scene,
@@ -320,7 +320,7 @@ mod tests {
             let scene = of_triangles(&corners);
             let accel = Accel::build(&scene);
             let _ =
-                (accel.intersect(&scene, &ray), accel.intersect_packet(&scene, ray.origin, &[Vec3::Z; 8]));
+                (accel.intersect(&scene, &ray), accel.intersect_packet(&scene, ray.origin, &[Vec3::Z; 16]));
         }
         for corners in [vec![], vec![nan], vec![infinite], vec![[Vec3::Z; 3]; 40]] {
             let scene = of_triangles(&corners);

@@ -1,19 +1,21 @@
-//! Eight primary rays at once through a binary BVH.
+//! Sixteen primary rays at once through a binary BVH.
 //!
-//! All rays of a packet leave one eye, so a box and a triangle are moved to the eye once for eight
-//! rays. The triangle test is the watertight one of Woop, Benthin & Wald 2013 (REFERENCE §5.2) with
-//! one shear axis for the packet: each ray meets all triangles with the same shear, which is what
-//! watertightness needs.
+//! All rays of a packet leave one eye, so a box and a triangle are moved to the eye once for all rays. The triangle
+//! test is the watertight one of Woop, Benthin & Wald 2013 (REFERENCE §5.2) with one shear axis for the packet: each
+//! ray meets all triangles with the same shear, which is what watertightness needs.
+//!
+//! The lanes are plain arrays, which the compiler turns into vectors: of 4 lanes where nothing is known of the
+//! processor, of 8 or 16 in the copies that `pulp` chooses at run time. No copy fuses or reorders an operation, so
+//! all of them find the same bits.
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
-use wide::f32x8;
 
 /// Nodes on the way to a leaf that the stack has room for.
 pub const STACK: usize = 128;
 
 /// Rays of a packet.
-pub const LANES: usize = 8;
+pub const LANES: usize = 16;
 
 /// A node in 32 bytes: inner nodes have `count` 0 and their children at `first` and `first + 1`, leaves
 /// hold the triangles `first … first + count`.
@@ -49,7 +51,23 @@ const MISS: PacketHit =
 /// Components along the packet's dominant axis below this are traced in packets of their own.
 const SHALLOW: f32 = 1e-2;
 
-/// Closest hits of eight rays from `origin` along unit `directions`. `corners` are in the order of the
+/// A number for each ray.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+struct Lanes([f32; LANES]);
+
+impl Lanes {
+    #[inline(always)]
+    fn of(mut f: impl FnMut(usize) -> f32) -> Self {
+        let mut lanes = [0.0; LANES];
+        for (i, lane) in lanes.iter_mut().enumerate() {
+            *lane = f(i);
+        }
+        Self(lanes)
+    }
+}
+
+/// Closest hits of sixteen rays from `origin` along unit `directions`. `corners` are in the order of the
 /// leaves; `accept(index, b1, b2)` refuses hits of a cut-out surface.
 pub fn intersect(
     nodes: &[FlatNode],
@@ -67,7 +85,8 @@ pub fn intersect(
         // A wide packet (a tiny picture, a huge field of view): one ray at a time.
         let mut hit = MISS;
         for (lane, &d) in directions.iter().enumerate() {
-            let single = traverse(nodes, corners, origin, &[d; LANES], dominant_axis(d), d, &accept);
+            let packet = Packet::new(origin, &[d; LANES], dominant_axis(d), d);
+            let single = traverse(nodes, corners, &packet, &accept);
             hit.t[lane] = single.t[0];
             hit.index[lane] = single.index[0];
             hit.b1[lane] = single.b1[0];
@@ -75,7 +94,25 @@ pub fn intersect(
         }
         return hit;
     }
-    traverse(nodes, corners, origin, directions, kz, mean, &accept)
+    let packet = Packet::new(origin, directions, kz, mean);
+    pulp::Arch::new().dispatch(Traverse { nodes, corners, packet: &packet, accept: &accept })
+}
+
+/// The traversal, to be compiled for each set of instructions.
+struct Traverse<'a, F> {
+    nodes: &'a [FlatNode],
+    corners: &'a [[Vec3; 3]],
+    packet: &'a Packet,
+    accept: &'a F,
+}
+
+impl<F: Fn(u32, f32, f32) -> bool> pulp::WithSimd for Traverse<'_, F> {
+    type Output = PacketHit;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> PacketHit {
+        traverse(self.nodes, self.corners, self.packet, self.accept)
+    }
 }
 
 fn dominant_axis(d: Vec3) -> usize {
@@ -89,67 +126,91 @@ fn dominant_axis(d: Vec3) -> usize {
     }
 }
 
-fn lanes(directions: &[Vec3; LANES], f: impl Fn(Vec3) -> f32) -> f32x8 {
-    f32x8::from(directions.map(f))
-}
-
-/// What of a packet the triangle test needs.
-struct Shear {
+/// Rays prepared for boxes and triangles.
+struct Packet {
+    origin: [f32; 3],
+    inverse: [Lanes; 3],
+    mean: Vec3,
     axes: [usize; 3],
-    x: f32x8,
-    y: f32x8,
-    z: f32x8,
+    shear_x: Lanes,
+    shear_y: Lanes,
+    scale_z: Lanes,
 }
 
+impl Packet {
+    #[inline(always)]
+    fn new(origin: Vec3, directions: &[Vec3; LANES], kz: usize, mean: Vec3) -> Self {
+        // A component of zero would make 0 · ∞; the boxes are padded by far more than this moves them.
+        let inverse = |axis: usize| {
+            Lanes::of(|i| {
+                let d = directions[i][axis];
+                1.0 / if d.abs() < 1e-20 { 1e-20 } else { d }
+            })
+        };
+        let (kx, ky) = ((kz + 1) % 3, (kz + 2) % 3);
+        Self {
+            origin: origin.to_array(),
+            inverse: [inverse(0), inverse(1), inverse(2)],
+            mean,
+            axes: [kx, ky, kz],
+            shear_x: Lanes::of(|i| directions[i][kx] / directions[i][kz]),
+            shear_y: Lanes::of(|i| directions[i][ky] / directions[i][kz]),
+            scale_z: Lanes::of(|i| 1.0 / directions[i][kz]),
+        }
+    }
+}
+
+#[inline(always)]
+fn least(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+#[inline(always)]
+fn most(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+#[inline(always)]
 fn traverse(
     nodes: &[FlatNode],
     corners: &[[Vec3; 3]],
-    origin: Vec3,
-    directions: &[Vec3; LANES],
-    kz: usize,
-    mean: Vec3,
+    packet: &Packet,
     accept: &impl Fn(u32, f32, f32) -> bool,
 ) -> PacketHit {
-    // A component of zero would make 0 · ∞; the boxes are padded by far more than this moves them.
-    let inverse =
-        |axis: usize| lanes(directions, |d| 1.0 / if d[axis].abs() < 1e-20 { 1e-20 } else { d[axis] });
-    let inverse = [inverse(0), inverse(1), inverse(2)];
-    let (kx, ky) = ((kz + 1) % 3, (kz + 2) % 3);
-    let shear = Shear {
-        axes: [kx, ky, kz],
-        x: lanes(directions, |d| d[kx] / d[kz]),
-        y: lanes(directions, |d| d[ky] / d[kz]),
-        z: lanes(directions, |d| 1.0 / d[kz]),
-    };
     let mut hit = MISS;
-    let mut nearest = f32x8::from(hit.t);
-    let origin_axes = origin.to_array();
+    let mut nearest = Lanes(hit.t);
     let mut stack = [0u32; STACK];
     let mut depth = 1;
     while depth > 0 {
         depth -= 1;
         let node = &nodes[stack[depth] as usize];
-        let mut enter = f32x8::splat(0.0);
-        let mut leave = nearest;
-        for axis in 0..3 {
-            let a = f32x8::splat(node.min[axis] - origin_axes[axis]) * inverse[axis];
-            let b = f32x8::splat(node.max[axis] - origin_axes[axis]) * inverse[axis];
-            enter = a.fast_min(b).fast_max(enter);
-            leave = a.fast_max(b).fast_min(leave);
+        let min: [f32; 3] = std::array::from_fn(|axis| node.min[axis] - packet.origin[axis]);
+        let max: [f32; 3] = std::array::from_fn(|axis| node.max[axis] - packet.origin[axis]);
+        // Entry where positive: the ray meets the box before what it has hit. The factor is 1 + 3 ulp
+        // (REFERENCE §5.3).
+        let mut any = false;
+        for i in 0..LANES {
+            let (mut enter, mut leave) = (0.0, nearest.0[i]);
+            for axis in 0..3 {
+                let a = min[axis] * packet.inverse[axis].0[i];
+                let b = max[axis] * packet.inverse[axis].0[i];
+                enter = most(least(a, b), enter);
+                leave = least(most(a, b), leave);
+            }
+            any |= enter <= leave * 1.000_000_4;
         }
-        // 1 + 3 ulp (REFERENCE §5.3).
-        if !enter.simd_le(leave * f32x8::splat(1.000_000_4)).any() {
+        if !any {
             continue;
         }
         if node.count > 0 {
             for index in node.first..node.first + node.count {
-                let triangle = &corners[index as usize];
-                triangle_test(index, triangle, origin, &shear, &mut nearest, &mut hit, accept);
+                triangle_test(index, &corners[index as usize], packet, &mut nearest, &mut hit, accept);
             }
             continue;
         }
         let (left, right) = (&nodes[node.first as usize], &nodes[node.first as usize + 1]);
         let between = |axis: usize| right.min[axis] + right.max[axis] - left.min[axis] - left.max[axis];
+        let mean = packet.mean;
         let right_is_far = between(0) * mean.x + between(1) * mean.y + between(2) * mean.z >= 0.0;
         let (near, far) =
             if right_is_far { (node.first, node.first + 1) } else { (node.first + 1, node.first) };
@@ -167,67 +228,70 @@ fn traverse(
 fn triangle_test(
     index: u32,
     triangle: &[Vec3; 3],
-    origin: Vec3,
-    shear: &Shear,
-    nearest: &mut f32x8,
+    packet: &Packet,
+    nearest: &mut Lanes,
     hit: &mut PacketHit,
     accept: &impl Fn(u32, f32, f32) -> bool,
 ) {
-    let [kx, ky, kz] = shear.axes;
-    let [a, b, c] = triangle.map(|p| p - origin);
-    let sheared = |p: Vec3| {
-        let z = f32x8::splat(p[kz]);
-        (f32x8::splat(p[kx]) - shear.x * z, f32x8::splat(p[ky]) - shear.y * z)
-    };
-    let ((ax, ay), (bx, by), (cx, cy)) = (sheared(a), sheared(b), sheared(c));
-    let mut u = cx * by - cy * bx;
-    let mut v = ax * cy - ay * cx;
-    let mut w = bx * ay - by * ax;
-    let zero = f32x8::splat(0.0);
-    let negative = u.simd_lt(zero) | v.simd_lt(zero) | w.simd_lt(zero);
-    let positive = u.simd_gt(zero) | v.simd_gt(zero) | w.simd_gt(zero);
-    if (negative & positive).all() {
+    let [kx, ky, kz] = packet.axes;
+    let [a, b, c] = triangle.map(|p| {
+        let p = p.to_array();
+        [p[kx] - packet.origin[kx], p[ky] - packet.origin[ky], p[kz] - packet.origin[kz]]
+    });
+    let sheared =
+        |p: [f32; 3], i: usize| (p[0] - packet.shear_x.0[i] * p[2], p[1] - packet.shear_y.0[i] * p[2]);
+    let (mut u, mut v, mut w) = (Lanes([0.0; LANES]), Lanes([0.0; LANES]), Lanes([0.0; LANES]));
+    let mut any = false;
+    let mut on_edge = false;
+    for i in 0..LANES {
+        let ((ax, ay), (bx, by), (cx, cy)) = (sheared(a, i), sheared(b, i), sheared(c, i));
+        u.0[i] = cx * by - cy * bx;
+        v.0[i] = ax * cy - ay * cx;
+        w.0[i] = bx * ay - by * ax;
+        let (low, high) = (least(least(u.0[i], v.0[i]), w.0[i]), most(most(u.0[i], v.0[i]), w.0[i]));
+        any |= !((low < 0.0) & (high > 0.0));
+        on_edge |= (u.0[i] == 0.0) | (v.0[i] == 0.0) | (w.0[i] == 0.0);
+    }
+    if !any {
         return;
     }
-    if (u.simd_eq(zero) | v.simd_eq(zero) | w.simd_eq(zero)).any() {
-        // On an edge: only exact products tell the side.
-        let [mut eu, mut ev, mut ew] = [u.to_array(), v.to_array(), w.to_array()];
-        let [axs, ays, bxs, bys, cxs, cys] = [ax, ay, bx, by, cx, cy].map(f32x8::to_array);
-        for l in 0..LANES {
-            if eu[l] == 0.0 || ev[l] == 0.0 || ew[l] == 0.0 {
+    if on_edge {
+        // Only exact products tell the side.
+        for i in 0..LANES {
+            if u.0[i] == 0.0 || v.0[i] == 0.0 || w.0[i] == 0.0 {
+                let ((ax, ay), (bx, by), (cx, cy)) = (sheared(a, i), sheared(b, i), sheared(c, i));
                 let edge = |p: f32, q: f32, r: f32, s: f32| {
                     (f64::from(p) * f64::from(q) - f64::from(r) * f64::from(s)) as f32
                 };
-                eu[l] = edge(cxs[l], bys[l], cys[l], bxs[l]);
-                ev[l] = edge(axs[l], cys[l], ays[l], cxs[l]);
-                ew[l] = edge(bxs[l], ays[l], bys[l], axs[l]);
+                u.0[i] = edge(cx, by, cy, bx);
+                v.0[i] = edge(ax, cy, ay, cx);
+                w.0[i] = edge(bx, ay, by, ax);
             }
         }
-        (u, v, w) = (f32x8::from(eu), f32x8::from(ev), f32x8::from(ew));
     }
-    let negative = u.simd_lt(zero) | v.simd_lt(zero) | w.simd_lt(zero);
-    let positive = u.simd_gt(zero) | v.simd_gt(zero) | w.simd_gt(zero);
-    let determinant = u + v + w;
-    let outside = (negative & positive) | determinant.simd_eq(zero);
-    if outside.all() {
-        return;
+    let mut t = Lanes([0.0; LANES]);
+    let mut closer = [false; LANES];
+    for (i, closer) in closer.iter_mut().enumerate() {
+        let (low, high) = (least(least(u.0[i], v.0[i]), w.0[i]), most(most(u.0[i], v.0[i]), w.0[i]));
+        let determinant = u.0[i] + v.0[i] + w.0[i];
+        let scaled = packet.scale_z.0[i] * (u.0[i] * a[2] + v.0[i] * b[2] + w.0[i] * c[2]);
+        t.0[i] = scaled / determinant;
+        *closer =
+            !((low < 0.0) & (high > 0.0)) & (determinant != 0.0) & (t.0[i] > 0.0) & (t.0[i] < nearest.0[i]);
     }
-    let scaled = shear.z * (u * f32x8::splat(a[kz]) + v * f32x8::splat(b[kz]) + w * f32x8::splat(c[kz]));
-    let t = scaled / determinant;
-    let mut closer = (t.simd_gt(zero) & t.simd_lt(*nearest) & !outside).to_bitmask();
-    while closer != 0 {
-        let lane = closer.trailing_zeros() as usize;
-        closer &= closer - 1;
-        let det = determinant.to_array()[lane];
-        let (b1, b2) = (v.to_array()[lane] / det, w.to_array()[lane] / det);
-        if accept(index, b1, b2) {
-            hit.t[lane] = t.to_array()[lane];
-            hit.index[lane] = index;
-            hit.b1[lane] = b1;
-            hit.b2[lane] = b2;
+    for (i, closer) in closer.into_iter().enumerate() {
+        if closer {
+            let determinant = u.0[i] + v.0[i] + w.0[i];
+            let (b1, b2) = (v.0[i] / determinant, w.0[i] / determinant);
+            if accept(index, b1, b2) {
+                hit.t[i] = t.0[i];
+                hit.index[i] = index;
+                hit.b1[i] = b1;
+                hit.b2[i] = b2;
+                nearest.0[i] = t.0[i];
+            }
         }
     }
-    *nearest = f32x8::from(hit.t);
 }
 
 #[cfg(test)]
@@ -298,7 +362,7 @@ mod tests {
                     // Opposite vertices share no edge.
                     let (a, step) = ((i as usize + l) % 6, 2 + (l % 2) * 2);
                     let pair = (vertices[a], vertices[((a / 2) * 2 + step) % 6]);
-                    let f = if l == 7 { 0.0 } else { s.next_f32() };
+                    let f = if l % 8 == 7 { 0.0 } else { s.next_f32() };
                     (pair.0 + (pair.1 - pair.0) * f - eye).normalize()
                 });
                 let hit = intersect(&nodes, &corners, eye, &directions, |_, _, _| true);

@@ -2,8 +2,9 @@
 
 use glam::{Vec2, Vec3};
 
+use super::surface::{SurfacePoint, area_normal, texture_coordinates};
 use crate::geometry::{Hit, Ray, gamma, offset_origin};
-use crate::scene::{Material, MaterialId, Scene, Texture, TextureId};
+use crate::scene::{Material, MaterialId, Scene};
 
 /// A point on a surface, seen along a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,15 +64,9 @@ impl Interaction {
         let position = a * b0 + b * b1 + c * b2;
         let error = ((a * b0).abs() + (b * b1).abs() + (c * b2).abs()) * gamma(7);
         let (e1, e2) = (b - a, c - a);
-        let cross = e1.cross(e2);
-        let doubled_area = cross.length();
         // Hit triangles have an area, but its square may underflow.
-        let geometric_normal = if doubled_area > 0.0 {
-            cross / doubled_area
-        } else {
-            let scale = e1.abs().max(e2.abs()).max_element().max(f32::MIN_POSITIVE);
-            (e1 / scale).cross(e2 / scale).try_normalize().unwrap_or(-ray.direction.normalize())
-        };
+        let geometric_normal =
+            area_normal(e1, e2).try_normalize().unwrap_or_else(|| -ray.direction.normalize());
         let [na, nb, nc] = vertices.map(|v| mesh.normals[v]);
         let mut shading_normal = (na * b0 + nb * b1 + nc * b2).try_normalize().unwrap_or(geometric_normal);
         if !shading_normal.is_finite() {
@@ -81,10 +76,9 @@ impl Interaction {
             shading_normal = -shading_normal;
         }
         let [ta, tb, tc] = vertices.map(|v| mesh.uvs[v]);
-        let uv = ta * b0 + tb * b1 + tc * b2;
+        let (uv, uv_density) = texture_coordinates([ta, tb, tc], b1, b2, e1.cross(e2).length());
         let (d1, d2) = (tb - ta, tc - ta);
         let determinant = d1.perp_dot(d2);
-        let uv_density = if doubled_area > 0.0 { (determinant.abs() / doubled_area).sqrt() } else { 0.0 };
         let along_u = if determinant != 0.0 { (e1 * d2.y - e2 * d1.y) / determinant } else { e1 };
         let wo = -ray.direction.normalize();
         let material = mesh.materials[hit.triangle as usize];
@@ -95,14 +89,14 @@ impl Interaction {
             shading_normal,
             tangent: Vec3::ZERO,
             bitangent: Vec3::ZERO,
-            uv: if uv.is_finite() { uv } else { Vec2::ZERO },
-            uv_density: if uv_density.is_finite() { uv_density } else { 0.0 },
+            uv,
+            uv_density,
             triangle: hit.triangle,
             b1,
             b2,
             material,
             object: mesh.objects[hit.triangle as usize],
-            back: wo.dot(geometric_normal) < 0.0,
+            back: area_normal(e1, e2).dot(ray.direction) > 0.0,
             wo,
             t: hit.t,
             footprint: 0.0,
@@ -123,19 +117,19 @@ impl Interaction {
         self
     }
 
-    /// The mip level at which a texture is read here. A function of the ray alone, so that displays and tracers read
-    /// the same.
+    /// As far as the diffuse part and the emission go.
     #[inline]
-    pub fn texture_level(&self, texture: &Texture) -> f32 {
-        let [su, sv, ..] = texture.scale_offset;
-        mip_level(self.uv_density * (su * sv).abs().sqrt(), self.footprint, texture.size(0))
-    }
-
-    /// A texture's colour here, linear RGB and alpha.
-    #[inline]
-    pub fn texel(&self, scene: &Scene, map: TextureId) -> [f32; 4] {
-        let texture = &scene.textures[map.0 as usize];
-        texture.sample(self.uv, self.texture_level(texture))
+    pub fn point(&self) -> SurfacePoint {
+        SurfacePoint {
+            triangle: self.triangle,
+            b1: self.b1,
+            b2: self.b2,
+            material: self.material,
+            back: self.back,
+            uv: self.uv,
+            uv_density: self.uv_density,
+            footprint: self.footprint,
+        }
     }
 
     /// The material.
@@ -223,21 +217,5 @@ impl Interaction {
     pub fn spawn_to(&self, target: Vec3) -> Ray {
         let ray = self.spawn(target - self.position);
         Ray { direction: target - ray.origin, t_max: 1.0 - 1e-4, ..ray }
-    }
-}
-
-/// Radiance that the surface emits towards the viewer: from the front side only.
-#[inline]
-pub fn emission(scene: &Scene, at: &Interaction) -> Vec3 {
-    let m = at.material(scene);
-    if at.back || !m.is_emissive() {
-        return Vec3::ZERO;
-    }
-    match m.emission.map {
-        None => m.emission.color,
-        Some(map) => {
-            let [r, g, b, _] = at.texel(scene, map);
-            m.emission.color * Vec3::new(r, g, b)
-        }
     }
 }

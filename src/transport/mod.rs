@@ -12,6 +12,7 @@ pub mod medium;
 pub mod particle;
 pub mod path;
 pub mod radiosity;
+pub mod surface;
 #[cfg(test)]
 mod test_boxes;
 pub mod tracer;

@@ -8,7 +8,7 @@ use glam::Vec3;
 
 use super::bsdf::Bsdf;
 use super::direct::{Found, arriving, is_pane, mis_weight};
-use super::interaction::{self, Interaction};
+use super::interaction::Interaction;
 use super::light::Lights;
 use super::medium::Media;
 use crate::geometry::{Accel, Ray};
@@ -43,7 +43,7 @@ pub fn path_radiance(scene: &Scene, accel: &Accel, lights: &Lights, ray: &Ray, m
         let at = Interaction::at(scene, &ray, hit);
         throughput *= media.transmittance_to(scene, &at, hit.t);
         let bsdf = Bsdf::at(scene, &at);
-        sum += throughput * share(interaction::emission(scene, &at)) * index_scale;
+        sum += throughput * share(at.point().emission(scene)) * index_scale;
         // The density of light samples is needed for the next surface's weights too, so they are drawn
         // wherever something other than a delta lobe reflects.
         let m = u32::from(!lights.is_empty());

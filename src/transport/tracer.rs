@@ -17,9 +17,10 @@ use glam::Vec3;
 
 use super::bsdf::{Bsdf, BsdfSample};
 use super::direct::{Found, arriving, is_pane, mis_weight};
-use super::interaction::{self, Interaction};
+use super::interaction::Interaction;
 use super::light::Lights;
 use super::medium::Media;
+use super::surface::SurfacePoint;
 use crate::geometry::{Accel, Ray};
 use crate::illumination::Irradiance;
 use crate::rng::Stream;
@@ -116,11 +117,10 @@ impl<'a> Tracer<'a> {
     }
 
     /// Emission and diffuse part: what the display shows of the surface. Radiance; finite, not negative.
-    pub fn base(&self, at: &Interaction) -> Vec3 {
-        let bsdf = Bsdf::at(self.scene, at);
-        self.finite(
-            interaction::emission(self.scene, at) + bsdf.diffuse_albedo() * self.diffuse_light(at, &bsdf),
-        )
+    #[inline]
+    pub fn base(&self, point: &SurfacePoint) -> Vec3 {
+        let diffuse = point.diffuse_albedo(self.scene);
+        self.finite(point.emission(self.scene) + diffuse * self.diffuse_light(point, diffuse))
     }
 
     /// Everything that [`Self::base`] leaves out, as radiance towards `at.wo`. Finite.
@@ -134,7 +134,7 @@ impl<'a> Tracer<'a> {
             spread: at.footprint / at.t.max(f32::MIN_POSITIVE),
             ..Branch::START
         };
-        let diffuse = bsdf.diffuse_albedo() * self.diffuse_light(at, &bsdf);
+        let diffuse = bsdf.diffuse_albedo() * self.diffuse_light(&at.point(), bsdf.diffuse_albedo());
         self.finite(diffuse * (bsdf.coat_factor(at.wo) - 1.0) + self.scatter(at, &bsdf, branch, stream))
     }
 
@@ -161,11 +161,11 @@ impl<'a> Tracer<'a> {
 
     /// Stored irradiance / π, where there is something to reflect it.
     #[inline]
-    fn diffuse_light(&self, at: &Interaction, bsdf: &Bsdf) -> Vec3 {
-        if bsdf.diffuse_albedo() == Vec3::ZERO {
+    fn diffuse_light(&self, point: &SurfacePoint, albedo: Vec3) -> Vec3 {
+        if albedo == Vec3::ZERO {
             return Vec3::ZERO;
         }
-        self.illumination.irradiance(at.triangle, at.b1, at.b2, at.back) * FRAC_1_PI
+        self.illumination.irradiance(point.triangle, point.b1, point.b2, point.back) * FRAC_1_PI
     }
 
     /// Radiance along a ray of unit direction.
@@ -197,8 +197,10 @@ impl<'a> Tracer<'a> {
         branch.width += branch.spread * hit.t;
         let at = Interaction::at(self.scene, ray, hit).with_footprint(branch.width);
         let bsdf = Bsdf::at(self.scene, &at);
-        let mut radiance = share(interaction::emission(self.scene, &at));
-        radiance += bsdf.diffuse_albedo() * self.diffuse_light(&at, &bsdf) * bsdf.coat_factor(at.wo);
+        let mut radiance = share(at.point().emission(self.scene));
+        radiance += bsdf.diffuse_albedo()
+            * self.diffuse_light(&at.point(), bsdf.diffuse_albedo())
+            * bsdf.coat_factor(at.wo);
         let absorbed = branch.media.transmittance_to(self.scene, &at, hit.t);
         if bsdf.has_view_dependent() {
             branch.contribution *= absorbed.max_element();

@@ -111,17 +111,6 @@ pub struct Bsdf {
     lobe: Lobe,
 }
 
-fn lookup(scene: &Scene, at: &Interaction, r: &Reflectance) -> Vec3 {
-    let color = match r.map {
-        None => r.color,
-        Some(map) => {
-            let [red, green, blue, _] = at.texel(scene, map);
-            r.color * Vec3::new(red, green, blue)
-        }
-    };
-    color.clamp(Vec3::ZERO, Vec3::ONE)
-}
-
 fn microfacet(r: &Roughness, v_groove: bool) -> Option<Microfacet> {
     (!r.is_smooth()).then(|| Microfacet {
         ax: r.alpha_x.clamp(Roughness::SMOOTH, 1.0),
@@ -135,13 +124,15 @@ impl Bsdf {
     /// The reflectance at an interaction, seen from its `wo`.
     pub fn at(scene: &Scene, at: &Interaction) -> Self {
         let m = at.material(scene);
+        let point = at.point();
+        let lookup = |r: &Reflectance| point.reflectance(scene, r);
         let side = if at.back { -1.0 } else { 1.0 };
         let mut bsdf = Self {
             normal: at.facing_shading(),
             tangent: at.tangent,
             bitangent: at.bitangent * side,
             geometric: at.facing_geometric(),
-            diffuse: Vec3::ZERO,
+            diffuse: point.diffuse_albedo(scene),
             coat: 1.0,
             lobe: Lobe::None,
         };
@@ -154,19 +145,14 @@ impl Bsdf {
             Some(microfacet) => Lobe::Glossy { facet, microfacet },
         };
         match &m.model {
-            Model::Lambert { albedo } => bsdf.diffuse = lookup(scene, at, albedo),
-            Model::Mirror { specular } => {
-                bsdf.lobe = Lobe::Mirror { reflectance: lookup(scene, at, specular) }
-            }
+            Model::Lambert { .. } => {}
+            Model::Mirror { specular } => bsdf.lobe = Lobe::Mirror { reflectance: lookup(specular) },
             Model::Conductor { eta, k, roughness } => {
                 bsdf.lobe = facet_lobe(Facet::Conductor { eta: *eta, k: *k }, roughness, false);
             }
             Model::Metal { specular, roughness } => {
-                bsdf.lobe = facet_lobe(
-                    Facet::Schlick { f0: lookup(scene, at, specular), most: Vec3::ONE },
-                    roughness,
-                    false,
-                );
+                bsdf.lobe =
+                    facet_lobe(Facet::Schlick { f0: lookup(specular), most: Vec3::ONE }, roughness, false);
             }
             Model::Dielectric { ior, transmittance, thin, roughness } => {
                 let ior = ior.clamp(1.0, 10.0);
@@ -177,21 +163,15 @@ impl Bsdf {
                     Lobe::Glass { eta, microfacet: microfacet(roughness, false) }
                 };
             }
-            Model::Plastic { albedo, ior, roughness } => {
+            Model::Plastic { ior, roughness, .. } => {
                 let ior = ior.clamp(1.0, 3.0);
-                let base = lookup(scene, at, albedo);
-                // Into the coat, any number of reflections below it, and out again.
-                let outer = fresnel::dielectric_mean(ior);
-                let escape = (1.0 - outer) / (ior * ior);
-                bsdf.diffuse = base * ((1.0 - outer) * escape) / (Vec3::ONE - base * (1.0 - escape));
                 bsdf.coat = ior;
                 if ior > 1.0 {
                     bsdf.lobe = facet_lobe(Facet::Dielectric { eta: ior }, roughness, false);
                 }
             }
-            Model::CookTorrance { diffuse, specular, roughness } => {
-                bsdf.diffuse = lookup(scene, at, diffuse);
-                let f0 = lookup(scene, at, specular);
+            Model::CookTorrance { specular, roughness, .. } => {
+                let f0 = lookup(specular);
                 if f0.max_element() > 0.0 {
                     let v_groove = roughness.distribution == Distribution::Beckmann;
                     bsdf.lobe = facet_lobe(
@@ -201,10 +181,9 @@ impl Bsdf {
                     );
                 }
             }
-            Model::Ward { diffuse, specular, roughness } => {
-                bsdf.diffuse = lookup(scene, at, diffuse);
+            Model::Ward { specular, roughness, .. } => {
                 // Textures can ask for more than all of the light.
-                let specular = lookup(scene, at, specular).min(Vec3::ONE - bsdf.diffuse);
+                let specular = lookup(specular).min(Vec3::ONE - bsdf.diffuse);
                 if specular.max_element() > 0.0 {
                     let beckmann = Roughness { distribution: Distribution::Beckmann, ..*roughness };
                     bsdf.lobe = match microfacet(&beckmann, false) {

@@ -140,7 +140,7 @@ impl<'a> Tracer<'a> {
 
     /// The diffuse part alone, averaged over directions: albedo / π × irradiance.
     pub fn reflected_diffuse(&self, at: &Interaction, bsdf: &Bsdf) -> Vec3 {
-        self.finite(bsdf.diffuse_albedo() * self.diffuse_light(at, bsdf))
+        self.finite(bsdf.diffuse_albedo() * self.diffuse_light(&at.point(), bsdf.diffuse_albedo()))
     }
 
     /// Radiance that arrives at the ray's origin, against its direction. Finite.

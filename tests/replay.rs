@@ -68,6 +68,130 @@ fn replay_stops_where_it_is_told_and_lists_an_actor() {
     assert!(profile["traceEvents"].as_array().is_some_and(|events| events.len() > 10));
 }
 
+/// A walk of which many pixels still show samples of earlier views.
+fn hurried() -> PathBuf {
+    let file = folder("recording").join("walk.fvl");
+    let walk = "walk --frames 6 --fps 200 --size 96x64 --workers 1 --quick --record";
+    Foveal::new(walk).arg(&file).arg(scene("gallery")).ok();
+    file
+}
+
+#[test]
+fn a_pixel_is_explained_from_input_to_sample() {
+    let trace = hurried();
+    let steps = |d: &Value| -> Vec<String> {
+        let chain = d["chain"].as_array().expect("a chain");
+        chain.iter().map(|link| link["step"].as_str().expect("a step").to_owned()).collect()
+    };
+    let (mut fresh, mut cached) = (0, 0);
+    for pixel in ["20,58", "48,60", "80,55", "10,60"] {
+        let d = Foveal::new(&format!("replay --why {pixel}")).arg(&trace).json();
+        assert_eq!((&d["frame"], &d["name"]), (&5.into(), &"Floor".into()), "{pixel}: {d}");
+        match d["age"].as_u64() {
+            Some(0) => {
+                fresh += 1;
+                assert_eq!(steps(&d)[..1], ["input"]);
+                assert!(steps(&d).ends_with(&["job", "sample", "pixel"].map(String::from)), "{d}");
+            }
+            Some(age) => {
+                cached += 1;
+                let tail = ["priority", "job", "sample", "cache", "pixel"].map(String::from);
+                assert!(steps(&d).ends_with(&tail) && age < 6, "{d}");
+            }
+            None => assert_eq!(steps(&d), ["input"]),
+        }
+        // Every place that is named can be gone to.
+        for link in d["chain"].as_array().into_iter().flatten() {
+            let at = link["at"].as_str().expect("a place");
+            Foveal::new("replay --until").arg(at).arg(&trace).ok();
+        }
+    }
+    assert!(cached + fresh >= 3, "{cached} cached, {fresh} fresh");
+    let told = Foveal::new("replay --why 2,2 --frame 0").arg(&trace).ok();
+    assert!(told.out.contains("pixel 2,2") && told.out.contains("input"), "{}", told.out);
+    Foveal::new("replay --why 96,0").arg(&trace).fails(2, &["96,0", "96 × 64"]);
+    Foveal::new("replay --why 1,1 --frame 6").arg(&trace).fails(2, &["no frame 6"]);
+}
+
+#[test]
+fn steps_go_forward_and_back_alike() {
+    let trace = recorded("");
+    let session = |commands: &str| {
+        let ended = Foveal::new("replay --step --until 2").arg(&trace).input(commands).ok();
+        ended.out.lines().skip(1).map(str::to_owned).collect::<Vec<_>>()
+    };
+    let forward = session("s 5\n");
+    assert_eq!(forward.len(), 5, "{forward:?}");
+    let round = session("s 5\nb 5\ns 5\np\n");
+    assert_eq!((&round[..5], &round[10..15]), (&forward[..], &forward[..]));
+    let undone: Vec<String> = round[5..10].iter().rev().map(|l| l.replace("back over ", "")).collect();
+    assert_eq!(undone, forward);
+    assert!(round[15].contains("frame 2 shown"), "{round:?}");
+    // Over the place it was jumped to, to the start, and what is mistyped.
+    let long = session("b 500\ns\nw 1,1\nx\ng nobody:3\nq\n");
+    assert!(long.iter().any(|l| l.contains("the start of the recording")), "{long:?}");
+    assert!(long.iter().any(|l| l.starts_with("renderer:0 ")), "{long:?}");
+    assert!(long.iter().any(|l| l.contains("nobody")), "{long:?}");
+    let back = Foveal::new("replay --back 3").arg(&trace).ok();
+    assert_eq!(back.out.lines().filter(|l| l.starts_with("back over")).count(), 3, "{}", back.out);
+}
+
+#[test]
+fn two_recordings_part_where_they_part() {
+    let (one, other) = (recorded(""), recorded("--seed 5"));
+    let same = Foveal::new("replay --json --diff").arg(&one).arg(&one).ok().json();
+    assert_eq!((&same["same"], &same["first"]), (&Value::Bool(true), &Value::Null));
+    let ended = Foveal::new("replay --json --diff").arg(&one).arg(&other).run();
+    let d = ended.json();
+    assert_eq!((ended.code, &d["same"]), (Some(1), &Value::Bool(false)));
+    assert!(d["settings"].to_string().contains("settings"), "{d}");
+    assert!(d["first"]["actor"].is_string() && d["first"]["index"].is_u64(), "{d}");
+    let foreign = Foveal::new("replay --diff").arg(&one).arg(root().join("traces/table.fvl"));
+    foreign.fails(3, &["other systems", "tracer-2"]);
+}
+
+#[test]
+fn an_export_has_arrows_from_input_to_pixel() {
+    let trace = recorded("");
+    let file = folder("profile").join("replay.json");
+    Foveal::new("replay --export chrome").arg(&file).arg(&trace).ok();
+    let d: Value = serde_json::from_slice(&fs::read(&file).expect("a profile")).expect("a JSON document");
+    let events = d["traceEvents"].as_array().expect("events");
+    let count = |phase: &str| events.iter().filter(|e| e["ph"] == phase).count();
+    let recorded = Foveal::new("log stat").arg(&trace).json()["deliveries"].as_u64().expect("a number");
+    assert_eq!((count("X") as u64, count("s")), (recorded, count("f")));
+    // Follow arrows from the first input: they come to a job, to samples, and to a frame.
+    let slice_at = |e: &Value| {
+        let within = |s: &&Value| {
+            let (from, time) = (s["ts"].as_f64().unwrap_or(0.0), e["ts"].as_f64().unwrap_or(-1.0));
+            let end = from + s["dur"].as_f64().unwrap_or(0.0);
+            s["ph"] == "X" && s["tid"] == e["tid"] && from <= time && time <= end
+        };
+        events.iter().position(|s| within(&s)).expect("an arrow ends at a slice")
+    };
+    let mut arrows = std::collections::BTreeMap::new();
+    for e in events.iter().filter(|e| e["ph"] == "s" || e["ph"] == "f") {
+        let ends: &mut [usize; 2] = arrows.entry(e["id"].as_u64()).or_default();
+        ends[usize::from(e["ph"] == "f")] = slice_at(e);
+    }
+    let mut reached = vec![events.iter().position(|e| e["name"] == "FrameBegan").expect("an input")];
+    for step in 0.. {
+        let Some(from) = reached.get(step).copied() else { break };
+        let next = arrows.values().filter(|a| a[0] == from).map(|a| a[1]);
+        let new: Vec<usize> = next.filter(|to| !reached.contains(to)).collect();
+        reached.extend(new);
+    }
+    let names: Vec<&str> = reached.iter().filter_map(|slice| events[*slice]["name"].as_str()).collect();
+    for name in ["FrameBegan", "ViewDrawn", "TraceJob", "SamplesTraced", "frame "] {
+        assert!(names.iter().any(|n| n.starts_with(name)), "no arrow leads to {name}: {names:?}");
+    }
+    let file = folder("profile").join("replay.pftrace");
+    Foveal::new("replay --export perfetto").arg(&file).arg(&trace).ok();
+    let bytes = fs::read(&file).expect("a profile");
+    assert!(bytes[0] == 0x0a && bytes.windows(9).any(|w| w == b"FrameBegan".get(..9).unwrap_or_default()));
+    Foveal::new("replay --export svg x").arg(&trace).fails(2, &["svg"]);
+}
+
 #[test]
 fn recordings_that_do_not_fit_are_refused_by_name() {
     let trace = recorded("");

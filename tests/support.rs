@@ -58,6 +58,8 @@ pub struct Foveal {
     command: Command,
     line: String,
     folder: PathBuf,
+    /// What it reads.
+    input: Option<PathBuf>,
 }
 
 /// How it ended.
@@ -87,7 +89,7 @@ impl Foveal {
             .env("FOVEAL_CACHE", run_folder().join("cache"))
             .env("NO_COLOR", "1")
             .env_remove("FOVEAL_LOG");
-        Self { command, line: format!("foveal {words}"), folder: folder("output") }
+        Self { command, line: format!("foveal {words}"), folder: folder("output"), input: None }
     }
 
     /// One more argument.
@@ -97,10 +99,19 @@ impl Foveal {
         self
     }
 
+    /// With this to read.
+    pub fn input(mut self, text: &str) -> Self {
+        let file = self.folder.join("in");
+        fs::write(&file, text).expect("a file");
+        self.input = Some(file);
+        self
+    }
+
     /// Starts it. Its output goes to files, so that it never waits for a reader.
     pub fn start(mut self) -> Running {
         let file = |name| File::create(self.folder.join(name)).expect("a file");
-        self.command.stdin(Stdio::null()).stdout(file("out")).stderr(file("err"));
+        let input = self.input.map_or_else(Stdio::null, |file| File::open(file).expect("a file").into());
+        self.command.stdin(input).stdout(file("out")).stderr(file("err"));
         let child = self.command.spawn().expect("the program starts");
         Running { child, line: self.line, folder: self.folder }
     }

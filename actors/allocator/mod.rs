@@ -284,8 +284,10 @@ impl Allocator {
                 let priorities = priorities!(self);
                 let next = self.jobs.next(&drawn.buffers.object, |o, l| priorities.of(o, l));
                 let Some((order, priority)) = next else { break };
+                let attention = self.attention.get(order.object as usize).copied().unwrap_or(0.0);
                 let seed = self.settings.seed;
-                let job = TraceJob::Samples(SampleOrder { drawn: drawn.clone(), order, seed });
+                let order = SampleOrder { drawn: drawn.clone(), order, seed, priority, attention };
+                let job = TraceJob::Samples(order);
                 let bucket = bucket_of(priority);
                 self.outbox.push(cx, &self.pool, bucket, u64::from(drawn.view.0), job);
                 self.in_flight += 1;

@@ -28,6 +28,10 @@ pub struct SampleOrder {
     pub order: SampleJob,
     /// Seed of the random numbers.
     pub seed: u64,
+    /// The priority it was given, in [0, 1]: it explains the job and decides nothing any more.
+    pub priority: f32,
+    /// Combined saliency and importance of its object by then, in [0, 1].
+    pub attention: f32,
 }
 
 /// Part of an object's environment map.
@@ -91,7 +95,7 @@ impl Message for TracerMessage {
 impl Job for TraceJob {
     fn digest(&self, digest: &mut Digest) {
         match self {
-            Self::Samples(SampleOrder { drawn, order: o, seed: _ }) => {
+            Self::Samples(SampleOrder { drawn, order: o, seed: _, priority: _, attention: _ }) => {
                 digest.u32(drawn.view.0);
                 digest.u64(drawn.hash);
                 for word in [o.object, o.level, o.count, o.start.x as u32, o.start.y as u32] {
@@ -114,7 +118,7 @@ impl Job for TraceJob {
 
     fn describe(&self) -> String {
         match self {
-            Self::Samples(SampleOrder { drawn, order: o, seed }) => {
+            Self::Samples(SampleOrder { drawn, order: o, seed, priority: _, attention: _ }) => {
                 let r = &o.rect;
                 format!(
                     "{} samples of object {}, level {}, view {}, pixels [{}, {}) × [{}, {}) from ({}, {}), seed {}",

@@ -7,9 +7,10 @@ use crate::clock::Time;
 use crate::log::format::NodeInfo;
 use crate::log::writer::RecordingStatus;
 use crate::message::Digest;
-use crate::profile::{ActorCounters, TurnTime, chrome_trace};
+use crate::profile::{ActorCounters, TurnTime, timeline};
 use crate::runtime::Runtime;
 use crate::simulate::Failure;
+use crate::timeline::Timeline;
 use crate::wiring::Handle;
 
 impl Runtime {
@@ -75,9 +76,9 @@ impl Runtime {
         nodes.map(|(node, info)| (info.name.clone(), node.link().counters.turn_times())).collect()
     }
 
-    /// The same as a Chrome trace.
-    pub fn chrome_trace(&self) -> String {
-        chrome_trace(&self.turn_times())
+    /// The same on a line of time.
+    pub fn timeline(&self) -> Timeline {
+        timeline(&self.turn_times())
     }
 
     /// How the recording is doing.

@@ -1,8 +1,9 @@
 //! Counters and turn times of every actor, always on, readable at any time.
 
 use crossbeam_utils::CachePadded;
-use std::fmt::Write;
 use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::timeline::{Slice, Timeline};
 
 /// Turns an actor's ring holds unless the configuration says otherwise.
 pub const RING_TURNS: usize = 256;
@@ -160,39 +161,28 @@ fn add(counter: &AtomicU64, amount: u64) {
     counter.store(counter.load(Ordering::Relaxed) + amount, Ordering::Relaxed);
 }
 
-/// Turn times as a Chrome trace (chrome://tracing, Perfetto): one row per thread, one slice per turn.
-pub fn chrome_trace(actors: &[(String, Vec<TurnTime>)]) -> String {
-    let mut json = String::from("{\"traceEvents\":[");
+/// Turn times on one track for each thread that ran turns.
+pub fn timeline(actors: &[(String, Vec<TurnTime>)]) -> Timeline {
     let mut threads: Vec<u16> =
         actors.iter().flat_map(|(_, turns)| turns.iter().map(|turn| turn.thread)).collect();
     threads.sort_unstable();
     threads.dedup();
-    let mut separator = "";
-    for thread in threads {
-        let name = if thread == 0 { "main".to_owned() } else { format!("worker {thread}") };
-        let _ = write!(
-            json,
-            "{separator}\n{{\"ph\":\"M\",\"pid\":1,\"tid\":{thread},\"name\":\"thread_name\",\"args\":{{\"name\":\"{name}\"}}}}"
-        );
-        separator = ",";
-    }
-    for (name, turns) in actors {
-        let name: String = name.chars().filter(|c| !c.is_control() && !matches!(c, '"' | '\\')).collect();
-        for turn in turns {
-            let _ = write!(
-                json,
-                "{separator}\n{{\"ph\":\"X\",\"pid\":1,\"tid\":{},\"name\":\"{name}\",\"ts\":{:.3},\"dur\":{:.3},\
-                 \"args\":{{\"messages\":{}}}}}",
-                turn.thread,
-                turn.start_ns as f64 * 1e-3,
-                f64::from(turn.duration_ns) * 1e-3,
-                turn.messages
-            );
-            separator = ",";
-        }
-    }
-    json.push_str("\n]}\n");
-    json
+    let name = |thread: &u16| if *thread == 0 { "main".to_owned() } else { format!("worker {thread}") };
+    let tracks = threads.iter().map(name).collect();
+    let mut slices: Vec<Slice> = actors
+        .iter()
+        .flat_map(|(name, turns)| {
+            turns.iter().map(|turn| Slice {
+                track: threads.binary_search(&turn.thread).unwrap_or(0) as u32,
+                name: name.clone(),
+                start_ns: turn.start_ns,
+                duration_ns: u64::from(turn.duration_ns),
+                notes: vec![("messages", turn.messages.to_string())],
+            })
+        })
+        .collect();
+    slices.sort_by_key(|slice| (slice.track, slice.start_ns));
+    Timeline { tracks, slices, arrows: Vec::new() }
 }
 
 #[cfg(test)]
@@ -208,8 +198,8 @@ mod tests {
         assert_eq!(turns[3], TurnTime { start_ns: 900, duration_ns: 7, messages: 9, thread: 3 });
         let read = counters.read("a");
         assert_eq!((read.turns, read.busy_ns, read.depth_max), (10, 70, 9));
-        let json = chrome_trace(&[("a\"b".to_owned(), turns)]);
-        assert!(json.contains("\"name\":\"ab\",\"ts\":0.900,\"dur\":0.007"));
-        assert_eq!(json.matches('{').count(), json.matches('}').count());
+        let timeline = timeline(&[("a".to_owned(), turns)]);
+        assert_eq!(timeline.tracks, ["worker 3"]);
+        assert!(timeline.chrome().contains("\"name\":\"a\",\"ts\":0.900,\"dur\":0.007"));
     }
 }

@@ -1,0 +1,225 @@
+//! A recording with the world it was made in: systems that replay it are built from here.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crossbeam_queue::SegQueue;
+use foveal_runtime::{
+    ActorId, Config, Delivery, Event, Hashing, Mode, Observer, Runtime, Snapshot, Trace, Until,
+};
+
+use crate::cli::Progress;
+use crate::cli::failure::Failure;
+use crate::cli::recording::{Elsewhere, RecordedRun, open_trace};
+use crate::cli::session::Session;
+use crate::message::FrameSnapshot;
+use crate::renderer::{FrameCounts, FrameSink, MARK_FRAME, Renderer};
+use crate::stages::StageTimes;
+use crate::wiring::{Actors, Parts, wire};
+
+/// Shows nothing: replay leaves the world alone.
+pub struct Unseen;
+
+impl FrameSink for Unseen {
+    fn frame_shown(&mut self, _snapshot: &Arc<FrameSnapshot>, _counts: FrameCounts, _renderer: &Renderer) {}
+}
+
+/// A delivery that was looked at.
+#[derive(Clone, Debug)]
+pub struct Seen {
+    /// Who received.
+    pub actor: ActorId,
+    /// Its number.
+    pub index: u64,
+    /// Who sent.
+    pub from: ActorId,
+    /// The message's variant.
+    pub kind: &'static str,
+    /// The delivery it was sent in.
+    pub cause: Option<(ActorId, u64)>,
+    /// The receiver's chained hash.
+    pub chain: u64,
+}
+
+impl Seen {
+    /// What an observer is shown, without the content.
+    pub fn of(d: &Delivery<'_>) -> Self {
+        Self { actor: d.actor, index: d.index, from: d.from, kind: d.kind, cause: d.cause, chain: d.chain }
+    }
+}
+
+/// How one replay is to run.
+#[derive(Default)]
+pub struct How {
+    /// Threads beside the main one.
+    pub threads: usize,
+    /// Where to stop.
+    pub until: Option<Until>,
+    /// Where to begin, if not at the start.
+    pub from: Option<Arc<Snapshot>>,
+    /// Sees every delivery.
+    pub observer: Option<Observer>,
+    /// Deliveries of a turn; `None` for the runtime's own choice.
+    pub turn: Option<u64>,
+    /// Turns kept of each actor.
+    pub ring_turns: Option<usize>,
+}
+
+/// A recording and its world.
+pub struct Source {
+    /// The recording.
+    pub trace: Arc<Trace>,
+    /// Its file.
+    pub path: PathBuf,
+    /// What it says of the run.
+    pub recorded: RecordedRun,
+    /// The delivery of the renderer in which each frame was shown.
+    pub shown_in: Vec<u64>,
+    session: Session,
+}
+
+impl Source {
+    /// Reads a recording and makes its world again.
+    pub fn open(
+        path: &Path,
+        scene: Option<&Path>,
+        elsewhere: &Elsewhere,
+        verify: bool,
+        progress: Progress,
+    ) -> Result<Self, Failure> {
+        let trace = Arc::new(open_trace(path)?);
+        let recorded = RecordedRun::of(&trace, path)?;
+        if verify && trace.header().hashing == Hashing::Off {
+            return Err(Failure::Input(format!(
+                "{}: recorded without hashes; it cannot be verified",
+                path.display()
+            )));
+        }
+        let session = recorded.open(path, scene, elsewhere, progress)?;
+        let shown_in = shown_in(&trace);
+        Ok(Self { trace, path: path.to_owned(), recorded, shown_in, session })
+    }
+
+    /// A system that replays it.
+    pub fn system(&self, how: How) -> Result<(Runtime, Actors), Failure> {
+        let live = Config::live(how.threads);
+        let mut config = Config {
+            mode: Mode::Replay { trace: Arc::clone(&self.trace), until: how.until },
+            observer: how.observer,
+            from: how.from,
+            ring_turns: how.ring_turns.unwrap_or(live.ring_turns),
+            ..live
+        };
+        if let Some(messages) = how.turn {
+            config.budget.messages = messages;
+        }
+        let parts = Parts {
+            settings: self.recorded.settings,
+            world: self.session.world.clone(),
+            passes: self.recorded.passes(),
+            corrects: self.recorded.corrects,
+            stages: StageTimes::default(),
+            sink: Box::new(Unseen),
+        };
+        Runtime::build(config, |w| wire(w, parts))
+            .map_err(|e| Failure::Input(format!("{}: {e}", self.path.display())))
+    }
+
+    /// The renderer's number.
+    pub fn renderer(&self) -> ActorId {
+        renderer(&self.trace)
+    }
+
+    /// Where `frame` was shown.
+    pub fn frame_shown(&self, frame: u32) -> Result<Until, Failure> {
+        let shown = self.shown_in.get(frame as usize);
+        let index = shown.copied().ok_or_else(|| {
+            let frames = self.shown_in.len();
+            Failure::Usage(format!("no frame {frame}; the recording shows {frames}, counted from 0"))
+        })?;
+        Ok(Until::Delivery { actor: self.renderer(), index })
+    }
+
+    /// `FRAME` or `ACTOR:INDEX`, the actor by name or number.
+    pub fn place(&self, text: &str) -> Result<Until, Failure> {
+        if let Ok(frame) = text.parse::<u32>() {
+            return self.frame_shown(frame);
+        }
+        let wrong =
+            || Failure::Usage(format!("{text}: a frame number, or an actor and an index as renderer:12"));
+        let (name, index) = text.rsplit_once(':').ok_or_else(wrong)?;
+        let actor = self.actor(name)?;
+        let index: u64 = index.parse().map_err(|_| wrong())?;
+        match self.trace.deliveries(actor) {
+            deliveries if index < deliveries => Ok(Until::Delivery { actor, index }),
+            deliveries => {
+                Err(Failure::Usage(format!("no {text}; {deliveries} deliveries to it are recorded, from 0")))
+            }
+        }
+    }
+
+    /// An actor by name or number.
+    pub fn actor(&self, name: &str) -> Result<ActorId, Failure> {
+        let nodes = &self.trace.header().nodes;
+        let by_number = || {
+            let number = name.strip_prefix('#').unwrap_or(name).parse::<u32>().ok()?;
+            ((number as usize) < nodes.len()).then_some(ActorId(number))
+        };
+        self.trace.find(name).or_else(by_number).ok_or_else(|| {
+            let names: Vec<&str> =
+                nodes.iter().filter(|n| n.class.is_some()).map(|n| n.name.as_str()).collect();
+            Failure::Usage(format!("no actor \"{name}\"; the recording has {}", names.join(", ")))
+        })
+    }
+
+    /// An actor's or port's name.
+    pub fn name(&self, id: ActorId) -> &str {
+        name(&self.trace, id)
+    }
+
+    /// A delivery's place, as it can be given to `--until`.
+    pub fn at(&self, (actor, index): (ActorId, u64)) -> String {
+        format!("{}:{index}", self.name(actor))
+    }
+
+    /// A delivery in one line.
+    pub fn line(&self, s: &Seen) -> String {
+        let from = match s.cause {
+            Some(cause) => self.at(cause),
+            None if s.from == s.actor => "itself".to_owned(),
+            None => self.name(s.from).to_owned(),
+        };
+        format!("{:<16} {:<16} from {from:<16} {:016x}", self.at((s.actor, s.index)), s.kind, s.chain)
+    }
+}
+
+/// An actor's or port's name.
+pub fn name(trace: &Trace, id: ActorId) -> &str {
+    trace.header().nodes.get(id.0 as usize).map_or("?", |node| node.name.as_str())
+}
+
+fn renderer(trace: &Trace) -> ActorId {
+    trace.find("renderer").unwrap_or(ActorId(0))
+}
+
+/// The delivery of the renderer in which each frame was shown.
+fn shown_in(trace: &Trace) -> Vec<u64> {
+    let marks = trace.events(renderer(trace)).filter_map(|event| match event {
+        Event::Mark { index, kind: MARK_FRAME, .. } => Some(index.saturating_sub(1)),
+        _ => None,
+    });
+    marks.collect()
+}
+
+/// An observer that puts every delivery for which `wanted` holds into a queue.
+pub fn observe(
+    seen: &Arc<SegQueue<Seen>>,
+    wanted: impl Fn(&Delivery<'_>) -> bool + Send + Sync + 'static,
+) -> Observer {
+    let seen = Arc::clone(seen);
+    Arc::new(move |d: &Delivery<'_>| {
+        if wanted(d) {
+            seen.push(Seen::of(d));
+        }
+    })
+}

@@ -1,0 +1,299 @@
+//! Stepping through a recording in both directions, one delivery at a time.
+//!
+//! A step makes the next delivery of the actor that has the least of its recording behind it, so steps come about as
+//! they came when it was recorded, in the same order wherever one begins. A step back builds the system again at the
+//! snapshot before and replays up to the cut that is asked for.
+
+use std::io::{BufRead, IsTerminal, Write};
+use std::sync::Arc;
+
+use crossbeam_queue::SegQueue;
+use foveal_runtime::{Limit, Runtime, Snapshot, Until};
+
+use super::source::{How, Seen, Source, observe};
+use super::why;
+use crate::cli::failure::Failure;
+use crate::cli::output::print_line;
+use crate::cli::session::interrupted;
+use crate::wiring::Actors;
+
+/// Steps between two snapshots of a session: what a step back has to make again at most.
+const STEPS_MAX: usize = 128;
+/// Frames before a place at which steps back begin, where it was jumped to.
+const FRAMES_BEFORE: usize = 2;
+
+const HELP: &str = "\
+s [N]                 one delivery forward, or N
+b [N]                 one back, or N
+g FRAME|ACTOR:INDEX   go to where a frame was shown or a delivery made
+f                     forward to the next shown frame
+p                     position: deliveries made to each actor
+w X,Y                 why a pixel of the last shown frame looks as it does
+q                     quit";
+
+/// A stretch of steps and where it begins.
+struct Stretch {
+    /// `None` at the start of the recording.
+    from: Option<Arc<Snapshot>>,
+    steps: Vec<Seen>,
+}
+
+/// A replay that is stepped through.
+struct Session<'s> {
+    source: &'s Source,
+    workers: usize,
+    runtime: Runtime,
+    actors: Actors,
+    seen: Arc<SegQueue<Seen>>,
+    stretches: Vec<Stretch>,
+}
+
+/// Runs the command.
+pub fn run(
+    source: &Source,
+    until: Option<&str>,
+    back: Option<u32>,
+    commands: bool,
+    workers: usize,
+) -> Result<(), Failure> {
+    let place = until.map(|text| source.place(text)).transpose()?;
+    // Back from nowhere said is back from the end.
+    let at_end = place.is_none() && back.is_some();
+    let mut session = Session::new(source, workers)?;
+    if place.is_some() || at_end {
+        session.go(place)?;
+    }
+    if let Some(count) = back {
+        session.back(u64::from(count))?;
+    }
+    if commands { session.commands() } else { Ok(()) }
+}
+
+impl<'s> Session<'s> {
+    fn new(source: &'s Source, workers: usize) -> Result<Self, Failure> {
+        let seen = Arc::new(SegQueue::new());
+        let (runtime, actors) = build(source, &seen, None)?;
+        let stretches = vec![Stretch { from: None, steps: Vec::new() }];
+        Ok(Self { source, workers, runtime, actors, seen, stretches })
+    }
+
+    fn commands(&mut self) -> Result<(), Failure> {
+        let prompts = std::io::stdin().is_terminal();
+        let mut lines = std::io::stdin().lock().lines();
+        loop {
+            if prompts {
+                let _ = write!(std::io::stdout(), "{} › ", self.here());
+                let _ = std::io::stdout().flush();
+            }
+            let Some(Ok(line)) = lines.next() else { return Ok(()) };
+            if interrupted() {
+                return Err(Failure::Interrupted("interrupted while stepping".into()));
+            }
+            let (command, rest) = line.trim().split_once(' ').unwrap_or((line.trim(), ""));
+            let count = || match rest.trim() {
+                "" => Ok(1),
+                text => text.parse().map_err(|_| Failure::Usage(format!("`{text}` is no number of steps"))),
+            };
+            let done = match command {
+                "" | "s" | "step" => count().and_then(|n| self.forward(n)),
+                "b" | "back" => count().and_then(|n| self.back(n)),
+                "g" | "go" => self.source.place(rest.trim()).and_then(|place| self.go(Some(place))),
+                "f" | "frame" => self.next_frame(),
+                "p" | "position" => {
+                    print_line(&self.positions());
+                    Ok(())
+                }
+                "w" | "why" => self.why(rest.trim()),
+                "q" | "quit" => return Ok(()),
+                _ => {
+                    print_line(HELP);
+                    Ok(())
+                }
+            };
+            match done {
+                // A mistyped command is no end.
+                Err(Failure::Usage(m)) => print_line(&m),
+                other => other?,
+            }
+        }
+    }
+
+    fn cut(&self) -> Vec<u64> {
+        self.runtime.positions().into_iter().map(|(deliveries, _)| deliveries).collect()
+    }
+
+    fn here(&self) -> String {
+        let last = self.stretches.iter().rev().find_map(|s| s.steps.last());
+        last.map_or_else(|| "start".to_owned(), |s| self.source.at((s.actor, s.index)))
+    }
+
+    fn frame(&self) -> Option<u32> {
+        self.runtime.inspect(self.actors.renderer, |r| r.shown().map(|s| s.index.0)).flatten()
+    }
+
+    fn positions(&self) -> String {
+        let nodes = &self.source.trace.header().nodes;
+        let actors = nodes.iter().zip(self.cut()).filter(|(node, _)| node.class.is_some());
+        let made = actors.map(|(node, made)| format!("{} {made}", node.name));
+        let frame = self.frame().map_or_else(|| "no frame shown".into(), |f| format!("frame {f} shown"));
+        made.chain([frame]).collect::<Vec<_>>().join(", ")
+    }
+
+    fn diverged(&mut self) -> Result<(), Failure> {
+        if !self.runtime.diverged() {
+            return Ok(());
+        }
+        let divergence = self.runtime.replay_report().divergence;
+        let told = divergence.map_or_else(String::new, |d| d.to_string());
+        Err(Failure::Check(format!("the replay diverges: {told}")))
+    }
+
+    /// Makes one delivery.
+    fn step(&mut self) -> Result<Option<Seen>, Failure> {
+        let stepped = self.runtime.step(None);
+        self.diverged()?;
+        let Some(seen) = stepped.and_then(|_| self.seen.pop()) else { return Ok(None) };
+        if let Some(stretch) = self.stretches.last_mut() {
+            stretch.steps.push(seen.clone());
+            if stretch.steps.len() >= STEPS_MAX
+                && let Some(snapshot) = self.runtime.snapshot()
+            {
+                self.stretches.push(Stretch { from: Some(Arc::new(snapshot)), steps: Vec::new() });
+            }
+        }
+        Ok(Some(seen))
+    }
+
+    fn forward(&mut self, count: u64) -> Result<(), Failure> {
+        for _ in 0..count {
+            let Some(seen) = self.step()? else {
+                print_line("the end of the recording");
+                break;
+            };
+            print_line(&self.source.line(&seen));
+            if interrupted() {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    fn next_frame(&mut self) -> Result<(), Failure> {
+        let before = self.frame();
+        while self.frame() == before {
+            if self.step()?.is_none() || interrupted() {
+                print_line("the end of the recording");
+                return Ok(());
+            }
+        }
+        print_line(&self.positions());
+        Ok(())
+    }
+
+    /// Takes deliveries back and prints them, the last one first.
+    fn back(&mut self, steps: u64) -> Result<(), Failure> {
+        let mut cut = self.cut();
+        let mut undone = 0;
+        while undone < steps {
+            let count = self.stretches.len();
+            let Some(stretch) = self.stretches.last_mut() else { break };
+            if let Some(seen) = stretch.steps.pop() {
+                print_line(&format!("back over {}", self.source.line(&seen)));
+                cut[seen.actor.0 as usize] -= 1;
+                undone += 1;
+            } else if count > 1 {
+                self.stretches.pop();
+            } else if stretch.from.is_some() {
+                self.reach_back(&cut)?;
+            } else {
+                print_line("the start of the recording");
+                break;
+            }
+        }
+        let from = self.stretches.last().and_then(|s| s.from.clone());
+        (self.runtime, self.actors) = build(self.source, &self.seen, from)?;
+        let reached = self.runtime.run_to(&cut);
+        self.diverged()?;
+        while self.seen.pop().is_some() {}
+        if reached {
+            Ok(())
+        } else {
+            Err(Failure::Check("the replay does not come back to where it was".into()))
+        }
+    }
+
+    /// Finds the steps that lead to a cut which was jumped to: from some frames before, or from the start.
+    fn reach_back(&mut self, cut: &[u64]) -> Result<(), Failure> {
+        let shown = &self.source.shown_in;
+        let renderer = self.source.renderer();
+        let behind = shown.partition_point(|index| *index < cut[renderer.0 as usize]);
+        let before = behind.checked_sub(FRAMES_BEFORE + 1).map(|frame| shown[frame]);
+        let (mut runtime, actors) = build(self.source, &self.seen, None)?;
+        let mut from = None;
+        if let Some(index) = before {
+            runtime.run_within(cut, Some(Until::Delivery { actor: renderer, index }));
+            while self.seen.pop().is_some() {}
+            from = runtime.snapshot().map(Arc::new);
+            if from.is_none() {
+                (runtime, _) = build(self.source, &self.seen, None)?;
+            }
+        }
+        let mut steps = Vec::new();
+        while runtime.step(Some(cut)).is_some() && !runtime.diverged() && !interrupted() {
+            steps.extend(self.seen.pop());
+        }
+        (self.runtime, self.actors) = (runtime, actors);
+        self.diverged()?;
+        self.stretches = vec![Stretch { from, steps }];
+        Ok(())
+    }
+
+    /// Goes to a place, or to the end.
+    fn go(&mut self, place: Option<Until>) -> Result<(), Failure> {
+        let how = How { threads: self.workers, until: place, ..How::default() };
+        let (mut fast, _) = self.source.system(how)?;
+        fast.pump_until(Limit::IDLE, |_| interrupted());
+        let report = fast.replay_report();
+        if let Some(divergence) = report.divergence {
+            return Err(Failure::Check(format!("the replay diverges: {divergence}")));
+        }
+        let cut: Vec<u64> = fast.positions().into_iter().map(|(deliveries, _)| deliveries).collect();
+        self.stretches.clear();
+        match fast.snapshot() {
+            Some(snapshot) => {
+                let from = Some(Arc::new(snapshot));
+                (self.runtime, self.actors) = build(self.source, &self.seen, from.clone())?;
+                self.stretches.push(Stretch { from, steps: Vec::new() });
+            }
+            // What is on its way cannot be saved: step there.
+            None => {
+                (self.runtime, self.actors) = build(self.source, &self.seen, None)?;
+                let mut steps = Vec::new();
+                while self.runtime.step(Some(&cut)).is_some() && !interrupted() {
+                    steps.extend(self.seen.pop());
+                }
+                self.diverged()?;
+                self.stretches.push(Stretch { from: None, steps });
+            }
+        }
+        print_line(&self.positions());
+        Ok(())
+    }
+
+    fn why(&self, text: &str) -> Result<(), Failure> {
+        let pixel = super::pixel(text).map_err(Failure::Usage)?;
+        match self.frame() {
+            None => Err(Failure::Usage("no frame is shown yet".into())),
+            frame => why::run(self.source, pixel, frame, self.workers, false),
+        }
+    }
+}
+
+fn build(
+    source: &Source,
+    seen: &Arc<SegQueue<Seen>>,
+    from: Option<Arc<Snapshot>>,
+) -> Result<(Runtime, Actors), Failure> {
+    let observer = Some(observe(seen, |_| true));
+    source.system(How { from, observer, ..How::default() })
+}

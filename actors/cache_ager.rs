@@ -91,7 +91,7 @@ impl CacheAger {
 /// Cosine of the turn of the view direction within which samples of a material still hold: a few degrees for
 /// mirrors, whose reflections slide but keep their look under small turns, more for rough lobes
 /// (REFERENCE §11: half of atan α on top).
-fn angle_limit(world: &World, material: foveal::scene::MaterialId) -> f32 {
+pub fn angle_limit(world: &World, material: foveal::scene::MaterialId) -> f32 {
     use foveal::scene::Model;
     const SMOOTH_DEGREES: f32 = 4.0;
     let alpha = match &world.scene.materials[material.0 as usize].model {

@@ -43,7 +43,7 @@ impl Settings {
             width,
             height,
             tracers,
-            policy: RayPolicy::new(Policy::Attention, 0),
+            policy: RayPolicy::new(Policy::default(), 0),
             saliency_weight: 0.5,
             seed: 0,
             samples_per_job: 256,

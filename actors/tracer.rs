@@ -51,14 +51,15 @@ impl Tracer {
         let owner =
             Owner { view: drawn.view.0, object: job.order.object, k: self.lattice.k_of(job.order.level) };
         let pixels = job_pixels(&self.lattice, &job.order, &drawn.buffers.object);
-        let batch =
-            Arc::new(trace_samples(&drawn.world, &drawn.frame, &drawn.buffers, owner, pixels, job.seed));
+        let (batch, duration) =
+            cx.measure(|| trace_samples(&drawn.world, &drawn.frame, &drawn.buffers, owner, pixels, job.seed));
+        let batch = Arc::new(batch);
         let (samples, hash) = (batch.len() as u32, batch.digest());
         // Samples before the word that the job is done: so the allocator's "converged" comes after them.
         let to_renderer = RendererMessage::SamplesTraced { batch: batch.clone(), tracer: self.index, hash };
         self.outbox.tell(cx, &self.renderer, to_renderer);
         self.outbox.tell(cx, &self.cache_ager, CacheAgerMessage::SamplesTraced { batch, hash });
-        self.job_done(job, samples, cx);
+        self.job_done(job, samples, duration.as_secs_f32(), cx);
     }
 
     fn capture(&mut self, order: &EnvironmentOrder, cx: &mut Cx<'_, TracerMessage>) {
@@ -96,12 +97,13 @@ impl Tracer {
         }
     }
 
-    fn job_done(&mut self, job: &SampleOrder, samples: u32, cx: &mut Cx<'_, TracerMessage>) {
+    fn job_done(&mut self, job: &SampleOrder, samples: u32, seconds: f32, cx: &mut Cx<'_, TracerMessage>) {
         let done = AllocatorMessage::JobDone {
             view: job.drawn.view,
             object: job.order.object,
             level: job.order.level,
             samples,
+            seconds,
         };
         self.outbox.tell(cx, &self.allocator, done);
     }
@@ -131,7 +133,7 @@ impl Worker for Tracer {
 
     fn stale(&mut self, job: TraceJob, cx: &mut Cx<'_, TracerMessage>) {
         match job {
-            TraceJob::Samples(order) => self.job_done(&order, 0, cx),
+            TraceJob::Samples(order) => self.job_done(&order, 0, 0.0, cx),
             TraceJob::Environment(order) => {
                 let nothing = AllocatorMessage::EnvironmentCaptured {
                     object: order.object,

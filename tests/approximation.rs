@@ -77,20 +77,20 @@ fn check(name: &str, share: f64) {
 
 #[test]
 fn of_box() {
-    check("box", 0.6);
+    check("box", 0.25);
 }
 
 #[test]
 fn of_table() {
-    check("table", 0.8);
+    check("table", 0.7);
 }
 
 #[test]
 fn of_gallery() {
-    check("gallery", 0.8);
+    check("gallery", 0.7);
 }
 
 #[test]
 fn of_chess() {
-    check("chess", 0.8);
+    check("chess", 0.5);
 }

@@ -9,7 +9,7 @@ use foveal::scene::load::load;
 use crate::support::{CHEAP_BAKE, Foveal, assert_same_bits, folder, picture, scene};
 
 const TRACERS: [u32; 4] = [1, 2, 3, 7];
-const POLICIES: [&str; 4] = ["attention", "coverage", "uniform", "random"];
+const POLICIES: [&str; 5] = ["attention", "coverage", "uniform", "random", "utility"];
 
 /// The other things that must not matter, one set per walk.
 const VARIATIONS: [&str; 4] =
@@ -32,7 +32,7 @@ fn check(name: &str, shift: usize) {
     assert!(expected.data().iter().all(|c| c.is_finite() && c.min_element() >= 0.0), "{name}");
     assert!(expected.data().iter().any(|c| c.max_element() > 0.05), "{name}: the reference is black");
     for (i, tracers) in TRACERS.into_iter().enumerate() {
-        let policy = POLICIES[(i + shift) % 4];
+        let policy = POLICIES[(i + shift) % 5];
         let more = VARIATIONS[(i + 2 * shift) % 4];
         let out = folder(name);
         // At 40 frames per second a busy machine needs several frames, an idle one a single one.

@@ -9,8 +9,8 @@ pub mod environments;
 use std::sync::Arc;
 
 use foveal::allocation::environment::MapContrast;
-use foveal::allocation::jobs::SampleJobs;
-use foveal::allocation::policy::{Demand, RayPolicy, bucket_of};
+use foveal::allocation::policy::bucket_of;
+use foveal::allocation::ray_order::RayOrder;
 use foveal::display::environment_map::Seen;
 use foveal::perception::importance::{ObjectScan, ObjectStatistics, priorities};
 use foveal_runtime::{Actor, Address, Cx, Incident, JobPool};
@@ -36,8 +36,8 @@ pub struct Allocator {
     tracers: Vec<Address<TracerMessage>>,
     outbox: Outbox<AllocatorMessage>,
     stages: StageTimes,
-    /// Progress through the levels.
-    jobs: SampleJobs,
+    /// Progress through the levels, policy, and what was learnt.
+    order: RayOrder,
     /// The newest view; `None` while one is being drawn.
     drawn: Option<Arc<DrawnView>>,
     /// Objects of that view, by id.
@@ -61,52 +61,6 @@ pub struct Allocator {
     incidents: Vec<Incident>,
 }
 
-/// What the policy asks about (object, level) pairs, borrowed apart from the jobs' own state.
-struct Priorities<'a> {
-    policy: &'a RayPolicy,
-    attention: &'a [f32],
-    statistics: &'a [ObjectStatistics],
-    picture: f32,
-    view: u64,
-    winner: Option<u32>,
-}
-
-impl Priorities<'_> {
-    fn of(&self, object: u32, level: u32) -> f32 {
-        if self.winner == Some(object) {
-            // Winner takes all: before everything else, whatever its level.
-            return 1.0;
-        }
-        let at = |v: &[f32]| v.get(object as usize).copied().unwrap_or(0.0);
-        self.policy.priority(&Demand {
-            object,
-            level,
-            attention: at(self.attention),
-            coverage: self.statistics.get(object as usize).map_or(0.0, |s| s.pixels as f32 / self.picture),
-            utility: 0.0,
-            frame: self.view,
-        })
-    }
-}
-
-macro_rules! priorities {
-    ($self:ident) => {
-        Priorities {
-            policy: &$self.settings.policy,
-            attention: &$self.attention,
-            statistics: &$self.statistics,
-            picture: $self.settings.width as f32 * $self.settings.height as f32,
-            view: $self.drawn.as_ref().map_or(0, |d| u64::from(d.view.0)),
-            winner: if $self.settings.winner_takes_all { most_attended(&$self.attention) } else { None },
-        }
-    };
-}
-
-fn most_attended(attention: &[f32]) -> Option<u32> {
-    let best = attention.iter().enumerate().skip(1).max_by(|a, b| a.1.total_cmp(b.1).then(b.0.cmp(&a.0)))?;
-    (*best.1 > 0.0).then_some(best.0 as u32)
-}
-
 impl Allocator {
     /// An allocator that has not seen a view.
     pub fn new(
@@ -118,7 +72,13 @@ impl Allocator {
         stages: StageTimes,
     ) -> Self {
         Self {
-            jobs: SampleJobs::new(settings.lattice(), settings.samples_per_job),
+            order: RayOrder::new(
+                settings.policy,
+                settings.winner_takes_all,
+                settings.lattice(),
+                settings.samples_per_job,
+                settings.width as usize * settings.height as usize,
+            ),
             settings,
             renderer,
             pool,
@@ -177,8 +137,8 @@ impl Allocator {
             self.drawn = Some(drawn);
             self.told_converged = false;
             self.update_attention();
-            let priorities = priorities!(self);
-            self.jobs.start_view(&self.statistics, |o, l| priorities.of(o, l));
+            let view = self.drawn.as_ref().map_or(0, |d| u64::from(d.view.0));
+            self.order.start_view(view, &self.statistics, &self.attention);
         });
         self.rank_maps(cx);
         self.fill_pool(cx);
@@ -198,7 +158,7 @@ impl Allocator {
 
     /// Hands out a job of an environment map, if it is time for one.
     fn capture_maps(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {
-        let idle = self.jobs.is_exhausted();
+        let idle = self.order.is_exhausted();
         if !idle && self.since_map < SAMPLES_BETWEEN_MAPS * self.settings.tracers {
             return;
         }
@@ -234,8 +194,7 @@ impl Allocator {
         // The saliency of the view before says more than none.
         self.saliency = saliency;
         self.update_attention();
-        let priorities = priorities!(self);
-        self.jobs.reprioritise(|o, l| priorities.of(o, l));
+        self.order.attend(&self.attention);
     }
 
     fn on_job_done(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {
@@ -281,9 +240,7 @@ impl Allocator {
         let stages = self.stages.clone();
         stages.time(Stage::Allocate, || {
             while self.in_flight < self.settings.jobs_in_flight() {
-                let priorities = priorities!(self);
-                let next = self.jobs.next(&drawn.buffers.object, |o, l| priorities.of(o, l));
-                let Some((order, priority)) = next else { break };
+                let Some((order, priority)) = self.order.next(&drawn.buffers.object) else { break };
                 let attention = self.attention.get(order.object as usize).copied().unwrap_or(0.0);
                 let seed = self.settings.seed;
                 let order = SampleOrder { drawn: drawn.clone(), order, seed, priority, attention };
@@ -294,7 +251,7 @@ impl Allocator {
             }
         });
         self.capture_maps(cx);
-        if self.in_flight == 0 && self.jobs.is_exhausted() && !self.told_converged {
+        if self.in_flight == 0 && self.order.is_exhausted() && !self.told_converged {
             let message = RendererMessage::ViewConverged { view: drawn.view };
             self.outbox.tell(cx, &self.renderer, message);
             self.told_converged = true;
@@ -311,7 +268,13 @@ impl Actor for Allocator {
             AllocatorMessage::ViewBegun { view } => self.on_view_begun(view, cx),
             AllocatorMessage::ViewDrawn { drawn } => self.on_view_drawn(drawn, cx),
             AllocatorMessage::ObjectsRanked { view: _, saliency } => self.on_objects_ranked(saliency),
-            AllocatorMessage::JobDone { .. } => self.on_job_done(cx),
+            AllocatorMessage::JobDone { view: _, object, level: _, samples, seconds } => {
+                self.order.record_time(object, samples, seconds);
+                self.on_job_done(cx);
+            }
+            AllocatorMessage::ResidualsMeasured { view, object, level, residual } => {
+                self.order.record(u64::from(view.0), object, level, &residual);
+            }
             AllocatorMessage::EnvironmentCaptured { object, seen, hash: _, seconds } => {
                 self.on_environment_captured(object, &seen, seconds, cx);
             }

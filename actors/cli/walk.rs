@@ -53,7 +53,7 @@ pub struct WalkArguments {
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(TRACERS_MAX)))]
     workers: Option<u32>,
     /// What decides which samples come first
-    #[arg(long, value_enum, default_value_t = PolicyName::Attention)]
+    #[arg(long, value_enum, default_value_t = PolicyName::Utility)]
     policy: PolicyName,
     /// Seed of every random number
     #[arg(long, default_value_t = 0)]
@@ -112,6 +112,8 @@ enum PolicyName {
     Uniform,
     /// Any order
     Random,
+    /// Expected drop of visible error per time, learnt while tracing
+    Utility,
 }
 
 impl From<PolicyName> for Policy {
@@ -121,6 +123,7 @@ impl From<PolicyName> for Policy {
             PolicyName::Coverage => Self::Coverage,
             PolicyName::Uniform => Self::Uniform,
             PolicyName::Random => Self::Random,
+            PolicyName::Utility => Self::Utility,
         }
     }
 }

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use foveal::allocation::environment::MapContrast;
+use foveal::allocation::rays::Residual;
 use foveal::display::environment_map::Seen;
 use foveal_runtime::{Digest, Incident, Lane, Message};
 
@@ -39,6 +40,19 @@ pub enum AllocatorMessage {
         level: u32,
         /// Samples traced.
         samples: u32,
+        /// How long that took on one core, seconds, as measured.
+        seconds: f32,
+    },
+    /// From the renderer, where the policy learns from it: how far samples were from what was shown.
+    ResidualsMeasured {
+        /// The view they were splatted into.
+        view: View,
+        /// Object id.
+        object: u32,
+        /// Level.
+        level: u32,
+        /// The differences.
+        residual: Residual,
     },
     /// From a tracer: part of an environment map is captured.
     EnvironmentCaptured {
@@ -76,10 +90,17 @@ impl Message for AllocatorMessage {
                 digest.u32(view.0);
                 saliency.iter().for_each(|s| digest.f32(*s));
             }
-            Self::JobDone { view, object, level, samples } => {
+            Self::JobDone { view, object, level, samples, seconds } => {
                 for word in [view.0, *object, *level, *samples] {
                     digest.u32(word);
                 }
+                digest.f32(*seconds);
+            }
+            Self::ResidualsMeasured { view, object, level, residual } => {
+                for word in [view.0, *object, *level, residual.count()] {
+                    digest.u32(word);
+                }
+                digest.f32(residual.mean().unwrap_or(0.0));
             }
             Self::EnvironmentCaptured { object, seen: _, hash, seconds } => {
                 digest.u32(*object);
@@ -102,6 +123,7 @@ impl Message for AllocatorMessage {
             Self::ViewDrawn { .. } => "ViewDrawn",
             Self::ObjectsRanked { .. } => "ObjectsRanked",
             Self::JobDone { .. } => "JobDone",
+            Self::ResidualsMeasured { .. } => "ResidualsMeasured",
             Self::EnvironmentCaptured { .. } => "EnvironmentCaptured",
             Self::EnvironmentFiltered { .. } => "EnvironmentFiltered",
             Self::Incident(_) => "Incident",
@@ -116,6 +138,7 @@ impl Message for AllocatorMessage {
             | Self::ViewDrawn { .. }
             | Self::ObjectsRanked { .. }
             | Self::JobDone { .. }
+            | Self::ResidualsMeasured { .. }
             | Self::EnvironmentCaptured { .. }
             | Self::EnvironmentFiltered { .. }
             | Self::SendAgain => Lane::Data,

@@ -11,12 +11,16 @@ pub mod overlay;
 use std::sync::Arc;
 use std::time::Instant;
 
+use foveal::allocation::policy::Policy;
+use foveal::allocation::ray_order::residual_of_batch;
 use foveal::display::FrameBuffers;
 use foveal::display::environment_map::EnvironmentMap;
 use foveal::display::first_approximation::FirstApproximation;
 use foveal::display::tone::{Encoder, ToneMap};
 use foveal::display::twin::{self, Passes};
 use foveal::image::Map2d;
+use foveal::perception::tvi::TviTable;
+use foveal::perception::viewing::Viewing;
 use foveal::scene::Camera;
 use foveal::splatting::{SampleBatch, SplatLayer, WarpedSample};
 use foveal::world::World;
@@ -62,6 +66,9 @@ pub struct Renderer {
     world: World,
     passes: Passes,
     tone: ToneMap,
+    /// How the picture is seen, and what differences are noticed then.
+    viewing: Viewing,
+    thresholds: TviTable,
     encoder: Encoder,
     /// The camera of the current view; `None` before the first frame.
     camera: Option<Camera>,
@@ -114,6 +121,12 @@ impl Renderer {
         Self {
             layer: SplatLayer::new(width, height, settings.k_max, settings.footprint),
             tone: ToneMap::from(&world.scene.display),
+            viewing: Viewing::from_centre_of_projection(
+                world.scene.display.white_cd_m2,
+                width,
+                world.scene.cameras.first().map_or(1.0, |c| c.camera.fov_y),
+            ),
+            thresholds: TviTable::default(),
             settings,
             world,
             passes,
@@ -251,13 +264,16 @@ impl Renderer {
         self.changed |= reused > 0;
     }
 
-    fn on_samples_traced(&mut self, batch: &SampleBatch, tracer: u32) {
+    fn on_samples_traced(&mut self, batch: &SampleBatch, tracer: u32, cx: &mut Cx<'_, RendererMessage>) {
         let (Some(drawn), true) = (self.drawn.clone(), batch.view == self.view.0) else {
             self.counts.late += batch.len() as u32;
             return;
         };
         self.counts.traced += batch.len() as u32;
         self.changed = true;
+        if self.settings.policy.policy == Policy::Utility {
+            self.measure_residuals(batch, &drawn, cx);
+        }
         let layer = &mut self.layer;
         let source = (tracer % 255) as u8 + 1;
         self.stages.time(Stage::WarpSplat, || layer.splat_fresh(batch, &drawn.buffers.object, source));
@@ -276,6 +292,23 @@ impl Renderer {
             });
         });
         self.changed = true;
+    }
+
+    /// Tells the allocator how wrong what is shown was.
+    fn measure_residuals(&self, batch: &SampleBatch, drawn: &DrawnView, cx: &mut Cx<'_, RendererMessage>) {
+        let Some(neighbours) = &self.neighbours else { return };
+        let base = &drawn.buffers.color;
+        let residual = self.stages.time(Stage::Allocate, || {
+            residual_of_batch(batch, base, &self.layer, &self.tone, &self.viewing, &self.thresholds)
+        });
+        let measured = AllocatorMessage::ResidualsMeasured {
+            view: self.view,
+            object: batch.object,
+            level: self.settings.k_max + 1 - batch.k.min(self.settings.k_max),
+            residual,
+        };
+        // Where the allocator is that far behind, it learns from the next batch as well.
+        let _ = cx.tell(&neighbours.allocator, measured);
     }
 
     fn on_view_converged(&mut self, view: View) {
@@ -376,7 +409,7 @@ impl Actor for Renderer {
                 self.on_samples_aged(view, &samples, expired);
             }
             RendererMessage::SamplesTraced { batch, tracer, hash: _ } => {
-                self.on_samples_traced(&batch, tracer)
+                self.on_samples_traced(&batch, tracer, cx)
             }
             RendererMessage::EnvironmentChanged { object, map, hash: _ } => {
                 self.on_environment_changed(object, map);

@@ -319,7 +319,7 @@ mod tests {
             Controls {
                 fps: 10.0,
                 saliency_weight: 0.5,
-                policy: Policy::Attention,
+                policy: Policy::default(),
                 samples_per_job: 256,
                 ageing: AgeingRules::default(),
                 tone: ToneMap::default(),

@@ -32,6 +32,8 @@ struct Progress {
     level: u32,
     /// `None` once every level is handed out.
     cursor: Option<Cursor>,
+    /// Samples of this level that are handed out.
+    handed: u32,
     priority: f32,
 }
 
@@ -66,6 +68,7 @@ impl SampleJobs {
                 rect,
                 level: 1,
                 cursor: Some(Cursor { x: rect.x0, y: rect.y0 }),
+                handed: 0,
                 priority: priority(object, 1),
             });
         }
@@ -76,10 +79,10 @@ impl SampleJobs {
         self.objects.clear();
     }
 
-    /// Asks for all priorities anew (the analyzer has spoken).
-    pub fn reprioritise(&mut self, priority: impl Fn(u32, u32) -> f32) {
-        for o in &mut self.objects {
-            o.priority = priority(o.object, o.level);
+    /// Asks for priorities anew, of all objects or one: `priority(object, level, samples of it handed out)`.
+    pub fn reprioritise(&mut self, only: Option<u32>, priority: impl Fn(u32, u32, u32) -> f32) {
+        for o in self.objects.iter_mut().filter(|o| only.is_none_or(|only| only == o.object)) {
+            o.priority = priority(o.object, o.level, o.handed);
         }
     }
 
@@ -114,8 +117,10 @@ impl SampleJobs {
             let job = SampleJob { object: o.object, level: o.level, rect: o.rect, start, count };
             let job_priority = o.priority;
             o.cursor = samples.cursor();
+            o.handed += count;
             if o.cursor.is_none() && o.level < self.lattice.levels() {
                 o.level += 1;
+                o.handed = 0;
                 o.cursor = Some(Cursor { x: o.rect.x0, y: o.rect.y0 });
                 o.priority = priority(o.object, o.level);
             }
@@ -177,7 +182,7 @@ mod tests {
             let mut round = 0;
             while let Some((job, _)) = jobs.next(&ids, random(round)) {
                 round += 1;
-                if round % 7 == 0 { jobs.reprioritise(random(round)); }
+                if round % 7 == 0 { let random = random(round); jobs.reprioritise(None, |o, l, _| random(o, l)); }
                 prop_assert!(job.count > 0 && job.count <= n_job);
                 prop_assert!(job.level >= last[job.object as usize]);
                 last[job.object as usize] = job.level;

@@ -2,7 +2,8 @@
 //!
 //! [`decision`] is Dumont's framework (2003 §3): constraint, action, approximation, cost, quality; [`knapsack`] its
 //! optimiser. Textures: [`spatial_error`] (a pre-process) and [`texture_demand`] (per view), [`texture_baselines`] to compare with. Environment maps:
-//! [`environment`]. Rays: [`rays`] estimates what they bring, [`policy`] ranks (object, level) pairs, [`jobs`] cuts them into sample jobs. Pure functions and
+//! [`environment`]. Rays: [`rays`] estimates what they bring, [`policy`] ranks (object, level) pairs, [`jobs`] cuts them
+//! into sample jobs, [`ray_order`] joins the three. Pure functions and
 //! plain data: the allocator actor feeds them.
 
 pub mod decision;
@@ -10,6 +11,7 @@ pub mod environment;
 pub mod jobs;
 pub mod knapsack;
 pub mod policy;
+pub mod ray_order;
 pub mod rays;
 pub mod spatial_error;
 pub mod texture_baselines;

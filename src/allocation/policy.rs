@@ -15,7 +15,6 @@ pub const BUCKETS: u8 = 64;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 pub enum Policy {
     /// Saliency and importance, reduced per level (Haber 2001 §4.4).
-    #[default]
     Attention,
     /// Pixels covered, reduced per level.
     Coverage,
@@ -24,6 +23,7 @@ pub enum Policy {
     /// Any order.
     Random,
     /// Expected drop of visible error per time ([`super::rays`], REFERENCE §13.2).
+    #[default]
     Utility,
 }
 

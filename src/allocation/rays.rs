@@ -90,6 +90,8 @@ pub struct RaySettings {
     pub seconds_per_ray_prior: f32,
     /// Share of a new measurement in the moving average of seconds per ray.
     pub seconds_share: f32,
+    /// Error of an object of which a level is handed out but no sample has come back, just noticeable differences.
+    pub error_prior: f32,
     /// An object whose error is below this many just noticeable differences gives its rays away.
     pub visible_jnd: f32,
 }
@@ -109,6 +111,7 @@ impl Default for RaySettings {
             ratio_samples_min: 4,
             seconds_per_ray_prior: 2e-6,
             seconds_share: 0.2,
+            error_prior: 3.0,
             visible_jnd: 0.5,
         }
     }
@@ -222,7 +225,7 @@ impl RayLedger {
     }
 
     /// P_o: the best drop of visible error (weighted just noticeable differences times pixels) per second that tracing up to
-    /// some later level gives; infinite for an object of which nothing was traced, 0 where nothing is left.
+    /// some later level gives; infinite for the first level of an object, 0 where nothing is left.
     ///
     /// The maximum over later levels is the look-ahead: an object whose error does not fall before its last level, which
     /// is exact, would starve otherwise (REFERENCE §13.2).
@@ -232,8 +235,11 @@ impl RayLedger {
             return 0.0;
         }
         let first = demand.left.first().copied().unwrap_or(0);
-        let Some(error) = self.displayed_error(demand.object, demand.level, first) else {
-            return f32::INFINITY;
+        let error = match self.displayed_error(demand.object, demand.level, first) {
+            Some(error) => error,
+            None if demand.level <= 1 => return f32::INFINITY,
+            // Its first samples are on their way.
+            None => self.settings.error_prior,
         };
         let ratio = self.ratio(demand.object);
         let (mut best, mut remaining, mut samples) = (0.0f32, 1.0f32, 0u64);

@@ -1,5 +1,6 @@
 //! `foveal bench WHAT`: medians of repeated runs, each beside its aim and its peer, the machine named.
 
+pub mod error;
 pub mod made;
 pub mod stages;
 pub mod table;
@@ -16,12 +17,15 @@ use super::failure::Failure;
 pub enum BenchCommand {
     /// Each stage of a frame, the first paper's figures beside it
     Stages(stages::StagesArguments),
+    /// How fast the error of corrected pixels falls under each policy
+    Error(error::ErrorArguments),
 }
 
 /// Runs the command.
 pub fn run(command: &BenchCommand, progress: Progress) -> Result<(), Failure> {
     match command {
         BenchCommand::Stages(a) => stages::run(a, progress),
+        BenchCommand::Error(a) => error::run(a, progress),
     }
 }
 

@@ -93,7 +93,8 @@ fn quick(scene: Arc<Scene>, accel: Arc<Accel>) -> World {
     World { scene, accel, lights, illumination: Arc::new(illumination) }
 }
 
-fn quick_world(file: &Path) -> Result<World, Failure> {
+/// A world of a scene file under the quick illumination.
+pub fn quick_world(file: &Path) -> Result<World, Failure> {
     let scene = scene(file)?;
     let accel = Arc::new(Accel::build(&scene));
     Ok(quick(scene, accel))

@@ -1,0 +1,301 @@
+//! The order of all rays of a view: jobs, policy and what was learnt from the samples so far, behind one door.
+//!
+//! In: the objects of a view, how much each matters, residuals and times of finished batches. Out: the next job with
+//! its priority. The allocator drives it with messages, a benchmark with a loop.
+
+use crate::display::tone::ToneMap;
+use crate::image::{Map2d, luminance};
+use crate::perception::importance::ObjectStatistics;
+use crate::perception::tvi::TviTable;
+use crate::perception::viewing::Viewing;
+use crate::sampling::Lattice;
+use crate::splatting::{SampleBatch, SplatLayer};
+use glam::Vec3;
+
+use super::jobs::{SampleJob, SampleJobs};
+use super::policy::{Demand, Policy, RayPolicy};
+use super::rays::{LEVELS_MAX, RayDemand, RayLedger, RaySettings, Residual};
+
+/// What of an object's utility counts once its error cannot be seen: its rays go elsewhere while anything else is left.
+const INVISIBLE: f32 = 1e-6;
+
+/// Orders the samples of one view after another.
+#[derive(Clone, Debug)]
+pub struct RayOrder {
+    policy: RayPolicy,
+    /// The most attended object converges before all others.
+    winner_takes_all: bool,
+    lattice: Lattice,
+    /// Pixels of the picture.
+    picture: f32,
+    jobs: SampleJobs,
+    ledger: RayLedger,
+    statistics: Vec<ObjectStatistics>,
+    /// Combined saliency and importance by object id.
+    attention: Vec<f32>,
+    /// Of the visible objects.
+    mean_attention: f32,
+    view: u64,
+    /// Frames that samples hold, about; infinite while the view stands still.
+    life_frames: f32,
+    /// Largest finite utility of the view so far: what priorities are relative to.
+    largest: f32,
+}
+
+impl RayOrder {
+    /// An order for pictures of `pixels` pixels that has not seen a view.
+    pub fn new(
+        policy: RayPolicy,
+        winner_takes_all: bool,
+        lattice: Lattice,
+        samples_per_job: u32,
+        pixels: usize,
+    ) -> Self {
+        Self {
+            policy,
+            winner_takes_all,
+            lattice,
+            picture: pixels.max(1) as f32,
+            jobs: SampleJobs::new(lattice, samples_per_job),
+            ledger: RayLedger::new(RaySettings::default()),
+            statistics: Vec::new(),
+            attention: Vec::new(),
+            mean_attention: 1.0,
+            view: 0,
+            life_frames: f32::INFINITY,
+            largest: 0.0,
+        }
+    }
+
+    /// Whether the policy wants to hear of residuals.
+    pub fn learns(&self) -> bool {
+        self.policy.policy == Policy::Utility
+    }
+
+    /// What was learnt.
+    pub fn ledger(&self) -> &RayLedger {
+        &self.ledger
+    }
+
+    /// Whether every sample of the view is handed out.
+    pub fn is_exhausted(&self) -> bool {
+        self.jobs.is_exhausted()
+    }
+
+    /// Starts a view of these objects (by id), which matter by `attention`.
+    pub fn start_view(&mut self, view: u64, statistics: &[ObjectStatistics], attention: &[f32]) {
+        self.view = view;
+        self.statistics.clear();
+        self.statistics.extend_from_slice(statistics);
+        self.ledger.start_view(statistics.len());
+        self.largest = 0.0;
+        self.set_attention(attention);
+        let mut jobs = std::mem::replace(&mut self.jobs, SampleJobs::new(self.lattice, 1));
+        jobs.start_view(statistics, |object, level| self.priority(object, level, 0));
+        self.jobs = jobs;
+    }
+
+    /// Forgets the view.
+    pub fn clear(&mut self) {
+        self.jobs.clear();
+    }
+
+    /// How much the objects matter has changed.
+    pub fn attend(&mut self, attention: &[f32]) {
+        self.set_attention(attention);
+        self.reprioritise(None);
+    }
+
+    fn set_attention(&mut self, attention: &[f32]) {
+        self.attention.clear();
+        self.attention.extend_from_slice(attention);
+        let visible = || self.statistics.iter().zip(attention).skip(1).filter(|(s, _)| s.pixels > 0);
+        let (sum, count) = visible().fold((0.0, 0.0f32), |(sum, n), (_, a)| (sum + a, n + 1.0));
+        self.mean_attention = if sum > 0.0 { sum / count } else { 1.0 };
+    }
+
+    /// A batch of samples of `level` is shown; its residual and how long it took on one core.
+    pub fn record(&mut self, view: u64, object: u32, level: u32, residual: &Residual) {
+        if view == self.view && self.learns() {
+            self.ledger.record(object, level, residual, 0, 0.0);
+            self.reprioritise(Some(object));
+        }
+    }
+
+    /// How long `samples` of an object took on one core, whatever the view.
+    pub fn record_time(&mut self, object: u32, samples: u32, seconds: f32) {
+        if self.learns() {
+            self.ledger.record(object, 1, &Residual::default(), samples, seconds);
+        }
+    }
+
+    fn reprioritise(&mut self, only: Option<u32>) {
+        let mut jobs = std::mem::replace(&mut self.jobs, SampleJobs::new(self.lattice, 1));
+        jobs.reprioritise(only, |object, level, handed| self.priority(object, level, handed));
+        self.jobs = jobs;
+    }
+
+    /// The next job, its priority in [0, 1].
+    pub fn next(&mut self, ids: &Map2d<u32>) -> Option<(SampleJob, f32)> {
+        let mut jobs = std::mem::replace(&mut self.jobs, SampleJobs::new(self.lattice, 1));
+        let next = jobs.next(ids, |object, level| self.priority(object, level, 0));
+        self.jobs = jobs;
+        let (job, priority) = next?;
+        if !self.learns() {
+            return Some((job, priority));
+        }
+        if priority.is_finite() {
+            self.largest = self.largest.max(priority);
+        }
+        let relative = if priority.is_finite() { 0.99 * priority / self.largest.max(1e-30) } else { 1.0 };
+        Some((job, relative.clamp(0.0, 1.0)))
+    }
+
+    /// Within one policy and view larger is earlier.
+    fn priority(&self, object: u32, level: u32, handed: u32) -> f32 {
+        let pixels = self.statistics.get(object as usize).map_or(0, |s| s.pixels);
+        let attention = self.attention.get(object as usize).copied().unwrap_or(0.0);
+        if self.winner_takes_all && self.winner() == Some(object) {
+            return if self.learns() { f32::INFINITY } else { 1.0 };
+        }
+        if self.learns() {
+            return self.utility(object, pixels, attention, level, handed);
+        }
+        let coverage = pixels as f32 / self.picture;
+        self.policy.priority(&Demand { object, level, attention, coverage, utility: 0.0, frame: self.view })
+    }
+
+    fn winner(&self) -> Option<u32> {
+        let of = |a: &(usize, &f32), b: &(usize, &f32)| a.1.total_cmp(b.1).then(b.0.cmp(&a.0));
+        let best = self.attention.iter().enumerate().skip(1).max_by(of)?;
+        (*best.1 > 0.0).then_some(best.0 as u32)
+    }
+
+    fn utility(&self, object: u32, pixels: u32, attention: f32, level: u32, handed: u32) -> f32 {
+        let mut left = [0; LEVELS_MAX];
+        let levels = self.lattice.levels();
+        let (first, last) = (level.max(1), levels.max(1));
+        let mut count = 0;
+        for l in first..=last {
+            left[count] = samples_of_level(pixels, self.lattice.k_of(l), levels - 1);
+            count += 1;
+        }
+        left[0] = left[0].saturating_sub(handed).max(1);
+        let demand = RayDemand {
+            object,
+            pixels,
+            weight: 0.5 + 0.5 * attention / self.mean_attention,
+            level,
+            left: &left[..count],
+            life_frames: self.life_frames,
+        };
+        let utility = self.ledger.utility(&demand);
+        if self.ledger.is_good_enough(object) { utility * INVISIBLE } else { utility }
+    }
+}
+
+/// About how many of an object's pixels belong to level set k exactly: 4/5 of what is left at each finer level.
+fn samples_of_level(pixels: u32, k: u32, k_max: u32) -> u32 {
+    let share = if k >= k_max { 0.2f32.powi(k_max as i32) } else { 0.8 * 0.2f32.powi(k as i32) };
+    (pixels as f32 * share).ceil() as u32
+}
+
+/// How far the samples of a batch are from what their pixels show, in just noticeable differences of the displayed,
+/// tone-mapped light, seen by an eye adapted to the brighter of the two. To be asked before the batch is splatted.
+pub fn residual_of_batch(
+    batch: &SampleBatch,
+    base: &Map2d<Vec3>,
+    layer: &SplatLayer,
+    tone: &ToneMap,
+    viewing: &Viewing,
+    thresholds: &TviTable,
+) -> Residual {
+    let mut residual = Residual::default();
+    let range = viewing.white_cd_m2 - viewing.black_cd_m2;
+    for (pixel, &color) in batch.pixels.iter().zip(&batch.colors) {
+        let (x, y) = (usize::from(pixel[0]), usize::from(pixel[1]));
+        let base = base.at(x, y);
+        let (shown, sampled) = (tone.to_linear(base + layer.color(x, y)), tone.to_linear(base + color));
+        let adapted = viewing.luminance(shown).max(viewing.luminance(sampled));
+        // Channel by channel, so that a wrong hue of the right luminance counts too.
+        let difference = luminance((shown - sampled).abs()) * range;
+        residual.add_difference(difference / thresholds.threshold(adapted));
+    }
+    residual
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::perception::importance::object_statistics;
+
+    fn two_halves() -> Map2d<u32> {
+        Map2d::from_fn(100, 50, |x, _| 1 + u32::from(x >= 50))
+    }
+
+    fn order(policy: Policy) -> RayOrder {
+        RayOrder::new(RayPolicy::new(policy, 0), false, Lattice::new(3, [50, 25]), 64, 5000)
+    }
+
+    fn differing(difference: f32, count: u32) -> Residual {
+        let mut residual = Residual::default();
+        (0..count).for_each(|i| residual.add_difference(difference * (0.9 + 0.2 * (i % 2) as f32)));
+        residual
+    }
+
+    #[test]
+    fn rays_go_where_samples_differ_and_away_where_nothing_is_seen() {
+        let ids = two_halves();
+        let statistics = object_statistics(&ids, None, 3);
+        let mut order = order(Policy::Utility);
+        order.start_view(1, &statistics, &[0.0, 1.0, 1.0]);
+        // Both objects get their first level before anything is known.
+        let first: Vec<u32> = (0..2).map(|_| order.next(&ids).unwrap().0.object).collect();
+        assert_eq!(first, [1, 2]);
+        order.record(1, 1, 1, &differing(0.01, 20));
+        order.record(1, 2, 1, &differing(9.0, 20));
+        let mut visited = Vec::new();
+        while let Some((job, priority)) = order.next(&ids) {
+            assert!((0.0..=1.0).contains(&priority));
+            visited.push(job.object);
+        }
+        let turn = visited.iter().position(|&o| o == 1).expect("its turn comes at the end");
+        assert!(visited[..turn].iter().all(|&o| o == 2) && visited[turn..].iter().all(|&o| o == 1));
+        assert!(order.is_exhausted());
+    }
+
+    #[test]
+    fn dear_samples_wait() {
+        let ids = two_halves();
+        let statistics = object_statistics(&ids, None, 3);
+        let mut order = order(Policy::Utility);
+        order.start_view(1, &statistics, &[0.0, 1.0, 1.0]);
+        order.record_time(1, 100, 100e-6);
+        order.record_time(2, 100, 1000e-6);
+        assert_eq!([0; 2].map(|_| order.next(&ids).unwrap().0.object), [1, 2]);
+        order.record(1, 1, 1, &differing(5.0, 20));
+        order.record(1, 2, 1, &differing(6.0, 20));
+        assert_eq!(order.next(&ids).unwrap().0.object, 1);
+        // A residual of another view says nothing.
+        order.record(7, 1, 2, &differing(0.0, 100));
+        assert_eq!(order.next(&ids).unwrap().0.object, 1);
+    }
+
+    #[test]
+    fn other_policies_do_as_they_say() {
+        let ids = two_halves();
+        let statistics = object_statistics(&ids, None, 3);
+        let mut order = order(Policy::Attention);
+        order.start_view(1, &statistics, &[0.0, 0.2, 1.0]);
+        order.record(1, 2, 1, &differing(0.0, 100));
+        assert_eq!(order.next(&ids).unwrap().0.object, 2);
+        order.attend(&[0.0, 1.0, 0.2]);
+        assert_eq!(order.next(&ids).unwrap().0.object, 1);
+    }
+
+    #[test]
+    fn levels_sum_to_the_pixels() {
+        let sum: u32 = (0..=6).map(|k| samples_of_level(100_000, k, 6)).sum();
+        assert!((100_000..100_010).contains(&sum), "{sum}");
+    }
+}

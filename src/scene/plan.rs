@@ -150,7 +150,7 @@ impl Facts {
     }
 
     fn decide(&self, part: Part) -> (bool, String) {
-        let samples = (self.objects > 0, count(self.objects, "object that is not diffuse"));
+        let samples = (self.objects > 0, count(self.objects, "non-diffuse object"));
         match part {
             Part::Tracers | Part::Analyzer | Part::SampleCache | Part::IdPass | Part::EnvironmentMaps => {
                 samples

@@ -171,7 +171,7 @@ impl Joined {
         if mesh.triangles.is_empty() {
             return Err(none("no face to draw; export polygons (`f` lines) into the OBJ file"));
         }
-        let (mut kept, mut far, mut flat) = (0, 0, 0);
+        let (mut kept, mut far, mut flat, mut turned) = (0, 0, 0, 0);
         let mut low = Vec3::INFINITY;
         let mut high = Vec3::NEG_INFINITY;
         for t in 0..mesh.triangles.len() {
@@ -188,7 +188,13 @@ impl Joined {
                 flat += 1;
                 continue;
             }
-            mesh.triangles[kept] = mesh.triangles[t];
+            mesh.triangles[kept] = if against_normals(&mesh, t) {
+                turned += 1;
+                let [a, b, c] = mesh.triangles[t];
+                [a, c, b]
+            } else {
+                mesh.triangles[t]
+            };
             mesh.materials[kept] = mesh.materials[t];
             name_of[kept] = name_of[t];
             kept += 1;
@@ -214,6 +220,13 @@ impl Joined {
         };
         say(far, &format!("with a coordinate that is not finite or beyond {COORDINATE_MAX:e}"));
         say(flat, "without area");
+        if turned > 0 {
+            let s = if turned == 1 { "" } else { "s" };
+            let what = format!(
+                "{turned} triangle{s} wound against all normals of the corners; turned to their side"
+            );
+            warnings.push(Warning::new(Place::new(path, 0), what));
+        }
         // No triangle uses these any more, but all positions are promised to be finite.
         let place = mesh.positions[first as usize];
         for p in &mut mesh.positions {
@@ -232,6 +245,15 @@ fn find_definition(defined: &HashMap<&str, (usize, usize)>, name: &str) -> Optio
     }
     let squeezed = name.split_whitespace().collect::<Vec<_>>().join(" ");
     defined.get(squeezed.as_str()).or_else(|| defined.get(squeezed.split(" #").next()?)).copied()
+}
+
+/// Whether a triangle's winding and the normals that the file gives at all of its corners disagree on what is front.
+/// The normals count then, as in other renderers: a light that shines away from its own normals lights nothing.
+fn against_normals(mesh: &Mesh, t: usize) -> bool {
+    let corners = mesh.triangles[t].map(|v| v as usize);
+    let [a, b, c] = corners.map(|v| mesh.positions[v].as_dvec3());
+    let front = (b - a).cross(c - a);
+    corners.iter().all(|&v| mesh.normals[v].as_dvec3().dot(front) < 0.0)
 }
 
 fn is_flat([a, b, c]: [Vec3; 3]) -> bool {

@@ -362,3 +362,20 @@ fn unpacked_shared_scenes_load() {
         }
     }
 }
+
+/// A light whose winding says "up" and whose normals say "down" shines down.
+#[test]
+fn faces_wound_against_their_normals_are_turned() {
+    let place = Place::new("winding");
+    let obj = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 -1\nvn 0 0 1\nf 1//1 2//1 3//1\nf 1//2 2//2 3//2\nf 1//1 2//2 3//2\n";
+    let loaded = load(&place.write("a.obj", obj)).unwrap();
+    let mesh = &loaded.scene.mesh;
+    let up: Vec<bool> = (0..3)
+        .map(|t| {
+            let [a, b, c] = mesh.corners(t);
+            (b - a).cross(c - a).z > 0.0
+        })
+        .collect();
+    assert_eq!(up, [false, true, true]);
+    assert!(loaded.warnings.iter().any(|w| w.to_string().contains("1 triangle wound against")));
+}

@@ -221,7 +221,7 @@ pub use mailbox::{Address, Bounds};
 pub use message::{ActorId, Credits, Digest, LATEST_KEYS, Lane, Message, Reason, Rejected};
 pub use pool::{Job, JobPool, PoolStats, Worker};
 pub use port::{External, Port};
-pub use profile::{ActorCounters, TurnTime};
+pub use profile::{ActorCounters, TurnTime, ring_cost};
 pub use replay::{Divergence, ReplayReport, Turn, Until};
 pub use runtime::{Exit, Limit, Runtime};
 pub use shutdown::Shutdown;

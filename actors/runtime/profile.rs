@@ -161,6 +161,20 @@ fn add(counter: &AtomicU64, amount: u64) {
     counter.store(counter.load(Ordering::Relaxed) + amount, Ordering::Relaxed);
 }
 
+/// The time that so many turns take to enter an actor's ring and counters, their clock readings included: for
+/// benchmarks.
+pub fn ring_cost(turns: u32) -> std::time::Duration {
+    let (counters, clock) = (Counters::new(RING_TURNS), crate::clock::Clock::real());
+    let mut last = 0;
+    for _ in 0..turns {
+        // A turn begins where the last one ended: one reading each.
+        let end = clock.now();
+        counters.turn(last, end, 1, 1, 0);
+        last = end;
+    }
+    std::time::Duration::from_nanos(clock.now())
+}
+
 /// Turn times on one track for each thread that ran turns.
 pub fn timeline(actors: &[(String, Vec<TurnTime>)]) -> Timeline {
     let mut threads: Vec<u16> =

@@ -2,6 +2,7 @@
 
 pub mod error;
 pub mod made;
+pub mod messages;
 pub mod stages;
 pub mod table;
 
@@ -19,6 +20,8 @@ pub enum BenchCommand {
     Stages(stages::StagesArguments),
     /// How fast the error of corrected pixels falls under each policy
     Error(error::ErrorArguments),
+    /// What a message costs, with and without recording; peers beside it where they are built in
+    Messages(messages::MessagesArguments),
 }
 
 /// Runs the command.
@@ -26,6 +29,7 @@ pub fn run(command: &BenchCommand, progress: Progress) -> Result<(), Failure> {
     match command {
         BenchCommand::Stages(a) => stages::run(a, progress),
         BenchCommand::Error(a) => error::run(a, progress),
+        BenchCommand::Messages(a) => messages::run(a, progress),
     }
 }
 

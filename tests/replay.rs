@@ -155,6 +155,19 @@ fn two_recordings_part_where_they_part() {
 }
 
 #[test]
+fn a_walk_leaves_a_profile() {
+    let folder = folder("profile");
+    for (name, first) in [("walk.json", b'{'), ("walk.pftrace", 0x0a)] {
+        let walk = "walk --frames 3 --fps 40 --size 48x32 --workers 2 --quick --json --profile";
+        Foveal::new(walk).arg(folder.join(name)).arg(scene("box")).ok();
+        let bytes = fs::read(folder.join(name)).expect("a profile");
+        assert_eq!(bytes[0], first);
+        let has = |word: &[u8]| bytes.windows(word.len()).any(|w| w == word);
+        assert!(has(b"renderer") && has(b"tracer") && has(b"worker 1"), "{name}");
+    }
+}
+
+#[test]
 fn an_export_has_arrows_from_input_to_pixel() {
     let trace = recorded("");
     let file = folder("profile").join("replay.json");

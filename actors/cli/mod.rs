@@ -24,7 +24,9 @@ pub mod walk;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand, ValueEnum};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, Layer};
 
 use failure::Failure;
 
@@ -160,11 +162,17 @@ fn log_to_stderr(cli: &Cli) {
             std::env::var_os("NO_COLOR").is_none() && std::io::IsTerminal::is_terminal(&std::io::stderr())
         }
     };
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
+    let messages = tracing_subscriber::fmt::layer()
         .with_writer(std::io::stderr)
         .with_ansi(colored)
         .with_target(false)
         .without_time()
-        .init();
+        .with_filter(filter);
+    let listeners = tracing_subscriber::registry().with(messages);
+    #[cfg(feature = "tracy")]
+    let listeners = listeners.with(
+        tracing_tracy::TracyLayer::default()
+            .with_filter(EnvFilter::new("foveal=trace,foveal_actors=trace,foveal_runtime=trace")),
+    );
+    listeners.init();
 }

@@ -22,12 +22,15 @@ use super::pictures::PictureWriter;
 use super::recording::{RecordedRun, TRACERS_MAX};
 use super::report::FramePoint;
 use super::session::{self, IlluminationArguments, Session, camera, interrupted};
-use super::{Progress, figures};
+use super::{Progress, figures, replay};
 use crate::message::{FrameIndex, FrameSnapshot, RendererInput};
 use crate::renderer::{FrameCounts, FrameSink, Renderer};
 use crate::settings::Settings;
 use crate::stages::{Stage, StageTimes};
 use crate::wiring::{Actors, Parts, wire};
+
+/// Turns that a profile keeps of each actor: the last minutes of a walk.
+const PROFILED_TURNS: usize = 1 << 17;
 
 /// Arguments of `foveal walk`.
 #[derive(Args, Debug)]
@@ -67,6 +70,9 @@ pub struct WalkArguments {
     /// Record the walk, so that `foveal replay` can run it again
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+    /// Write when each actor ran on which thread, for chrome://tracing; as .pftrace in Perfetto's own format
+    #[arg(long, value_name = "FILE")]
+    profile: Option<PathBuf>,
     /// Weight of saliency against the task, 0 to 1
     #[arg(long, value_name = "W", default_value = "0.5", value_parser = unit)]
     saliency: f32,
@@ -243,6 +249,9 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
     // One thread more than tracers: of k threads, k − 1 may trace at once, so the light actors keep one.
     let threads = if corrects { settings.tracers as usize + 1 } else { 0 };
     let mut config = Config { seed: a.seed, ..Config::live(threads) };
+    if a.profile.is_some() {
+        config.ring_turns = PROFILED_TURNS;
+    }
     if let Some(file) = &a.record {
         let run = RecordedRun::new("walk", &a.scene, &session, &a.illumination, &settings, passes, corrects)?;
         config.application = run.to_bytes()?;
@@ -273,6 +282,9 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
     )?;
     if let RecordingStatus::Stopped { reason } = runtime.recording() {
         session.warnings.push(format!("the recording ends early: {reason}"));
+    }
+    if let Some(file) = &a.profile {
+        write_atomic(file, &replay::profile(&runtime.timeline(), file))?;
     }
     let converged = runtime.inspect(actors.renderer, Renderer::is_converged).unwrap_or(false);
     let deliveries = runtime.deliveries();

@@ -24,6 +24,12 @@ use source::{How, Source, observe};
 
 pub use source::Unseen;
 
+/// A timeline as the bytes of a file, in the format that its name asks for.
+pub fn profile(timeline: &foveal_runtime::Timeline, file: &std::path::Path) -> Vec<u8> {
+    let perfetto = file.extension().is_some_and(|e| e == "pftrace" || e == "perfetto-trace");
+    export::encode(if perfetto { export::Format::Perfetto } else { export::Format::Chrome }, timeline)
+}
+
 /// Arguments of `foveal replay`.
 #[derive(Args, Debug)]
 pub struct ReplayArguments {

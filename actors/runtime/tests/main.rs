@@ -3,6 +3,7 @@
 mod common;
 mod damage;
 mod live;
+mod planted;
 mod recording;
 mod ring;
 mod simulation;

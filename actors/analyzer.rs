@@ -8,7 +8,7 @@ use std::sync::Arc;
 use foveal::image::Map2d;
 use foveal::perception::importance::{ObjectScan, ObjectStatistics};
 use foveal::perception::saliency::SaliencyModel;
-use foveal_runtime::{Actor, Address, Cx};
+use foveal_runtime::{Actor, Address, Cx, Loader, Saver};
 
 use crate::message::{AllocatorMessage, AnalyzerMessage, FrameSnapshot};
 use crate::stages::{Stage, StageTimes};
@@ -71,5 +71,16 @@ impl Actor for Analyzer {
         match message {
             AnalyzerMessage::FrameShown { snapshot } => self.on_frame_shown(&snapshot, cx),
         }
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        // The model and the scan keep room, nothing of the frame before.
+        let Self { model: _, scan: _, statistics: _, allocator: _, stages: _, analyzed } = self;
+        saver.put(analyzed);
+    }
+
+    fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        self.analyzed = loader.take()?;
+        Some(())
     }
 }

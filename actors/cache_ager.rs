@@ -9,10 +9,11 @@ use bytemuck::bytes_of;
 use foveal::scene::camera::CameraFrame;
 use foveal::splatting::{SampleBatch, SampleCache, WarpedSample, warp};
 use foveal::world::World;
-use foveal_runtime::{Actor, Address, Cx};
+use foveal_runtime::{Actor, Address, Cx, Loader, Saver};
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::message::cache_ager::Forget;
+use crate::message::saved::{load_batch, save_batch};
 use crate::message::{CacheAgerMessage, RendererMessage, View};
 use crate::outbox::Outbox;
 use crate::settings::Settings;
@@ -136,5 +137,22 @@ impl Actor for CacheAger {
             CacheAgerMessage::SamplesTraced { batch, hash: _ } => self.on_samples_traced(batch),
             CacheAgerMessage::SendAgain => self.outbox.send(cx),
         }
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        let Self { settings: _, cache, angle_limits: _, renderer: _, outbox, stages: _ } = self;
+        if !outbox.is_empty() {
+            return saver.refuse();
+        }
+        saver.put(&(cache.shared().count() as u64));
+        cache.shared().for_each(|batch| save_batch(saver, batch));
+    }
+
+    fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        let count: u64 = loader.take()?;
+        for _ in 0..count {
+            self.cache.insert(load_batch(loader)?);
+        }
+        Some(())
     }
 }

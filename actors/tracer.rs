@@ -8,7 +8,7 @@ use foveal::display::environment_map::{self, EnvironmentMap, capture, direction,
 use foveal::image::luminance;
 use foveal::sampling::Lattice;
 use foveal::splatting::trace::{Owner, trace_samples};
-use foveal_runtime::{Actor, Address, Class, Cx, Worker};
+use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver, Worker};
 
 use crate::message::tracer::EnvironmentWork;
 use crate::message::{
@@ -118,6 +118,17 @@ impl Actor for Tracer {
         match message {
             TracerMessage::SendAgain => self.outbox.send(cx),
         }
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        let Self { index: _, lattice: _, renderer: _, cache_ager: _, allocator: _, outbox } = self;
+        if !outbox.is_empty() {
+            saver.refuse();
+        }
+    }
+
+    fn restore(&mut self, _: &mut Loader<'_>) -> Option<()> {
+        Some(())
     }
 }
 

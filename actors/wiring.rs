@@ -20,6 +20,7 @@ use crate::allocator::Allocator;
 use crate::allocator::environments::Environments;
 use crate::analyzer::Analyzer;
 use crate::cache_ager::CacheAger;
+use crate::message::saved::Surroundings;
 use crate::message::{AllocatorMessage, RendererInput, RendererMessage, TraceJob};
 use crate::renderer::{FrameSink, Neighbours, Renderer};
 use crate::settings::Settings;
@@ -77,13 +78,15 @@ fn batches_on_their_way(settings: &Settings) -> usize {
 pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
     let Parts { settings, world, passes, corrects, stages, sink } = parts;
     let batches = batches_on_their_way(&settings);
+    let probes = corrects.then(|| Arc::new(Probes::of_world(&world)));
+    wiring.context(Surroundings { world: world.clone(), passes, probes: probes.clone() });
     let renderer: Declared<Renderer> = wiring.declare(Bounds::messages(batches + 64));
     let input = wiring.port("input", &renderer.address());
-    if !corrects {
+    let Some(probes) = probes else {
         let actor = Renderer::new(settings, world, passes, None, None, stages, sink);
         let renderer = wiring.spawn(renderer, actor);
         return Actors { input, renderer, correction: None, tracers: Vec::new(), pool: None };
-    }
+    };
     let cache_ager: Declared<CacheAger> = wiring.declare(Bounds::messages(batches + 64));
     let analyzer: Declared<Analyzer> = wiring.declare(Bounds::messages(4));
     let allocator: Declared<Allocator> =
@@ -109,7 +112,6 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
         allocator: allocator.address(),
         analyzer: analyzer.address(),
     };
-    let probes = Arc::new(Probes::of_world(&world));
     let correction = Correction {
         cache_ager: {
             let actor = CacheAger::new(settings, &world, renderer.address(), stages.clone());

@@ -3,7 +3,7 @@
 use glam::Vec3;
 
 /// A row-major map of `width × height` values.
-#[derive(Clone, Debug, PartialEq, Default)]
+#[derive(Clone, Debug, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Map2d<T> {
     width: usize,
     height: usize,

@@ -15,6 +15,8 @@ use foveal::image::luminance;
 use foveal::perception::importance::ObjectStatistics;
 use foveal::world::World;
 
+use foveal_runtime::{Loader, Saver};
+
 use crate::message::DrawnView;
 use crate::message::tracer::{EnvironmentOrder, EnvironmentWork};
 
@@ -28,7 +30,7 @@ const RAY_NS_PRIOR: f32 = 2500.0;
 const TIME_LIMIT_NS: u64 = 500_000_000;
 
 /// What is known of an object's map.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, serde::Serialize, serde::Deserialize)]
 struct MapState {
     /// Texels along an edge of the map that is there; 0 for none.
     side: usize,
@@ -41,7 +43,7 @@ struct MapState {
 }
 
 /// A capture on its way.
-#[derive(Debug)]
+#[derive(Debug, serde::Serialize, serde::Deserialize)]
 struct Capture {
     object: u32,
     side: usize,
@@ -95,6 +97,32 @@ impl Environments {
             shown: Vec::new(),
             captured: 0,
         }
+    }
+
+    /// Writes everything but what the wiring makes alike.
+    pub fn save(&self, saver: &mut Saver) {
+        let Self {
+            world: _,
+            probes: _,
+            budget: _,
+            states,
+            wanted,
+            current,
+            in_flight,
+            ray_ns,
+            shown: _,
+            captured,
+        } = self;
+        saver.put(&(states, wanted, current, in_flight, ray_ns, captured));
+    }
+
+    /// Reads what was saved.
+    pub fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        let states: Vec<MapState>;
+        (states, self.wanted, self.current, self.in_flight, self.ray_ns, self.captured) = loader.take()?;
+        let same = states.len() == self.states.len();
+        self.states = states;
+        same.then_some(())
     }
 
     /// Whether a job is out.

@@ -13,8 +13,9 @@ use foveal::allocation::policy::bucket_of;
 use foveal::allocation::ray_order::RayOrder;
 use foveal::display::environment_map::Seen;
 use foveal::perception::importance::{ObjectScan, ObjectStatistics, priorities};
-use foveal_runtime::{Actor, Address, Cx, Incident, JobPool};
+use foveal_runtime::{Actor, Address, Cx, Incident, JobPool, Loader, Saver};
 
+use crate::message::saved::{load_drawn, save_drawn};
 use crate::message::tracer::ENVIRONMENT_MAP;
 use crate::message::{
     AllocatorMessage, DrawnView, RendererMessage, SampleOrder, TraceJob, TracerMessage, View,
@@ -284,5 +285,48 @@ impl Actor for Allocator {
             AllocatorMessage::Incident(incident) => self.on_incident(incident, cx),
             AllocatorMessage::SendAgain => self.outbox.send(cx),
         }
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        let Self {
+            settings: _,
+            renderer: _,
+            pool: _,
+            tracers: _,
+            stages: _,
+            scan: _,
+            outbox,
+            order,
+            drawn,
+            statistics,
+            saliency,
+            attention,
+            in_flight,
+            environments,
+            since_map,
+            told_converged,
+            lost_jobs,
+            incidents,
+        } = self;
+        if !outbox.is_empty() {
+            return saver.refuse();
+        }
+        saver.put(&(order, statistics, saliency.as_slice(), attention));
+        saver.put(&(in_flight, since_map, told_converged, lost_jobs, incidents, drawn.is_some()));
+        if let Some(drawn) = drawn {
+            save_drawn(saver, drawn);
+        }
+        environments.save(saver);
+    }
+
+    fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        let saliency: Vec<f32>;
+        (self.order, self.statistics, saliency, self.attention) = loader.take()?;
+        self.saliency = Arc::new(saliency);
+        let is_drawn: bool;
+        (self.in_flight, self.since_map, self.told_converged, self.lost_jobs, self.incidents, is_drawn) =
+            loader.take()?;
+        self.drawn = if is_drawn { Some(load_drawn(loader)?) } else { None };
+        self.environments.restore(loader)
     }
 }

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use foveal::allocation::environment::MapContrast;
 use foveal::allocation::rays::Residual;
 use foveal::display::environment_map::Seen;
-use foveal_runtime::{Digest, Incident, Lane, Message};
+use foveal_runtime::{Digest, Incident, Lane, Loader, Message, Saver};
 
+use super::saved::{load_drawn, save_drawn};
 use super::{DrawnView, View};
 
 /// Everything the allocator can be told.
@@ -143,5 +144,58 @@ impl Message for AllocatorMessage {
             | Self::EnvironmentFiltered { .. }
             | Self::SendAgain => Lane::Data,
         }
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        match self {
+            Self::ViewBegun { view } => saver.put(&(0_u8, view)),
+            Self::ViewDrawn { drawn } => {
+                saver.put(&1_u8);
+                save_drawn(saver, drawn);
+            }
+            Self::ObjectsRanked { view, saliency } => saver.put(&(2_u8, view, saliency.as_slice())),
+            Self::JobDone { view, object, level, samples, seconds } => {
+                saver.put(&(3_u8, view, object, level, samples, seconds));
+            }
+            Self::ResidualsMeasured { view, object, level, residual } => {
+                saver.put(&(4_u8, view, object, level, residual));
+            }
+            Self::EnvironmentCaptured { object, seen, hash, seconds } => {
+                saver.put(&(5_u8, object, hash, seconds, seen.as_slice()));
+            }
+            Self::EnvironmentFiltered { object, contrast } => saver.put(&(6_u8, object, contrast)),
+            Self::Incident(incident) => saver.put(&(7_u8, incident)),
+            Self::SendAgain => saver.put(&8_u8),
+        }
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        Some(match loader.take::<u8>()? {
+            0 => Self::ViewBegun { view: loader.take()? },
+            1 => Self::ViewDrawn { drawn: load_drawn(loader)? },
+            2 => {
+                let (view, saliency): (_, Vec<f32>) = loader.take()?;
+                Self::ObjectsRanked { view, saliency: Arc::new(saliency) }
+            }
+            3 => {
+                let (view, object, level, samples, seconds) = loader.take()?;
+                Self::JobDone { view, object, level, samples, seconds }
+            }
+            4 => {
+                let (view, object, level, residual) = loader.take()?;
+                Self::ResidualsMeasured { view, object, level, residual }
+            }
+            5 => {
+                let (object, hash, seconds, seen): (_, _, _, Vec<Seen>) = loader.take()?;
+                Self::EnvironmentCaptured { object, seen: Arc::new(seen), hash, seconds }
+            }
+            6 => {
+                let (object, contrast) = loader.take()?;
+                Self::EnvironmentFiltered { object, contrast }
+            }
+            7 => Self::Incident(loader.take()?),
+            8 => Self::SendAgain,
+            _ => return None,
+        })
     }
 }

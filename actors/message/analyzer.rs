@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
-use foveal_runtime::{Digest, Lane, Message};
+use foveal_runtime::{Digest, Lane, Loader, Message, Saver};
 
 use super::FrameSnapshot;
+use super::saved::{load_frame, save_frame};
 
 /// Everything the analyzer can be told.
 #[derive(Clone, Debug)]
@@ -32,5 +33,14 @@ impl Message for AnalyzerMessage {
 
     fn lane(&self) -> Lane {
         Lane::Latest(0)
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        let Self::FrameShown { snapshot } = self;
+        save_frame(saver, snapshot);
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        Some(Self::FrameShown { snapshot: load_frame(loader)? })
     }
 }

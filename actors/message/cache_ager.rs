@@ -4,9 +4,10 @@ use std::sync::Arc;
 
 use foveal::scene::camera::CameraFrame;
 use foveal::splatting::SampleBatch;
-use foveal_runtime::{Digest, Message};
+use foveal_runtime::{Digest, Loader, Message, Saver};
 
 use super::View;
+use super::saved::{load_batch, save_batch};
 
 /// Everything the cache ager can be told.
 #[derive(Clone, Debug)]
@@ -32,7 +33,7 @@ pub enum CacheAgerMessage {
 }
 
 /// Whether older samples may still hold.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum Forget {
     /// Ageing decides.
     Nothing,
@@ -68,5 +69,31 @@ impl Message for CacheAgerMessage {
             Self::CameraMoved { .. } | Self::SendAgain => 0,
             Self::SamplesTraced { batch, .. } => batch.size_bytes(),
         }
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        match self {
+            Self::CameraMoved { view, frame, forget } => saver.put(&(0_u8, view, frame, forget)),
+            Self::SamplesTraced { batch, hash } => {
+                saver.put(&(1_u8, hash));
+                save_batch(saver, batch);
+            }
+            Self::SendAgain => saver.put(&2_u8),
+        }
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        Some(match loader.take::<u8>()? {
+            0 => {
+                let (view, frame, forget) = loader.take()?;
+                Self::CameraMoved { view, frame, forget }
+            }
+            1 => {
+                let hash = loader.take()?;
+                Self::SamplesTraced { batch: load_batch(loader)?, hash }
+            }
+            2 => Self::SendAgain,
+            _ => return None,
+        })
     }
 }

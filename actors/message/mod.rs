@@ -4,6 +4,7 @@ pub mod allocator;
 pub mod analyzer;
 pub mod cache_ager;
 pub mod renderer;
+pub mod saved;
 pub mod tracer;
 
 use std::sync::Arc;

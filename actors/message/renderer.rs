@@ -5,8 +5,9 @@ use std::sync::Arc;
 use foveal::display::environment_map::EnvironmentMap;
 use foveal::scene::Camera;
 use foveal::splatting::{SampleBatch, WarpedSample};
-use foveal_runtime::{Digest, Message};
+use foveal_runtime::{Digest, Loader, Message, Saver};
 
+use super::saved::{load_batch, save_batch};
 use super::{FrameIndex, View};
 
 /// What reaches the renderer from outside: the clock and the user. Recorded with its payload.
@@ -124,5 +125,48 @@ impl Message for RendererMessage {
             Self::EnvironmentChanged { map, .. } => map.as_ref().map_or(0, |map| map.bytes()),
             Self::Input(_) | Self::ViewConverged { .. } | Self::SendAgain => 0,
         }
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        match self {
+            Self::Input(input) => saver.put(&(0_u8, input)),
+            Self::SamplesAged { view, samples, expired, hash } => {
+                saver.put(&(1_u8, view, expired, hash, samples.as_slice()));
+            }
+            Self::SamplesTraced { batch, tracer, hash } => {
+                saver.put(&(2_u8, tracer, hash));
+                save_batch(saver, batch);
+            }
+            Self::EnvironmentChanged { object, map, hash } => {
+                saver.put(&(3_u8, object, hash, map.is_some()));
+                if let Some(map) = map {
+                    saver.shared(map, |map, saver| saver.put(map));
+                }
+            }
+            Self::ViewConverged { view } => saver.put(&(4_u8, view)),
+            Self::SendAgain => saver.put(&5_u8),
+        }
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        Some(match loader.take::<u8>()? {
+            0 => Self::Input(loader.take()?),
+            1 => {
+                let (view, expired, hash, samples): (_, _, _, Vec<WarpedSample>) = loader.take()?;
+                Self::SamplesAged { view, samples: Arc::new(samples), expired, hash }
+            }
+            2 => {
+                let (tracer, hash) = loader.take()?;
+                Self::SamplesTraced { batch: load_batch(loader)?, tracer, hash }
+            }
+            3 => {
+                let (object, hash, there) = loader.take()?;
+                let map = if there { Some(loader.shared(|loader| loader.take())?) } else { None };
+                Self::EnvironmentChanged { object, map, hash }
+            }
+            4 => Self::ViewConverged { view: loader.take()? },
+            5 => Self::SendAgain,
+            _ => return None,
+        })
     }
 }

@@ -6,9 +6,10 @@ use foveal::allocation::jobs::SampleJob;
 use foveal::display::environment_map::Seen;
 use foveal::display::first_approximation::Probes;
 use foveal::world::World;
-use foveal_runtime::{Digest, Job, Message};
+use foveal_runtime::{Digest, Job, Loader, Message, Saver};
 
 use super::DrawnView;
+use super::saved::{Surroundings, load_drawn, save_drawn};
 
 /// An order for a tracer, complete in itself.
 #[derive(Clone, Debug)]
@@ -90,6 +91,15 @@ impl Message for TracerMessage {
             Self::SendAgain => "SendAgain",
         }
     }
+
+    fn save(&self, saver: &mut Saver) {
+        let Self::SendAgain = self;
+        saver.put(&0_u8);
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        (loader.take::<u8>()? == 0).then_some(Self::SendAgain)
+    }
 }
 
 impl Job for TraceJob {
@@ -150,5 +160,39 @@ impl Job for TraceJob {
             Self::Samples(_) => "TraceJob",
             Self::Environment(_) => "EnvironmentJob",
         }
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        match self {
+            Self::Samples(SampleOrder { drawn, order, seed, priority, attention }) => {
+                saver.put(&(0_u8, order, seed, priority, attention));
+                save_drawn(saver, drawn);
+            }
+            Self::Environment(EnvironmentOrder { world: _, probes: _, object, side, exponent, work }) => {
+                saver.put(&(1_u8, object, side, exponent));
+                match work {
+                    EnvironmentWork::Capture { first, count } => saver.put(&(0_u8, first, count)),
+                    EnvironmentWork::Filter { seen } => saver.put(&(1_u8, seen.as_slice())),
+                }
+            }
+        }
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        if loader.take::<u8>()? == 0 {
+            let (order, seed, priority, attention) = loader.take()?;
+            let drawn = load_drawn(loader)?;
+            return Some(Self::Samples(SampleOrder { drawn, order, seed, priority, attention }));
+        }
+        let surroundings = loader.context::<Surroundings>()?;
+        let (world, probes) = (surroundings.world.clone(), surroundings.probes.clone()?);
+        let (object, side, exponent) = loader.take()?;
+        let work = if loader.take::<u8>()? == 0 {
+            let (first, count) = loader.take()?;
+            EnvironmentWork::Capture { first, count }
+        } else {
+            EnvironmentWork::Filter { seen: Arc::new(loader.take()?) }
+        };
+        Some(Self::Environment(EnvironmentOrder { world, probes, object, side, exponent, work }))
     }
 }

@@ -24,12 +24,12 @@ use foveal::perception::viewing::Viewing;
 use foveal::scene::Camera;
 use foveal::splatting::{SampleBatch, SplatLayer, WarpedSample};
 use foveal::world::World;
-use foveal_runtime::{Actor, Address, Class, Cx};
+use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver};
 use glam::Vec3;
 use rayon::prelude::*;
-use xxhash_rust::xxh3::Xxh3;
 
 use crate::message::cache_ager::Forget;
+use crate::message::saved::{hash_view, load_drawn, load_frame, save_drawn, save_frame};
 use crate::message::{
     AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameIndex, FrameSnapshot, RendererInput,
     RendererMessage, View,
@@ -383,15 +383,6 @@ impl FrameSink for NoSink {
     fn frame_shown(&mut self, _snapshot: &Arc<FrameSnapshot>, _counts: FrameCounts, _renderer: &Renderer) {}
 }
 
-/// What followers could depend on: ids and depths.
-fn hash_view(buffers: &FrameBuffers, view: View) -> u64 {
-    let mut h = Xxh3::new();
-    h.update(&view.0.to_le_bytes());
-    h.update(bytemuck::cast_slice(buffers.object.data()));
-    h.update(bytemuck::cast_slice(buffers.depth.data()));
-    h.digest()
-}
-
 impl Actor for Renderer {
     type Msg = RendererMessage;
     const NAME: &'static str = "renderer";
@@ -417,5 +408,72 @@ impl Actor for Renderer {
             RendererMessage::ViewConverged { view } => self.on_view_converged(view),
             RendererMessage::SendAgain => self.outbox.send(cx),
         }
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        let Self {
+            // What the wiring makes alike.
+            settings: _,
+            world: _,
+            passes: _,
+            tone: _,
+            viewing: _,
+            thresholds: _,
+            encoder: _,
+            neighbours: _,
+            stages: _,
+            sink: _,
+            // Only room, and only a time that is shown.
+            retired: _,
+            drawn_at: _,
+            camera,
+            view,
+            drawn,
+            layer,
+            approximation,
+            counts,
+            converged,
+            changed,
+            shown,
+            outbox,
+        } = self;
+        if !outbox.is_empty() {
+            return saver.refuse();
+        }
+        saver.put(&(camera, view, converged, changed, drawn.is_some(), shown.is_some()));
+        let FrameCounts { traced, reused, expired, late } = counts;
+        saver.put(&(traced, reused, expired, late));
+        if let Some(drawn) = drawn {
+            save_drawn(saver, drawn);
+        }
+        if let Some(shown) = shown {
+            save_frame(saver, shown);
+        }
+        saver.put(&layer.maps());
+        let maps = approximation.as_ref().map_or(&[][..], FirstApproximation::maps);
+        saver.put(&(maps.len() as u64));
+        for map in maps {
+            saver.put(&map.is_some());
+            if let Some(map) = map {
+                saver.shared(map, |map, saver| saver.put(map));
+            }
+        }
+    }
+
+    fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        let (camera, view, converged, changed, is_drawn, is_shown) = loader.take()?;
+        (self.camera, self.view, self.converged, self.changed) = (camera, view, converged, changed);
+        let (traced, reused, expired, late) = loader.take()?;
+        self.counts = FrameCounts { traced, reused, expired, late };
+        self.drawn = if is_drawn { Some(load_drawn(loader)?) } else { None };
+        self.shown = if is_shown { Some(load_frame(loader)?) } else { None };
+        let (color, rank, source) = loader.take()?;
+        self.layer.restore(color, rank, source)?;
+        let count: u64 = loader.take()?;
+        for object in 0..u32::try_from(count).ok()? {
+            let map = if loader.take()? { Some(loader.shared(|loader| loader.take())?) } else { None };
+            self.approximation.as_mut()?.set(object, map);
+        }
+        Some(())
     }
 }

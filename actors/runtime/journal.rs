@@ -48,7 +48,8 @@ pub(crate) struct Halted;
 struct Recorder {
     first: u64,
     order: Vec<u8>,
-    run: Option<(u32, u64)>,
+    /// The run at hand: whose messages, that sender's number, how many.
+    run: Option<(Symbol, u32, u64)>,
     symbols: Vec<Symbol>,
     external: Vec<u8>,
     last_job: u64,
@@ -65,7 +66,7 @@ impl Recorder {
     #[inline]
     fn delivery(&mut self, symbol: Symbol, payload: Payload<'_>) {
         match &mut self.run {
-            Some((number, length)) if self.symbols[*number as usize] == symbol => *length += 1,
+            Some((of, _, length)) if *of == symbol => *length += 1,
             _ => self.next_run(symbol),
         }
         match payload {
@@ -93,13 +94,13 @@ impl Recorder {
         if known.is_none() {
             self.symbols.push(symbol);
         }
-        self.run = Some((number as u32, 1));
+        self.run = Some((symbol, number as u32, 1));
     }
 
     /// Writes the run at hand: its symbol with one bit for "more than one", then the length. A symbol that is new is
     /// written out behind its number.
     fn end_run(&mut self) {
-        let Some((number, length)) = self.run.take() else { return };
+        let Some((_, number, length)) = self.run.take() else { return };
         put(&mut self.order, u64::from(number) << 1 | u64::from(length > 1));
         if length > 1 {
             put(&mut self.order, length - 2);
@@ -153,6 +154,8 @@ pub(crate) struct Journal {
     jobs_made: u64,
     randoms: u64,
     hashing: Hashing,
+    /// Deliveries up to the next sparse hash, that one included.
+    to_hash: u32,
     recorder: Option<Box<Recorder>>,
     declared: usize,
     held_back: Option<Vec<u8>>,
@@ -180,6 +183,7 @@ impl Journal {
             jobs_made: 0,
             randoms: 0,
             hashing: env.hashing,
+            to_hash: if let Hashing::Every(period) = env.hashing { period.max(1) } else { u32::MAX },
             recorder: env.log.is_some().then(Box::default),
             declared: 0,
             held_back: None,
@@ -222,7 +226,7 @@ impl Journal {
             recorder.delivery(symbol, payload);
             match self.hashing {
                 Hashing::Exact => recorder.hashes.extend_from_slice(&short(self.chain).to_le_bytes()[..3]),
-                Hashing::Every(period) if (self.index + 1).is_multiple_of(u64::from(period.max(1))) => {
+                Hashing::Every(_) if self.to_hash == 1 => {
                     recorder.hashes.extend_from_slice(&self.chain.to_le_bytes());
                 }
                 _ => {}
@@ -235,6 +239,10 @@ impl Journal {
         }
         let passed = if self.script.is_some() { self.compare(symbol, kind) } else { Ok(()) };
         self.index += 1;
+        self.to_hash -= 1;
+        if self.to_hash == 0 {
+            self.to_hash = self.period_of_hashes();
+        }
         passed
     }
 
@@ -277,12 +285,10 @@ impl Journal {
                 Some(expected) => (u64::from(expected), u64::from(short(self.chain))),
                 None => return self.stop_here(),
             },
-            Hashing::Every(period) if (self.index + 1).is_multiple_of(u64::from(period.max(1))) => {
-                match script.hash64() {
-                    Some(expected) => (expected, self.chain),
-                    None => return self.stop_here(),
-                }
-            }
+            Hashing::Every(_) if self.to_hash == 1 => match script.hash64() {
+                Some(expected) => (expected, self.chain),
+                None => return self.stop_here(),
+            },
             _ => return self.stop_here(),
         };
         if expected != found {
@@ -317,6 +323,11 @@ impl Journal {
         let _ = self.diverge(self.index, expected, found);
     }
 
+    /// Deliveries from one sparse hash to the next.
+    fn period_of_hashes(&self) -> u32 {
+        if let Hashing::Every(period) = self.hashing { period.max(1) } else { u32::MAX }
+    }
+
     /// What a snapshot keeps of it.
     pub(crate) fn state(&self) -> Option<JournalState> {
         let script = self.script.as_ref()?;
@@ -335,6 +346,8 @@ impl Journal {
     pub(crate) fn restore(&mut self, state: JournalState) -> Option<()> {
         let JournalState { index, chain, sends, jobs_made, randoms, sent, seen, walk } = state;
         (self.index, self.chain) = (index, chain);
+        let period = self.period_of_hashes();
+        self.to_hash = period - (index % u64::from(period)) as u32;
         (self.sends, self.jobs_made, self.randoms) = (sends, jobs_made, randoms);
         (self.sent, self.seen) = (sent, seen);
         self.script.as_mut()?.go_on_from(walk);

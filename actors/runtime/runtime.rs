@@ -82,7 +82,7 @@ impl Runtime {
         let env = Arc::new(env);
         let mut wiring = Wiring::new(&env, parts.ring_turns);
         let wired = wire(&mut wiring);
-        let Wiring { infos, links, nodes, pools, .. } = wiring;
+        let Wiring { infos, links, nodes, pools, context, .. } = wiring;
         if let Some(trace) = &env.trace {
             same_system(&trace.header().nodes, &infos)?;
         }
@@ -133,7 +133,7 @@ impl Runtime {
             stays: PhantomData,
         };
         if let Some(snapshot) = restored {
-            runtime.restore(&snapshot).ok_or(BuildError::OtherSnapshot)?;
+            runtime.restore(&snapshot, context).ok_or(BuildError::OtherSnapshot)?;
         }
         let threads = Threads::start(&runtime.env, &runtime.nodes, parts.locals);
         runtime.threads = Some(threads.map_err(BuildError::Threads)?);

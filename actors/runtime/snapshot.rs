@@ -62,6 +62,7 @@ impl Saver {
 /// Reads what a [`Saver`] wrote, in the same order.
 pub struct Loader<'a> {
     left: &'a [u8],
+    context: Option<Arc<dyn Any + Send + Sync>>,
     held: Vec<Arc<dyn Any + Send + Sync>>,
 }
 
@@ -71,6 +72,11 @@ impl<'a> Loader<'a> {
         let (value, left) = postcard::take_from_bytes(self.left).ok()?;
         self.left = left;
         Some(value)
+    }
+
+    /// What the wiring gave to [`crate::Wiring::context`].
+    pub fn context<T: Any + Send + Sync>(&self) -> Option<Arc<T>> {
+        self.context.clone()?.downcast().ok()
     }
 
     /// Reads bytes with their length.
@@ -117,13 +123,35 @@ impl Snapshot {
         self.content.len()
     }
 
+    /// As it can be kept in a file: compressed, with a checksum.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        // A snapshot may be larger than a segment of a recording.
+        let raw = postcard::to_stdvec(self).unwrap_or_default();
+        let mut bytes = lz4_flex::block::compress_prepend_size(&raw);
+        bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
+        bytes
+    }
+
+    /// Reads what [`Snapshot::to_bytes`] made; `None` if it is damaged.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let (content, checksum) = bytes.split_last_chunk::<4>()?;
+        if crc32fast::hash(content) != u32::from_le_bytes(*checksum) {
+            return None;
+        }
+        let (size, block) = content.split_first_chunk::<4>()?;
+        // A block is at most 255 times shorter than what it holds.
+        let size = u32::from_le_bytes(*size) as usize;
+        let raw = (size / 255 <= block.len()).then(|| lz4_flex::block::decompress(block, size).ok())??;
+        postcard::from_bytes(&raw).ok()
+    }
+
     /// Whether a replay that begins here has everything still before it that `cut` has behind it at most.
     pub fn is_before(&self, cut: &[u64]) -> bool {
         self.positions.iter().zip(cut).all(|(position, end)| position <= end)
     }
 
-    pub(crate) fn loader(&self) -> Loader<'_> {
-        Loader { left: &self.content, held: Vec::new() }
+    fn loader(&self, context: Option<Arc<dyn Any + Send + Sync>>) -> Loader<'_> {
+        Loader { left: &self.content, context, held: Vec::new() }
     }
 }
 
@@ -212,8 +240,12 @@ impl Runtime {
     }
 
     /// Puts a system that was just built where the snapshot was taken.
-    pub(crate) fn restore(&self, snapshot: &Snapshot) -> Option<()> {
-        let mut loader = snapshot.loader();
+    pub(crate) fn restore(
+        &self,
+        snapshot: &Snapshot,
+        context: Option<Arc<dyn Any + Send + Sync>>,
+    ) -> Option<()> {
+        let mut loader = snapshot.loader(context);
         let (kind, value): (u32, u64) = loader.take()?;
         if kind != u32::MAX {
             self.env.set_last_mark(kind, value);

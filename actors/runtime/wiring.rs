@@ -61,13 +61,14 @@ pub struct Wiring {
     pub(crate) links: Vec<Option<Arc<Link>>>,
     pub(crate) nodes: Vec<Option<Box<dyn Runnable>>>,
     pub(crate) pools: Vec<Box<dyn AnyPool>>,
+    pub(crate) context: Option<Arc<dyn Any + Send + Sync>>,
     ring_turns: usize,
 }
 
 impl Wiring {
     pub(crate) fn new(env: &Arc<Env>, ring_turns: usize) -> Self {
         let (infos, links, nodes, pools) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        Self { env: Arc::clone(env), infos, links, nodes, pools, ring_turns }
+        Self { env: Arc::clone(env), infos, links, nodes, pools, context: None, ring_turns }
     }
 
     fn node(&mut self, name: &str, class: Option<Class>) -> ActorId {
@@ -143,6 +144,12 @@ impl Wiring {
     pub fn port<E: External<M>, M: Message>(&mut self, name: &str, to: &Address<M>) -> Port<E, M> {
         let id = self.node(name, None);
         Port::new(id, to)
+    }
+
+    /// What actors and messages need to be read back from a snapshot beside what was saved: see
+    /// [`crate::Loader::context`].
+    pub fn context<T: Any + Send + Sync>(&mut self, context: T) {
+        self.context = Some(Arc::new(context));
     }
 
     /// Makes a pool for at most `capacity` waiting jobs.

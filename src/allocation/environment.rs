@@ -11,7 +11,7 @@ use super::decision::{Approximation, Resource};
 pub const COVERAGE_MIN: f32 = 0.001;
 
 /// Mean and contrast of a filtered environment map.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct MapContrast {
     /// F̃, the mean luminance over solid angle, in the map's unit.
     pub mean: f32,

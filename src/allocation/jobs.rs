@@ -10,7 +10,7 @@ use crate::perception::importance::ObjectStatistics;
 use crate::sampling::{Cursor, Lattice, Rect};
 
 /// An order for one tracer: `count` samples of one level of one object, from `start` on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct SampleJob {
     /// Object id.
     pub object: u32,
@@ -25,7 +25,7 @@ pub struct SampleJob {
 }
 
 /// How far one object has come.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, serde::Serialize, serde::Deserialize)]
 struct Progress {
     object: u32,
     rect: Rect,
@@ -38,7 +38,7 @@ struct Progress {
 }
 
 /// The objects of one view and what is left to trace of them.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct SampleJobs {
     lattice: Lattice,
     samples_per_job: u32,

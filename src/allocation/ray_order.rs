@@ -20,7 +20,7 @@ use super::rays::{LEVELS_MAX, RayDemand, RayLedger, RaySettings, Residual};
 const INVISIBLE: f32 = 1e-6;
 
 /// Orders the samples of one view after another.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct RayOrder {
     policy: RayPolicy,
     /// The most attended object converges before all others.

@@ -117,7 +117,7 @@ impl Default for RaySettings {
     }
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 struct ObjectRays {
     /// Residual of each level, index level − 1.
     residuals: [Residual; LEVELS_MAX],
@@ -143,7 +143,7 @@ pub struct RayDemand<'a> {
 }
 
 /// The estimates of all objects of a view.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, serde::Serialize, serde::Deserialize)]
 pub struct RayLedger {
     settings: RaySettings,
     objects: Vec<ObjectRays>,

@@ -17,7 +17,7 @@ use crate::transport::interaction::Interaction;
 use crate::world::World;
 
 /// Faces of a cube of `side × side` texels each, one value per texel: face, row, column.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Cube<T> {
     side: usize,
     texels: Vec<T>,
@@ -149,7 +149,17 @@ impl Cube<Vec3> {
 }
 
 /// What one capture ray found.
-#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    bytemuck::Pod,
+    bytemuck::Zeroable,
+    serde::Serialize,
+    serde::Deserialize,
+)]
 #[repr(C)]
 pub struct Seen {
     /// Radiance towards the object.
@@ -279,7 +289,7 @@ pub fn filtered(map: &Cube<Vec3>, exponent: f32) -> Cube<Vec3> {
 }
 
 /// An object's environment, ready to be looked up.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct EnvironmentMap {
     centre: Vec3,
     radiance: Cube<Vec3>,

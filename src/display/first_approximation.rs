@@ -52,6 +52,11 @@ impl FirstApproximation {
         Self { maps: vec![None; probes.probes.len()], probes }
     }
 
+    /// Maps by object id; `None` where the probe is drawn.
+    pub fn maps(&self) -> &[Option<Arc<EnvironmentMap>>] {
+        &self.maps
+    }
+
     /// Gives an object a map, or takes it away.
     pub fn set(&mut self, object: u32, map: Option<Arc<EnvironmentMap>>) {
         if let Some(slot) = self.maps.get_mut(object as usize) {

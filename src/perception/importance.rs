@@ -10,7 +10,7 @@ use super::saliency::CELL;
 use crate::image::Map2d;
 
 /// What the id buffer says of one object.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ObjectStatistics {
     /// Pixels that show it; 0 where it is not visible, and then all else is 0 too.
     pub pixels: u32,

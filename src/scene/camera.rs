@@ -16,7 +16,7 @@ pub struct Camera {
 }
 
 /// The camera's orthonormal frame with the image plane at distance 1.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct CameraFrame {
     /// Position.
     pub eye: Vec3,

@@ -131,6 +131,12 @@ impl SampleCache {
         self.objects.iter().flat_map(|o| o.levels.iter().flatten()).map(|b| &**b)
     }
 
+    /// All batches as they are shared, by object and level, in order of arrival: [`SampleCache::insert`]ed in this order
+    /// they make the same cache.
+    pub fn shared(&self) -> impl Iterator<Item = &Arc<SampleBatch>> {
+        self.objects.iter().flat_map(|o| o.levels.iter().flatten())
+    }
+
     /// All batches, coarse levels before fine ones, in order of arrival within an object's level.
     pub fn coarse_to_fine(&self) -> impl Iterator<Item = &SampleBatch> {
         let deepest = self.objects.iter().map(|o| o.levels.len()).max().unwrap_or(0);

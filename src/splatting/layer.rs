@@ -65,6 +65,23 @@ impl SplatLayer {
         }
     }
 
+    /// Everything that splats left: colours, ranks and sources.
+    pub fn maps(&self) -> (&Map2d<Vec3>, &Map2d<u32>, &Map2d<u8>) {
+        (&self.color, &self.rank, &self.source)
+    }
+
+    /// Puts back what [`SplatLayer::maps`] gave; `None` if it is of another size.
+    pub fn restore(&mut self, color: Map2d<Vec3>, rank: Map2d<u32>, source: Map2d<u8>) -> Option<()> {
+        let size = (self.color.width(), self.color.height());
+        let fits = (color.width(), color.height()) == size
+            && (rank.width(), rank.height()) == size
+            && (source.width(), source.height()) == size
+            && color.data().len() == rank.data().len()
+            && color.data().len() == source.data().len();
+        (self.color, self.rank, self.source) = (color, rank, source);
+        fits.then_some(())
+    }
+
     /// Forgets all splats.
     pub fn clear(&mut self) {
         self.rank.data_mut().fill(0);

@@ -22,7 +22,7 @@ pub struct Sample {
 
 /// Samples of one level of one object, traced for one view. A structure of arrays: ageing reads
 /// positions, normals and views only, warping reads positions, colours and widths.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SampleBatch {
     /// The view (age of the camera) it was traced for.
     pub view: u32,

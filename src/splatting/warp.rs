@@ -7,7 +7,7 @@ use crate::sampling::Lattice;
 use crate::scene::camera::CameraFrame;
 
 /// A cached sample in the picture of the new camera.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct WarpedSample {
     /// Column of its pixel.
     pub x: u16,

@@ -3,6 +3,7 @@
 
 mod diff;
 mod export;
+mod index;
 mod source;
 mod step;
 mod why;
@@ -12,14 +13,14 @@ use std::sync::Arc;
 
 use clap::Args;
 use crossbeam_queue::SegQueue;
-use foveal_runtime::{Divergence, Limit, ReplayReport};
+use foveal_runtime::{Divergence, ReplayReport};
 use serde_json::{Value, json};
 
 use super::Progress;
 use super::failure::Failure;
 use super::output::{png_bytes, print_json, print_line, write_atomic};
 use super::recording::Elsewhere;
-use super::session::{end_on_interrupt, interrupted};
+use super::session::end_on_interrupt;
 use source::{How, Source, observe};
 
 pub use source::Unseen;
@@ -124,19 +125,17 @@ fn verify(
     let seen = Arc::new(SegQueue::new());
     let all = export.is_some();
     let observer = (all || asked.is_some()).then(|| observe(&seen, move |d| all || Some(d.actor) == asked));
-    let mut how = How { threads: workers, until, observer, ..How::default() };
+    // Whoever wants to see all deliveries, or to be sure of all, begins at the start.
+    let jump = until.is_some() && observer.is_none() && !a.verify;
+    let mut how = How { threads: workers, until, observer, jump, ..How::default() };
     if all {
         // One delivery a turn, and all of them kept: so each has its time.
         how.turn = Some(1);
         how.ring_turns = Some(export::ring_turns(&source.trace));
     }
-    let (mut runtime, actors) = source.system(how)?;
     let build = &source.trace.header().build;
     tracing::info!("recorded by {} ({build})", source.recorded.program);
-    runtime.pump_until(Limit::IDLE, |_| interrupted());
-    if interrupted() {
-        return Err(Failure::Interrupted("interrupted while replaying".into()));
-    }
+    let (mut runtime, actors) = source.run(how, |_| ())?;
     let report = runtime.replay_report();
     let shown = runtime.inspect(actors.renderer, |r| r.shown().cloned()).flatten();
     let frames = shown.as_ref().map_or(0, |s| s.index.0 + 1);

@@ -1,17 +1,19 @@
 //! A recording with the world it was made in: systems that replay it are built from here.
 
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crossbeam_queue::SegQueue;
 use foveal_runtime::{
-    ActorId, Config, Delivery, Event, Hashing, Mode, Observer, Runtime, Snapshot, Trace, Until,
+    ActorId, Config, Delivery, Event, Exit, Hashing, Limit, Mode, Observer, Runtime, Snapshot, Trace, Until,
 };
 
+use super::index::Index;
 use crate::cli::Progress;
 use crate::cli::failure::Failure;
 use crate::cli::recording::{Elsewhere, RecordedRun, open_trace};
-use crate::cli::session::Session;
+use crate::cli::session::{Session, interrupted};
 use crate::message::FrameSnapshot;
 use crate::renderer::{FrameCounts, FrameSink, MARK_FRAME, Renderer};
 use crate::stages::StageTimes;
@@ -49,7 +51,7 @@ impl Seen {
 }
 
 /// How one replay is to run.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct How {
     /// Threads beside the main one.
     pub threads: usize,
@@ -57,6 +59,10 @@ pub struct How {
     pub until: Option<Until>,
     /// Where to begin, if not at the start.
     pub from: Option<Arc<Snapshot>>,
+    /// Begin at the last snapshot before `until`.
+    pub jump: bool,
+    /// With `jump`: so many frames earlier.
+    pub frames_before: usize,
     /// Sees every delivery.
     pub observer: Option<Observer>,
     /// Deliveries of a turn; `None` for the runtime's own choice.
@@ -76,6 +82,7 @@ pub struct Source {
     /// The delivery of the renderer in which each frame was shown.
     pub shown_in: Vec<u64>,
     session: Session,
+    index: RefCell<Index>,
 }
 
 impl Source {
@@ -97,7 +104,8 @@ impl Source {
         }
         let session = recorded.open(path, scene, elsewhere, progress)?;
         let shown_in = shown_in(&trace);
-        Ok(Self { trace, path: path.to_owned(), recorded, shown_in, session })
+        let index = RefCell::new(Index::open(path, elsewhere.cache.as_deref()));
+        Ok(Self { trace, path: path.to_owned(), recorded, shown_in, session, index })
     }
 
     /// A system that replays it.
@@ -123,6 +131,54 @@ impl Source {
         };
         Runtime::build(config, |w| wire(w, parts))
             .map_err(|e| Failure::Input(format!("{}: {e}", self.path.display())))
+    }
+
+    /// Replays to where it is to stop, and leaves snapshots for others on the way. `look` is called now and then.
+    pub fn run(&self, mut how: How, mut look: impl FnMut(&Runtime)) -> Result<(Runtime, Actors), Failure> {
+        let mut index = self.index.borrow_mut();
+        if let (true, Some(Until::Delivery { actor, index: at })) = (how.jump, how.until) {
+            let (actor, at) = match how.frames_before {
+                0 => (actor, at),
+                // Frames are counted by the renderer.
+                frames => {
+                    let shown = self.shown_in.partition_point(|shown| *shown < at);
+                    (self.renderer(), shown.checked_sub(frames).map_or(0, |frame| self.shown_in[frame]))
+                }
+            };
+            how.from = index.before(actor, at).map(Arc::new);
+        }
+        let jumped = how.from.is_some();
+        let again = How { from: None, jump: false, ..how.clone() };
+        let (mut runtime, actors) = match self.system(how) {
+            // What was kept cannot be used after all.
+            Err(_) if jumped => self.system(again.clone())?,
+            built => built?,
+        };
+        loop {
+            let exit = runtime.pump_until(Limit::IDLE, |runtime| {
+                look(runtime);
+                interrupted() || index.is_due()
+            });
+            if interrupted() {
+                return Err(Failure::Interrupted("interrupted while replaying".into()));
+            }
+            match exit {
+                Exit::Until => index.keep(|| runtime.snapshot()),
+                _ => break,
+            }
+        }
+        look(&runtime);
+        if jumped && runtime.diverged() {
+            // A snapshot may be at fault: only a replay from the start can tell.
+            drop((index, runtime, actors));
+            return self.run(again, look);
+        }
+        Ok((runtime, actors))
+    }
+
+    /// The last snapshot that is kept before a delivery and has nothing behind it that `cut` does not.
+    pub fn kept(&self, actor: ActorId, index: u64, cut: &[u64]) -> Option<Arc<Snapshot>> {
+        self.index.borrow().before(actor, index).filter(|s| s.is_before(cut)).map(Arc::new)
     }
 
     /// The renderer's number.
@@ -222,4 +278,76 @@ pub fn observe(
             seen.push(Seen::of(d));
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn kept(name: &str) -> Source {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../traces").join(name);
+        Source::open(&path, None, &Elsewhere::default(), true, Progress { shown: false }).expect("a walk")
+    }
+
+    /// Whoever adds to an actor's state and forgets to save it fails here.
+    #[test]
+    fn a_walk_goes_on_from_every_frame() {
+        for name in ["box.fvl", "duck.fvl", "gallery.fvl", "table.fvl"] {
+            let source = kept(name);
+            let (mut whole, _) = source.system(How { threads: 2, ..How::default() }).expect("a system");
+            assert!(whole.replay().complete, "{name}");
+            for frame in 0..source.shown_in.len() as u32 {
+                let until = Some(source.frame_shown(frame).expect("a frame"));
+                let how = How { threads: frame as usize % 3, until, ..How::default() };
+                let (mut before, _) = source.system(how).expect("a system");
+                before.pump(Limit::IDLE);
+                let snapshot =
+                    before.snapshot().unwrap_or_else(|| panic!("{name}, frame {frame}: no snapshot"));
+                let from = Snapshot::from_bytes(&snapshot.to_bytes()).map(Arc::new);
+                assert_eq!(from.as_deref(), Some(&snapshot));
+                let (mut after, _) =
+                    source.system(How { threads: 2, from, ..How::default() }).expect("a system");
+                let report = after.replay();
+                assert_eq!(report.divergence, None, "{name}, frame {frame}");
+                assert!(
+                    report.complete && after.fingerprint() == whole.fingerprint(),
+                    "{name}, frame {frame}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn kept_snapshots_are_found_again_and_damage_is_seen() {
+        let source = kept("gallery.fvl");
+        let folder = tempfile::tempdir().expect("a folder");
+        let open = || Index::open(&source.path, Some(folder.path()));
+        let mut index = open();
+        let renderer = source.renderer();
+        for frame in [5, 2] {
+            let until = Some(source.frame_shown(frame).expect("a frame"));
+            let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
+            runtime.pump(Limit::IDLE);
+            index.keep(|| runtime.snapshot());
+        }
+        let at = |index: &Index, frame: usize| {
+            let snapshot = index.before(renderer, source.shown_in[frame])?;
+            Some(snapshot.positions()[renderer.0 as usize] - 1)
+        };
+        let again = open();
+        for index in [&index, &again] {
+            assert_eq!(at(index, 2), None);
+            assert_eq!((at(index, 3), at(index, 5)), (Some(source.shown_in[2]), Some(source.shown_in[2])));
+            assert_eq!(at(index, 7), Some(source.shown_in[5]));
+        }
+        let file = std::fs::read_dir(folder.path()).expect("files").next().expect("one").expect("one").path();
+        let mut bytes = std::fs::read(&file).expect("a file");
+        let last = bytes.len() - 10;
+        bytes[last] ^= 1;
+        std::fs::write(&file, &bytes).expect("written");
+        assert_eq!(at(&open(), 3), None, "damaged");
+        bytes[12] ^= 1;
+        std::fs::write(&file, &bytes).expect("written");
+        assert_eq!(at(&open(), 7), None, "of another program");
+    }
 }

@@ -8,7 +8,7 @@ use std::io::{BufRead, IsTerminal, Write};
 use std::sync::Arc;
 
 use crossbeam_queue::SegQueue;
-use foveal_runtime::{Limit, Runtime, Snapshot, Until};
+use foveal_runtime::{Runtime, Snapshot, Until};
 
 use super::source::{How, Seen, Source, observe};
 use super::why;
@@ -228,7 +228,9 @@ impl<'s> Session<'s> {
         let renderer = self.source.renderer();
         let behind = shown.partition_point(|index| *index < cut[renderer.0 as usize]);
         let before = behind.checked_sub(FRAMES_BEFORE + 1).map(|frame| shown[frame]);
-        let (mut runtime, actors) = build(self.source, &self.seen, None)?;
+        // One may be kept that is close enough.
+        let kept = before.and_then(|index| self.source.kept(renderer, index, cut));
+        let (mut runtime, actors) = build(self.source, &self.seen, kept)?;
         let mut from = None;
         if let Some(index) = before {
             runtime.run_within(cut, Some(Until::Delivery { actor: renderer, index }));
@@ -250,9 +252,8 @@ impl<'s> Session<'s> {
 
     /// Goes to a place, or to the end.
     fn go(&mut self, place: Option<Until>) -> Result<(), Failure> {
-        let how = How { threads: self.workers, until: place, ..How::default() };
-        let (mut fast, _) = self.source.system(how)?;
-        fast.pump_until(Limit::IDLE, |_| interrupted());
+        let how = How { threads: self.workers, until: place, jump: true, ..How::default() };
+        let (mut fast, _) = self.source.run(how, |_| ())?;
         let report = fast.replay_report();
         if let Some(divergence) = report.divergence {
             return Err(Failure::Check(format!("the replay diverges: {divergence}")));

@@ -10,14 +10,13 @@ use foveal::allocation::policy::bucket_of;
 use foveal::sampling::Lattice;
 use foveal::scene::{Camera, Scene};
 use foveal::splatting::{SampleBatch, SplatLayer, WarpedSample};
-use foveal_runtime::{ActorId, Delivery, Limit, Observer};
+use foveal_runtime::{ActorId, Delivery, Observer};
 use glam::Vec3;
 use serde_json::{Value, json};
 
 use super::source::{How, Source};
 use crate::cli::failure::Failure;
 use crate::cli::output::{print_json, print_line};
-use crate::cli::session::interrupted;
 use crate::message::{
     AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameSnapshot, RendererInput,
     RendererMessage, SampleOrder, TraceJob,
@@ -117,6 +116,15 @@ impl Notes {
         moved
     }
 
+    /// Whether every view whose samples `view` can show was drawn since the notes began.
+    fn reaches_back(&self, view: u32, max_age: u32) -> bool {
+        let drawn = self.all.values().filter_map(|(_, note)| match note {
+            Note::Drawn { view } => Some(*view),
+            _ => None,
+        });
+        drawn.min().is_some_and(|first| first <= view.saturating_sub(max_age).max(1))
+    }
+
     fn cause(&self, at: At) -> Option<At> {
         self.all.get(&at).and_then(|(cause, _)| *cause)
     }
@@ -207,18 +215,32 @@ pub fn run(
             sink.push(Noted { at: (d.actor, d.index), cause: d.cause, note });
         }
     });
-    let how = How { threads: workers, until, observer: Some(observer), ..How::default() };
-    let (mut runtime, actors) = source.system(how)?;
-    let mut notes = Notes::default();
-    runtime.pump_until(Limit::IDLE, |_| {
-        notes.take(&queue, settings.ageing.max_age);
-        interrupted()
-    });
-    let report = runtime.replay_report();
-    if let Some(divergence) = report.divergence {
-        return Err(Failure::Check(format!("the replay diverges: {divergence}")));
+    // Samples live for so many views; what began before them is told of, too.
+    let frames_before = settings.ageing.max_age as usize + 8;
+    let mut how = How {
+        threads: workers,
+        until,
+        observer: Some(observer),
+        jump: true,
+        frames_before,
+        ..How::default()
+    };
+    let (mut runtime, mut actors, mut notes);
+    loop {
+        notes = Notes::default();
+        let max_age = settings.ageing.max_age;
+        (runtime, actors) = source.run(how.clone(), |_| notes.take(&queue, max_age))?;
+        let report = runtime.replay_report();
+        if let Some(divergence) = report.divergence {
+            return Err(Failure::Check(format!("the replay diverges: {divergence}")));
+        }
+        // A camera that stood still for long shows samples of long ago: then from the start.
+        let view = runtime.inspect(actors.renderer, |r| r.drawn().map(|d| d.view.0)).flatten();
+        if !how.jump || view.is_none_or(|view| notes.reaches_back(view, max_age)) {
+            break;
+        }
+        how.jump = false;
     }
-    notes.take(&queue, settings.ageing.max_age);
     let (px, py) = (x as usize, y as usize);
     let shown = runtime.inspect(actors.renderer, |r| {
         let (snapshot, drawn) = (r.shown()?.clone(), r.drawn()?.clone());

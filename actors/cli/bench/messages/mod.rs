@@ -133,7 +133,7 @@ pub fn run(a: &MessagesArguments, progress: Progress) -> Result<(), Failure> {
     let mut rows = rows(&rounds);
     let (order, hashed) = replayed::log_bytes();
     rows.push(Row::new("log, 16 senders at random: order", "B/message", &[order]).aim(Aim::AtMost(1.0)));
-    rows.push(Row::new("log, the same with a hash every 64", "B/message", &[hashed]).aim(Aim::AtMost(1.0)));
+    rows.push(Row::new("log, the same with a hash every 256", "B/message", &[hashed]).aim(Aim::AtMost(1.0)));
     let (live, again) = replayed::speeds();
     rows.push(Row::new("replay, the same", "M messages/s", &[again]).against("recording it", Some(live)));
     bar.inc(1);

@@ -15,6 +15,9 @@ use super::load::{Cost, IN_FLIGHT, Payload, WORKERS, cost, quantile};
 #[derive(Serialize, Deserialize)]
 pub struct Go(u64);
 
+/// Jobs that the source hands out in one turn, if it has the credits.
+const BURST: usize = 512;
+
 /// All inboxes of the fan.
 enum Fan<P> {
     Go(u64),
@@ -68,7 +71,7 @@ impl<P: Payload> Actor for Source<P> {
             }
             Fan::On | Fan::Work(_) => {}
         }
-        for _ in 0..64 {
+        for _ in 0..BURST {
             if self.sent == self.count {
                 return;
             }
@@ -217,10 +220,10 @@ impl Actor for Player {
 
     fn handle(&mut self, message: Ball, cx: &mut Cx<'_, Ball>) {
         let (Ball::Serve(left) | Ball::Hop(left)) = message;
-        if left.is_multiple_of(HOPS) {
-            if let Some(begun) = self.begun.replace(Instant::now()) {
-                let _ = self.times.push(begun.elapsed().as_nanos() as u64 / HOPS);
-            }
+        if left.is_multiple_of(HOPS)
+            && let Some(begun) = self.begun.replace(Instant::now())
+        {
+            let _ = self.times.push(begun.elapsed().as_nanos() as u64 / HOPS);
         }
         if left > 0
             && let Some(other) = &self.other

@@ -195,14 +195,14 @@ pub fn flips(count: u64) -> u64 {
     (0..count).filter(named).count() as u64
 }
 
-/// Bytes of a recording for each message: of the order alone, and with a hash every 64 messages.
+/// Bytes of a recording for each message: of the order alone, and with a hash every 256 messages.
 pub fn log_bytes() -> (f64, f64) {
     let ring = Ring { players: 16, tokens: 128, hops: 1000, flip: None };
     let bytes = |hashing| {
         let stat = record(ring, 2, 7, hashing)?.stat();
         Some(stat.file_bytes as f64 / stat.deliveries as f64)
     };
-    (bytes(Hashing::Off).unwrap_or(f64::NAN), bytes(Hashing::Every(64)).unwrap_or(f64::NAN))
+    (bytes(Hashing::Off).unwrap_or(f64::NAN), bytes(Hashing::Every(256)).unwrap_or(f64::NAN))
 }
 
 /// Millions of messages a second in a recorded run and in its replay.

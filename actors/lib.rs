@@ -19,6 +19,7 @@ pub mod outbox;
 pub mod renderer;
 pub mod settings;
 pub mod stages;
+pub mod textures;
 pub mod tracer;
 #[cfg(feature = "window")]
 pub mod window;

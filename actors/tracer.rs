@@ -4,16 +4,20 @@ use std::sync::Arc;
 
 use foveal::allocation::environment::MapContrast;
 use foveal::allocation::jobs::job_pixels;
+use foveal::allocation::texture_demand::predicted_uses;
 use foveal::display::environment_map::{self, EnvironmentMap, capture, direction, solid_angle};
 use foveal::image::luminance;
 use foveal::sampling::Lattice;
+use foveal::scene::mip_cache;
 use foveal::splatting::trace::{Owner, trace_samples};
 use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver, Worker};
 
+use xxhash_rust::xxh3::Xxh3;
+
 use crate::message::tracer::EnvironmentWork;
 use crate::message::{
-    AllocatorMessage, CacheAgerMessage, EnvironmentOrder, RendererMessage, SampleOrder, TraceJob,
-    TracerMessage,
+    AllocatorMessage, CacheAgerMessage, EnvironmentOrder, LevelOrder, PredictionOrder, RendererMessage,
+    SampleOrder, TraceJob, TracerMessage,
 };
 use crate::outbox::Outbox;
 
@@ -97,6 +101,29 @@ impl Tracer {
         }
     }
 
+    fn look_ahead(&mut self, order: &PredictionOrder, cx: &mut Cx<'_, TracerMessage>) {
+        let uses = predicted_uses(&order.drawn.world, &order.drawn.frame, &order.store.means);
+        let mut h = Xxh3::new();
+        for used in &uses {
+            h.update(bytemuck::cast_slice(&used.pixels));
+            h.update(bytemuck::cast_slice(&used.visibility));
+        }
+        let seen = AllocatorMessage::TexturesSeen { uses: Arc::new(uses), hash: h.digest() };
+        self.outbox.tell(cx, &self.allocator, seen);
+    }
+
+    fn load(&mut self, order: &LevelOrder, cx: &mut Cx<'_, TracerMessage>) {
+        let (texture, level) = (order.texture as usize, order.level as usize);
+        let bytes = order.store.facts[texture].bytes[level] as usize;
+        let file = order.store.file(texture, level);
+        let read = |like| mip_cache::read(&file, bytes, like);
+        let texels = order.like.as_ref().and_then(|like| {
+            read(like).inspect_err(|e| tracing::warn!("{}: {e}; a coarser level stays", file.display())).ok()
+        });
+        let loaded = AllocatorMessage::LevelLoaded { texture: order.texture, level: order.level, texels };
+        self.outbox.tell(cx, &self.allocator, loaded);
+    }
+
     fn job_done(&mut self, job: &SampleOrder, samples: u32, seconds: f32, cx: &mut Cx<'_, TracerMessage>) {
         let done = AllocatorMessage::JobDone {
             view: job.drawn.view,
@@ -139,6 +166,8 @@ impl Worker for Tracer {
         match job {
             TraceJob::Samples(order) => self.trace_samples(order, cx),
             TraceJob::Environment(order) => self.capture(order, cx),
+            TraceJob::Prediction(order) => self.look_ahead(order, cx),
+            TraceJob::Level(order) => self.load(order, cx),
         }
     }
 
@@ -154,6 +183,9 @@ impl Worker for Tracer {
                 };
                 self.outbox.tell(cx, &self.allocator, nothing);
             }
+            // These hold for every view and are never stale.
+            TraceJob::Prediction(order) => self.look_ahead(&order, cx),
+            TraceJob::Level(order) => self.load(&order, cx),
         }
     }
 }

@@ -18,6 +18,7 @@ use foveal_runtime::{Bounds, Declared, Handle, JobPool, OnPanic, Port, Wiring};
 
 use crate::allocator::Allocator;
 use crate::allocator::environments::Environments;
+use crate::allocator::textures::Textures;
 use crate::analyzer::Analyzer;
 use crate::cache_ager::CacheAger;
 use crate::message::saved::Surroundings;
@@ -25,6 +26,7 @@ use crate::message::{AllocatorMessage, RendererInput, RendererMessage, TraceJob}
 use crate::renderer::{FrameSink, Neighbours, Renderer};
 use crate::settings::Settings;
 use crate::stages::StageTimes;
+use crate::textures::TextureStore;
 use crate::tracer::Tracer;
 
 /// What a system of actors is made of.
@@ -37,6 +39,8 @@ pub struct Parts {
     pub passes: Passes,
     /// Whether there is anything to correct; if not, only the renderer is started.
     pub corrects: bool,
+    /// Textures, where they do not all fit into their limit; `world` has them at their coarsest then.
+    pub textures: Option<Arc<TextureStore>>,
     /// Where durations go.
     pub stages: StageTimes,
     /// Who sees the frames.
@@ -76,7 +80,7 @@ fn batches_on_their_way(settings: &Settings) -> usize {
 
 /// Makes mailboxes and starts actors. The same function for live, recorded, replayed and simulated runs.
 pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
-    let Parts { settings, world, passes, corrects, stages, sink } = parts;
+    let Parts { settings, world, passes, corrects, textures, stages, sink } = parts;
     let batches = batches_on_their_way(&settings);
     let probes = corrects.then(|| Arc::new(Probes::of_world(&world)));
     wiring.context(Surroundings { world: world.clone(), passes, probes: probes.clone() });
@@ -129,6 +133,7 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
                 pool.clone(),
                 addresses,
                 environments,
+                textures.and_then(|store| Textures::new(store, &world)),
                 stages.clone(),
             );
             wiring.spawn(allocator, actor)

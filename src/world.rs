@@ -7,7 +7,7 @@ use glam::Vec3;
 use crate::geometry::{Accel, Ray};
 use crate::illumination::Irradiance;
 use crate::rng::Stream;
-use crate::scene::Scene;
+use crate::scene::{Scene, Texture};
 use crate::transport::light::Lights;
 use crate::transport::path::path_radiance;
 use crate::transport::tracer::{Settings, Tracer};
@@ -42,6 +42,11 @@ impl World {
     /// Unbiased radiance along a ray, without the illumination.
     pub fn path_radiance(&self, ray: &Ray, stream: Stream) -> Vec3 {
         path_radiance(&self.scene, &self.accel, &self.lights, ray, stream)
+    }
+
+    /// The same world with other levels of its textures in memory.
+    pub fn with_resident(&self, textures: Vec<Texture>) -> Self {
+        Self { scene: Arc::new(self.scene.with_resident(textures)), ..self.clone() }
     }
 
     /// The same scene under another illumination.

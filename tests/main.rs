@@ -11,5 +11,6 @@ mod replay;
 mod skipped;
 mod still;
 mod support;
+mod textures;
 mod tidy;
 mod walk;

@@ -5,18 +5,21 @@
 //! job was given up. Says: jobs into the pool; to the renderer, that a view has converged.
 
 pub mod environments;
+pub mod textures;
 
 use std::sync::Arc;
 
 use foveal::allocation::environment::MapContrast;
 use foveal::allocation::policy::bucket_of;
 use foveal::allocation::ray_order::RayOrder;
+use foveal::allocation::texture_demand::TextureUse;
 use foveal::display::environment_map::Seen;
 use foveal::perception::importance::{ObjectScan, ObjectStatistics, priorities};
+use foveal::scene::texture::LevelTexels;
 use foveal_runtime::{Actor, Address, Cx, Incident, JobPool, Loader, Saver};
 
 use crate::message::saved::{load_drawn, save_drawn};
-use crate::message::tracer::ENVIRONMENT_MAP;
+use crate::message::tracer::{ENVIRONMENT_MAP, LEVEL_OF_TEXTURE, TEXTURES_WANTED};
 use crate::message::{
     AllocatorMessage, DrawnView, RendererMessage, SampleOrder, TraceJob, TracerMessage, View,
 };
@@ -24,6 +27,7 @@ use crate::outbox::Outbox;
 use crate::settings::Settings;
 use crate::stages::{Stage, StageTimes};
 use environments::Environments;
+use textures::{TextureWork, Textures};
 
 /// Jobs of samples that are done between two jobs of environment maps, per tracer.
 const SAMPLES_BETWEEN_MAPS: u32 = 3;
@@ -52,6 +56,8 @@ pub struct Allocator {
     in_flight: u32,
     /// First approximations.
     environments: Environments,
+    /// Textures, where they do not all fit into memory.
+    textures: Option<Textures>,
     /// Jobs of samples done since a job of an environment map was handed out.
     since_map: u32,
     /// Whether the renderer knows that the view has converged.
@@ -70,6 +76,7 @@ impl Allocator {
         pool: JobPool<TraceJob>,
         tracers: Vec<Address<TracerMessage>>,
         environments: Environments,
+        textures: Option<Textures>,
         stages: StageTimes,
     ) -> Self {
         Self {
@@ -93,6 +100,7 @@ impl Allocator {
             attention: Vec::new(),
             in_flight: 0,
             environments,
+            textures,
             since_map: u32::MAX,
             told_converged: false,
             lost_jobs: 0,
@@ -107,7 +115,13 @@ impl Allocator {
 
     /// Jobs that nobody has answered yet, in the pool, with a tracer or on their way.
     pub fn in_flight(&self) -> u32 {
-        self.in_flight + u32::from(self.environments.in_flight())
+        let textures = self.textures.as_ref().map_or(0, Textures::in_flight);
+        self.in_flight + u32::from(self.environments.in_flight()) + textures
+    }
+
+    /// Textures, where they do not all fit into memory.
+    pub fn textures(&self) -> Option<&Textures> {
+        self.textures.as_ref()
     }
 
     /// Environment maps.
@@ -142,6 +156,68 @@ impl Allocator {
             self.order.start_view(view, &self.statistics, &self.attention);
         });
         self.rank_maps(cx);
+        if let (Some(textures), Some(drawn)) = (&mut self.textures, &self.drawn) {
+            textures.on_view(drawn);
+        }
+        self.change_textures(cx);
+        self.fill_pool(cx);
+    }
+
+    /// Gives the orders that textures need now.
+    fn change_textures(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {
+        let Some(textures) = &mut self.textures else { return };
+        // Neither goes stale with a view.
+        if let Some(order) = textures.next_prediction() {
+            self.outbox.push(cx, &self.pool, 0, u64::MAX, TraceJob::Prediction(order));
+        }
+        let mut changed = false;
+        while let Some(work) = textures.next_work() {
+            changed = true;
+            match work {
+                TextureWork::Load(order) => {
+                    self.outbox.push(cx, &self.pool, 0, u64::MAX, TraceJob::Level(order));
+                }
+                TextureWork::Drop { texture, finest } => {
+                    let changed = RendererMessage::TextureChanged { texture, finest, texels: None };
+                    self.outbox.tell(cx, &self.renderer, changed);
+                }
+            }
+        }
+        if changed || textures.is_quiet() {
+            textures.report();
+        }
+    }
+
+    fn on_textures_seen(&mut self, uses: &[TextureUse], cx: &mut Cx<'_, AllocatorMessage>) {
+        if let Some(textures) = &mut self.textures {
+            self.stages.time(Stage::Allocate, || textures.on_seen(uses));
+        }
+        self.change_textures(cx);
+        self.fill_pool(cx);
+    }
+
+    fn on_level_loaded(
+        &mut self,
+        texture: u32,
+        level: u32,
+        texels: Option<LevelTexels>,
+        cx: &mut Cx<'_, AllocatorMessage>,
+    ) {
+        let Some(textures) = &mut self.textures else { return };
+        textures.on_loaded(texture, level, texels.is_some());
+        if let Some(texels) = texels {
+            let changed = RendererMessage::TextureChanged { texture, finest: level, texels: Some(texels) };
+            self.outbox.tell(cx, &self.renderer, changed);
+        }
+        self.change_textures(cx);
+        self.fill_pool(cx);
+    }
+
+    fn on_textures_released(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {
+        if let Some(textures) = &mut self.textures {
+            textures.on_released();
+        }
+        self.change_textures(cx);
         self.fill_pool(cx);
     }
 
@@ -209,8 +285,17 @@ impl Allocator {
             Incident::JobDead { description, .. } => {
                 self.lost_jobs += 1;
                 let of_map = description.contains(ENVIRONMENT_MAP);
+                let of_prediction = description.starts_with(TEXTURES_WANTED);
+                let of_level = level_of(description);
                 self.incidents.push(incident);
-                if of_map {
+                if of_prediction {
+                    if let Some(textures) = &mut self.textures {
+                        textures.on_prediction_lost();
+                    }
+                    self.change_textures(cx);
+                } else if let Some([texture, level]) = of_level {
+                    self.on_level_loaded(texture, level, None, cx);
+                } else if of_map {
                     self.environments.on_job_lost();
                     self.capture_maps(cx);
                 } else {
@@ -252,12 +337,19 @@ impl Allocator {
             }
         });
         self.capture_maps(cx);
-        if self.in_flight == 0 && self.order.is_exhausted() && !self.told_converged {
+        let textures_settled = self.textures.as_ref().is_none_or(Textures::is_quiet);
+        if self.in_flight == 0 && self.order.is_exhausted() && textures_settled && !self.told_converged {
             let message = RendererMessage::ViewConverged { view: drawn.view };
             self.outbox.tell(cx, &self.renderer, message);
             self.told_converged = true;
         }
     }
+}
+
+/// Texture and level that the description of a job that loads one ends with.
+fn level_of(description: &str) -> Option<[u32; 2]> {
+    let (texture, level) = description.strip_prefix(LEVEL_OF_TEXTURE)?.split_once(", level ")?;
+    Some([texture.trim().parse().ok()?, level.trim().parse().ok()?])
 }
 
 impl Actor for Allocator {
@@ -282,6 +374,11 @@ impl Actor for Allocator {
             AllocatorMessage::EnvironmentFiltered { object, contrast } => {
                 self.on_environment_filtered(object, contrast, cx);
             }
+            AllocatorMessage::TexturesSeen { uses, hash: _ } => self.on_textures_seen(&uses, cx),
+            AllocatorMessage::LevelLoaded { texture, level, texels } => {
+                self.on_level_loaded(texture, level, texels, cx);
+            }
+            AllocatorMessage::TexturesReleased => self.on_textures_released(cx),
             AllocatorMessage::Incident(incident) => self.on_incident(incident, cx),
             AllocatorMessage::SendAgain => self.outbox.send(cx),
         }
@@ -303,12 +400,14 @@ impl Actor for Allocator {
             attention,
             in_flight,
             environments,
+            textures,
             since_map,
             told_converged,
             lost_jobs,
             incidents,
         } = self;
-        if !outbox.is_empty() {
+        // What textures hold is large, and on disk anyway: such walks replay from their beginning.
+        if !outbox.is_empty() || textures.is_some() {
             return saver.refuse();
         }
         saver.put(&(order, statistics, saliency.as_slice(), attention));

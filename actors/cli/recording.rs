@@ -34,6 +34,8 @@ pub struct RecordedRun {
     pub texture_ids: bool,
     /// Whether there was anything to correct.
     pub corrects: bool,
+    /// Most bytes of textures in memory, where that was less than all.
+    pub texture_limit: Option<u64>,
     /// Where the illumination came from.
     pub illumination: IlluminationArguments,
     /// BLAKE3 of the stored illumination, hexadecimal.
@@ -64,6 +66,7 @@ impl RecordedRun {
             settings: *settings,
             texture_ids: passes.texture_ids,
             corrects,
+            texture_limit: session.textures.as_ref().map(|store| store.limit),
             illumination: illumination.clone(),
             illumination_hash: illumination_hash(&*session.world.illumination)?,
             particles,
@@ -128,7 +131,7 @@ impl RecordedRun {
             (Some(given), _) => Some(given.clone()),
             (None, recorded) => recorded.as_ref().and_then(|file| find(file, trace)),
         };
-        let session = session::illuminated(scene, warnings, &illumination, progress)?;
+        let mut session = session::illuminated(scene, warnings, &illumination, progress)?;
         let stored = &*session.world.illumination;
         let here = illumination_hash(stored)?;
         if here != self.illumination_hash {
@@ -140,6 +143,7 @@ impl RecordedRun {
                 self.particles, self.relative_error, self.illumination_hash
             )));
         }
+        session.limit_textures(self.texture_limit, elsewhere.cache.as_deref())?;
         Ok(session)
     }
 }

@@ -20,6 +20,7 @@ use foveal::world::World;
 use super::Progress;
 use super::arguments::{duration, share};
 use super::failure::Failure;
+use crate::textures::TextureStore;
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
@@ -103,8 +104,37 @@ impl BakeSettingsArguments {
 pub struct Session {
     /// Scene, geometry, lights and illumination.
     pub world: World,
+    /// Textures, where they do not all fit into their limit; the world has them at their coarsest then.
+    pub textures: Option<Arc<TextureStore>>,
     /// What went wrong without stopping anything, each said once.
     pub warnings: Vec<String>,
+}
+
+impl Session {
+    /// Keeps the textures within `limit` bytes, if they are more. `cache`: where their levels are kept.
+    pub fn limit_textures(&mut self, limit: Option<u64>, cache: Option<&Path>) -> Result<(), Failure> {
+        let scene = &self.world.scene;
+        let all: u64 = scene.textures.iter().map(|t| t.mips.bytes() as u64).sum();
+        let Some(limit) = limit.filter(|limit| all > *limit) else { return Ok(()) };
+        let folder = cache_folder(cache)
+            .ok_or_else(|| {
+                Failure::Environment("nowhere to keep textures; set FOVEAL_CACHE or --cache".into())
+            })?
+            .join("textures");
+        let (store, textures) = TextureStore::new(scene, limit, &folder).map_err(|below| {
+            Failure::Limit(format!(
+                "textures cannot be kept within {limit} bytes: the smallest limit that works is {} bytes",
+                below.smallest
+            ))
+        })?;
+        for warning in &store.warnings {
+            tracing::warn!("{warning}");
+        }
+        self.warnings.extend(store.warnings.iter().cloned());
+        self.world = self.world.with_resident(textures);
+        self.textures = Some(Arc::new(store));
+        Ok(())
+    }
 }
 
 /// Loads a scene; warnings go to the log and into the list.
@@ -133,7 +163,7 @@ pub fn illuminated(
     let accel = Arc::new(Accel::build(&scene));
     let lights = Arc::new(Lights::build(&scene));
     let illumination = illuminate(&scene, &accel, &lights, a, progress, &mut warnings)?;
-    Ok(Session { world: World { scene, accel, lights, illumination }, warnings })
+    Ok(Session { world: World { scene, accel, lights, illumination }, textures: None, warnings })
 }
 
 fn illuminate(

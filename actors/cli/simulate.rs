@@ -297,6 +297,7 @@ impl Scenario {
             world: self.world.clone(),
             passes: self.passes,
             corrects: self.corrects,
+            textures: None,
             stages: StageTimes::default(),
             sink: Box::new(Unseen),
         }
@@ -442,7 +443,7 @@ impl Watched {
         let stats = self.pool.stats();
         let out = stats.pushed.saturating_sub(stats.completed + stats.stale + stats.dead);
         if let Some(in_flight) = runtime.inspect(self.correction.allocator, Allocator::in_flight)
-            && (u64::from(in_flight) < out || in_flight > settings.jobs_in_flight() + 1)
+            && (u64::from(in_flight) < out || in_flight > settings.jobs_in_flight() + 4)
         {
             return Err(format!("the allocator counts {in_flight} jobs in flight, {out} are out"));
         }

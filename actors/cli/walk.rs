@@ -11,11 +11,12 @@ use serde_json::{Value, json};
 use foveal::allocation::policy::{Policy, RayPolicy};
 use foveal::display::twin::Passes;
 use foveal::scene::plan::{Part, ScenePlan};
-use foveal::scene::{Camera, CameraPath};
+use foveal::scene::texture::{forget_most_held, held_bytes};
+use foveal::scene::{Budget, Camera, CameraPath, Scene};
 use foveal::splatting::Footprint;
 use foveal_runtime::{BuildError, Config, Limit, RecordingStatus, Runtime};
 
-use super::arguments::{Size, positive, unit};
+use super::arguments::{Size, bytes, positive, unit};
 use super::failure::Failure;
 use super::output::{make_folder, peak_memory_bytes, print_json, print_line, write_atomic};
 use super::pictures::PictureWriter;
@@ -23,11 +24,14 @@ use super::recording::{RecordedRun, TRACERS_MAX};
 use super::report::FramePoint;
 use super::session::{self, IlluminationArguments, Session, camera, interrupted};
 use super::{Progress, figures, replay};
+use crate::allocator::Allocator;
 use crate::message::{FrameIndex, FrameSnapshot, RendererInput};
 use crate::renderer::{FrameCounts, FrameSink, Renderer};
 use crate::settings::Settings;
 use crate::stages::{Stage, StageTimes};
+use crate::textures::{Charge, TextureReport, TextureStore};
 use crate::wiring::{Actors, Parts, wire};
+use foveal::allocation::residency::TextureFacts;
 
 /// Turns that a profile keeps of each actor: the last minutes of a walk.
 const PROFILED_TURNS: usize = 1 << 17;
@@ -100,6 +104,12 @@ pub struct WalkArguments {
     /// Ageing: samples that a level needs to vote
     #[arg(long, value_name = "N", default_value_t = 10)]
     n_min: usize,
+    /// Most bytes of textures in memory, e.g. 64MiB (default: the scene's, else no limit)
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
+    texture_budget: Option<u64>,
+    /// Most bytes of environment maps; 0 shows nothing but the coarsest
+    #[arg(long, value_name = "SIZE", value_parser = bytes, default_value = "64MiB")]
+    environment_budget: u64,
     #[command(flatten)]
     illumination: IlluminationArguments,
     /// One JSON document
@@ -188,14 +198,21 @@ pub struct Walked {
     pub expired: u64,
     /// Samples that came after their view.
     pub late: u64,
+    /// Textures after each frame, where they are limited.
+    pub textures: Vec<TextureReport>,
 }
 
 /// Runs the command.
 pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
     session::end_on_interrupt();
     let mut session = session::open(&a.scene, &a.illumination, progress)?;
+    let budget = Budget {
+        texture_bytes: a.texture_budget.or(session.world.scene.budget.texture_bytes),
+        ..session.world.scene.budget
+    };
+    let plan = ScenePlan::new(&session.world.scene, &budget);
+    session.limit_textures(budget.texture_bytes, a.illumination.cache.as_deref())?;
     let scene = session.world.scene.clone();
-    let plan = ScenePlan::new(&scene, &scene.budget);
     let start_camera = camera(&scene, a.camera.as_deref())?.camera;
     let path = match &a.path {
         Some(name) => Some(scene.paths.iter().find(|p| p.name == *name).ok_or_else(|| {
@@ -227,22 +244,26 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
             FootprintName::Square => Footprint::Square,
         },
         ageing: foveal::splatting::AgeingRules { delta: a.delta, max_age: a.max_age, n_min: a.n_min },
+        environment_bytes: a.environment_budget,
         winner_takes_all: a.winner_takes_all,
         ..Settings::new(a.size.width, a.size.height, a.workers.unwrap_or(cores.min(TRACERS_MAX)))
     };
     if let Some(out) = &a.out {
         make_folder(out)?;
     }
-    let corrects = plan.needs(Part::Tracers);
+    // Textures under pressure need somebody to decide and to load.
+    let corrects = plan.needs(Part::Tracers) || session.textures.is_some();
     let stages = StageTimes::default();
     let handover = Arc::new(SegQueue::new());
     let passes = Passes { texture_ids: plan.needs(Part::TextureIdPass) };
     let world = session.world.clone();
+    let session_textures = session.textures.clone();
     let parts = || Parts {
         settings,
         world: world.clone(),
         passes,
         corrects,
+        textures: session_textures.clone(),
         stages: stages.clone(),
         sink: Box::new(Handover(handover.clone())),
     };
@@ -276,6 +297,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         frames,
         fps,
         &stages,
+        session.textures.as_deref(),
         &handover,
         pictures.as_ref(),
         progress,
@@ -289,13 +311,19 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
     let converged = runtime.inspect(actors.renderer, Renderer::is_converged).unwrap_or(false);
     let deliveries = runtime.deliveries();
     let (lost_jobs, incidents) = actors.correction.map_or((0, Vec::new()), |c| {
-        let look = |a: &crate::allocator::Allocator| {
+        let look = |a: &Allocator| {
             (a.lost_jobs(), a.incidents().iter().map(|i| format!("{i:?}")).collect::<Vec<_>>())
         };
         runtime.inspect(c.allocator, look).unwrap_or_default()
     });
-    let document =
+    let textures = session.textures.as_ref().and_then(|store| textures_json(store, &walked.textures, &scene));
+    let mut document =
         document(a, &session, &settings, &plan, fps, &walked, converged, deliveries, lost_jobs, &incidents);
+    if let Some(mut textures) = textures {
+        textures["peak_used_bytes"] = json!(walked.textures.iter().map(|p| p.used).max());
+        textures["peak_held_bytes"] = json!(held_bytes().1);
+        document["textures"] = textures;
+    }
     if let (Some(out), Some(pictures)) = (&a.out, pictures) {
         let linear = runtime.inspect(actors.renderer, Renderer::picture).flatten();
         if let Some(picture) = linear {
@@ -335,6 +363,7 @@ fn walk(
     frames: u32,
     fps: f32,
     stages: &StageTimes,
+    store: Option<&TextureStore>,
     handover: &SegQueue<Shown>,
     pictures: Option<&PictureWriter>,
     progress: Progress,
@@ -347,7 +376,9 @@ fn walk(
         reused: 0,
         expired: 0,
         late: 0,
+        textures: Vec::new(),
     };
+    forget_most_held();
     let bar = progress.bar(u64::from(frames), "walk");
     let budget = Duration::from_secs_f32(1.0 / fps);
     let start = Instant::now();
@@ -395,6 +426,10 @@ fn walk(
         walked.reused += u64::from(shown.counts.reused);
         walked.expired += u64::from(shown.counts.expired);
         walked.late += u64::from(shown.counts.late);
+        let reports = store.map(|s| std::iter::from_fn(|| s.reports.pop()).collect::<Vec<_>>());
+        if let Some(report) = reports.unwrap_or_default().pop().or_else(|| walked.textures.last().cloned()) {
+            walked.textures.push(report);
+        }
         // Of a stay only the last picture is kept; it takes the place of the last frame's.
         if let Some(pictures) = pictures {
             pictures.write(&format!("frame-{:04}.png", frame.min(frames - 1)), shown.snapshot)?;
@@ -479,6 +514,47 @@ fn document(
         "out": a.out.as_ref().map(|o| o.display().to_string()),
         "warnings": session.warnings.iter().chain(incidents).collect::<Vec<_>>(),
     })
+}
+
+/// What textures were given, what is lost by that, and what more memory would buy; `None` where they all fit.
+pub fn textures_json(store: &TextureStore, reports: &[TextureReport], scene: &Scene) -> Option<Value> {
+    let last = reports.last()?;
+    let line = |(i, (charge, facts)): (usize, (&Charge, &TextureFacts))| {
+        let asked = charge.asked.unwrap_or(facts.coarsest()).min(facts.coarsest());
+        json!({
+            "texture": scene.textures[i].name,
+            "pinned": facts.pinned,
+            "pixels": charge.pixels,
+            "asked_level": asked,
+            "asked_bytes": facts.bytes_from(asked),
+            "given_level": charge.given,
+            "given_bytes": facts.bytes_from(charge.given),
+            "visible_loss": charge.loss,
+        })
+    };
+    let bill: Vec<Value> = last.bill.iter().zip(&store.facts).enumerate().map(line).collect();
+    let over_time: Vec<Value> = reports
+        .iter()
+        .map(|r| {
+            json!({
+                "used_bytes": r.used,
+                "held_bytes": r.held,
+                "visible_error": r.visible_error(),
+                "finest": r.bill.iter().map(|c| c.given).collect::<Vec<_>>(),
+            })
+        })
+        .collect();
+    Some(json!({
+        "limit_bytes": store.limit,
+        "used_bytes": last.used,
+        "all_bytes": store.facts.iter().map(|f| f.bytes_from(0)).sum::<u64>(),
+        "levels_loaded": last.counts[0],
+        "drops": last.counts[1],
+        "visible_error": last.visible_error(),
+        "one_more_mib_buys": last.price_per_mib,
+        "bill": bill,
+        "over_time": over_time,
+    }))
 }
 
 fn summary(a: &WalkArguments, d: &Value) {

@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use foveal::allocation::environment::MapContrast;
 use foveal::allocation::rays::Residual;
+use foveal::allocation::texture_demand::TextureUse;
 use foveal::display::environment_map::Seen;
+use foveal::scene::texture::LevelTexels;
 use foveal_runtime::{Digest, Incident, Lane, Loader, Message, Saver};
 
 use super::saved::{load_drawn, save_drawn};
@@ -73,6 +75,24 @@ pub enum AllocatorMessage {
         /// What is lost without it.
         contrast: MapContrast,
     },
+    /// From a tracer: what a view and the turns that may follow it show of each texture.
+    TexturesSeen {
+        /// By texture.
+        uses: Arc<Vec<TextureUse>>,
+        /// Hash of it.
+        hash: u64,
+    },
+    /// From a tracer: a level of a texture.
+    LevelLoaded {
+        /// Which texture.
+        texture: u32,
+        /// Which level.
+        level: u32,
+        /// Its texels; none where it cannot be had.
+        texels: Option<LevelTexels>,
+    },
+    /// From the renderer: nobody holds a level that was dropped any more.
+    TexturesReleased,
     /// From the runtime: an actor panicked, a job was given up, or a tracer was stopped.
     Incident(Incident),
     /// From its own timer: send what was not accepted.
@@ -113,6 +133,13 @@ impl Message for AllocatorMessage {
                 digest.f32(contrast.mean);
                 digest.f32(contrast.relative_difference);
             }
+            Self::TexturesSeen { uses: _, hash } => digest.u64(*hash),
+            Self::LevelLoaded { texture, level, texels } => {
+                for word in [*texture, *level, u32::from(texels.is_some())] {
+                    digest.u32(word);
+                }
+            }
+            Self::TexturesReleased => {}
             Self::Incident(incident) => digest.bytes(format!("{incident:?}").as_bytes()),
             Self::SendAgain => {}
         }
@@ -127,6 +154,9 @@ impl Message for AllocatorMessage {
             Self::ResidualsMeasured { .. } => "ResidualsMeasured",
             Self::EnvironmentCaptured { .. } => "EnvironmentCaptured",
             Self::EnvironmentFiltered { .. } => "EnvironmentFiltered",
+            Self::TexturesSeen { .. } => "TexturesSeen",
+            Self::LevelLoaded { .. } => "LevelLoaded",
+            Self::TexturesReleased => "TexturesReleased",
             Self::Incident(_) => "Incident",
             Self::SendAgain => "SendAgain",
         }
@@ -142,6 +172,9 @@ impl Message for AllocatorMessage {
             | Self::ResidualsMeasured { .. }
             | Self::EnvironmentCaptured { .. }
             | Self::EnvironmentFiltered { .. }
+            | Self::TexturesSeen { .. }
+            | Self::LevelLoaded { .. }
+            | Self::TexturesReleased
             | Self::SendAgain => Lane::Data,
         }
     }
@@ -164,6 +197,8 @@ impl Message for AllocatorMessage {
                 saver.put(&(5_u8, object, hash, seconds, seen.as_slice()));
             }
             Self::EnvironmentFiltered { object, contrast } => saver.put(&(6_u8, object, contrast)),
+            // Only an allocator that refuses gets these.
+            Self::TexturesSeen { .. } | Self::LevelLoaded { .. } | Self::TexturesReleased => saver.refuse(),
             Self::Incident(incident) => saver.put(&(7_u8, incident)),
             Self::SendAgain => saver.put(&8_u8),
         }

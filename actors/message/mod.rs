@@ -18,7 +18,7 @@ pub use allocator::AllocatorMessage;
 pub use analyzer::AnalyzerMessage;
 pub use cache_ager::CacheAgerMessage;
 pub use renderer::{RendererInput, RendererMessage};
-pub use tracer::{EnvironmentOrder, SampleOrder, TraceJob, TracerMessage};
+pub use tracer::{EnvironmentOrder, LevelOrder, PredictionOrder, SampleOrder, TraceJob, TracerMessage};
 
 /// The age of the camera: how often the view (pose, size or illumination) has changed.
 #[derive(

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use foveal::display::environment_map::EnvironmentMap;
 use foveal::scene::Camera;
+use foveal::scene::texture::LevelTexels;
 use foveal::splatting::{SampleBatch, WarpedSample};
 use foveal_runtime::{Digest, Loader, Message, Saver};
 
@@ -61,6 +62,15 @@ pub enum RendererMessage {
         /// Its hash.
         hash: u64,
     },
+    /// From the allocator: another level of a texture is to be shown, from the next frame on.
+    TextureChanged {
+        /// Which texture.
+        texture: u32,
+        /// The finest level from now on.
+        finest: u32,
+        /// Its texels where it is one level finer than before; none where finer levels are dropped.
+        texels: Option<LevelTexels>,
+    },
     /// From the allocator: every sample of the view has been traced, and all of them are in the
     /// mailbox before this message.
     ViewConverged {
@@ -101,6 +111,11 @@ impl Message for RendererMessage {
                 digest.u32(*object);
                 digest.u64(*hash);
             }
+            Self::TextureChanged { texture, finest, texels } => {
+                for word in [*texture, *finest, u32::from(texels.is_some())] {
+                    digest.u32(word);
+                }
+            }
             Self::ViewConverged { view } => digest.u32(view.0),
             Self::SendAgain => {}
         }
@@ -113,6 +128,7 @@ impl Message for RendererMessage {
             Self::SamplesAged { .. } => "SamplesAged",
             Self::SamplesTraced { .. } => "SamplesTraced",
             Self::EnvironmentChanged { .. } => "EnvironmentChanged",
+            Self::TextureChanged { .. } => "TextureChanged",
             Self::ViewConverged { .. } => "ViewConverged",
             Self::SendAgain => "SendAgain",
         }
@@ -123,6 +139,7 @@ impl Message for RendererMessage {
             Self::SamplesAged { samples, .. } => samples.len() * size_of::<WarpedSample>(),
             Self::SamplesTraced { batch, .. } => batch.size_bytes(),
             Self::EnvironmentChanged { map, .. } => map.as_ref().map_or(0, |map| map.bytes()),
+            Self::TextureChanged { texels, .. } => texels.as_ref().map_or(0, |t| t.as_bytes().len()),
             Self::Input(_) | Self::ViewConverged { .. } | Self::SendAgain => 0,
         }
     }
@@ -143,6 +160,8 @@ impl Message for RendererMessage {
                     saver.shared(map, |map, saver| saver.put(map));
                 }
             }
+            // The allocator that sends these refuses, too.
+            Self::TextureChanged { .. } => saver.refuse(),
             Self::ViewConverged { view } => saver.put(&(4_u8, view)),
             Self::SendAgain => saver.put(&5_u8),
         }

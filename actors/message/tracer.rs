@@ -5,11 +5,13 @@ use std::sync::Arc;
 use foveal::allocation::jobs::SampleJob;
 use foveal::display::environment_map::Seen;
 use foveal::display::first_approximation::Probes;
+use foveal::scene::texture::LevelTexels;
 use foveal::world::World;
 use foveal_runtime::{Digest, Job, Loader, Message, Saver};
 
 use super::DrawnView;
 use super::saved::{Surroundings, load_drawn, save_drawn};
+use crate::textures::TextureStore;
 
 /// An order for a tracer, complete in itself.
 #[derive(Clone, Debug)]
@@ -18,6 +20,32 @@ pub enum TraceJob {
     Samples(SampleOrder),
     /// Part of an environment map.
     Environment(EnvironmentOrder),
+    /// Which levels of which textures a view wants.
+    Prediction(PredictionOrder),
+    /// A level of a texture, from disk.
+    Level(LevelOrder),
+}
+
+/// A view to look ahead from.
+#[derive(Clone, Debug)]
+pub struct PredictionOrder {
+    /// The view.
+    pub drawn: Arc<DrawnView>,
+    /// The textures.
+    pub store: Arc<TextureStore>,
+}
+
+/// A level to load.
+#[derive(Clone, Debug)]
+pub struct LevelOrder {
+    /// The textures.
+    pub store: Arc<TextureStore>,
+    /// Which texture.
+    pub texture: u32,
+    /// Which level.
+    pub level: u32,
+    /// Texels of the same kind.
+    pub like: Option<LevelTexels>,
 }
 
 /// Samples to trace.
@@ -54,6 +82,12 @@ pub struct EnvironmentOrder {
 
 /// What the description of a job says if it belongs to a map.
 pub const ENVIRONMENT_MAP: &str = "of the environment map";
+
+/// What the description of a job that looks ahead begins with.
+pub const TEXTURES_WANTED: &str = "the textures wanted";
+
+/// What the description of a job that loads a level begins with; texture and level follow.
+pub const LEVEL_OF_TEXTURE: &str = "loading texture";
 
 /// The two steps to a map.
 #[derive(Clone, Debug)]
@@ -123,6 +157,11 @@ impl Job for TraceJob {
                     EnvironmentWork::Filter { seen } => digest.u32(seen.len() as u32),
                 }
             }
+            Self::Prediction(o) => digest.u32(o.drawn.view.0),
+            Self::Level(o) => {
+                digest.u64(o.store.digest(o.texture as usize));
+                digest.u32(o.level);
+            }
         }
     }
 
@@ -152,6 +191,8 @@ impl Job for TraceJob {
                 };
                 format!("{what} {ENVIRONMENT_MAP} of object {}, side {}", o.object, o.side)
             }
+            Self::Prediction(o) => format!("{TEXTURES_WANTED} by view {}", o.drawn.view.0),
+            Self::Level(o) => format!("{LEVEL_OF_TEXTURE} {}, level {}", o.texture, o.level),
         }
     }
 
@@ -159,6 +200,8 @@ impl Job for TraceJob {
         match self {
             Self::Samples(_) => "TraceJob",
             Self::Environment(_) => "EnvironmentJob",
+            Self::Prediction(_) => "PredictionJob",
+            Self::Level(_) => "LevelJob",
         }
     }
 
@@ -175,6 +218,8 @@ impl Job for TraceJob {
                     EnvironmentWork::Filter { seen } => saver.put(&(1_u8, seen.as_slice())),
                 }
             }
+            // The allocator that orders these refuses, too.
+            Self::Prediction(_) | Self::Level(_) => saver.refuse(),
         }
     }
 

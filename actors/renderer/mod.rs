@@ -8,8 +8,9 @@
 pub mod gpu;
 pub mod overlay;
 
-use std::sync::Arc;
-use std::time::Instant;
+use std::collections::VecDeque;
+use std::sync::{Arc, Weak};
+use std::time::{Duration, Instant};
 
 use foveal::allocation::policy::Policy;
 use foveal::allocation::ray_order::residual_of_batch;
@@ -21,7 +22,8 @@ use foveal::display::twin::{self, Passes};
 use foveal::image::Map2d;
 use foveal::perception::tvi::TviTable;
 use foveal::perception::viewing::Viewing;
-use foveal::scene::Camera;
+use foveal::scene::texture::LevelTexels;
+use foveal::scene::{Camera, Scene};
 use foveal::splatting::{SampleBatch, SplatLayer, WarpedSample};
 use foveal::world::World;
 use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver};
@@ -40,6 +42,17 @@ use crate::stages::{Stage, StageTimes};
 
 /// Kind of the mark that each shown frame leaves in a recording; its value is the picture's hash.
 pub const MARK_FRAME: u32 = 0;
+
+/// Bytes of textures that one frame takes at most, if more than one level waits.
+const TEXTURE_BYTES_PER_FRAME: usize = 4 << 20;
+
+/// A texture that will have another finest level.
+struct TextureChange {
+    texture: u32,
+    finest: u32,
+    /// The finest level, where it is one more.
+    texels: Option<LevelTexels>,
+}
 
 /// Counts of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -77,6 +90,12 @@ pub struct Renderer {
     /// Views drawn before, whose buffers are used again once nobody else holds them.
     retired: Vec<Arc<DrawnView>>,
     layer: SplatLayer,
+    /// Changes of textures that wait for the next frames.
+    waiting: VecDeque<TextureChange>,
+    /// Scenes with levels that have been dropped since, as long as somebody may hold them.
+    former: Vec<Weak<Scene>>,
+    /// Whether the allocator waits for what was dropped.
+    releasing: bool,
     /// What the splat layer of a view begins with.
     approximation: Option<FirstApproximation>,
     counts: FrameCounts,
@@ -135,6 +154,9 @@ impl Renderer {
             view: View(0),
             drawn: None,
             retired: Vec::new(),
+            waiting: VecDeque::new(),
+            former: Vec::new(),
+            releasing: false,
             approximation,
             counts: FrameCounts::default(),
             converged: false,
@@ -150,7 +172,12 @@ impl Renderer {
 
     /// Whether every non-diffuse pixel of the current view shows its own ray.
     pub fn is_converged(&self) -> bool {
-        self.converged
+        self.converged && self.waiting.is_empty()
+    }
+
+    /// The world with the levels of textures that are shown now.
+    pub fn world(&self) -> &World {
+        &self.world
     }
 
     /// Whether the last frame shows all there is.
@@ -187,11 +214,62 @@ impl Renderer {
 
     fn on_frame_began(&mut self, camera: Camera, cx: &mut Cx<'_, RendererMessage>) {
         self.counts = FrameCounts::default();
-        if self.camera != Some(camera) {
+        let retextured = self.change_textures();
+        if self.camera != Some(camera) || retextured {
             self.camera = Some(camera);
             self.begin_view(&camera, Forget::Nothing, cx);
         }
+        self.look_for_former(cx);
         self.drawn_at = Some(Instant::now());
+    }
+
+    /// Takes as many changes of textures as a frame has time for. Whether there was one.
+    fn change_textures(&mut self) -> bool {
+        let (mut bytes, mut changed) = (0, false);
+        let mut textures = Vec::new();
+        while let Some(change) = self.waiting.front() {
+            bytes += change.texels.as_ref().map_or(0, |texels| texels.as_bytes().len());
+            if changed && bytes > TEXTURE_BYTES_PER_FRAME {
+                break;
+            }
+            if !changed {
+                textures.clone_from(&self.world.scene.textures);
+            }
+            changed = true;
+            let Some(change) = self.waiting.pop_front() else { break };
+            self.releasing |= change.texels.is_none();
+            let Some(texture) = textures.get_mut(change.texture as usize) else { continue };
+            let mips = match change.texels {
+                Some(texels) => texture.mips.with_finer(texels),
+                None => Some(texture.mips.without_finer(change.finest as usize)),
+            };
+            if let Some(mips) = mips {
+                texture.mips = Arc::new(mips);
+            }
+        }
+        if changed {
+            let world = self.world.with_resident(textures);
+            let before = std::mem::replace(&mut self.world, world);
+            self.former.push(Arc::downgrade(&before.scene));
+        }
+        changed
+    }
+
+    /// Tells the allocator once nobody holds what was dropped: neither a view that was shown, nor a job, nor a window.
+    fn look_for_former(&mut self, cx: &mut Cx<'_, RendererMessage>) {
+        if !self.releasing {
+            return;
+        }
+        self.retired.retain(|view| Arc::ptr_eq(&view.world.scene, &self.world.scene));
+        let held = self.former.iter().skip(1).filter(|scene| scene.strong_count() > 0).count();
+        // Who still holds what is a fact of the moment, so it enters as measured ones do, and replays.
+        let held = cx.measured(Duration::from_nanos(held.min(100) as u64)).as_nanos();
+        if let (0, Some(neighbours)) = (held, &self.neighbours) {
+            // The first scene, which others keep for good, has nothing that was ever dropped.
+            self.former.truncate(1);
+            self.releasing = false;
+            self.outbox.tell(cx, &neighbours.allocator, AllocatorMessage::TexturesReleased);
+        }
     }
 
     /// Draws a new view; the others work on it meanwhile.
@@ -405,6 +483,9 @@ impl Actor for Renderer {
             RendererMessage::EnvironmentChanged { object, map, hash: _ } => {
                 self.on_environment_changed(object, map);
             }
+            RendererMessage::TextureChanged { texture, finest, texels } => {
+                self.waiting.push_back(TextureChange { texture, finest, texels });
+            }
             RendererMessage::ViewConverged { view } => self.on_view_converged(view),
             RendererMessage::SendAgain => self.outbox.send(cx),
         }
@@ -436,8 +517,11 @@ impl Actor for Renderer {
             changed,
             shown,
             outbox,
+            waiting,
+            former,
+            releasing: _,
         } = self;
-        if !outbox.is_empty() {
+        if !outbox.is_empty() || !waiting.is_empty() || !former.is_empty() {
             return saver.refuse();
         }
         saver.put(&(camera, view, converged, changed, drawn.is_some(), shown.is_some()));

@@ -111,6 +111,7 @@ impl Session {
             world: self.world.clone(),
             passes: self.passes,
             corrects: self.corrects,
+            textures: None,
             stages: StageTimes::default(),
             sink: Box::new(Newest(self.newest.clone())),
         };

@@ -1,7 +1,7 @@
 //! Decision theory: what is done next, and what is kept, under limits.
 //!
 //! [`decision`] is Dumont's framework (2003 §3): constraint, action, approximation, cost, quality; [`knapsack`] its
-//! optimiser. Textures: [`spatial_error`] (a pre-process) and [`texture_demand`] (per view), [`texture_baselines`] to compare with. Environment maps:
+//! optimiser. Textures: [`spatial_error`] (a pre-process) , [`texture_demand`] (per view) and [`residency`] (step by step), [`texture_baselines`] to compare with. Environment maps:
 //! [`environment`]. Rays: [`rays`] estimates what they bring, [`policy`] ranks (object, level) pairs, [`jobs`] cuts them
 //! into sample jobs, [`ray_order`] joins the three. Pure functions and
 //! plain data: the allocator actor feeds them.
@@ -13,6 +13,7 @@ pub mod knapsack;
 pub mod policy;
 pub mod ray_order;
 pub mod rays;
+pub mod residency;
 pub mod spatial_error;
 pub mod texture_baselines;
 pub mod texture_demand;

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use crate::image::{Map2d, luminance};
 use crate::perception::color_difference::{delta_e76, lab};
 use crate::perception::elevation::{Border, ElevationSettings, elevation};
+use crate::scene::Texture;
 
 /// How the difference of two texels is measured. The two never mix: their units differ (correction D2).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -96,6 +97,29 @@ impl SpatialErrors {
             mean_luminance: luminances.first().map_or(0.0, mean),
             mean_elevation: elevations.first().map_or(1.0, |map| mean(map).max(1.0)),
         }
+    }
+
+    /// Compares every pair of levels of a texture, all in memory. Levels of more than a megatexel count as if their details
+    /// were those of the first smaller one: what they hold more is seen from near only, and looks alike there.
+    pub fn of_texture(texture: &Texture, settings: &SpatialSettings) -> Self {
+        const TEXELS_MAX: usize = 1 << 20;
+        let size = |level: usize| texture.size(level);
+        let count = texture.level_count();
+        let first = (0..count).find(|&l| size(l)[0] * size(l)[1] <= TEXELS_MAX).unwrap_or(count - 1);
+        let map = |level: usize| {
+            let [width, height] = size(level);
+            Map2d::from_fn(width, height, |x, y| Vec3::from_slice(&texture.texel(level, x, y)[..3]))
+        };
+        let levels: Vec<Map2d<Vec3>> = (first..count).map(map).collect();
+        let border = if texture.clamp { Border::Clamp } else { Border::Wrap };
+        let measured = Self::of_levels(&levels, &SpatialSettings { border, ..*settings });
+        let pair = |m: usize, j: usize| match m.checked_sub(first) {
+            Some(m) => measured.error(m, j - first),
+            None => measured.error(0, j - m),
+        };
+        let errors =
+            (0..count).flat_map(|m| (m + 1..count).map(move |j| (m, j))).map(|(m, j)| pair(m, j)).collect();
+        Self { levels: count, errors, ..measured }
     }
 
     /// Number of levels.

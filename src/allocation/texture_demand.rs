@@ -4,9 +4,15 @@
 //! In: the texture-id map of a view with the illumination at each pixel, and the spatial errors of each texture. Out:
 //! pixels per level and visible error per coarsest allowed level, in just noticeable differences times pixels.
 
-use crate::display::TextureLevel;
-use crate::image::Map2d;
+use crate::display::tone::ToneMap;
+use crate::display::twin::{Passes, draw};
+use crate::display::{FrameBuffers, TextureLevel};
+use crate::geometry::Ray;
+use crate::image::{Map2d, luminance};
 use crate::perception::tvi::{TviTable, tvi};
+
+use crate::scene::camera::CameraFrame;
+use crate::world::World;
 
 use super::decision::{Approximation, Resource};
 use super::spatial_error::SpatialErrors;
@@ -106,6 +112,51 @@ impl TextureScan {
         }
         uses
     }
+}
+
+/// What a view, and the turns and steps that may follow it, show of each texture: seen in few pixels by a camera behind the
+/// viewer that looks to the sides too (Dumont 2003 §5.2.4.1).
+///
+/// `mean_luminances`: T̃ per texture. Pixels count as pixels of the view.
+pub fn predicted_uses(world: &World, frame: &CameraFrame, mean_luminances: &[f32]) -> Vec<TextureUse> {
+    /// Pixels of the view per pixel of the prediction, along an edge.
+    const COARSENESS: u32 = 5;
+    /// How much wider it looks.
+    const WIDER: f32 = 1.3;
+    let back = 0.05 * world.scene.diagonal();
+    let ray = Ray { t_max: back, ..Ray::new(frame.eye, -frame.forward) };
+    let free = world.accel.intersect(&world.scene, &ray).map_or(back, |hit| 0.8 * hit.t);
+    let size = frame.size.map(|s| (s / COARSENESS).max(1));
+    let behind = CameraFrame {
+        eye: frame.eye - frame.forward * free,
+        right: frame.right * WIDER,
+        up: frame.up * WIDER,
+        size,
+        ..*frame
+    };
+    let (width, height) = (size[0] as usize, size[1] as usize);
+    let mut buffers = FrameBuffers::new(width, height);
+    draw(world, &behind, Passes { texture_ids: true }, &mut buffers);
+    // Levels were chosen for these pixels, not for those of the view.
+    let coarser = (behind.pixel_angle() / frame.pixel_angle()).log2();
+    let display = &world.scene.display;
+    let tone = ToneMap::from(display);
+    let wanted = buffers.texture.map(|word| match word.texture() {
+        Some(texture) => TextureLevel::new(texture, word.level() - coarser),
+        None => word,
+    });
+    let illumination = Map2d::from_fn(width, height, |x, y| {
+        let texture = wanted.at(x, y).texture().map_or(usize::MAX, |t| t.0 as usize);
+        let mean = mean_luminances.get(texture).copied().unwrap_or(0.0);
+        let shown = luminance(tone.to_linear(buffers.color.at(x, y))) * display.white_cd_m2;
+        if mean > 0.0 { shown / mean } else { 0.0 }
+    });
+    let mut uses = TextureScan::default().gather(&wanted, &illumination, None, mean_luminances);
+    let share = (frame.size[0] * frame.size[1]) as f32 / (size[0] * size[1]) as f32;
+    for used in &mut uses {
+        used.pixels.iter_mut().chain(&mut used.visibility).for_each(|v| *v *= share);
+    }
+    uses
 }
 
 /// Textures under a limit of memory: state j of texture i keeps levels j and coarser.

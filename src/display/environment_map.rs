@@ -233,7 +233,7 @@ pub fn phong_exponent(alpha: f32) -> Option<f32> {
 pub fn side_of_lobe(exponent: f32) -> usize {
     let sigma = ((exponent + 1.0) / (exponent + 2.0)).min(1.0).acos();
     let side = std::f32::consts::FRAC_PI_2 / (0.5 * sigma).max(1e-4);
-    (side.min(256.0) as usize).next_power_of_two().clamp(4, 256)
+    (side.min(256.0) as usize).next_power_of_two().clamp(8, 256)
 }
 
 /// Filters a cube with the normalised Phong lobe (n+1)/(2π) [⟨r, ω⟩]₊ⁿ: each texel of the result is what a lobe around

@@ -4,6 +4,7 @@ use glam::Vec3;
 
 use crate::scene::{
     Camera, Display, Light, Material, MaterialId, Mesh, Model, NamedCamera, Object, Reflectance, Scene,
+    SceneParts,
 };
 
 /// A parallelogram of two triangles with normal `u × v`.
@@ -89,7 +90,7 @@ pub fn scene(mesh: Mesh, materials: Vec<Material>, lights: Vec<Light>) -> Scene 
     let low = mesh.positions.iter().copied().fold(Vec3::splat(f32::INFINITY), Vec3::min);
     let high = mesh.positions.iter().copied().fold(Vec3::splat(f32::NEG_INFINITY), Vec3::max);
     let area = (0..mesh.triangles.len() as u32).map(|t| super::atlas::triangle_area(mesh.corners(t))).sum();
-    Scene {
+    SceneParts {
         name: "test".into(),
         title: "test".into(),
         objects: vec![Object {
@@ -102,7 +103,6 @@ pub fn scene(mesh: Mesh, materials: Vec<Material>, lights: Vec<Light>) -> Scene 
         }],
         mesh,
         materials,
-        textures: Vec::new(),
         lights,
         environment: None,
         cameras: vec![NamedCamera {
@@ -117,4 +117,5 @@ pub fn scene(mesh: Mesh, materials: Vec<Material>, lights: Vec<Light>) -> Scene 
         budget: Default::default(),
         content_hash: [0; 32],
     }
+    .with_textures(Vec::new())
 }

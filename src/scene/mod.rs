@@ -11,11 +11,15 @@ pub mod environment;
 pub mod hierarchy;
 pub mod load;
 pub mod material;
+pub mod mip_cache;
 pub mod path;
 pub mod plan;
 #[cfg(test)]
 pub mod test_scenes;
 pub mod texture;
+
+use std::ops::{Deref, DerefMut};
+use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
 
@@ -138,9 +142,33 @@ pub struct Budget {
     pub fps: Option<f32>,
 }
 
-/// Everything the core needs to know of a scene.
+/// Everything the core needs to know of a scene. All but its textures is shared between copies, so that a scene with
+/// other mip levels resident costs little more than a list.
 #[derive(Clone, Debug)]
 pub struct Scene {
+    parts: Arc<SceneParts>,
+    /// Textures with the levels of their mip chains that are in memory.
+    pub textures: Vec<Texture>,
+}
+
+impl Deref for Scene {
+    type Target = SceneParts;
+
+    fn deref(&self) -> &SceneParts {
+        &self.parts
+    }
+}
+
+/// Copies what is shared.
+impl DerefMut for Scene {
+    fn deref_mut(&mut self) -> &mut SceneParts {
+        Arc::make_mut(&mut self.parts)
+    }
+}
+
+/// What a scene is besides its textures.
+#[derive(Clone, Debug)]
+pub struct SceneParts {
     /// Name for reports: the file's stem.
     pub name: String,
     /// Title of the sidecar, or the name.
@@ -149,8 +177,6 @@ pub struct Scene {
     pub mesh: Mesh,
     /// Materials; never empty.
     pub materials: Vec<Material>,
-    /// Textures with their mip chains.
-    pub textures: Vec<Texture>,
     /// Lights without area.
     pub lights: Vec<Light>,
     /// The surrounding.
@@ -175,7 +201,19 @@ pub struct Scene {
     pub content_hash: [u8; 32],
 }
 
+impl SceneParts {
+    /// The scene with these textures.
+    pub fn with_textures(self, textures: Vec<Texture>) -> Scene {
+        Scene { parts: Arc::new(self), textures }
+    }
+}
+
 impl Scene {
+    /// The same scene with other levels of its textures in memory.
+    pub fn with_resident(&self, textures: Vec<Texture>) -> Self {
+        Self { parts: self.parts.clone(), textures }
+    }
+
     /// Length of the diagonal of the bounds; 1 for an empty scene.
     pub fn diagonal(&self) -> f32 {
         let d = (self.bounds[1] - self.bounds[0]).length();

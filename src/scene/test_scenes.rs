@@ -23,7 +23,7 @@ pub fn of_triangles(corners: &[[Vec3; 3]]) -> Scene {
         .filter(|p| p.is_finite())
         .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(a, b), &p| (a.min(p), b.max(p)));
     let count = corners.len();
-    Scene {
+    SceneParts {
         name: "test".into(),
         title: "test".into(),
         mesh: Mesh {
@@ -35,7 +35,6 @@ pub fn of_triangles(corners: &[[Vec3; 3]]) -> Scene {
             objects: vec![0; count],
         },
         materials: vec![material],
-        textures: Vec::new(),
         lights: Vec::new(),
         environment: None,
         cameras: vec![NamedCamera {
@@ -51,6 +50,7 @@ pub fn of_triangles(corners: &[[Vec3; 3]]) -> Scene {
         budget: Budget::default(),
         content_hash: [0; 32],
     }
+    .with_textures(Vec::new())
 }
 
 /// A material of this model.
@@ -102,12 +102,11 @@ pub fn add_box(mesh: &mut Mesh, low: Vec3, high: Vec3, material: u32, inwards: b
 /// A scene of one mesh without cameras and lights.
 pub fn scene(mesh: Mesh, materials: Vec<Material>) -> Scene {
     let bounds = mesh.bounds();
-    let mut scene = Scene {
+    let mut scene = SceneParts {
         name: "test".to_owned(),
         title: "test".to_owned(),
         mesh,
         materials,
-        textures: Vec::new(),
         lights: Vec::new(),
         environment: None,
         cameras: Vec::new(),
@@ -119,7 +118,8 @@ pub fn scene(mesh: Mesh, materials: Vec<Material>) -> Scene {
         display: Display::default(),
         budget: Budget::default(),
         content_hash: [0; 32],
-    };
+    }
+    .with_textures(Vec::new());
     let grouped = super::hierarchy::group(&scene.mesh, &scene.materials, scene.up, |_| "");
     scene.objects = grouped.objects;
     scene.mesh.objects = grouped.of_triangle;

@@ -1,60 +1,170 @@
 //! Textures with their mip chains, kept in the file's own precision, and their filtered look-up.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec2;
 
 use crate::image::{linear_from_srgb, srgb_from_linear};
 
-/// How the texels of a [`MipChain`] are stored.
+/// Bytes of texels that all chains of this process hold now, and the most they ever held.
+static HELD: AtomicU64 = AtomicU64::new(0);
+static HELD_MAX: AtomicU64 = AtomicU64::new(0);
+
+/// Bytes of texels held by this process: now, and at most since [`forget_most_held`].
+pub fn held_bytes() -> (u64, u64) {
+    (HELD.load(Ordering::SeqCst), HELD_MAX.load(Ordering::SeqCst))
+}
+
+/// Begins anew to look for the most.
+pub fn forget_most_held() {
+    HELD_MAX.store(HELD.load(Ordering::SeqCst), Ordering::SeqCst);
+}
+
+/// Texels that are counted while they exist.
+#[derive(Debug)]
+struct Counted<T>(Vec<T>);
+
+impl<T> Counted<T> {
+    fn new(texels: Vec<T>) -> Self {
+        let bytes = (texels.len() * size_of::<T>()) as u64;
+        let now = HELD.fetch_add(bytes, Ordering::SeqCst) + bytes;
+        HELD_MAX.fetch_max(now, Ordering::SeqCst);
+        Self(texels)
+    }
+}
+
+impl<T> Drop for Counted<T> {
+    fn drop(&mut self) {
+        HELD.fetch_sub((self.0.len() * size_of::<T>()) as u64, Ordering::SeqCst);
+    }
+}
+
+/// The texels of one level, shared by all chains that hold it.
+#[derive(Clone, Debug)]
+pub struct LevelTexels(Texels);
+
+/// How texels are stored.
 #[derive(Clone, Debug)]
 enum Texels {
     /// 8 bits per channel. RGB is gamma-encoded where `decode` says so.
-    Byte(Vec<[u8; 4]>),
+    Byte(Arc<Counted<[u8; 4]>>),
     /// 16 bits per channel, not gamma-encoded.
-    Word(Vec<[u16; 4]>),
+    Word(Arc<Counted<[u16; 4]>>),
     /// Linear values.
-    Float(Vec<[f32; 4]>),
+    Float(Arc<Counted<[f32; 4]>>),
 }
 
-/// Where one level lies in the store.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+impl LevelTexels {
+    /// Number of texels.
+    fn len(&self) -> usize {
+        match &self.0 {
+            Texels::Byte(t) => t.0.len(),
+            Texels::Word(t) => t.0.len(),
+            Texels::Float(t) => t.0.len(),
+        }
+    }
+
+    /// Bytes of one texel.
+    fn size(&self) -> usize {
+        match &self.0 {
+            Texels::Byte(_) => 4,
+            Texels::Word(_) => 8,
+            Texels::Float(_) => 16,
+        }
+    }
+
+    /// The texels' memory, little endian.
+    pub fn as_bytes(&self) -> &[u8] {
+        match &self.0 {
+            Texels::Byte(t) => bytemuck::cast_slice(&t.0),
+            Texels::Word(t) => bytemuck::cast_slice(&t.0),
+            Texels::Float(t) => bytemuck::cast_slice(&t.0),
+        }
+    }
+
+    /// Texels like these from [`Self::as_bytes`] of another level; `None` where the length is not that of whole texels.
+    pub fn of_bytes(&self, bytes: &[u8]) -> Option<Self> {
+        if !bytes.len().is_multiple_of(self.size()) {
+            return None;
+        }
+        Some(Self(match &self.0 {
+            Texels::Byte(_) => Texels::Byte(Arc::new(Counted::new(bytemuck::pod_collect_to_vec(bytes)))),
+            Texels::Word(_) => Texels::Word(Arc::new(Counted::new(bytemuck::pod_collect_to_vec(bytes)))),
+            Texels::Float(_) => Texels::Float(Arc::new(Counted::new(bytemuck::pod_collect_to_vec(bytes)))),
+        }))
+    }
+
+    #[inline]
+    fn fetch(&self, at: usize, decode: &[f32; 256]) -> [f32; 4] {
+        match &self.0 {
+            Texels::Byte(t) => {
+                let [r, g, b, a] = t.0[at];
+                [decode[r as usize], decode[g as usize], decode[b as usize], f32::from(a) * (1.0 / 255.0)]
+            }
+            Texels::Word(t) => t.0[at].map(|v| f32::from(v) * (1.0 / 65535.0)),
+            Texels::Float(t) => t.0[at],
+        }
+    }
+
+    /// Texels of the same kind from linear values.
+    fn encode(&self, texels: Vec<[f32; 4]>, gamma: bool) -> Self {
+        let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
+        let color = |v: f32| if gamma { byte(srgb_from_linear(v)) } else { byte(v) };
+        Self(match &self.0 {
+            Texels::Byte(_) => {
+                let of = |v: [f32; 4]| [color(v[0]), color(v[1]), color(v[2]), byte(v[3])];
+                Texels::Byte(Arc::new(Counted::new(texels.into_iter().map(of).collect())))
+            }
+            Texels::Word(_) => {
+                let of = |v: [f32; 4]| v.map(|v| (v.clamp(0.0, 1.0) * 65535.0 + 0.5) as u16);
+                Texels::Word(Arc::new(Counted::new(texels.into_iter().map(of).collect())))
+            }
+            Texels::Float(_) => Texels::Float(Arc::new(Counted::new(texels))),
+        })
+    }
+}
+
+/// One level of a chain.
+#[derive(Clone, Debug)]
 struct Level {
     width: u32,
     height: u32,
-    offset: usize,
+    /// `None` where it is not in memory.
+    texels: Option<LevelTexels>,
 }
 
 /// The pixels of one picture at full size and, by a box filter, at every half of it down to 1 × 1.
 ///
 /// 8-bit pictures stay at 4 bytes per texel (a 3000 × 2139 picture needs 34 MB, not 137); smaller
 /// levels are filtered in linear light and rounded to the same encoding, as a GPU's sRGB format does.
+/// The finest levels may be absent; look-ups then read the finest that is there. The last is always there.
 #[derive(Clone, Debug)]
 pub struct MipChain {
     levels: Vec<Level>,
-    texels: Texels,
+    /// The finest level in memory.
+    finest: usize,
     /// Linear value of each byte of a colour channel.
-    decode: Box<[f32; 256]>,
+    decode: Arc<[f32; 256]>,
     gamma: bool,
 }
 
 /// The table from byte to linear value.
-fn decode_table(gamma: bool) -> Box<[f32; 256]> {
-    Box::new(std::array::from_fn(|b| {
+fn decode_table(gamma: bool) -> Arc<[f32; 256]> {
+    Arc::new(std::array::from_fn(|b| {
         let v = b as f32 / 255.0;
         if gamma { linear_from_srgb(v) } else { v }
     }))
 }
 
-/// The levels of a picture, and the number of texels of all of them.
-fn levels_of(width: usize, height: usize) -> (Vec<Level>, usize) {
-    let (mut w, mut h, mut offset) = (width.max(1), height.max(1), 0);
-    let mut levels = Vec::new();
+/// Columns and rows of each level of a picture.
+fn sizes_of(width: usize, height: usize) -> Vec<[u32; 2]> {
+    let (mut w, mut h) = (width.max(1), height.max(1));
+    let mut sizes = Vec::new();
     loop {
-        levels.push(Level { width: w as u32, height: h as u32, offset });
-        offset += w * h;
+        sizes.push([w as u32, h as u32]);
         if w == 1 && h == 1 {
-            return (levels, offset);
+            return sizes;
         }
         w = (w / 2).max(1);
         h = (h / 2).max(1);
@@ -68,10 +178,7 @@ impl MipChain {
     /// If `texels.len() != width * height` or it is empty: a bug of the caller.
     pub fn from_rgba8(width: usize, height: usize, texels: Vec<[u8; 4]>, gamma: bool) -> Self {
         assert!(!texels.is_empty() && texels.len() == width * height, "a picture of {width} × {height}");
-        let mut chain =
-            Self { levels: Vec::new(), texels: Texels::Byte(texels), decode: decode_table(gamma), gamma };
-        chain.fill(width, height);
-        chain
+        Self::of(width, height, Texels::Byte(Arc::new(Counted::new(texels))), gamma)
     }
 
     /// From 16-bit RGBA that is not gamma-encoded.
@@ -80,14 +187,7 @@ impl MipChain {
     /// As [`Self::from_rgba8`].
     pub fn from_rgba16(width: usize, height: usize, texels: Vec<[u16; 4]>) -> Self {
         assert!(!texels.is_empty() && texels.len() == width * height, "a picture of {width} × {height}");
-        let mut chain = Self {
-            levels: Vec::new(),
-            texels: Texels::Word(texels),
-            decode: decode_table(false),
-            gamma: false,
-        };
-        chain.fill(width, height);
-        chain
+        Self::of(width, height, Texels::Word(Arc::new(Counted::new(texels))), false)
     }
 
     /// From linear values.
@@ -96,72 +196,28 @@ impl MipChain {
     /// As [`Self::from_rgba8`].
     pub fn from_linear(width: usize, height: usize, texels: Vec<[f32; 4]>) -> Self {
         assert!(!texels.is_empty() && texels.len() == width * height, "a picture of {width} × {height}");
-        let mut chain = Self {
-            levels: Vec::new(),
-            texels: Texels::Float(texels),
-            decode: decode_table(false),
-            gamma: false,
-        };
-        chain.fill(width, height);
-        chain
+        Self::of(width, height, Texels::Float(Arc::new(Counted::new(texels))), false)
     }
 
     /// Makes every level below the first: each texel is the mean of the area that it covers, which
     /// at odd sizes takes part of its neighbours' texels, so that every level has the same mean.
-    fn fill(&mut self, width: usize, height: usize) {
-        let (levels, total) = levels_of(width, height);
-        match &mut self.texels {
-            Texels::Byte(t) => t.reserve_exact(total - t.len()),
-            Texels::Word(t) => t.reserve_exact(total - t.len()),
-            Texels::Float(t) => t.reserve_exact(total - t.len()),
-        }
-        self.levels = levels;
-        for below in 1..self.levels.len() {
-            let (from, to) = (self.levels[below - 1], self.levels[below]);
-            let columns: Vec<_> = (0..to.width).map(|x| covered(x, to.width, from.width)).collect();
-            for y in 0..to.height {
-                let (y0, row_weights) = covered(y, to.height, from.height);
-                for (x0, column_weights) in &columns {
-                    let mut sum = [0.0f32; 4];
-                    for (dy, wy) in row_weights.iter().enumerate().filter(|(_, w)| **w > 0.0) {
-                        let row = from.offset + (y0 + dy) * from.width as usize;
-                        for (dx, wx) in column_weights.iter().enumerate().filter(|(_, w)| **w > 0.0) {
-                            let t = self.fetch(row + x0 + dx);
-                            for c in 0..4 {
-                                sum[c] += wy * wx * t[c];
-                            }
-                        }
-                    }
-                    self.push(sum);
-                }
+    fn of(width: usize, height: usize, finest: Texels, gamma: bool) -> Self {
+        let decode = decode_table(gamma);
+        let mut levels: Vec<Level> = Vec::new();
+        let mut texels = LevelTexels(finest);
+        for [w, h] in sizes_of(width, height) {
+            if let Some(from) = levels.last() {
+                texels = halved(from, &texels, [w, h], &decode, gamma);
             }
+            levels.push(Level { width: w, height: h, texels: Some(texels.clone()) });
         }
-    }
-
-    fn push(&mut self, v: [f32; 4]) {
-        let gamma = self.gamma;
-        match &mut self.texels {
-            Texels::Byte(t) => {
-                let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
-                let encode = |v: f32| if gamma { byte(srgb_from_linear(v)) } else { byte(v) };
-                t.push([encode(v[0]), encode(v[1]), encode(v[2]), byte(v[3])]);
-            }
-            Texels::Word(t) => t.push(v.map(|v| (v.clamp(0.0, 1.0) * 65535.0 + 0.5) as u16)),
-            Texels::Float(t) => t.push(v),
-        }
+        Self { levels, finest: 0, decode, gamma }
     }
 
     #[inline]
-    fn fetch(&self, at: usize) -> [f32; 4] {
-        match &self.texels {
-            Texels::Byte(t) => {
-                let [r, g, b, a] = t[at];
-                let d = &self.decode;
-                [d[r as usize], d[g as usize], d[b as usize], f32::from(a) * (1.0 / 255.0)]
-            }
-            Texels::Word(t) => t[at].map(|v| f32::from(v) * (1.0 / 65535.0)),
-            Texels::Float(t) => t[at],
-        }
+    fn fetch(&self, level: &Level, at: usize) -> [f32; 4] {
+        // Look-ups go to levels that are there.
+        level.texels.as_ref().map_or([0.0; 4], |texels| texels.fetch(at, &self.decode))
     }
 
     /// Number of levels, at least 1.
@@ -169,14 +225,97 @@ impl MipChain {
         self.levels.len()
     }
 
-    /// Bytes of all texels.
+    /// The finest level in memory.
+    #[inline]
+    pub fn finest(&self) -> usize {
+        self.finest
+    }
+
+    /// Bytes of all texels, in memory or not.
     pub fn bytes(&self) -> usize {
-        match &self.texels {
-            Texels::Byte(t) => t.len() * 4,
-            Texels::Word(t) => t.len() * 8,
-            Texels::Float(t) => t.len() * 16,
+        (0..self.levels.len()).map(|level| self.level_bytes(level)).sum()
+    }
+
+    /// Bytes of one level's texels, in memory or not.
+    pub fn level_bytes(&self, level: usize) -> usize {
+        let size = self.levels.last().and_then(|l| l.texels.as_ref()).map_or(4, LevelTexels::size);
+        self.levels.get(level).map_or(0, |l| l.width as usize * l.height as usize * size)
+    }
+
+    /// Bytes of the texels in memory.
+    pub fn resident_bytes(&self) -> usize {
+        (self.finest..self.levels.len()).map(|level| self.level_bytes(level)).sum()
+    }
+
+    /// The texels of a level, if it is in memory.
+    pub fn level(&self, level: usize) -> Option<&LevelTexels> {
+        self.levels.get(level)?.texels.as_ref()
+    }
+
+    /// The chain without the levels finer than `finest`; the last always stays.
+    pub fn without_finer(&self, finest: usize) -> Self {
+        let finest = finest.clamp(self.finest, self.levels.len() - 1);
+        let mut chain = self.clone();
+        chain.levels[..finest].iter_mut().for_each(|level| level.texels = None);
+        chain.finest = finest;
+        chain
+    }
+
+    /// The chain with the next finer level, whose texels must be of its size; `None` where they are not or none is absent.
+    pub fn with_finer(&self, texels: LevelTexels) -> Option<Self> {
+        let finest = self.finest.checked_sub(1)?;
+        let level = &self.levels[finest];
+        let fits = texels.len() == level.width as usize * level.height as usize;
+        let same = texels.size() == self.levels.last()?.texels.as_ref()?.size();
+        let mut chain = self.clone();
+        chain.levels[finest].texels = Some(texels);
+        chain.finest = finest;
+        (fits && same).then_some(chain)
+    }
+
+    /// BLAKE3 of what its levels hold, as far as they are in memory, and of how they are read.
+    pub fn content_hash(&self) -> [u8; 32] {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(&[u8::from(self.gamma)]);
+        for level in &self.levels {
+            hasher.update(&level.width.to_le_bytes());
+            hasher.update(&level.height.to_le_bytes());
+            if let Some(texels) = &level.texels {
+                hasher.update(&[texels.size() as u8]);
+                hasher.update(texels.as_bytes());
+            }
+        }
+        *hasher.finalize().as_bytes()
+    }
+}
+
+/// The next coarser level.
+fn halved(
+    from: &Level,
+    texels: &LevelTexels,
+    [w, h]: [u32; 2],
+    decode: &[f32; 256],
+    gamma: bool,
+) -> LevelTexels {
+    let columns: Vec<_> = (0..w).map(|x| covered(x, w, from.width)).collect();
+    let mut out = Vec::with_capacity(w as usize * h as usize);
+    for y in 0..h {
+        let (y0, row_weights) = covered(y, h, from.height);
+        for (x0, column_weights) in &columns {
+            let mut sum = [0.0f32; 4];
+            for (dy, wy) in row_weights.iter().enumerate().filter(|(_, w)| **w > 0.0) {
+                let row = (y0 + dy) * from.width as usize;
+                for (dx, wx) in column_weights.iter().enumerate().filter(|(_, w)| **w > 0.0) {
+                    let t = texels.fetch(row + x0 + dx, decode);
+                    for c in 0..4 {
+                        sum[c] += wy * wx * t[c];
+                    }
+                }
+            }
+            out.push(sum);
         }
     }
+    texels.encode(out, gamma)
 }
 
 /// The first of `from` texels that texel `i` of `to` covers, and the shares of it and of the next two.
@@ -232,34 +371,36 @@ impl Texture {
     /// Columns and rows of a level; levels beyond the last are the last.
     #[inline]
     pub fn size(&self, level: usize) -> [usize; 2] {
-        let l = self.mips.levels[level.min(self.mips.levels.len() - 1)];
+        let l = &self.mips.levels[level.min(self.mips.levels.len() - 1)];
         [l.width as usize, l.height as usize]
     }
 
-    /// The texel at column `x`, row `y` (from the top) of a level, linear RGB and alpha.
+    /// The texel at column `x`, row `y` (from the top) of a level in memory, linear RGB and alpha; of one that is not,
+    /// black.
     ///
     /// # Panics
     /// If `x` or `y` is outside of the level: a bug of the caller.
     #[inline]
     pub fn texel(&self, level: usize, x: usize, y: usize) -> [f32; 4] {
-        let l = self.mips.levels[level.min(self.mips.levels.len() - 1)];
+        let l = &self.mips.levels[level.min(self.mips.levels.len() - 1)];
         assert!(
             x < l.width as usize && y < l.height as usize,
             "texel ({x}, {y}) of {} × {}",
             l.width,
             l.height
         );
-        self.mips.fetch(l.offset + y * l.width as usize + x)
+        self.mips.fetch(l, y * l.width as usize + x)
     }
 
     /// Trilinear look-up at OBJ coordinates `uv` (origin at the lower left) and a mip level that
-    /// need not be whole; below 0 it is 0, beyond the last it is the last. Safe for any numbers:
-    /// what is not finite reads as 0.
+    /// need not be whole; below the finest in memory it is that one, beyond the last it is the last. Safe for any
+    /// numbers: what is not finite reads as 0.
     #[inline]
     pub fn sample(&self, uv: Vec2, level: f32) -> [f32; 4] {
         let last = (self.mips.levels.len() - 1) as f32;
-        // NaN is not above 0 either.
-        let level = if level > 0.0 { level.min(last) } else { 0.0 };
+        // NaN is not above it either.
+        let finest = self.mips.finest as f32;
+        let level = if level > finest { level.min(last) } else { finest };
         let low = level as usize;
         let f = level - low as f32;
         let p = self.wrapped(uv);
@@ -274,7 +415,7 @@ impl Texture {
     /// Bilinear look-up at one level.
     #[inline]
     pub fn sample_level(&self, uv: Vec2, level: usize) -> [f32; 4] {
-        self.bilinear(self.wrapped(uv), level.min(self.mips.levels.len() - 1))
+        self.bilinear(self.wrapped(uv), level.clamp(self.mips.finest, self.mips.levels.len() - 1))
     }
 
     /// Opacity in [0, 1] of a cut-out mask: its alpha if it has one, else its grey.
@@ -300,7 +441,7 @@ impl Texture {
 
     #[inline]
     fn bilinear(&self, p: Vec2, level: usize) -> [f32; 4] {
-        let l = self.mips.levels[level];
+        let l = &self.mips.levels[level];
         let (w, h) = (l.width as i32, l.height as i32);
         let x = p.x * w as f32 - 0.5;
         let y = p.y * h as f32 - 0.5;
@@ -320,7 +461,7 @@ impl Texture {
         };
         let (xa, xb) = (fold(x0, w), fold(x0 + 1, w));
         let (ya, yb) = (fold(y0, h) * w as usize, fold(y0 + 1, h) * w as usize);
-        let at = |x: usize, y: usize| self.mips.fetch(l.offset + y + x);
+        let at = |x: usize, y: usize| self.mips.fetch(l, y + x);
         let (a, b, c, d) = (at(xa, ya), at(xb, ya), at(xa, yb), at(xb, yb));
         std::array::from_fn(|i| {
             let top = a[i] + (b[i] - a[i]) * fx;
@@ -347,6 +488,29 @@ mod tests {
         // Half of the light, to the nearest sRGB byte (188).
         assert!((t.mean()[0] - 0.5).abs() < 0.005, "{:?}", t.mean());
         assert_eq!(t.mean()[3], 1.0);
+    }
+
+    #[test]
+    fn levels_come_and_go() {
+        let full = checker();
+        let mut t = full.clone();
+        t.mips = Arc::new(full.mips.without_finer(1));
+        assert_eq!((t.mips.finest(), t.mips.resident_bytes(), t.mips.bytes()), (1, 20, 84));
+        let uv = Vec2::new(0.3, 0.6);
+        assert_eq!(t.sample(uv, 0.0), full.sample(uv, 1.0));
+        assert_eq!(t.sample_level(uv, 0), full.sample_level(uv, 1));
+        let finest = full.mips.level(0).unwrap();
+        let copy = t.mips.level(1).unwrap().of_bytes(finest.as_bytes()).unwrap();
+        t.mips = Arc::new(t.mips.with_finer(copy).unwrap());
+        assert_eq!(t.sample(uv, 0.0), full.sample(uv, 0.0));
+        assert_eq!(t.mips.content_hash(), full.mips.content_hash());
+        // Too much, too little, of another kind, or nothing absent.
+        assert!(t.mips.with_finer(finest.clone()).is_none());
+        let coarse = full.mips.without_finer(9);
+        assert_eq!(coarse.finest(), 2);
+        assert!(coarse.with_finer(finest.clone()).is_none());
+        assert!(finest.of_bytes(&[1, 2, 3]).is_none());
+        assert!(held_bytes().0 >= 84 && held_bytes().1 >= held_bytes().0);
     }
 
     #[test]

@@ -85,7 +85,9 @@ impl Builder {
 
     /// The scene under the same radiance from everywhere.
     pub fn under_sky(self, radiance: Vec3) -> Scene {
-        Scene { environment: Some(Environment::constant(radiance)), ..self.scene() }
+        let mut scene = self.scene();
+        scene.environment = Some(Environment::constant(radiance));
+        scene
     }
 }
 

@@ -266,6 +266,7 @@ fn correction(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
         world: world.clone(),
         passes: Passes { texture_ids: false },
         corrects: true,
+        textures: None,
         stages: StageTimes::default(),
         sink: Box::new(Counts(shown.clone())),
     };

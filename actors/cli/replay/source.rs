@@ -126,6 +126,7 @@ impl Source {
             world: self.session.world.clone(),
             passes: self.recorded.passes(),
             corrects: self.recorded.corrects,
+            textures: self.session.textures.clone(),
             stages: StageTimes::default(),
             sink: Box::new(Unseen),
         };

@@ -5,7 +5,7 @@ use foveal::scene::material::Roughness;
 use foveal::scene::texture::MipChain;
 use foveal::scene::{
     Camera, Display, Environment, Material, MaterialId, Mesh, Model, NamedCamera, Object, Reflectance, Scene,
-    Texture, TextureId,
+    SceneParts, Texture, TextureId,
 };
 use glam::{Vec2, Vec3};
 
@@ -144,12 +144,11 @@ pub fn room(n: usize) -> Scene {
     let sky = Map2d::from_fn(32, 16, |x, y| Vec3::new(x as f32 / 64.0, 0.3, 1.0 - y as f32 / 16.0));
     let camera =
         Camera { eye: Vec3::new(0.1, 0.2, 2.6), target: Vec3::new(0.0, -0.1, 0.0), up: Vec3::Y, fov_y: 0.9 };
-    Scene {
+    SceneParts {
         name: "room".into(),
         title: "room".into(),
         mesh,
         materials,
-        textures: vec![Texture::new("checker", MipChain::from_rgba8(64, 32, checker, true)), mask],
         lights: Vec::new(),
         environment: Some(Environment { radiance: Vec3::ONE, map: Some(sky), rotate_up: 0.4, up: Vec3::Y }),
         cameras: vec![NamedCamera { name: "start".into(), camera }],
@@ -162,4 +161,5 @@ pub fn room(n: usize) -> Scene {
         budget: Default::default(),
         content_hash: [0; 32],
     }
+    .with_textures(vec![Texture::new("checker", MipChain::from_rgba8(64, 32, checker, true)), mask])
 }

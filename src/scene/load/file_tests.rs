@@ -224,7 +224,7 @@ fn environment_maps_are_cleaned() {
     let loaded = loads(&place.write("s.toml", text));
     assert_eq!(said(&loaded, "3 texels are negative, NaN or infinite"), 1, "{:#?}", loaded.warnings);
     assert_eq!(said(&loaded, "no light"), 0);
-    let e = loaded.scene.environment.unwrap();
+    let e = loaded.scene.environment.clone().unwrap();
     let map = e.map.as_ref().unwrap();
     assert_eq!(map.at(0, 0), Vec3::new(1.0, 2.0, 3.0));
     assert_eq!(map.at(1, 0), Vec3::new(0.0, 1.0, 1.0));

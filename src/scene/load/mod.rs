@@ -29,7 +29,7 @@ pub use sidecar::FORMAT;
 
 use super::defaults;
 use super::hierarchy;
-use super::{Environment, Material, MaterialId, Model, Reflectance, Scene, TextureId};
+use super::{Environment, Material, MaterialId, Model, Reflectance, Scene, SceneParts, TextureId};
 use assemble::Joined;
 use folder::{Folder, read_file};
 use from_mtl::Doubts;
@@ -122,12 +122,11 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     let (mesh, labels) = joined.into_mesh(path, &mut warnings)?;
     let bounds = mesh.bounds();
     let grouped = hierarchy::group(&mesh, &materials, sidecar.up, |t| labels.name(t));
-    let mut scene = Scene {
+    let mut scene = SceneParts {
         title: sidecar.title.unwrap_or_else(|| name.clone()),
         name,
         mesh,
         materials,
-        textures,
         lights: sidecar.lights,
         environment,
         cameras: sidecar.cameras,
@@ -139,7 +138,8 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         display: sidecar.display,
         budget: sidecar.budget,
         content_hash: folder.content_hash(),
-    };
+    }
+    .with_textures(textures);
     scene.mesh.objects = grouped.of_triangle;
     filters_to_absorption(&mut scene, &filters);
     for message in defaults::complete(&mut scene) {

@@ -200,9 +200,7 @@ fn shadowed_irradiance(s: &Scene, lights: &Lights, accel: &Accel, point: Vec3) -
 #[test]
 fn textured_light_is_exact_where_it_is_read() {
     let mut s = square_light();
-    for (i, p) in s.mesh.positions.iter().enumerate() {
-        s.mesh.uvs[i] = glam::Vec2::new(p.x + 0.5, p.z + 0.5);
-    }
+    s.mesh.uvs = s.mesh.positions.iter().map(|p| glam::Vec2::new(p.x + 0.5, p.z + 0.5)).collect();
     // Left half dark, right half bright.
     let texels = (0..64).map(|i| if i % 8 < 4 { [0.0; 4] } else { [1.0; 4] }).collect();
     let mut texture = Texture::new("half", MipChain::from_linear(8, 8, texels));

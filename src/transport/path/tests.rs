@@ -67,7 +67,8 @@ fn point_spot_and_directional_lights() {
         let mut b = Builder::default();
         let floor = b.material(lambert(0.5));
         b.rectangle(Vec3::ZERO, Vec3::X, Vec3::Y, floor);
-        let scene = Scene { lights: vec![light.clone()], ..b.scene() };
+        let mut scene = b.scene();
+        scene.lights = vec![light.clone()];
         let ray = Ray::new(Vec3::new(0.0, -0.5, 0.5), Vec3::new(0.0, 0.5, -0.5));
         check(render(&scene, ray, 200), 0.5 * irradiance / f64::from(PI), &format!("{light:?}"));
     }

@@ -1,0 +1,154 @@
+//! Texture residency: the allocator's part about memory.
+//!
+//! Each view is seen ahead by a job of the tracers; what it shows decides which levels are wanted; loads (jobs as well) and
+//! drops (orders to the renderer) follow one by one, so that they spread over frames and the limit holds all the time.
+
+use std::sync::Arc;
+
+use foveal::allocation::residency::{Residency, Step, TextureFacts};
+use foveal::allocation::texture_demand::TextureUse;
+use foveal::scene::texture::{LevelTexels, held_bytes};
+use foveal::world::World;
+
+use crate::message::DrawnView;
+use crate::message::tracer::{LevelOrder, PredictionOrder};
+use crate::textures::{Charge, TextureReport, TextureStore};
+
+/// Loads that may be on their way at once.
+const LOADS_MAX: usize = 2;
+
+/// What is to be sent.
+#[derive(Debug)]
+pub enum TextureWork {
+    /// A job for the tracers.
+    Load(LevelOrder),
+    /// An order for the renderer.
+    Drop {
+        /// Which texture.
+        texture: u32,
+        /// The finest level that stays.
+        finest: u32,
+    },
+}
+
+/// The allocator's textures.
+#[derive(Debug)]
+pub struct Textures {
+    store: Arc<TextureStore>,
+    residency: Residency,
+    /// Texels of the coarsest level of each: what a loaded level's must be like.
+    like: Vec<Option<LevelTexels>>,
+    /// A view that is to be seen ahead.
+    waiting: Option<Arc<DrawnView>>,
+    /// Whether a view is being seen ahead.
+    predicting: bool,
+    /// Levels loaded and dropped.
+    counts: [u32; 2],
+}
+
+impl Textures {
+    /// All at their coarsest, as in `world`. `None` if that does not fit, which whoever made the store has checked.
+    pub fn new(store: Arc<TextureStore>, world: &World) -> Option<Self> {
+        let residency = Residency::new(store.limit, store.facts.clone()).ok()?;
+        let coarsest = |t: &foveal::scene::Texture| t.mips.level(t.level_count() - 1).cloned();
+        let like = world.scene.textures.iter().map(coarsest).collect();
+        Some(Self { store, residency, like, waiting: None, predicting: false, counts: [0; 2] })
+    }
+
+    /// What is in memory, and why.
+    pub fn residency(&self) -> &Residency {
+        &self.residency
+    }
+
+    /// What is known of the textures.
+    pub fn store(&self) -> &TextureStore {
+        &self.store
+    }
+
+    /// Levels loaded and drops ordered so far.
+    pub fn counts(&self) -> [u32; 2] {
+        self.counts
+    }
+
+    /// Jobs of this kind that are out.
+    pub fn in_flight(&self) -> u32 {
+        self.residency.loading() as u32 + u32::from(self.predicting)
+    }
+
+    /// Whether all that can be done for the newest view is done.
+    pub fn is_quiet(&self) -> bool {
+        self.waiting.is_none() && !self.predicting && self.residency.is_settled()
+    }
+
+    /// A view to look ahead from.
+    pub fn on_view(&mut self, drawn: &Arc<DrawnView>) {
+        self.waiting = Some(drawn.clone());
+    }
+
+    /// The order to look ahead, if one is due.
+    pub fn next_prediction(&mut self) -> Option<PredictionOrder> {
+        if self.predicting {
+            return None;
+        }
+        let drawn = self.waiting.take()?;
+        self.predicting = true;
+        Some(PredictionOrder { drawn, store: self.store.clone() })
+    }
+
+    /// A view was seen ahead.
+    pub fn on_seen(&mut self, uses: &[TextureUse]) {
+        self.predicting = false;
+        self.residency.decide(uses.to_vec());
+    }
+
+    /// The next step towards what is wanted.
+    pub fn next_work(&mut self) -> Option<TextureWork> {
+        Some(match self.residency.next_step(LOADS_MAX)? {
+            Step::Load { texture, level } => {
+                self.counts[0] += 1;
+                TextureWork::Load(LevelOrder {
+                    store: self.store.clone(),
+                    texture: texture as u32,
+                    level: level as u32,
+                    like: self.like[texture].clone(),
+                })
+            }
+            Step::Drop { texture, finest } => {
+                self.counts[1] += 1;
+                TextureWork::Drop { texture: texture as u32, finest: finest as u32 }
+            }
+        })
+    }
+
+    /// Says how things stand.
+    pub fn report(&self) {
+        let residency = &self.residency;
+        let charge = |(i, facts): (usize, &TextureFacts)| {
+            let (used, given) = (&residency.uses()[i], residency.states()[i]);
+            let loss = if facts.pinned { 0.0 } else { used.error(&facts.spatial, given) };
+            Charge { pixels: used.total_pixels(), asked: used.finest(), given, loss }
+        };
+        self.store.reports.push(TextureReport {
+            used: residency.used(),
+            held: held_bytes().0,
+            price_per_mib: residency.price_per_mib(),
+            counts: self.counts,
+            bill: residency.facts().iter().enumerate().map(charge).collect(),
+        });
+    }
+
+    /// A level is there, or is not to be had.
+    pub fn on_loaded(&mut self, texture: u32, level: u32, is_there: bool) {
+        self.residency.on_loaded(texture as usize, level as usize, is_there);
+    }
+
+    /// Nobody holds what was dropped.
+    pub fn on_released(&mut self) {
+        self.residency.on_released();
+    }
+
+    /// A job was given up, maybe the one that looks ahead.
+    pub fn on_prediction_lost(&mut self) {
+        self.predicting = false;
+    }
+}

@@ -1,0 +1,171 @@
+//! A scene's textures under a limit: what is known of each, and where its levels are kept on disk.
+
+use std::path::{Path, PathBuf};
+
+use crossbeam_queue::SegQueue;
+use foveal::allocation::residency::{TextureFacts, smallest};
+use foveal::allocation::spatial_error::{SpatialErrors, SpatialSettings};
+use foveal::perception::viewing::pixels_per_degree_of_camera;
+use foveal::scene::{Scene, Texture, mip_cache};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// What a texture asked for and was given: a line of the bill.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Charge {
+    /// Pixels that show it.
+    pub pixels: f32,
+    /// The finest level asked for; `None` where nobody sees it.
+    pub asked: Option<usize>,
+    /// The finest level in memory or ordered to be.
+    pub given: usize,
+    /// Visible error of the difference, just noticeable differences × pixels.
+    pub loss: f64,
+}
+
+/// Textures at a moment.
+#[derive(Clone, Debug)]
+pub struct TextureReport {
+    /// Bytes by the allocator's count: in memory, on their way there, or dropped and perhaps still held.
+    pub used: u64,
+    /// Bytes of texels that the process held.
+    pub held: u64,
+    /// Visible error that one more MiB would take away.
+    pub price_per_mib: f64,
+    /// Levels loaded and drops ordered so far.
+    pub counts: [u32; 2],
+    /// By texture.
+    pub bill: Vec<Charge>,
+}
+
+impl TextureReport {
+    /// −Σ q, just noticeable differences × pixels.
+    pub fn visible_error(&self) -> f64 {
+        self.bill.iter().map(|charge| charge.loss).sum()
+    }
+}
+
+/// Textures that do not fit into their limit.
+#[derive(Debug)]
+pub struct TextureStore {
+    /// Bytes that may be in memory.
+    pub limit: u64,
+    /// By texture.
+    pub facts: Vec<TextureFacts>,
+    /// T̃, mean luminance of each.
+    pub means: Vec<f32>,
+    /// Content of each, which names its files.
+    contents: Vec<[u8; 32]>,
+    folder: PathBuf,
+    /// What the allocator did, for whoever wants to know; nobody decides by it.
+    pub reports: SegQueue<TextureReport>,
+    /// What could not be kept on disk; levels of these cannot come back once they are dropped.
+    pub warnings: Vec<String>,
+}
+
+/// Why textures cannot be limited.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BelowSmallest {
+    /// The smallest limit that works.
+    pub smallest: u64,
+}
+
+impl TextureStore {
+    /// Measures all textures of a scene (in memory in full), keeps their levels in `folder`, and returns the textures with
+    /// nothing but their coarsest levels, those that decide geometry in full.
+    ///
+    /// # Errors
+    /// Where not even these fit into `limit`.
+    pub fn new(scene: &Scene, limit: u64, folder: &Path) -> Result<(Self, Vec<Texture>), BelowSmallest> {
+        let pinned = decisive(scene);
+        let picture = scene.cameras.first().map_or(1.0, |c| c.camera.fov_y);
+        let pixels_per_degree = pixels_per_degree_of_camera(512, picture);
+        let settings = SpatialSettings::new(pixels_per_degree, scene.display.white_cd_m2);
+        let measured: Vec<(TextureFacts, [u8; 32], Option<String>)> = scene
+            .textures
+            .par_iter()
+            .enumerate()
+            .map(|(i, texture)| {
+                let content = texture.mips.content_hash();
+                let problem = mip_cache::keep(folder, &content, &texture.mips).err().map(|e| {
+                    format!("{}: its levels cannot be kept in {}: {e}", texture.name, folder.display())
+                });
+                let spatial = measured_before(folder, &content, texture, &settings);
+                let bytes = (0..texture.level_count()).map(|l| texture.mips.level_bytes(l) as u64).collect();
+                (TextureFacts { bytes, pinned: pinned[i], spatial }, content, problem)
+            })
+            .collect();
+        let mut store = Self {
+            limit,
+            facts: Vec::new(),
+            means: Vec::new(),
+            contents: Vec::new(),
+            folder: folder.to_owned(),
+            reports: SegQueue::new(),
+            warnings: Vec::new(),
+        };
+        for (facts, content, problem) in measured {
+            store.means.push(facts.spatial.mean_luminance());
+            store.facts.push(facts);
+            store.contents.push(content);
+            store.warnings.extend(problem);
+        }
+        let smallest = smallest(&store.facts);
+        if smallest > limit {
+            return Err(BelowSmallest { smallest });
+        }
+        let reduced = |(texture, facts): (&Texture, &TextureFacts)| Texture {
+            mips: Arc::new(texture.mips.without_finer(facts.coarsest())),
+            ..texture.clone()
+        };
+        let textures = scene.textures.iter().zip(&store.facts).map(reduced).collect();
+        Ok((store, textures))
+    }
+
+    /// Where a level is kept.
+    pub fn file(&self, texture: usize, level: usize) -> PathBuf {
+        mip_cache::level_file(&self.folder, &self.contents[texture], level)
+    }
+
+    /// What names a level in a recording.
+    pub fn digest(&self, texture: usize) -> u64 {
+        let [a, b, c, d, e, f, g, h, ..] = self.contents[texture];
+        u64::from_le_bytes([a, b, c, d, e, f, g, h])
+    }
+}
+
+/// Which textures decide where surfaces are and which way they face: masks, heights and normals.
+fn decisive(scene: &Scene) -> Vec<bool> {
+    let mut decisive = vec![false; scene.textures.len()];
+    for material in &scene.materials {
+        for map in [material.opacity_map, material.bump_map, material.normal_map].into_iter().flatten() {
+            decisive[map.0 as usize] = true;
+        }
+    }
+    decisive
+}
+
+/// The spatial errors of a texture, from the folder or measured and kept there.
+fn measured_before(
+    folder: &Path,
+    content: &[u8; 32],
+    texture: &Texture,
+    s: &SpatialSettings,
+) -> SpatialErrors {
+    let mut key = blake3::Hasher::new();
+    key.update(content);
+    key.update(&[1, u8::from(texture.clamp), s.difference as u8]);
+    key.update(&s.pixels_per_degree.to_le_bytes());
+    key.update(&s.white_cd_m2.to_le_bytes());
+    let file = folder.join(format!("{}.fvspat", &key.finalize().to_hex()[..32]));
+    let kept = std::fs::read(&file).ok().and_then(|bytes| postcard::from_bytes::<SpatialErrors>(&bytes).ok());
+    if let Some(kept) = kept.filter(|kept| kept.levels() == texture.level_count()) {
+        return kept;
+    }
+    let measured = SpatialErrors::of_texture(texture, s);
+    if let Ok(bytes) = postcard::to_stdvec(&measured) {
+        // Only time is lost where it cannot be kept.
+        let _ = std::fs::write(&file, bytes);
+    }
+    measured
+}

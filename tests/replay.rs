@@ -272,7 +272,7 @@ fn another_illumination_is_refused() {
 #[test]
 fn simulated_walks_lose_nothing_whatever_goes_wrong() {
     for room in ["box", "diffuse", "gallery"] {
-        let words = "simulate --seeds 0..24 --size 48x48 --faults panic,delay,stall,slow,full --twice";
+        let words = "simulate --seeds 0..24 --size 48x48 --faults panic,delay,stall,slow,full,torn-log,disk-full --twice";
         let d = Foveal::new(words).arg(scene(room)).json();
         assert_eq!((&d["seeds"], &d["failures"]), (&24.into(), &serde_json::json!([])), "{room}");
     }

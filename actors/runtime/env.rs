@@ -164,6 +164,10 @@ impl Env {
         self.driven == Driven::Replay
     }
 
+    pub(crate) fn simulated(&self) -> bool {
+        self.driven == Driven::Simulated
+    }
+
     pub(crate) fn effects(&self) -> bool {
         self.driven == Driven::Live
     }

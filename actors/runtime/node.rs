@@ -38,6 +38,8 @@ pub(crate) trait Runnable: Send + Sync {
     fn clear(&self);
     /// Nothing waits in the mailbox.
     fn is_empty(&self) -> bool;
+    /// Control messages that wait.
+    fn urgent(&self) -> usize;
 }
 
 /// Where an actor stands in its recording.
@@ -646,6 +648,10 @@ impl<A: Actor> Runnable for Node<A> {
         while mailbox.inbound.pop().is_some() {}
         mailbox.latest.iter().for_each(|slot| drop(slot.pop()));
         drop(self.core.take());
+    }
+
+    fn urgent(&self) -> usize {
+        self.mailbox().urgent.len()
     }
 
     fn is_empty(&self) -> bool {

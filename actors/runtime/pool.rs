@@ -79,6 +79,8 @@ pub struct PoolStats {
     pub waiting: u64,
     /// Workers that take jobs.
     pub workers: u64,
+    /// Simulation: jobs that were popped while a better one waited.
+    pub disorder: u64,
 }
 
 /// Which buckets have jobs.
@@ -162,6 +164,7 @@ struct Shared<J> {
     stale: AtomicU64,
     dead: AtomicU64,
     requeued: AtomicU64,
+    disorder: AtomicU64,
 }
 
 impl<J: Job> Shared<J> {
@@ -226,11 +229,19 @@ impl<J: Job> Shared<J> {
     }
 
     fn take(&self) -> Option<Entry<J>> {
-        self.bitmap.take(
-            self.base.load(Ordering::Relaxed),
+        let base = self.base.load(Ordering::Relaxed);
+        let entry = self.bitmap.take(
+            base,
             |bucket| self.buckets[bucket as usize].pop(),
             |bucket| self.buckets[bucket as usize].is_empty(),
-        )
+        )?;
+        if self.env.simulated() {
+            // Alone, the best is the best: on several threads a better one may come while this one is popped.
+            let rank = (entry.bucket + 64 - base) % 64;
+            let better = (0..rank).any(|step| !self.buckets[((base + step) % 64) as usize].is_empty());
+            self.disorder.fetch_add(u64::from(better), Ordering::Relaxed);
+        }
+        Some(entry)
     }
 }
 
@@ -264,6 +275,7 @@ impl<J: Job> JobPool<J> {
             stale: AtomicU64::new(0),
             dead: AtomicU64::new(0),
             requeued: AtomicU64::new(0),
+            disorder: AtomicU64::new(0),
         };
         Self { shared: Arc::new(shared) }
     }
@@ -279,6 +291,7 @@ impl<J: Job> JobPool<J> {
             requeued: shared.requeued.load(Ordering::Relaxed),
             waiting: shared.waiting.load(Ordering::Relaxed) as u64,
             workers: shared.workers.load(Ordering::Relaxed) as u64,
+            disorder: shared.disorder.load(Ordering::Relaxed),
         }
     }
 

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::fmt;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use crate::actor::Class;
 use crate::message::{ActorId, Digest};
@@ -26,6 +27,9 @@ pub enum Strategy {
     RoundRobin,
     /// One actor, drawn by the seed, runs only when nothing else can, or every 1000th step.
     StarveOne,
+    /// The seed's digits are the choices, the first step's first: seeds from 0 on are all schedules, those that deviate
+    /// early before the others. See [`exhaust`].
+    Exhaustive,
 }
 
 /// What can go wrong.
@@ -41,6 +45,10 @@ pub enum FaultKind {
     Stall,
     /// Ten turns take 100 times as long.
     Slow,
+    /// The recording's file ends at this byte. Of no actor: whoever gives the sink makes it so.
+    TornLog,
+    /// The disk that is recorded to has room for so many bytes. Of no actor, as above.
+    DiskFull,
 }
 
 /// One thing that goes wrong: at this delivery (panic), send (full) or turn (delay, stall, slow) of this actor.
@@ -155,6 +163,39 @@ pub fn shrink(faults: &[Fault], mut fails: impl FnMut(&[Fault]) -> bool) -> Vec<
     kept
 }
 
+/// What an exhaustive seed was worth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Schedule {
+    /// Product of the numbers of choices on the way: seeds from here on branch no further on it.
+    pub ways: u64,
+    /// Not 0: the system came to rest before all digits were used, so a smaller seed is the same schedule.
+    pub left: u64,
+}
+
+/// How far [`exhaust`] came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Exhausted {
+    /// Different schedules that were run.
+    pub schedules: u64,
+    /// These were all.
+    pub complete: bool,
+}
+
+/// Runs a small system under every schedule, or under the first `runs`: `run` simulates a seed with
+/// [`Strategy::Exhaustive`] and returns its [`Runtime::schedule`].
+pub fn exhaust(runs: u64, mut run: impl FnMut(u64) -> Schedule) -> Exhausted {
+    let (mut seed, mut end, mut schedules) = (0, 1, 0);
+    // A schedule whose last deviation is at step k has a seed below the choices up to k of the one that does not
+    // deviate there, which is smaller: so the end is known in time.
+    while seed < end && seed < runs {
+        let Schedule { ways, left } = run(seed);
+        schedules += u64::from(left == 0);
+        end = end.max(ways);
+        seed += 1;
+    }
+    Exhausted { schedules, complete: seed >= end }
+}
+
 /// A stream of random numbers: hashes of a key and a counter.
 pub(crate) struct Random {
     key: Digest,
@@ -189,6 +230,8 @@ const DELAY_NS: u64 = 1_000_000;
 const STALL_NS: u64 = 100_000_000;
 const SLOW_TURNS: u64 = 10;
 const SLOW_FACTOR: u64 = 100;
+/// Turns that a control message may wait for.
+const CONTROL_TURNS_MAX: u32 = 1;
 
 struct Simulated {
     class: Class,
@@ -211,6 +254,11 @@ pub(crate) struct Driver {
     victim: u32,
     next: u32,
     pub(crate) step: u64,
+    /// What is left of an exhaustive seed, and the product of the numbers of choices so far.
+    digits: u64,
+    ways: u64,
+    /// Turns that each actor made while a control message waited.
+    unheard: Vec<u32>,
 }
 
 impl Driver {
@@ -219,7 +267,8 @@ impl Driver {
         let mut actors = Vec::new();
         for (number, class) in classes.iter().enumerate() {
             let mut faults = simulation.faults.of(simulation.seed, ActorId(number as u32));
-            faults.retain(|fault| !matches!(fault.kind, FaultKind::Panic | FaultKind::Full));
+            faults
+                .retain(|fault| matches!(fault.kind, FaultKind::Delay | FaultKind::Stall | FaultKind::Slow));
             faults.sort_by_key(|fault| fault.at);
             let class = class.unwrap_or(Class::Light);
             let priority = random.next() | 1 << 63;
@@ -231,7 +280,21 @@ impl Driver {
         };
         let victim = random.below(actors.len().max(1) as u64) as u32;
         let (runnable, asleep) = (Vec::new(), Vec::new());
-        Self { simulation, random, actors, runnable, asleep, change_points, victim, next: 0, step: 0 }
+        let (digits, unheard) = (simulation.seed, vec![0; actors.len()]);
+        Self {
+            simulation,
+            random,
+            actors,
+            runnable,
+            asleep,
+            change_points,
+            victim,
+            next: 0,
+            step: 0,
+            digits,
+            ways: 1,
+            unheard,
+        }
     }
 
     /// Takes over what became runnable.
@@ -299,6 +362,14 @@ impl Driver {
                 // All initial priorities have the top bit; later changes go below earlier ones.
                 self.actors[self.runnable[chosen] as usize].priority = (1 << 62) - self.step.min(1 << 61);
                 highest(&self.actors, &self.runnable)
+            }
+            Strategy::Exhaustive => {
+                let (digit, rest) = (self.digits % count, self.digits / count);
+                (self.digits, self.ways) = (rest, self.ways.saturating_mul(count));
+                // In the order of identities, whatever the queues' order is.
+                let mut order: Vec<usize> = (0..self.runnable.len()).collect();
+                order.sort_by_key(|index| self.runnable[*index]);
+                order[digit as usize]
             }
             Strategy::StarveOne => {
                 if self.step % 1000 == 999 {
@@ -369,7 +440,8 @@ impl Runtime {
             self.thread.last_end.set(0);
             env.scheduler.run(&self.nodes, actor, &self.thread);
             env.clock.advance_to(now + driver.turned(actor));
-            if let Err(reason) = self.check(&mut driver) {
+            let heard = self.hears(&mut driver, actor);
+            if let Err(reason) = heard.and_then(|()| self.check(&mut driver)) {
                 self.failure = Some(Failure { seed: driver.simulation.seed, step: driver.step, reason });
             }
         };
@@ -377,9 +449,37 @@ impl Runtime {
         exit
     }
 
+    /// The control lane is served before all else.
+    fn hears(&self, driver: &mut Driver, actor: u32) -> Result<(), String> {
+        let node = &self.nodes[actor as usize];
+        let link = node.link();
+        let deaf = link.closed.load(Ordering::Relaxed) || link.parked.load(Ordering::Relaxed);
+        let turns = &mut driver.unheard[actor as usize];
+        // One that came in the turn itself waits for the next.
+        *turns = if node.urgent() > 0 && !deaf { *turns + 1 } else { 0 };
+        if *turns > CONTROL_TURNS_MAX {
+            return Err(format!(
+                "{} made {turns} turns while a control message waited",
+                self.env.name(link.id)
+            ));
+        }
+        Ok(())
+    }
+
+    /// What an exhaustive seed was worth, once its run is over.
+    pub fn schedule(&self) -> Schedule {
+        self.driver.as_ref().map_or(Schedule { ways: 1, left: 0 }, |driver| Schedule {
+            ways: driver.ways,
+            left: driver.digits,
+        })
+    }
+
     fn check(&self, driver: &mut Driver) -> Result<(), String> {
         for pool in &self.pools {
-            let PoolStats { pushed, completed, stale, dead, waiting, .. } = pool.stats();
+            let PoolStats { pushed, completed, stale, dead, waiting, disorder, .. } = pool.stats();
+            if disorder > 0 {
+                return Err("a job was popped while a better one waited".to_owned());
+            }
             if pushed != completed + stale + dead + waiting {
                 return Err(format!(
                     "jobs are lost or counted twice: {pushed} pushed, {completed} done, {stale} stale, {dead} dead, \

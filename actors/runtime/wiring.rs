@@ -233,4 +233,8 @@ impl Runnable for PortNode {
     fn is_empty(&self) -> bool {
         true
     }
+
+    fn urgent(&self) -> usize {
+        0
+    }
 }

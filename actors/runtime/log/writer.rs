@@ -158,10 +158,10 @@ fn write(mut sink: Box<dyn Write + Send>, queue: &LogQueue, links: &[Arc<Link>])
     loop {
         let closing = queue.closing.load(Ordering::SeqCst);
         queue.period.fetch_add(1, Ordering::Relaxed);
-        for link in links.iter().filter(|link| link.unflushed.load(Ordering::Relaxed)) {
-            if !closing {
-                link.raise(signal::FLUSH, &thread);
-            }
+        // A simulation's schedule must not depend on this thread: there actors hand over at the end of their turns alone.
+        let waiting = |link: &&Arc<Link>| link.unflushed.load(Ordering::Relaxed) && !link.env.simulated();
+        if !closing {
+            links.iter().filter(waiting).for_each(|link| link.raise(signal::FLUSH, &thread));
         }
         loop {
             let mut body = vec![KIND_CHUNKS];

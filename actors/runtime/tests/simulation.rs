@@ -1,7 +1,7 @@
 //! Simulated systems: equal seeds are equal runs, faults lose nothing, failures shrink, and simulations are recorded in
 //! the same format as live runs.
 
-use foveal_runtime::simulate::{Fault, FaultKind, Faults, Simulation, Strategy, shrink};
+use foveal_runtime::simulate::{Fault, FaultKind, Faults, Simulation, Strategy, exhaust, shrink};
 use foveal_runtime::*;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -142,4 +142,39 @@ fn a_system_without_rest_is_told() {
     .expect("builds");
     assert_eq!(runtime.pump(Limit::IDLE), Exit::Halted);
     assert_eq!(runtime.failure().map(|failure| failure.step), Some(500));
+}
+
+#[test]
+fn a_small_system_is_run_under_every_schedule() {
+    let mut runs = BTreeSet::new();
+    let exhausted = exhaust(2_000_000, |seed| {
+        let simulation = Simulation { strategy: Strategy::Exhaustive, ..Simulation::new(seed) };
+        let (mut runtime, players) =
+            Runtime::build(Config::simulate(simulation), |wiring| ring::wire(wiring, 2, 2, 2))
+                .expect("builds");
+        assert_eq!(runtime.pump(Limit::IDLE), Exit::Idle, "seed {seed}: {:?}", runtime.failure());
+        assert_eq!(runtime.deliveries(), 2 + 2 * 3);
+        let schedule = runtime.schedule();
+        if schedule.left == 0 {
+            runs.insert(runtime.fingerprint());
+        }
+        drop(players);
+        schedule
+    });
+    assert!(exhausted.complete, "{exhausted:?}");
+    assert!(
+        exhausted.schedules > runs.len() as u64 && runs.len() > 1,
+        "{exhausted:?}, {} outcomes",
+        runs.len()
+    );
+    // Random schedules find no outcome that these do not.
+    for seed in 0..300 {
+        let strategy = STRATEGIES[(seed % 4) as usize];
+        let simulation = Simulation { strategy, ..Simulation::new(seed) };
+        let (mut runtime, _) =
+            Runtime::build(Config::simulate(simulation), |wiring| ring::wire(wiring, 2, 2, 2))
+                .expect("builds");
+        assert_eq!(runtime.pump(Limit::IDLE), Exit::Idle);
+        assert!(runs.contains(&runtime.fingerprint()), "seed {seed}");
+    }
 }

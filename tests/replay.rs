@@ -124,12 +124,11 @@ fn steps_go_forward_and_back_alike() {
         let ended = Foveal::new("replay --step --until 2").arg(&trace).input(commands).ok();
         ended.out.lines().skip(1).map(str::to_owned).collect::<Vec<_>>()
     };
-    let forward = session("s 5\n");
-    assert_eq!(forward.len(), 5, "{forward:?}");
+    // How far the others are when frame 2 is shown differs from run to run; within a session all is fixed.
     let round = session("s 5\nb 5\ns 5\np\n");
-    assert_eq!((&round[..5], &round[10..15]), (&forward[..], &forward[..]));
+    assert_eq!(round[..5], round[10..15]);
     let undone: Vec<String> = round[5..10].iter().rev().map(|l| l.replace("back over ", "")).collect();
-    assert_eq!(undone, forward);
+    assert_eq!(undone, round[..5]);
     assert!(round[15].contains("frame 2 shown"), "{round:?}");
     // Over the place it was jumped to, to the start, and what is mistyped.
     let long = session("b 500\ns\nw 1,1\nx\ng nobody:3\nq\n");

@@ -135,7 +135,7 @@ impl TextureStore {
 }
 
 /// Which textures decide where surfaces are and which way they face: masks, heights and normals.
-fn decisive(scene: &Scene) -> Vec<bool> {
+pub fn decisive(scene: &Scene) -> Vec<bool> {
     let mut decisive = vec![false; scene.textures.len()];
     for material in &scene.materials {
         for map in [material.opacity_map, material.bump_map, material.normal_map].into_iter().flatten() {

@@ -119,7 +119,7 @@ fn a_pixel_is_explained_from_input_to_sample() {
 
 #[test]
 fn steps_go_forward_and_back_alike() {
-    let trace = recorded("");
+    let trace = recorded("--policy attention");
     let session = |commands: &str| {
         let ended = Foveal::new("replay --step --until 2").arg(&trace).input(commands).ok();
         ended.out.lines().skip(1).map(str::to_owned).collect::<Vec<_>>()

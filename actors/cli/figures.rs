@@ -321,7 +321,11 @@ pub fn page(
         title: world.scene.title.clone(),
         summary,
         figures,
-        tables: vec![stages, levels, counters, plan],
+        tables: super::texture_page::bill(document)
+            .into_iter()
+            .chain([stages, levels, counters, plan])
+            .collect(),
+        plots: super::texture_page::plots(document),
         frames: walked.points.clone(),
         deadline_ms: 1e3 / fps,
     })

@@ -17,6 +17,7 @@ pub mod replay;
 pub mod report;
 pub mod session;
 pub mod simulate;
+pub mod texture_page;
 #[cfg(feature = "window")]
 pub mod view;
 pub mod walk;

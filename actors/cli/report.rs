@@ -39,6 +39,21 @@ pub struct FramePoint {
     pub samples: u32,
 }
 
+/// Numbers over the frames of a walk.
+#[derive(Clone, Debug)]
+pub struct Plot {
+    /// Title.
+    pub title: String,
+    /// What it shows.
+    pub caption: String,
+    /// Unit of the numbers.
+    pub unit: &'static str,
+    /// Lines with their names, a number per frame.
+    pub lines: Vec<(String, Vec<f32>)>,
+    /// A line that should not be crossed.
+    pub limit: Option<f32>,
+}
+
 /// Everything on the page.
 #[derive(Clone, Debug, Default)]
 pub struct Page {
@@ -50,6 +65,8 @@ pub struct Page {
     pub figures: Vec<Figure>,
     /// Tables.
     pub tables: Vec<Table>,
+    /// Plots behind that of the frames' times.
+    pub plots: Vec<Plot>,
     /// Frames.
     pub frames: Vec<FramePoint>,
     /// The deadline of a frame.
@@ -92,6 +109,55 @@ fn frame_plot(frames: &[FramePoint], deadline_ms: f32) -> Option<String> {
     Some(svg)
 }
 
+/// Lines over frames, as SVG; `None` where there are too few frames for a plot.
+fn line_plot(plot: &Plot) -> Option<String> {
+    const COLORS: [RGBColor; 8] = [
+        RGBColor(31, 119, 180),
+        RGBColor(255, 127, 14),
+        RGBColor(44, 160, 44),
+        RGBColor(148, 103, 189),
+        RGBColor(140, 86, 75),
+        RGBColor(227, 119, 194),
+        RGBColor(127, 127, 127),
+        RGBColor(23, 190, 207),
+    ];
+    let frames = plot.lines.iter().map(|(_, values)| values.len()).max().filter(|n| *n > 1)?;
+    let values = plot.lines.iter().flat_map(|(_, values)| values).chain(&plot.limit);
+    let top = 1.1 * values.copied().filter(|v| v.is_finite()).fold(1e-3f32, f32::max);
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, (860, 260)).into_drawing_area();
+        let mut chart = ChartBuilder::on(&root)
+            .margin(8)
+            .x_label_area_size(34)
+            .y_label_area_size(60)
+            .build_cartesian_2d(0..frames - 1, 0f32..top)
+            .ok()?;
+        let mut mesh = chart.configure_mesh();
+        mesh.x_desc("frame").y_desc(plot.unit).light_line_style(TRANSPARENT).draw().ok()?;
+        for ((name, values), color) in plot.lines.iter().zip(COLORS.into_iter().cycle()) {
+            let points = values.iter().copied().enumerate();
+            chart
+                .draw_series(LineSeries::new(points, color.stroke_width(2)))
+                .ok()?
+                .label(name.as_str())
+                .legend(move |(x, y)| PathElement::new(vec![(x, y), (x + 14, y)], color.stroke_width(2)));
+        }
+        if let Some(limit) = plot.limit {
+            let line = PathElement::new(vec![(0, limit), (frames - 1, limit)], RGBColor(214, 39, 40));
+            chart.draw_series(std::iter::once(line)).ok()?;
+        }
+        chart
+            .configure_series_labels()
+            .background_style(WHITE.mix(0.8))
+            .position(SeriesLabelPosition::UpperRight)
+            .draw()
+            .ok()?;
+        root.present().ok()?;
+    }
+    Some(svg)
+}
+
 /// The page as HTML.
 pub fn html(page: &Page) -> String {
     let mut out = String::from(
@@ -115,6 +181,16 @@ pub fn html(page: &Page) -> String {
             "<h2>Frames</h2><figure style=\"max-width:none\">{svg}<figcaption>Blue: from a frame's beginning until \
              it was shown. Orange: drawing of the base layer. Red: the deadline.</figcaption></figure>"
         );
+    }
+    for plot in &page.plots {
+        if let Some(svg) = line_plot(plot) {
+            let _ = write!(
+                out,
+                "<h2>{}</h2><figure style=\"max-width:none\">{svg}<figcaption>{}</figcaption></figure>",
+                escape(&plot.title),
+                escape(&plot.caption)
+            );
+        }
     }
     for table in &page.tables {
         let _ = write!(out, "<h2>{}</h2><table><tr>", escape(&table.title));
@@ -164,9 +240,17 @@ mod tests {
                 rows: vec![vec!["<script>".into()]],
             }],
             summary: vec!["s".into()],
+            plots: vec![Plot {
+                title: "p".into(),
+                caption: "c".into(),
+                unit: "MiB",
+                lines: vec![("<b>".into(), vec![1.0, 2.0, f32::NAN])],
+                limit: Some(2.5),
+            }],
         };
         let html = html(&page);
         assert!(html.contains("a&lt;b&gt;") && !html.contains("<script>") && html.contains("<svg"));
+        assert_eq!(html.matches("<svg").count(), 2);
         assert!(!html.contains("src=\"http") && !html.contains("href="), "nothing is fetched");
     }
 }

@@ -541,6 +541,7 @@ pub fn textures_json(store: &TextureStore, reports: &[TextureReport], scene: &Sc
                 "held_bytes": r.held,
                 "visible_error": r.visible_error(),
                 "finest": r.bill.iter().map(|c| c.given).collect::<Vec<_>>(),
+                "losses": r.bill.iter().map(|c| c.loss).collect::<Vec<_>>(),
             })
         })
         .collect();

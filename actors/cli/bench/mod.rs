@@ -5,6 +5,7 @@ pub mod made;
 pub mod messages;
 pub mod stages;
 pub mod table;
+pub mod textures;
 
 use std::time::Instant;
 
@@ -20,6 +21,8 @@ pub enum BenchCommand {
     Stages(stages::StagesArguments),
     /// How fast the error of corrected pixels falls under each policy
     Error(error::ErrorArguments),
+    /// What a limit on texture memory costs, beside what others do about it
+    Textures(textures::TexturesArguments),
     /// What a message costs, with and without recording; peers beside it where they are built in
     Messages(messages::MessagesArguments),
 }
@@ -29,6 +32,7 @@ pub fn run(command: &BenchCommand, progress: Progress) -> Result<(), Failure> {
     match command {
         BenchCommand::Stages(a) => stages::run(a, progress),
         BenchCommand::Error(a) => error::run(a, progress),
+        BenchCommand::Textures(a) => textures::run(a, progress),
         BenchCommand::Messages(a) => messages::run(a, progress),
     }
 }

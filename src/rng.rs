@@ -1,11 +1,36 @@
 //! Random numbers as a hash of (seed, stream, index, dimension): no state, so the same number comes
 //! out for any thread and any order of evaluation.
+//!
+//! A stream of a pixel starts with numbers that neighbours share out among themselves: the pixels of a tile take
+//! the points of an Owen-scrambled Sobol' sequence in Morton order, so that any 2ᵏ × 2ᵏ pixels of a tile hold a
+//! stratified set, and what noise is left is fine-grained (Ahmed and Wonka 2020).
 
 /// One stream of random numbers, identified by a seed and two indices (for example pixel and sample).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stream {
     key: u64,
     dimension: u32,
+    /// The numbers shared out among pixels, where this stream still has them.
+    pattern: Option<Pattern>,
+}
+
+/// A point's index in a Sobol' sequence, and what scrambles that.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Pattern {
+    index: u32,
+    key: u64,
+}
+
+/// Side of the tiles whose pixels share a sequence, as a power of two; 4⁶ · 16 points are what the tables of
+/// `sobol_burley` hold.
+const TILE_BITS: u32 = 6;
+
+/// The bits of `v` (below 2⁶) with zeros between them.
+#[inline]
+fn spread(v: u32) -> u32 {
+    let v = (v | v << 4) & 0x0f0f;
+    let v = (v | v << 2) & 0x3333;
+    (v | v << 1) & 0x5555
 }
 
 /// A bijective 64-bit mix (Stafford's variant 13 of the MurmurHash3 finaliser, as in SplitMix64).
@@ -35,20 +60,43 @@ impl Stream {
     /// The stream of `seed` at `index` (pixel, particle) and `sample`.
     #[inline]
     pub fn new(seed: u64, index: u64, sample: u64) -> Self {
-        Self { key: hash(seed, index, sample), dimension: 0 }
+        Self { key: hash(seed, index, sample), dimension: 0, pattern: None }
+    }
+
+    /// The stream of a pixel, whose first numbers are shared out among its neighbours.
+    #[inline]
+    pub fn of_pixel(seed: u64, x: u32, y: u32, sample: u64) -> Self {
+        const INSIDE: u32 = (1 << TILE_BITS) - 1;
+        let tile = u64::from(y >> TILE_BITS) << 32 | u64::from(x >> TILE_BITS);
+        let index = spread(x & INSIDE) | spread(y & INSIDE) << 1;
+        let pattern = Some(Pattern { index, key: hash(seed, !tile, sample) });
+        Self { pattern, ..Self::new(seed, u64::from(y) << 32 | u64::from(x), sample) }
     }
 
     /// The next number in [0, 1). Advances the dimension by one.
     #[inline]
     pub fn next_f32(&mut self) -> f32 {
-        unit_f32(self.next_u64())
+        match self.pattern {
+            None => unit_f32(self.next_u64()),
+            Some(pattern) => sobol_burley::sample(pattern.index, 0, self.next_scramble(pattern)),
+        }
     }
 
     /// The next two numbers in [0, 1)².
     #[inline]
     pub fn next_2d(&mut self) -> [f32; 2] {
-        let bits = self.next_u64();
-        [unit_f32(bits), unit_f32(bits << 24)]
+        let Some(pattern) = self.pattern else {
+            let bits = self.next_u64();
+            return [unit_f32(bits), unit_f32(bits << 24)];
+        };
+        let scramble = self.next_scramble(pattern);
+        [0, 1].map(|dimension| sobol_burley::sample(pattern.index, dimension, scramble))
+    }
+
+    #[inline]
+    fn next_scramble(&mut self, pattern: Pattern) -> u32 {
+        self.dimension += 1;
+        mix(pattern.key ^ u64::from(self.dimension).wrapping_mul(0x9e37_79b9_7f4a_7c15)) as u32
     }
 
     /// The next 64 random bits.
@@ -61,7 +109,30 @@ impl Stream {
     /// An independent stream, for a path that branches.
     #[inline]
     pub fn split(&mut self, branch: u64) -> Self {
-        Self { key: hash(self.key, u64::from(self.dimension), branch), dimension: 0 }
+        let below = |key| hash(key, u64::from(self.dimension), branch);
+        let pattern = self.pattern.map(|p| Pattern { key: below(p.key), ..p });
+        Self { key: below(self.key), dimension: 0, pattern }
+    }
+
+    /// The stream of sample `i` of `n` ≤ 16 at one branch. Where pixels share numbers out, the samples of each do so
+    /// too; otherwise they are independent.
+    #[inline]
+    pub fn sample_of(&mut self, i: u32, n: u32) -> Self {
+        let first = self.split(0);
+        let pattern = first.pattern.filter(|_| n <= 16).map(|p| Pattern { index: p.index * n + i, ..p });
+        Self { pattern, ..self.split(u64::from(i)) }
+    }
+
+    /// Whether its numbers are shared out among pixels and samples.
+    #[inline]
+    pub fn is_shared_out(&self) -> bool {
+        self.pattern.is_some()
+    }
+
+    /// The same stream without that, for the many numbers of which none matters much.
+    #[inline]
+    pub fn independent(self) -> Self {
+        Self { pattern: None, ..self }
     }
 }
 
@@ -89,5 +160,35 @@ mod tests {
         let expected = n / 16.0;
         let chi2: f64 = bins.iter().map(|&b| (f64::from(b) - expected).powi(2) / expected).sum();
         assert!(chi2 < 45.0, "χ² with 15 degrees of freedom: {chi2}");
+    }
+
+    /// Each 2ᵏ × 2ᵏ pixels have one number in each 4ᵏ-th of [0, 1), in each dimension and branch; each 2ᵏ × 2ᵏ pairs
+    /// one in each cell of a 2ᵏ × 2ᵏ grid; with n samples per pixel n times as many.
+    #[test]
+    fn neighbours_share_out_the_unit_square() {
+        for (k, n) in [(1u32, 1u32), (2, 1), (3, 1), (1, 4), (2, 4)] {
+            let (side, cells) = (1u32 << k, (1usize << (2 * k)) * n as usize);
+            let (mut line, mut grid) = (vec![0; cells], vec![0; cells]);
+            // cells = 2ᵃ × 2ᵃ or, for odd powers of two, not a square: all n here are powers of four.
+            let across = (cells as f32).sqrt() as usize;
+            for y in 64..64 + side {
+                for x in 8..8 + side {
+                    for i in 0..n {
+                        let mut s = Stream::of_pixel(3, x, y, 0);
+                        let _ = s.next_f32();
+                        let mut s = s.split(5).sample_of(i, n);
+                        line[(s.next_f32() * cells as f32) as usize] += 1;
+                        let [u, v] = s.next_2d();
+                        let cell = |v: f32| (v * across as f32) as usize;
+                        grid[cell(v) * across + cell(u)] += 1;
+                    }
+                }
+            }
+            assert!(line.iter().chain(&grid).all(|&c| c == 1), "k {k}, n {n}: {line:?} {grid:?}");
+        }
+        // Other samples of a pixel, other tiles and seeds go their own ways.
+        let first = |seed, x, sample| Stream::of_pixel(seed, x, 0, sample).next_f32();
+        let all = [first(0, 0, 0), first(1, 0, 0), first(0, 64, 0), first(0, 0, 1)];
+        assert!((0..4).all(|i| (0..i).all(|j| all[i] != all[j])), "{all:?}");
     }
 }

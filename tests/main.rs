@@ -8,6 +8,7 @@ mod bundled;
 mod exits;
 mod hostile;
 mod replay;
+mod shell;
 mod skipped;
 mod still;
 mod support;

@@ -16,6 +16,7 @@ pub mod reference;
 pub mod replay;
 pub mod report;
 pub mod session;
+pub mod shell;
 pub mod simulate;
 pub mod texture_page;
 #[cfg(feature = "window")]
@@ -83,6 +84,10 @@ enum Command {
     /// Measure: tables of medians with aims and peers
     #[command(subcommand)]
     Bench(bench::BenchCommand),
+    /// Print the completions of a shell
+    Completions(shell::CompletionsArguments),
+    /// Write manual pages
+    Man(shell::ManArguments),
     /// Say what this machine offers
     Doctor(doctor::DoctorArguments),
 }
@@ -110,6 +115,8 @@ pub fn run() -> ExitCode {
         Command::Compare(a) => compare::run(&a),
         Command::Explain(a) => explain::run(&a),
         Command::Bench(c) => bench::run(&c, progress),
+        Command::Completions(a) => shell::completions(&a),
+        Command::Man(a) => shell::man(&a),
         Command::Doctor(a) => doctor::run(&a),
     };
     match result {

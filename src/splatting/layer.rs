@@ -232,13 +232,17 @@ impl SplatLayer {
             let own = rank(u32::from(s.k), u32::from(s.age).max(1));
             let r = i32::from(s.half_side);
             let mut any = false;
+            let columns = (cx - r).max(0) as usize..(cx + r + 1).min(width) as usize;
             for y in (cy - r).max(0)..(cy + r + 1).min(height) {
-                for x in (cx - r).max(0)..(cx + r + 1).min(width) {
-                    let i = (y * width + x) as usize;
-                    if ids[i] == s.object && ranks[i] <= own {
-                        ranks[i] = own;
-                        colors[i] = s.color;
-                        sources[i] = 0;
+                let start = (y * width) as usize;
+                let row = start + columns.start..start + columns.end;
+                let pixels = ids[row.clone()].iter().zip(&mut ranks[row.clone()]);
+                let shown = colors[row.clone()].iter_mut().zip(&mut sources[row]);
+                for ((&id, rank), (color, source)) in pixels.zip(shown) {
+                    if id == s.object && *rank <= own {
+                        *rank = own;
+                        *color = s.color;
+                        *source = 0;
                         any = true;
                     }
                 }

@@ -10,7 +10,7 @@ use crate::world::World;
 /// The random numbers of a pixel: of the seed and the pixel alone, so that a still view converges to the
 /// same picture whoever traces it and in whatever order.
 pub fn pixel_stream(seed: u64, x: u32, y: u32, sample: u64) -> Stream {
-    Stream::new(seed, u64::from(y) << 32 | u64::from(x), sample)
+    Stream::of_pixel(seed, x, y, sample)
 }
 
 /// What the samples belong to.

@@ -168,10 +168,16 @@ impl<'a> Tracer<'a> {
         self.illumination.irradiance(point.triangle, point.b1, point.b2, point.back) * FRAC_1_PI
     }
 
+    /// Surfaces along a ray whose random numbers are shared out among pixels.
+    const SHARED_DEPTH: u32 = 2;
+
     /// Radiance along a ray of unit direction.
     fn follow(&self, ray: &Ray, mut branch: Branch, mut stream: Stream) -> Vec3 {
         if branch.depth > self.settings.max_depth {
             return Vec3::ZERO;
+        }
+        if branch.depth > Self::SHARED_DEPTH {
+            stream = stream.independent();
         }
         let mut scale = 1.0;
         if branch.contribution < self.settings.min_contribution {
@@ -243,18 +249,20 @@ impl<'a> Tracer<'a> {
             (false, false) => self.settings.light_samples.min(1),
         };
         for i in 0..n {
-            let mut s = stream.split(u64::from(i));
+            let mut s = stream.sample_of(i, n);
             let [u, v] = s.next_2d();
-            let u = ((i as f32 + u) / n as f32).min(1.0 - f32::EPSILON);
+            let u = if s.is_shared_out() { u } else { ((i as f32 + u) / n as f32).min(1.0 - f32::EPSILON) };
             let Some(sample) = bsdf.sample(at.wo, [u, v], s.next_f32()) else { continue };
             let found = (!sample.delta).then_some(Found { point: at.position, pdf: sample.pdf, n, m });
             let share = 1.0 / n as f32;
             let sample = BsdfSample { weight: sample.weight * share, ..sample };
             sum += self.follow_sample(at, &sample, branch, found, s);
         }
+        let mut lights = stream.split(u64::from(n));
         for i in 0..m {
-            let mut s = stream.split(u64::from(n + i));
-            let choice = (i as f32 + s.next_f32()) / m as f32;
+            let mut s = lights.sample_of(i, m);
+            let choice = s.next_f32();
+            let choice = if s.is_shared_out() { choice } else { (i as f32 + choice) / m as f32 };
             let Some(light) = self.lights.sample_direct(self.scene, at.position, choice, s.next_2d()) else {
                 continue;
             };

@@ -156,8 +156,12 @@ fn missing_things_are_named_with_who_asked() {
     assert_eq!(said(&loaded, "s2.obj:1: material library \"no.mtl\" does not exist"), 1);
     assert_eq!(said(&loaded, "m.mtl:3: texture \"lost.png\" does not exist"), 1);
     assert_eq!(said(&loaded, "s2.obj:3: no material library has \"x\""), 1);
-    let grey = Model::Lambert { albedo: Reflectance::constant(Vec3::splat(0.4)) };
-    assert_eq!(loaded.scene.materials[1].model, grey);
+    // What is lost is seen to be lost.
+    let checker = Reflectance { color: Vec3::splat(0.8), map: Some(TextureId(0)) };
+    assert_eq!(loaded.scene.materials[1].model, Model::Lambert { albedo: checker });
+    let texture = &loaded.scene.textures[0];
+    assert_eq!(texture.name, "lost.png");
+    assert_ne!(texture.texel(0, 0, 0), texture.texel(0, 1, 0));
 }
 
 #[test]
@@ -192,7 +196,10 @@ fn pictures_that_lie_or_end_early() {
     place.write("empty.jpg", "");
     place.write("m.mtl", "newmtl a\nmap_Kd cut.png\nmap_Ks vast.png\nmap_Ke text.png\nmap_d empty.jpg\nbump /etc/passwd\nnorm ../m.mtl\n");
     let loaded = loads(&place.write("s.obj", format!("mtllib m.mtl\nusemtl a\n{TRIANGLE}")));
-    assert!(loaded.scene.textures.is_empty());
+    // Three colours show a checker; mask, bump and normal map are left out.
+    assert_eq!(loaded.scene.textures.len(), 3);
+    let m = &loaded.scene.materials[0];
+    assert_eq!((m.opacity_map, m.bump_map, m.normal_map), (None, None, None));
     for name in ["cut.png", "vast.png", "text.png", "empty.jpg", "/etc/passwd", "../m.mtl"] {
         assert_eq!(said(&loaded, name), 1, "{name}: {:#?}", loaded.warnings);
     }
@@ -207,7 +214,10 @@ fn pictures_share_the_limit_on_memory() {
     let path = place.write("s.obj", format!("mtllib m.mtl\nusemtl a\n{TRIANGLE}"));
     let options = LoadOptions { texture_bytes_max: 300, ..Default::default() };
     let loaded = load_with(&path, &options).unwrap();
-    assert_eq!(loaded.scene.textures.len(), 1);
+    let names: Vec<&str> = loaded.scene.textures.iter().map(|t| t.name.as_str()).collect();
+    assert_eq!(names, ["a.png", "b.png"]);
+    let corner = |t: usize, x: usize| loaded.scene.textures[t].texel(0, x, 0);
+    assert!(corner(0, 0) == corner(0, 1) && corner(1, 0) != corner(1, 1), "the second is a checker");
     assert_eq!(said(&loaded, "one too many"), 1);
     let options = LoadOptions { file_bytes_max: 20, ..Default::default() };
     assert!(load_with(&path, &options).unwrap_err().to_string().contains("limit of 20"));

@@ -130,6 +130,7 @@ impl TextureRequests {
                 Ok((Arc::new(mips), alpha))
             })
             .collect();
+        let checker = checker();
         let mut textures = Vec::new();
         let mut ids = Vec::with_capacity(self.list.len());
         let mut said: HashSet<&str> = HashSet::new();
@@ -152,9 +153,17 @@ impl TextureRequests {
                     ids.push(Some(TextureId(textures.len() as u32 - 1)));
                 }
                 Err(why) => {
-                    ids.push(None);
+                    // What is looked at shows that something is missing; masks and normals would deform things.
+                    if r.is_color {
+                        textures.push(Texture::new(r.name.clone(), checker.clone()));
+                        ids.push(Some(TextureId(textures.len() as u32 - 1)));
+                    } else {
+                        ids.push(None);
+                    }
                     if said.insert(&r.name) {
-                        let message = format!("texture \"{}\" {why}; a plain colour instead", r.name);
+                        let instead =
+                            if r.is_color { "a checker is shown instead" } else { "it is left out" };
+                        let message = format!("texture \"{}\" {why}; {instead}", r.name);
                         warnings.push(Warning::new(r.asked_by.clone(), message));
                     }
                 }
@@ -162,6 +171,13 @@ impl TextureRequests {
         }
         (textures, ids)
     }
+}
+
+/// Light grey and magenta squares, in the place of a picture that cannot be shown.
+fn checker() -> MipChain {
+    let square =
+        |i: usize| if (i % 8 + i / 8).is_multiple_of(2) { [200, 200, 200, 255] } else { [200, 40, 180, 255] };
+    MipChain::from_rgba8(8, 8, (0..64).map(square).collect(), true)
 }
 
 /// A reader that knows the format, by content or else by name.

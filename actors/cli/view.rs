@@ -11,11 +11,12 @@ use super::Progress;
 use super::arguments::{Size, positive};
 use super::failure::Failure;
 use super::output::{print_json, print_line, write_atomic};
+use super::recording::{RecordedRun, TRACERS_MAX};
 use super::session::{self, IlluminationArguments};
 use crate::renderer::overlay::Overlay;
 use crate::settings::Settings;
 use crate::window::walk::{Next, Walk};
-use crate::window::{self, Backend, Build, FrameSource, Loader, Session, WindowError, screenshot};
+use crate::window::{self, Backend, Build, FrameSource, Loader, Recorder, Session, WindowError, screenshot};
 
 /// Arguments of `foveal view`.
 #[derive(Args, Clone, Debug)]
@@ -29,11 +30,14 @@ pub struct ViewArguments {
     #[arg(long, value_parser = positive)]
     fps: Option<f32>,
     /// Number of tracers (default: one per core)
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=256))]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(TRACERS_MAX)))]
     workers: Option<u32>,
     /// Who paints the window
     #[arg(long, value_enum, default_value_t = BackendName::Auto)]
     backend: BackendName,
+    /// Record the walk, so that `foveal replay` can run it again; other settings begin FILE-2, FILE-3, …
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
     /// Folder for screenshots (F12)
     #[arg(long, value_name = "DIR", default_value = ".")]
     screenshots: PathBuf,
@@ -142,14 +146,35 @@ fn loader(a: ViewArguments) -> Loader {
 
 fn start(a: &ViewArguments, path: &Path, opened: session::Session) -> Result<Session, String> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
-    let settings = Settings::new(a.size.width, a.size.height, a.workers.unwrap_or(cores));
+    let settings = Settings::new(a.size.width, a.size.height, a.workers.unwrap_or(cores.min(TRACERS_MAX)));
     let fps = a.fps.or(opened.world.scene.budget.fps).unwrap_or(10.0);
     let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let facts = vec![
         ("Software".to_owned(), format!("foveal {}", env!("CARGO_PKG_VERSION"))),
         ("foveal file".to_owned(), file),
     ];
-    Session::start(opened.world, settings, fps, facts)
+    let recorder = a.record.as_ref().map(|file| recorder(a, path, &opened, file));
+    Session::start(opened.world, settings, fps, facts, recorder)
+}
+
+/// Names the recordings: the file that was asked for, and for each new session of actors, as other settings need it,
+/// another one beside it.
+fn recorder(a: &ViewArguments, path: &Path, opened: &session::Session, file: &Path) -> Recorder {
+    let (path, file, illumination) = (path.to_owned(), file.to_owned(), a.illumination.clone());
+    let world = opened.world.clone();
+    let opened = session::Session { world, textures: None, warnings: Vec::new() };
+    let mut sessions = 0;
+    Box::new(move |settings, passes, corrects| {
+        let run = RecordedRun::new("view", &path, &opened, &illumination, settings, passes, corrects);
+        let header = run.and_then(|run| run.to_bytes());
+        let header = header.map_err(|e| tracing::warn!("the walk is not recorded: {e}")).ok()?;
+        sessions += 1;
+        let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+        let end = file.extension().map_or_else(String::new, |e| format!(".{}", e.to_string_lossy()));
+        let name =
+            if sessions == 1 { file.clone() } else { file.with_file_name(format!("{stem}-{sessions}{end}")) };
+        Some((name, header))
+    })
 }
 
 /// The start view, converged, into a file: what the window would show after a while.

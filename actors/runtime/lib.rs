@@ -178,6 +178,14 @@
 //! An actor that reads a clock, iterates a randomly seeded map or looks at shared state is found at the first delivery
 //! where it shows. [`Actor::digest`] makes that the delivery where its state went wrong.
 //!
+//! # Taking a run apart
+//!
+//! A place in a recording is a cut: how many deliveries each actor has had. [`Runtime::run_to`] makes exactly those,
+//! [`Runtime::step`] one more, in the same order wherever one begins; in replay an observer is told the delivery in
+//! which each message was sent ([`Delivery::cause`]). Where all actors, messages and jobs say how they are saved,
+//! [`Runtime::snapshot`] takes the state between two turns, and [`Config::from`] begins there: so one steps back, or
+//! jumps into a long recording. [`Timeline`] draws it all for chrome://tracing and Perfetto.
+//!
 //! No lock is taken anywhere on a message's way: mailboxes are `crossbeam_queue::ArrayQueue`s, run queues
 //! `crossbeam_deque`s, parking is an eventcount over `std::thread::park`.
 

@@ -18,5 +18,5 @@ pub mod walk;
 
 pub use app::{Options, WindowError, run};
 pub use presenter::Backend;
-pub use session::Session;
+pub use session::{Recorder, Session};
 pub use source::{Build, Controls, FrameSource, Loader, Place, Status};

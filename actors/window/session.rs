@@ -1,5 +1,6 @@
 //! The session of actors that a window shows.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -13,7 +14,7 @@ use foveal::perception::saliency::SaliencyModel;
 use foveal::scene::Camera;
 use foveal::scene::plan::{Part, ScenePlan};
 use foveal::world::World;
-use foveal_runtime::{Config, Limit, Runtime};
+use foveal_runtime::{BuildError, Config, Limit, Runtime};
 
 use super::source::{ActorStatus, Controls, FrameSource, Place, Status};
 use crate::message::{FrameIndex, FrameSnapshot, RendererInput};
@@ -27,6 +28,9 @@ use crate::wiring::{Actors, Parts, wire};
 const SHUTDOWN: Duration = Duration::from_secs(2);
 /// Longest time for the picture of a frame, once its deadline is over.
 const SHOWING: Duration = Duration::from_secs(10);
+
+/// Says where a session of actors with these settings is recorded, and the application's part of the header.
+pub type Recorder = Box<dyn FnMut(&Settings, Passes, bool) -> Option<(PathBuf, Vec<u8>)> + Send>;
 
 /// Keeps the newest frame's counts for the window.
 struct Newest(Arc<ArrayQueue<FrameCounts>>);
@@ -52,6 +56,7 @@ pub struct Session {
     encoder: Encoder,
     attention: AttentionView,
     facts: Vec<(String, String)>,
+    recorder: Option<Recorder>,
 }
 
 /// Relative saliency of the objects on screen, for the overlay alone: the allocator's own numbers belong to its thread.
@@ -72,6 +77,7 @@ impl Session {
         settings: Settings,
         fps: f32,
         facts: Vec<(String, String)>,
+        recorder: Option<Recorder>,
     ) -> Result<Self, String> {
         let plan = ScenePlan::new(&world.scene, &world.scene.budget);
         let controls = Controls {
@@ -97,6 +103,7 @@ impl Session {
             encoder: Encoder::default(),
             attention: AttentionView::default(),
             facts,
+            recorder,
         };
         session.restart()?;
         Ok(session)
@@ -106,7 +113,9 @@ impl Session {
     fn restart(&mut self) -> Result<(), String> {
         self.stop();
         let threads = if self.corrects { self.settings.tracers as usize + 1 } else { 0 };
-        let parts = Parts {
+        let recorder = self.recorder.as_mut();
+        let recorded = recorder.and_then(|r| r(&self.settings, self.passes, self.corrects));
+        let parts = || Parts {
             settings: self.settings,
             world: self.world.clone(),
             passes: self.passes,
@@ -115,9 +124,19 @@ impl Session {
             stages: StageTimes::default(),
             sink: Box::new(Newest(self.newest.clone())),
         };
-        let system = Runtime::build(Config::live(threads), |w| wire(w, parts))
-            .map_err(|e| format!("the actors cannot be started: {e}"))?;
-        self.system = Some(system);
+        let mut config = Config::live(threads);
+        if let Some((file, header)) = recorded {
+            config.application = header;
+            config = config.record(file);
+        }
+        let built = match Runtime::build(config, |w| wire(w, parts())) {
+            Err(BuildError::Record(e)) => {
+                tracing::warn!("the walk is not recorded: {e}; choose another --record");
+                Runtime::build(Config::live(threads), |w| wire(w, parts()))
+            }
+            built => built,
+        };
+        self.system = Some(built.map_err(|e| format!("the actors cannot be started: {e}"))?);
         Ok(())
     }
 
@@ -308,7 +327,8 @@ mod tests {
 
     fn walk() -> Walk {
         let world = World::new(Arc::new(test_scene::room(4)), Arc::new(Uniform(Vec3::ONE)));
-        let session = Session::start(world, Settings::new(64, 48, 1), 30.0, Vec::new()).expect("actors");
+        let session =
+            Session::start(world, Settings::new(64, 48, 1), 30.0, Vec::new(), None).expect("actors");
         Walk::new(Box::new(session), 0.0)
     }
 

@@ -14,6 +14,7 @@ pub mod allocator;
 pub mod analyzer;
 pub mod cache_ager;
 pub mod cli;
+pub mod illuminator;
 pub mod message;
 pub mod outbox;
 pub mod renderer;

@@ -7,6 +7,7 @@
 //! | renderer | inputs, aged samples, samples of every job that can be out while it draws | jobs are bounded by the pixels of the views on their way |
 //! | cache ager | a view, the same samples | as above |
 //! | allocator | views, ranks, one answer for each job in flight | jobs in flight are bounded by `Settings::jobs_in_flight` |
+//! | illuminator | its own word to go on | it is the only sender |
 //! | analyzer | one frame, the newest | |
 
 use std::sync::Arc;
@@ -21,6 +22,7 @@ use crate::allocator::environments::Environments;
 use crate::allocator::textures::Textures;
 use crate::analyzer::Analyzer;
 use crate::cache_ager::CacheAger;
+use crate::illuminator::{Illuminator, Refinement};
 use crate::message::saved::Surroundings;
 use crate::message::{AllocatorMessage, RendererInput, RendererMessage, TraceJob};
 use crate::renderer::{FrameSink, Neighbours, Renderer};
@@ -41,6 +43,8 @@ pub struct Parts {
     pub corrects: bool,
     /// Textures, where they do not all fit into their limit; `world` has them at their coarsest then.
     pub textures: Option<Arc<TextureStore>>,
+    /// What the illumination is refined towards while one walks; `None` where it is final.
+    pub refinement: Option<Refinement>,
     /// Where durations go.
     pub stages: StageTimes,
     /// Who sees the frames.
@@ -57,6 +61,8 @@ pub struct Actors {
     pub correction: Option<Correction>,
     /// By number; none in a scene without anything to correct.
     pub tracers: Vec<Handle<Tracer>>,
+    /// Refines the illumination, where it is not final.
+    pub illuminator: Option<Handle<Illuminator>>,
     /// What the tracers take their work from.
     pub pool: Option<JobPool<TraceJob>>,
 }
@@ -80,16 +86,22 @@ fn batches_on_their_way(settings: &Settings) -> usize {
 
 /// Makes mailboxes and starts actors. The same function for live, recorded, replayed and simulated runs.
 pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
-    let Parts { settings, world, passes, corrects, textures, stages, sink } = parts;
+    let Parts { settings, world, passes, corrects, textures, refinement, stages, sink } = parts;
     let batches = batches_on_their_way(&settings);
     let probes = corrects.then(|| Arc::new(Probes::of_world(&world)));
     wiring.context(Surroundings { world: world.clone(), passes, probes: probes.clone() });
     let renderer: Declared<Renderer> = wiring.declare(Bounds::messages(batches + 64));
     let input = wiring.port("input", &renderer.address());
+    let refines = refinement.is_some();
+    let illuminator = refinement.map(|refinement| {
+        let declared: Declared<Illuminator> = wiring.declare(Bounds::messages(4));
+        let actor = Illuminator::new(world.clone(), refinement, renderer.address());
+        wiring.spawn(declared, actor)
+    });
     let Some(probes) = probes else {
-        let actor = Renderer::new(settings, world, passes, None, None, stages, sink);
+        let actor = Renderer::new(settings, world, passes, None, None, stages, sink).awaiting_light(refines);
         let renderer = wiring.spawn(renderer, actor);
-        return Actors { input, renderer, correction: None, tracers: Vec::new(), pool: None };
+        return Actors { input, renderer, correction: None, tracers: Vec::new(), pool: None, illuminator };
     };
     let cache_ager: Declared<CacheAger> = wiring.declare(Bounds::messages(batches + 64));
     let analyzer: Declared<Analyzer> = wiring.declare(Bounds::messages(4));
@@ -140,7 +152,8 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
         },
     };
     let approximation = Some(FirstApproximation::new(probes));
-    let actor = Renderer::new(settings, world, passes, Some(neighbours), approximation, stages, sink);
+    let actor = Renderer::new(settings, world, passes, Some(neighbours), approximation, stages, sink)
+        .awaiting_light(refines);
     let renderer = wiring.spawn(renderer, actor);
-    Actors { input, renderer, correction: Some(correction), tracers, pool: Some(pool) }
+    Actors { input, renderer, correction: Some(correction), tracers, pool: Some(pool), illuminator }
 }

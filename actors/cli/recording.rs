@@ -67,7 +67,10 @@ impl RecordedRun {
             texture_ids: passes.texture_ids,
             corrects,
             texture_limit: session.textures.as_ref().map(|store| store.limit),
-            illumination: illumination.clone(),
+            illumination: IlluminationArguments {
+                refined: session.refinement.is_some(),
+                ..illumination.clone()
+            },
             illumination_hash: illumination_hash(&*session.world.illumination)?,
             particles,
             relative_error,
@@ -126,6 +129,7 @@ impl RecordedRun {
         }
         let mut illumination = self.illumination.clone();
         illumination.cache.clone_from(&elsewhere.cache);
+        illumination.baked = !illumination.refined && !illumination.quick;
         // Where the recorded file is gone, the same bake may be kept, or is made again: its hash tells.
         illumination.bake = match (&elsewhere.bake, &self.illumination.bake) {
             (Some(given), _) => Some(given.clone()),

@@ -130,7 +130,11 @@ pub fn path_picture(
 pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
     session::end_on_interrupt();
     let world = match a.kind {
-        Kind::Traced => session::open(&a.scene, &a.illumination, progress)?.world,
+        Kind::Traced => {
+            let illumination =
+                IlluminationArguments { baked: !a.illumination.quick, ..a.illumination.clone() };
+            session::open(&a.scene, &illumination, progress)?.world
+        }
         Kind::Path => {
             let (scene, _) = session::load_scene(&a.scene)?;
             World::new(scene, std::sync::Arc::new(foveal::illumination::Uniform(Vec3::ZERO)))

@@ -9,9 +9,9 @@ use clap::Args;
 
 use foveal::geometry::Accel;
 use foveal::illumination::Irradiance;
-use foveal::illumination::bake::{BakeSettings, Baked, Baker, Stage, cache_key, quick_direct};
+use foveal::illumination::bake::{BakeSettings, Baked, Baker, Stage, cache_key};
 use foveal::illumination::cache::{load_illumination, save};
-use foveal::illumination::stored::Illumination;
+use foveal::illumination::quick::quick_direct;
 use foveal::scene::{NamedCamera, Scene, load};
 use foveal::transport::light::Lights;
 use foveal::transport::particle::SceneTransport;
@@ -21,6 +21,7 @@ use super::Progress;
 use super::arguments::{duration, share};
 use super::failure::Failure;
 use crate::textures::TextureStore;
+use crate::illuminator::Refinement;
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
@@ -44,12 +45,20 @@ pub fn interrupted() -> bool {
 /// Where illumination comes from; part of a recording's header.
 #[derive(Args, Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct IlluminationArguments {
-    /// Illumination made by `foveal bake --out`; without it one is taken from the cache, or baked and kept there
+    /// Illumination made by `foveal bake --out`; without it one is taken from the cache, or refined while walking
     #[arg(long, value_name = "FILE")]
     pub bake: Option<PathBuf>,
-    /// Do not bake: direct light and a constant ambient
+    /// Stay with the first estimate, which takes about a second
     #[arg(long, conflicts_with = "bake")]
     pub quick: bool,
+    /// Bake before the walk begins instead of while it goes on
+    #[arg(long, conflicts_with = "quick")]
+    #[serde(default)]
+    pub baked: bool,
+    /// In a recording: the illumination was refined while walking
+    #[arg(skip)]
+    #[serde(default)]
+    pub refined: bool,
     /// Folder of kept bakes (default: FOVEAL_CACHE, else the user's cache folder)
     #[arg(long, value_name = "DIR")]
     #[serde(skip)]
@@ -71,6 +80,10 @@ pub struct BakeSettingsArguments {
     /// Texels of the lightmap, about (default: by the number of triangles, 32 Ki to 256 Ki)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1 << 26))]
     pub texels: Option<u32>,
+    /// Fine texels also where no camera or path of the scene leads
+    #[arg(long)]
+    #[serde(default)]
+    pub everything: bool,
     /// Seed of the bake's random numbers
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub bake_seed: u64,
@@ -81,7 +94,7 @@ pub struct BakeSettingsArguments {
 
 impl Default for BakeSettingsArguments {
     fn default() -> Self {
-        Self { error: 0.02, particles: 1 << 22, texels: None, bake_seed: 1, time: None }
+        Self { error: 0.02, particles: 1 << 22, texels: None, everything: false, bake_seed: 1, time: None }
     }
 }
 
@@ -93,6 +106,7 @@ impl BakeSettingsArguments {
         BakeSettings {
             texels: self.texels.unwrap_or_else(of_scene),
             seed: self.bake_seed,
+            everything: self.everything,
             particles: Some(self.particles.max(1)),
             error: Some(self.error),
             ..BakeSettings::default()
@@ -106,6 +120,8 @@ pub struct Session {
     pub world: World,
     /// Textures, where they do not all fit into their limit; the world has them at their coarsest then.
     pub textures: Option<Arc<TextureStore>>,
+    /// What the illumination is to be refined towards, where it is a first estimate.
+    pub refinement: Option<Refinement>,
     /// What went wrong without stopping anything, each said once.
     pub warnings: Vec<String>,
 }
@@ -162,8 +178,8 @@ pub fn illuminated(
 ) -> Result<Session, Failure> {
     let accel = Arc::new(Accel::build(&scene));
     let lights = Arc::new(Lights::build(&scene));
-    let illumination = illuminate(&scene, &accel, &lights, a, progress, &mut warnings)?;
-    Ok(Session { world: World { scene, accel, lights, illumination }, textures: None, warnings })
+    let (illumination, refinement) = illuminate(&scene, &accel, &lights, a, progress, &mut warnings)?;
+    Ok(Session { world: World { scene, accel, lights, illumination }, textures: None, refinement, warnings })
 }
 
 fn illuminate(
@@ -173,10 +189,11 @@ fn illuminate(
     a: &IlluminationArguments,
     progress: Progress,
     warnings: &mut Vec<String>,
-) -> Result<Arc<dyn Irradiance>, Failure> {
+) -> Result<(Arc<dyn Irradiance>, Option<Refinement>), Failure> {
     let transport = SceneTransport::new(scene, accel, lights);
+    let first = || Arc::new(quick_direct(scene, &transport, a.settings.bake_seed));
     if a.quick {
-        return Ok(Arc::new(quick_direct(scene, &transport, a.settings.bake_seed)));
+        return Ok((first(), None));
     }
     let settings = a.settings.settings(scene);
     let key = cache_key(scene, &settings);
@@ -188,18 +205,21 @@ fn illuminate(
                 file.display()
             ))
         })?;
-        return Ok(Arc::new(map));
+        return Ok((Arc::new(map), None));
     }
     let kept = cache_file(a.cache.as_deref(), scene, &settings);
-    if let Some(file) = kept.as_ref().filter(|f| f.exists()) {
+    if let Some(file) = kept.as_ref().filter(|f| !a.refined && f.exists()) {
         match load_illumination(file, &key, triangles) {
-            Ok(map) => return Ok(Arc::new(map)),
+            Ok(map) => return Ok((Arc::new(map), None)),
             Err(e) => {
                 let warning = format!("{}: {e}; the illumination is baked anew", file.display());
                 tracing::warn!("{warning}");
                 warnings.push(warning);
             }
         }
+    }
+    if !a.baked {
+        return Ok((first(), Some(Refinement { settings, keep: kept })));
     }
     let baked = bake_with_progress(scene, &transport, &settings, a.settings.time, progress);
     if interrupted() {
@@ -216,7 +236,7 @@ fn illuminate(
             warnings.push(warning);
         }
     }
-    Ok(Arc::new(baked.illumination))
+    Ok((Arc::new(baked.illumination), None))
 }
 
 /// Bakes with a bar, until the settings are met, the time is up, or Ctrl-C.
@@ -234,7 +254,8 @@ pub fn bake_with_progress(
         let stage = match p.stage {
             Stage::Particles => "particles",
             Stage::Direct => "direct light",
-            Stage::Density => "irradiance",
+            Stage::Density => "error",
+            Stage::Estimate => "irradiance",
         };
         bar.set_message(match p.relative_error {
             Some(e) => format!("{stage}, error {:.1} %", 100.0 * e),
@@ -242,7 +263,7 @@ pub fn bake_with_progress(
         });
         !interrupted() && time.is_none_or(|t| start.elapsed() < t)
     };
-    let baked = Baker::new(scene, transport, settings).run(&keep_going, &mut |_: &Illumination| {});
+    let baked = Baker::new(scene, transport, settings).run(&keep_going, &mut |_| {});
     bar.finish_and_clear();
     baked
 }

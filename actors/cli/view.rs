@@ -57,6 +57,13 @@ pub struct ViewArguments {
     json: bool,
 }
 
+impl ViewArguments {
+    /// The window's actors start anew with every setting, so the light is final before they do.
+    fn illumination(&self) -> IlluminationArguments {
+        IlluminationArguments { baked: !self.illumination.quick, ..self.illumination.clone() }
+    }
+}
+
 /// Names of backends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum BackendName {
@@ -136,7 +143,7 @@ fn loader(a: ViewArguments) -> Loader {
         let path = path.unwrap_or(&a.scene).to_path_buf();
         // The bar is for terminals; the window says itself that it loads.
         let quiet = Progress { shown: false };
-        let opened = session::open(&path, &a.illumination, quiet).map_err(|e| e.to_string())?;
+        let opened = session::open(&path, &a.illumination(), quiet).map_err(|e| e.to_string())?;
         let a = a.clone();
         let build: Build =
             Box::new(move || start(&a, &path, opened).map(|s| Box::new(s) as Box<dyn FrameSource>));
@@ -180,7 +187,7 @@ fn recorder(a: &ViewArguments, path: &Path, opened: &session::Session, file: &Pa
 /// The start view, converged, into a file: what the window would show after a while.
 fn headless(a: &ViewArguments, progress: Progress) -> Result<(), Failure> {
     session::end_on_interrupt();
-    let opened = session::open(&a.scene, &a.illumination, progress)?;
+    let opened = session::open(&a.scene, &a.illumination(), progress)?;
     let mut source = start(a, &a.scene, opened).map_err(Failure::Environment)?;
     let controls = window::Controls { overlay: a.overlay.into(), ..source.controls() };
     source.set_controls(&controls);

@@ -258,17 +258,21 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
     let passes = Passes { texture_ids: plan.needs(Part::TextureIdPass) };
     let world = session.world.clone();
     let session_textures = session.textures.clone();
+    let refinement = session.refinement.clone();
     let parts = || Parts {
         settings,
         world: world.clone(),
         passes,
         corrects,
         textures: session_textures.clone(),
+        refinement: refinement.clone(),
         stages: stages.clone(),
         sink: Box::new(Handover(handover.clone())),
     };
     // One thread more than tracers: of k threads, k − 1 may trace at once, so the light actors keep one.
-    let threads = if corrects { settings.tracers as usize + 1 } else { 0 };
+    // The illuminator has one of its own, so that no tracer waits behind its turns.
+    let threads = usize::from(session.refinement.is_some())
+        + if corrects { settings.tracers as usize + 1 } else { usize::from(session.refinement.is_some()) };
     let mut config = Config { seed: a.seed, ..Config::live(threads) };
     if a.profile.is_some() {
         config.ring_turns = PROFILED_TURNS;

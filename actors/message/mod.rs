@@ -3,6 +3,7 @@
 pub mod allocator;
 pub mod analyzer;
 pub mod cache_ager;
+pub mod illuminator;
 pub mod renderer;
 pub mod saved;
 pub mod tracer;
@@ -17,6 +18,7 @@ use foveal::world::World;
 pub use allocator::AllocatorMessage;
 pub use analyzer::AnalyzerMessage;
 pub use cache_ager::CacheAgerMessage;
+pub use illuminator::IlluminatorMessage;
 pub use renderer::{RendererInput, RendererMessage};
 pub use tracer::{EnvironmentOrder, LevelOrder, PredictionOrder, SampleOrder, TraceJob, TracerMessage};
 

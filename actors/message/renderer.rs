@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use foveal::display::environment_map::EnvironmentMap;
+use foveal::illumination::stored::Illumination;
 use foveal::scene::Camera;
 use foveal::scene::texture::LevelTexels;
 use foveal::splatting::{SampleBatch, WarpedSample};
@@ -77,6 +78,15 @@ pub enum RendererMessage {
         /// Which view.
         view: View,
     },
+    /// From the illuminator: better light.
+    Illuminated {
+        /// The light.
+        map: Arc<Illumination>,
+        /// Whether it is the last.
+        last: bool,
+        /// Hash of the values.
+        hash: u64,
+    },
     /// From its own timer: send what was not accepted.
     SendAgain,
 }
@@ -117,6 +127,10 @@ impl Message for RendererMessage {
                 }
             }
             Self::ViewConverged { view } => digest.u32(view.0),
+            Self::Illuminated { map: _, last, hash } => {
+                digest.u32(u32::from(*last));
+                digest.u64(*hash);
+            }
             Self::SendAgain => {}
         }
     }
@@ -130,6 +144,7 @@ impl Message for RendererMessage {
             Self::EnvironmentChanged { .. } => "EnvironmentChanged",
             Self::TextureChanged { .. } => "TextureChanged",
             Self::ViewConverged { .. } => "ViewConverged",
+            Self::Illuminated { .. } => "Illuminated",
             Self::SendAgain => "SendAgain",
         }
     }
@@ -140,6 +155,7 @@ impl Message for RendererMessage {
             Self::SamplesTraced { batch, .. } => batch.size_bytes(),
             Self::EnvironmentChanged { map, .. } => map.as_ref().map_or(0, |map| map.bytes()),
             Self::TextureChanged { texels, .. } => texels.as_ref().map_or(0, |t| t.as_bytes().len()),
+            Self::Illuminated { map, .. } => map.bytes(),
             Self::Input(_) | Self::ViewConverged { .. } | Self::SendAgain => 0,
         }
     }

@@ -19,6 +19,7 @@ use foveal::display::environment_map::EnvironmentMap;
 use foveal::display::first_approximation::FirstApproximation;
 use foveal::display::tone::{Encoder, ToneMap};
 use foveal::display::twin::{self, Passes};
+use foveal::illumination::stored::Illumination;
 use foveal::image::Map2d;
 use foveal::perception::tvi::TviTable;
 use foveal::perception::viewing::Viewing;
@@ -39,6 +40,10 @@ use crate::message::{
 use crate::outbox::Outbox;
 use crate::settings::Settings;
 use crate::stages::{Stage, StageTimes};
+
+/// Most that irradiance anywhere changes from one frame to the next while light is refined: this share of itself
+/// and of the scene's mean.
+pub const LIGHT_CHANGE: f32 = 0.06;
 
 /// Kind of the mark that each shown frame leaves in a recording; its value is the picture's hash.
 pub const MARK_FRAME: u32 = 0;
@@ -101,6 +106,10 @@ pub struct Renderer {
     counts: FrameCounts,
     /// Whether every sample of the current view is splatted.
     converged: bool,
+    /// Better light that the shown one moves towards, and whether it is the last.
+    target: Option<(Arc<Illumination>, bool)>,
+    /// Whether the shown light is final.
+    lit: bool,
     /// Whether anything changed since the last frame was shown.
     changed: bool,
     /// The last frame, shown again while nothing changes.
@@ -160,6 +169,8 @@ impl Renderer {
             approximation,
             counts: FrameCounts::default(),
             converged: false,
+            target: None,
+            lit: true,
             changed: false,
             shown: None,
             drawn_at: None,
@@ -170,9 +181,15 @@ impl Renderer {
         }
     }
 
-    /// Whether every non-diffuse pixel of the current view shows its own ray.
+    /// Whether an illuminator will bring better light, without which no view has converged.
+    pub fn awaiting_light(mut self, awaits: bool) -> Self {
+        self.lit = !awaits;
+        self
+    }
+
+    /// Whether every non-diffuse pixel of the current view shows its own ray, under light that is final.
     pub fn is_converged(&self) -> bool {
-        self.converged && self.waiting.is_empty()
+        self.converged && self.lit && self.waiting.is_empty()
     }
 
     /// The world with the levels of textures that are shown now.
@@ -215,7 +232,8 @@ impl Renderer {
     fn on_frame_began(&mut self, camera: Camera, cx: &mut Cx<'_, RendererMessage>) {
         self.counts = FrameCounts::default();
         let retextured = self.change_textures();
-        if self.camera != Some(camera) || retextured {
+        let brighter = self.approach_light();
+        if brighter || retextured || self.camera != Some(camera) {
             self.camera = Some(camera);
             self.begin_view(&camera, Forget::Nothing, cx);
         }
@@ -270,6 +288,25 @@ impl Renderer {
             self.releasing = false;
             self.outbox.tell(cx, &neighbours.allocator, AllocatorMessage::TexturesReleased);
         }
+    }
+
+    /// Moves the shown light towards the newest; says whether it changed.
+    fn approach_light(&mut self) -> bool {
+        let Some((target, last)) = self.target.take() else { return false };
+        let shown = self.world.illumination.stored();
+        let [r, g, b] = target.summary.mean;
+        let absolute = LIGHT_CHANGE * (r + g + b) / 3.0;
+        let (next, arrived) = match shown.and_then(|s| s.approached(&target, LIGHT_CHANGE, absolute)) {
+            Some((next, arrived)) => (Arc::new(next), arrived),
+            // Another storage of the same light, with which a refinement begins.
+            None => (target.clone(), true),
+        };
+        self.world = self.world.with_illumination(next);
+        self.lit |= arrived && last;
+        if !arrived {
+            self.target = Some((target, last));
+        }
+        true
     }
 
     /// Draws a new view; the others work on it meanwhile.
@@ -487,6 +524,7 @@ impl Actor for Renderer {
                 self.waiting.push_back(TextureChange { texture, finest, texels });
             }
             RendererMessage::ViewConverged { view } => self.on_view_converged(view),
+            RendererMessage::Illuminated { map, last, hash: _ } => self.target = Some((map, last)),
             RendererMessage::SendAgain => self.outbox.send(cx),
         }
     }

@@ -121,6 +121,7 @@ impl Session {
             passes: self.passes,
             corrects: self.corrects,
             textures: None,
+            refinement: None,
             stages: StageTimes::default(),
             sink: Box::new(Newest(self.newest.clone())),
         };

@@ -151,11 +151,12 @@ impl Atlas {
     ///
     /// The page never exceeds four times `texels`: where charts are so many that their padding would
     /// need more, texels become coarser and a note says so. Triangles that `is_diffuse` denies share one
-    /// element without area: nothing is stored for them.
+    /// element without area: nothing is stored for them. Those that `is_fine` denies are stored per vertex.
     pub fn build(
         mesh: &Mesh,
         texels: u32,
         is_diffuse: &(dyn Fn(u32) -> bool + Sync),
+        is_fine: &(dyn Fn(u32) -> bool + Sync),
         unwrap: &dyn Unwrap,
     ) -> Self {
         let triangles = mesh.triangles.len() as u32;
@@ -170,7 +171,7 @@ impl Atlas {
             })
             .collect();
         let mut atlas = Self::default();
-        let (mut large, mut density) = choose_large(&sizes, texels);
+        let (mut large, mut density) = choose_large(&sizes, texels, is_fine);
         let mut unwrapped = None;
         while !large.is_empty() {
             match unwrap_part(mesh, &large, density, unwrap) {
@@ -282,8 +283,9 @@ pub(super) const NEIGHBOURS: [(i32, i32); 8] =
     [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)];
 
 /// The triangles that get texels, ascending, and texels per unit.
-fn choose_large(sizes: &[(f32, f32)], texels: u32) -> (Vec<u32>, f32) {
-    let total: f64 = sizes.iter().map(|s| f64::from(s.1)).sum();
+fn choose_large(sizes: &[(f32, f32)], texels: u32, is_fine: &dyn Fn(u32) -> bool) -> (Vec<u32>, f32) {
+    let fine: Vec<u32> = (0..sizes.len() as u32).filter(|&t| is_fine(t)).collect();
+    let total: f64 = fine.iter().map(|&t| f64::from(sizes[t as usize].1)).sum();
     if texels == 0 || total <= 0.0 || !total.is_finite() {
         return (Vec::new(), 0.0);
     }
@@ -292,7 +294,9 @@ fn choose_large(sizes: &[(f32, f32)], texels: u32) -> (Vec<u32>, f32) {
     let mut large = Vec::new();
     // Dense meshes give their share of the texels to the rest, which then becomes finer.
     for _ in 0..2 {
-        large = (0..sizes.len() as u32)
+        large = fine
+            .iter()
+            .copied()
             .filter(|&t| sizes[t as usize].1 > 0.0 && sizes[t as usize].0 * density > DENSE_EDGE_TEXELS)
             .collect();
         let area: f64 = large.iter().map(|&t| f64::from(sizes[t as usize].1)).sum();
@@ -338,7 +342,7 @@ mod tests {
     #[test]
     fn a_large_quad_gets_texels_whose_areas_sum_to_its_area() {
         let mesh = quad(Vec3::ZERO, Vec3::X * 3.0, Vec3::Y * 2.0);
-        let atlas = Atlas::build(&mesh, 4096, &|_| true, &ConformalCharts);
+        let atlas = Atlas::build(&mesh, 4096, &|_| true, &|_| true, &ConformalCharts);
         assert!(atlas.corners.iter().all(|c| matches!(c, Corners::Texels(_))));
         assert!((area_of(&atlas) - 6.0).abs() < 1e-3, "{}", area_of(&atlas));
         let covered = atlas.elements.iter().filter(|e| e.area > 0.0).count();
@@ -354,7 +358,7 @@ mod tests {
     #[test]
     fn a_dense_mesh_is_stored_per_vertex_and_keeps_its_area() {
         let mesh = grid(60, 60, |x, y| Vec3::new(x, y, 0.0));
-        let atlas = Atlas::build(&mesh, 64, &|_| true, &ConformalCharts);
+        let atlas = Atlas::build(&mesh, 64, &|_| true, &|_| true, &ConformalCharts);
         assert!(atlas.corners.iter().all(|c| matches!(c, Corners::Vertices(_))));
         assert_eq!(atlas.elements.len(), 61 * 61);
         assert!((area_of(&atlas) - 1.0).abs() < 1e-4);
@@ -363,7 +367,7 @@ mod tests {
     #[test]
     fn every_point_of_a_triangle_has_a_covered_element_nearby() {
         let mesh = grid(4, 3, |x, y| Vec3::new(x * 2.0, y, (x * 3.0).sin() * 0.3));
-        let atlas = Atlas::build(&mesh, 2048, &|_| true, &ConformalCharts);
+        let atlas = Atlas::build(&mesh, 2048, &|_| true, &|_| true, &ConformalCharts);
         let mut stream = crate::rng::Stream::new(1, 2, 3);
         for _ in 0..20_000 {
             let t = (stream.next_u64() % mesh.triangles.len() as u64) as u32;
@@ -387,7 +391,7 @@ mod tests {
             mesh.positions.extend([at, at + Vec3::X * 0.3, at + Vec3::Y * 0.3]);
             mesh.triangles.push([n, n + 1, n + 2]);
         }
-        let atlas = Atlas::build(&mesh, 4096, &|_| true, &ConformalCharts);
+        let atlas = Atlas::build(&mesh, 4096, &|_| true, &|_| true, &ConformalCharts);
         assert!(atlas.texel_count() <= 4 * 4096, "{}", atlas.texel_count());
         assert!((area_of(&atlas) - 2000.0 * 0.045).abs() < 0.1);
     }
@@ -405,11 +409,11 @@ mod tests {
 
     #[test]
     fn degenerate_and_empty_meshes_have_an_atlas() {
-        let empty = Atlas::build(&Mesh::default(), 1024, &|_| true, &ConformalCharts);
+        let empty = Atlas::build(&Mesh::default(), 1024, &|_| true, &|_| true, &ConformalCharts);
         assert!(empty.elements.is_empty());
         let mut line = quad(Vec3::ZERO, Vec3::X, Vec3::X * 2.0);
         line.positions[2] = Vec3::ZERO;
-        let atlas = Atlas::build(&line, 1024, &|_| true, &ConformalCharts);
+        let atlas = Atlas::build(&line, 1024, &|_| true, &|_| true, &ConformalCharts);
         assert_eq!(atlas.corners.len(), line.triangles.len());
     }
 }

@@ -2,7 +2,8 @@
 
 use glam::Vec3;
 
-use super::bake::{BakeSettings, Baker, DirectLight, bake, quick_direct};
+use super::bake::{BakeSettings, Baker, DirectLight, bake};
+use super::quick::quick_direct;
 use super::stored::Illumination;
 use super::test_scenes::{cube, join, lambert, quad, scene};
 use super::test_transport::Lambertian;
@@ -13,7 +14,7 @@ use crate::transport::light::Lights;
 use crate::transport::particle::SceneTransport;
 
 fn settings(texels: u32, particles: u64, direct: DirectLight) -> BakeSettings {
-    BakeSettings { texels, seed: 3, direct, particles: Some(particles), error: None }
+    BakeSettings { texels, seed: 3, direct, particles: Some(particles), everything: true, error: None }
 }
 
 fn baked(scene: &Scene, settings: &BakeSettings) -> Illumination {

@@ -9,6 +9,11 @@ use super::bins::{Arrived, Bins};
 
 /// Elements in a leaf at most.
 const LEAF: usize = 4;
+/// Cosine of the angle within which the mean normal of a cluster speaks for all of it, 0.15 rad.
+const NARROW: f32 = 0.988_771_1;
+/// A difference of normals of 1 counts like a distance of this share of the scene's size, so that clusters as
+/// large as a kernel resolves have narrow normals (compare Walter et al. 2005, Lightcuts).
+const NORMAL_SCALE: f32 = 0.02;
 
 /// A cluster of elements.
 #[derive(Clone, Copy, Debug, Default)]
@@ -19,8 +24,10 @@ pub struct Node {
     pub radius: f32,
     /// Mean normal.
     pub normal: Vec3,
-    /// Largest angle between `normal` and an element's, radians; π where normals cancel.
-    pub spread: f32,
+    /// Cosine of the largest angle between `normal` and an element's; −1 where normals cancel.
+    pub cosine: f32,
+    /// Its sine.
+    pub sine: f32,
     /// Sum of areas.
     pub area: f32,
     /// First element in `order`.
@@ -45,7 +52,7 @@ pub struct Cluster {
 }
 
 /// The tree. The geometry stays; the sums follow the bins.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct ClusterTree {
     order: Vec<u32>,
     nodes: Vec<Node>,
@@ -85,7 +92,11 @@ impl ClusterTree {
             (0..elements.len() as u32).filter(|&e| elements[e as usize].area > 0.0 && counts(e)).collect();
         let mut nodes = vec![Node::default(); node_count(order.len())];
         if !order.is_empty() {
-            split(elements, &mut order, 0, &mut nodes, 0);
+            let (low, high) = order
+                .iter()
+                .map(|&e| elements[e as usize].position)
+                .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
+            split(elements, &mut order, 0, &mut nodes, 0, NORMAL_SCALE * low.distance(high));
         }
         let leaves = order
             .iter()
@@ -95,6 +106,48 @@ impl ClusterTree {
             })
             .collect();
         Self { order, nodes, leaves, leaf_sums: Vec::new(), sums: Vec::new() }
+    }
+
+    /// The elements in the order of the tree: neighbours on surfaces are near each other.
+    pub fn order(&self) -> &[u32] {
+        &self.order
+    }
+
+    /// Runs of neighbours of about `size` elements in the order of the tree, each as the node that holds them.
+    pub fn subtrees(&self, size: u32) -> Vec<u32> {
+        let mut found = Vec::new();
+        let mut open = if self.nodes.is_empty() { Vec::new() } else { vec![0] };
+        while let Some(i) = open.pop() {
+            let node = &self.nodes[i as usize];
+            if node.count <= size || node.second == 0 {
+                found.push(i);
+            } else {
+                open.extend([node.second, i + 1]);
+            }
+        }
+        found
+    }
+
+    /// A node as one element, with the mean area of its elements, and its radius; `None` where its elements
+    /// face different ways.
+    pub fn as_element(&self, i: u32) -> Option<(Element, f32)> {
+        let node = &self.nodes[i as usize];
+        (node.cosine > NARROW).then(|| {
+            let area = node.area / node.count as f32;
+            (Element { position: node.center, normal: node.normal, area, ..Element::default() }, node.radius)
+        })
+    }
+
+    /// The two halves of a node; `None` for a leaf.
+    pub fn halves(&self, i: u32) -> Option<[u32; 2]> {
+        let second = self.nodes[i as usize].second;
+        (second != 0).then_some([i + 1, second])
+    }
+
+    /// The elements of a node, as a range of the order.
+    pub fn range(&self, i: u32) -> std::ops::Range<usize> {
+        let node = &self.nodes[i as usize];
+        node.first as usize..(node.first + node.count) as usize
     }
 
     /// Elements in the tree.
@@ -109,8 +162,12 @@ impl ClusterTree {
 
     /// Takes the sums of `bins`.
     pub fn update(&mut self, bins: &Bins) {
-        self.leaf_sums =
-            self.order.par_iter().map(|&e| [bins.arrived(e, false), bins.arrived(e, true)]).collect();
+        self.update_with(&|e| [bins.arrived(e, false), bins.arrived(e, true)]);
+    }
+
+    /// Takes what `arrived` at the two sides of each element.
+    pub fn update_with(&mut self, arrived: &(dyn Fn(u32) -> [Arrived; 2] + Sync)) {
+        self.leaf_sums = self.order.par_iter().map(|&e| arrived(e)).collect();
         let mut sums = vec![[Arrived::default(); 2]; self.nodes.len()];
         // Children stand after their parent.
         for i in (0..self.nodes.len()).rev() {
@@ -148,6 +205,7 @@ impl ClusterTree {
         }
         let mut stack = [0u32; 64];
         let mut depth = 1;
+        let (sin_angle, cos_angle) = normal_angle.sin_cos();
         while depth > 0 {
             depth -= 1;
             let i = stack[depth] as usize;
@@ -156,12 +214,12 @@ impl ClusterTree {
             if node.center.distance_squared(center) > reach * reach {
                 continue;
             }
-            let angle = node.normal.dot(normal).abs().min(1.0).acos();
-            if angle > normal_angle + node.spread {
+            // Outside the cone even if widened by the spread: cos x < cos(a + b), as long as a + b < π/2.
+            let limit = cos_angle * node.cosine - sin_angle * node.sine;
+            if node.cosine > 0.0 && node.normal.dot(normal).abs() < limit {
                 continue;
             }
-            // A narrow cone, so that the mean normal speaks for all.
-            if node.radius <= resolution && node.spread < 0.15 {
+            if node.radius <= resolution && node.cosine > NARROW {
                 visit(&Cluster {
                     center: node.center,
                     normal: node.normal,
@@ -183,14 +241,18 @@ impl ClusterTree {
 }
 
 /// Builds the node of `order` and those below it by halving along the longest axis.
-fn split(elements: &[Element], order: &mut [u32], first: u32, nodes: &mut [Node], index: u32) {
+fn split(elements: &[Element], order: &mut [u32], first: u32, nodes: &mut [Node], index: u32, scale: f32) {
     let at = |e: u32| elements[e as usize].position;
-    let (mut low, mut high) = (Vec3::splat(f32::INFINITY), Vec3::splat(f32::NEG_INFINITY));
+    let facing = |e: u32| elements[e as usize].normal;
+    let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    let (mut low_normal, mut high_normal) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     let (mut center, mut normal, mut area) = (Vec3::ZERO, Vec3::ZERO, 0.0f32);
     for &e in order.iter() {
         let element = &elements[e as usize];
         low = low.min(element.position);
         high = high.max(element.position);
+        low_normal = low_normal.min(element.normal);
+        high_normal = high_normal.max(element.normal);
         center += element.area * element.position;
         normal += element.area * element.normal;
         area += element.area;
@@ -202,30 +264,41 @@ fn split(elements: &[Element], order: &mut [u32], first: u32, nodes: &mut [Node]
         radius = radius.max(at(e).distance_squared(center));
         cosine = cosine.min(elements[e as usize].normal.dot(normal));
     }
-    let spread = if normal == Vec3::ZERO { std::f32::consts::PI } else { cosine.clamp(-1.0, 1.0).acos() };
+    let cosine = if normal == Vec3::ZERO { -1.0 } else { cosine.clamp(-1.0, 1.0) };
+    let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
     let count = order.len();
     let half = count / 2;
     let below = node_count(half);
     let (node, rest) = nodes.split_at_mut(1);
     let second = if count <= LEAF { 0 } else { index + 1 + below as u32 };
-    node[0] =
-        Node { center, radius: radius.sqrt(), normal, spread, area, first, count: count as u32, second };
+    node[0] = Node {
+        center,
+        radius: radius.sqrt(),
+        normal,
+        cosine,
+        sine,
+        area,
+        first,
+        count: count as u32,
+        second,
+    };
     if count <= LEAF {
         return;
     }
-    let size = high - low;
-    let axis = size.max_position();
-    order.select_nth_unstable_by(half, |&a, &b| at(a)[axis].total_cmp(&at(b)[axis]).then(a.cmp(&b)));
+    let (size, size_normal) = (high - low, scale * (high_normal - low_normal));
+    let by_normal = size_normal.max_element() > size.max_element();
+    let axis = if by_normal { size_normal.max_position() } else { size.max_position() };
+    let along = |e: u32| if by_normal { facing(e)[axis] } else { at(e)[axis] };
+    order.select_nth_unstable_by(half, |&a, &b| along(a).total_cmp(&along(b)).then(a.cmp(&b)));
     let (left, right) = order.split_at_mut(half);
     let (left_nodes, right_nodes) = rest.split_at_mut(below);
+    let mut split_left = || split(elements, left, first, left_nodes, index + 1, scale);
+    let mut split_right = || split(elements, right, first + half as u32, right_nodes, second, scale);
     if count > 8192 {
-        rayon::join(
-            || split(elements, left, first, left_nodes, index + 1),
-            || split(elements, right, first + half as u32, right_nodes, second),
-        );
+        rayon::join(split_left, split_right);
     } else {
-        split(elements, left, first, left_nodes, index + 1);
-        split(elements, right, first + half as u32, right_nodes, second);
+        split_left();
+        split_right();
     }
 }
 

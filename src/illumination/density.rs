@@ -33,6 +33,16 @@ pub struct Estimate {
     pub irradiance: Vec3,
     /// Variance of its luminance.
     pub variance: f32,
+    /// Change of the irradiance per scene unit along the two tangents of the element.
+    pub slope: [Vec3; 2],
+}
+
+impl Estimate {
+    /// The fit at an offset from the element it was made at, along its two tangents.
+    pub fn at(&self, x: f32, y: f32) -> Vec3 {
+        let value = self.irradiance + self.slope[0] * x + self.slope[1] * y;
+        value.clamp(0.5 * self.irradiance, 2.0 * self.irradiance)
+    }
 }
 
 /// How wide kernels are.
@@ -61,7 +71,7 @@ impl Bandwidth {
         2.2 * element.area.sqrt()
     }
 
-    /// The estimate with this bandwidth. A slope fitted at a border or in a corner is noisier than in the
+    /// The estimate with this bandwidth, and the radius to guess for a neighbour. A slope fitted at a border or in a corner is noisier than in the
     /// open by up to an order of magnitude; there the radius grows by up to two.
     pub fn estimate(
         &self,
@@ -70,8 +80,20 @@ impl Bandwidth {
         back: bool,
         guess: f32,
         emitted: u64,
-    ) -> Estimate {
+    ) -> (Estimate, f32) {
         let radius = self.radius(tree, element, back, guess);
+        (self.estimate_within(tree, element, back, radius, emitted), radius)
+    }
+
+    /// The same, if the radius is known.
+    pub fn estimate_within(
+        &self,
+        tree: &ClusterTree,
+        element: &Element,
+        back: bool,
+        radius: f32,
+        emitted: u64,
+    ) -> Estimate {
         let first = estimate(tree, element, back, radius, emitted);
         // ∫K² of a whole disc (REFERENCE §6.2).
         let in_the_open = 4.0 / (3.0 * self.count) * luminance(first.irradiance).powi(2);
@@ -175,18 +197,21 @@ pub fn estimate(tree: &ClusterTree, element: &Element, back: bool, radius: f32, 
         m.square_uu[2] += square * u.y * u.y;
         m.count += arrived.count;
     });
-    m.solve(emitted)
+    m.solve(emitted, radius)
 }
 
 impl Moments {
     /// The value of the linear fit at the centre, or the area form Σ w K / ∫ K.
-    fn solve(&self, emitted: u64) -> Estimate {
+    fn solve(&self, emitted: u64, radius: f32) -> Estimate {
         if self.m0 <= 0.0 || emitted == 0 {
             return Estimate::default();
         }
         let n = emitted as f32;
-        let area_form =
-            Estimate { irradiance: self.flux / (self.m0 * n), variance: self.square / (self.m0 * n).powi(2) };
+        let area_form = Estimate {
+            irradiance: self.flux / (self.m0 * n),
+            variance: self.square / (self.m0 * n).powi(2),
+            slope: [Vec3::ZERO; 2],
+        };
         if self.count < SLOPE_COUNT_MIN {
             return area_form;
         }
@@ -200,7 +225,11 @@ impl Moments {
         if covariance.determinant() < 1e-9 {
             return area_form;
         }
-        let g = -(covariance.inverse() * mean);
+        let inverse = covariance.inverse();
+        let g = -(inverse * mean);
+        let rise = [self.flux_u[0] - self.flux * mean.x, self.flux_u[1] - self.flux * mean.y];
+        let per_unit = 1.0 / (self.m0 * n * radius);
+        let slope = [inverse.x_axis, inverse.y_axis].map(|c| (rise[0] * c.x + rise[1] * c.y) * per_unit);
         let constant = 1.0 - g.dot(mean);
         let irradiance = (self.flux * constant + self.flux_u[0] * g.x + self.flux_u[1] * g.y) / (self.m0 * n);
         let variance = (constant * constant * self.square
@@ -213,10 +242,11 @@ impl Moments {
         if irradiance.min_element() < 0.0
             || luminance(irradiance) > 4.0 * luminance(area_form.irradiance)
             || !irradiance.is_finite()
+            || !slope.iter().all(|s| s.is_finite())
         {
             return area_form;
         }
-        Estimate { irradiance, variance: variance.max(0.0) }
+        Estimate { irradiance, variance: variance.max(0.0), slope }
     }
 }
 

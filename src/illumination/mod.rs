@@ -9,8 +9,12 @@ pub mod cache;
 pub mod clusters;
 pub mod density;
 pub mod direct;
+mod estimate;
+pub mod quick;
 mod raster;
+pub mod seen;
 pub mod simplify;
+mod smooth_direct;
 mod smoothing;
 pub mod stored;
 #[cfg(test)]

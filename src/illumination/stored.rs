@@ -1,6 +1,7 @@
 //! Irradiance as it is read: one fetch from vertices or a bilinear lookup in the lightmap.
 
 use glam::{Vec2, Vec3, Vec4};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::Irradiance;
@@ -185,30 +186,73 @@ impl Illumination {
             })
     }
 
-    /// This illumination moved towards `target` by `share` in [0, 1]: what a display shows while a better
-    /// one arrives. `None` if they are stored differently.
-    pub fn blended(&self, target: &Self, share: f32) -> Option<Self> {
+    /// What `from` shows, stored at the elements of `atlas`: the start of a refinement.
+    pub fn resampled(atlas: &Atlas, from: &dyn Irradiance) -> Self {
+        let side = |back: bool| {
+            let value = |e: &super::atlas::Element| {
+                (e.area > 0.0).then(|| from.irradiance(e.triangle, e.b1, e.b2, back).extend(0.0))
+            };
+            atlas.elements.par_iter().map(value).collect::<Vec<Value>>()
+        };
+        let summary = from.stored().map(|s| s.summary.clone()).unwrap_or_default();
+        Self::new(atlas, side(false), side(true), summary)
+    }
+
+    /// A hash of all values and of where they are found.
+    pub fn digest(&self) -> u64 {
+        let mut h = blake3::Hasher::new();
+        h.update(&self.width.to_le_bytes());
+        h.update(&(self.corners.len() as u64).to_le_bytes());
+        for values in [&self.front, &self.back] {
+            h.update(bytemuck::cast_slice(values));
+        }
+        h.update(bytemuck::cast_slice(&self.back_blocks));
+        h.update(&self.summary.particles.to_le_bytes());
+        let bytes = h.finalize();
+        bytes.as_bytes()[..8].iter().fold(0, |sum, &b| sum << 8 | u64::from(b))
+    }
+
+    /// Moved towards `target`, each value by no more than `relative` of itself plus `absolute` W/m² in each band,
+    /// and whether it has arrived there. `None` if they are stored differently.
+    pub fn approached(&self, target: &Self, relative: f32, absolute: f32) -> Option<(Self, bool)> {
         if self.corners != target.corners || self.front.len() != target.front.len() {
             return None;
         }
-        let mix = |a: Vec4, b: Vec4| a.lerp(b, share).to_array();
-        let mut blended = target.clone();
-        for (e, out) in blended.front.iter_mut().enumerate() {
-            *out = mix(self.value(e, false), target.value(e, false));
-        }
-        // Backs that either one knows.
-        blended.back.clear();
-        for (i, block) in blended.back_blocks.iter_mut().enumerate() {
+        let arrived = std::sync::atomic::AtomicBool::new(true);
+        let step = |from: Vec4, to: Vec4| {
+            let most = from * relative + absolute;
+            let next = to.clamp(from - most, from + most);
+            if next.truncate() != to.truncate() {
+                arrived.store(false, std::sync::atomic::Ordering::Relaxed);
+            }
+            next.truncate().extend(to.w).to_array()
+        };
+        let front = (0..target.front.len())
+            .into_par_iter()
+            .map(|e| step(self.value(e, false), target.value(e, false)))
+            .collect();
+        let (mut back, mut back_blocks) = (Vec::new(), target.back_blocks.clone());
+        for (i, block) in back_blocks.iter_mut().enumerate() {
             if *block == DARK && self.back_blocks[i] == DARK {
                 continue;
             }
-            *block = (blended.back.len() / BLOCK) as u32;
+            *block = (back.len() / BLOCK) as u32;
             for e in i * BLOCK..((i + 1) * BLOCK).min(target.front.len()) {
-                blended.back.push(mix(self.value(e, true), target.value(e, true)));
+                back.push(step(self.value(e, true), target.value(e, true)));
             }
-            blended.back.resize(blended.back.len().next_multiple_of(BLOCK), [0.0; 4]);
+            back.resize(back.len().next_multiple_of(BLOCK), [0.0; 4]);
         }
-        Some(blended)
+        let arrived = arrived.into_inner();
+        let next = Self {
+            width: target.width,
+            height: target.height,
+            corners: target.corners.clone(),
+            front,
+            back_blocks,
+            back,
+            summary: target.summary.clone(),
+        };
+        Some((if arrived { target.clone() } else { next }, arrived))
     }
 }
 
@@ -288,7 +332,7 @@ mod tests {
         let mut mesh = quad(Vec3::ZERO, Vec3::X * 2.0, Vec3::Y);
         join(&mut mesh, &quad(Vec3::Z, Vec3::X, Vec3::Y * 0.4), 0);
         join(&mut mesh, &grid(40, 40, |x, y| Vec3::new(x * 0.1, y * 0.1, 3.0)), 0);
-        let atlas = Atlas::build(&mesh, 1000, &|_| true, &ConformalCharts);
+        let atlas = Atlas::build(&mesh, 1000, &|_| true, &|_| true, &ConformalCharts);
         (mesh, atlas)
     }
 
@@ -338,14 +382,33 @@ mod tests {
         assert!((map.irradiance(0, 0.3, 0.3, false) - Vec3::splat(3.0)).length() < 1e-5);
         let dense = map.triangle_count() as u32 - 1;
         assert!((map.irradiance(dense, 0.3, 0.3, true) - Vec3::splat(0.5)).length() < 1e-5);
-        let half = map.blended(
-            &Illumination { back: Vec::new(), back_blocks: vec![DARK; map.back_blocks.len()], ..map.clone() },
-            0.5,
-        );
-        let half = half.unwrap();
-        assert!(half.is_sound());
-        assert!((half.irradiance(dense, 0.3, 0.3, true) - Vec3::splat(0.25)).length() < 1e-5);
     }
+
+    #[test]
+    fn an_approach_is_bounded_and_arrives() {
+        let (_, atlas) = atlas();
+        let n = atlas.elements.len();
+        let constant = |v: f32, back: Option<Vec4>| {
+            Illumination::new(&atlas, vec![Some(Vec4::splat(v)); n], vec![back; n], Summary::default())
+        };
+        let (mut shown, target) = (constant(1.0, None), constant(3.0, Some(Vec4::ONE)));
+        for frame in 1.. {
+            let (next, arrived) = shown.approached(&target, 0.1, 0.05).unwrap();
+            assert!(next.is_sound());
+            for back in [false, true] {
+                let (a, b) = (shown.irradiance(0, 0.2, 0.2, back), next.irradiance(0, 0.2, 0.2, back));
+                assert!((b - a).abs().max_element() <= 0.1 * a.x + 0.05 + 1e-6, "{a} {b}");
+            }
+            shown = next;
+            if arrived {
+                assert!(frame > 5 && shown == target && shown.digest() == target.digest());
+                break;
+            }
+            assert!(frame < 40 && shown != target && shown.digest() != target.digest());
+        }
+        assert!(constant(1.0, None).approached(&Illumination::default(), 0.1, 0.1).is_none());
+    }
+
     #[test]
     fn impossible_indices_and_values_are_not_sound() {
         let (_, atlas) = atlas();

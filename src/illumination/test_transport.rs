@@ -6,7 +6,7 @@ use std::f32::consts::PI;
 use glam::Vec3;
 
 use super::atlas::triangle_area;
-use crate::geometry::{Accel, Ray};
+use crate::geometry::{Accel, Hit, Ray};
 use crate::image::luminance;
 use crate::rng::Stream;
 use crate::scene::{Model, Scene};
@@ -125,6 +125,10 @@ impl LightTransport for Lambertian<'_> {
         self.accel
             .intersect(self.scene, &ray)
             .is_some_and(|hit| self.normal(hit.triangle).dot(ray.direction) > 0.0)
+    }
+
+    fn sees(&self, ray: &Ray) -> Option<Hit> {
+        self.accel.intersect(self.scene, ray)
     }
 
     fn is_diffuse(&self, triangle: u32) -> bool {

@@ -1,6 +1,8 @@
 //! Particles: packets of flux from the lights through the scene (REFERENCE §6.1; Walter, Hubbard, Shirley
 //! & Greenberg 1997), and the light transport that a bake needs.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 
 use super::bsdf::{Bsdf, cosine_hemisphere};
@@ -43,11 +45,85 @@ pub trait LightTransport: Sync {
     /// Whether a random ray from one side of a point ends on the back of a triangle.
     fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, back: bool, stream: &mut Stream) -> bool;
 
+    /// The first surface on a ray.
+    fn sees(&self, ray: &Ray) -> Option<Hit>;
+
     /// Whether a triangle reflects diffusely, so that irradiance on it matters.
     fn is_diffuse(&self, triangle: u32) -> bool;
 
     /// A typical flux of a particle, W in its strongest band; 0 where there is no light.
     fn power(&self) -> f32;
+}
+
+impl<T: LightTransport + ?Sized> LightTransport for &T {
+    fn trace(&self, seed: u64, index: u64, deposit: &mut dyn FnMut(Deposit)) -> u32 {
+        (**self).trace(seed, index, deposit)
+    }
+
+    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Vec3 {
+        (**self).direct(triangle, b1, b2, back, u)
+    }
+
+    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, back: bool, stream: &mut Stream) -> bool {
+        (**self).sees_inside(triangle, b1, b2, back, stream)
+    }
+
+    fn sees(&self, ray: &Ray) -> Option<Hit> {
+        (**self).sees(ray)
+    }
+
+    fn is_diffuse(&self, triangle: u32) -> bool {
+        (**self).is_diffuse(triangle)
+    }
+
+    fn power(&self) -> f32 {
+        (**self).power()
+    }
+}
+
+/// [`SceneTransport`] that shares what it needs: for bakes that outlive their caller.
+#[derive(Clone, Debug)]
+pub struct SharedTransport {
+    scene: Arc<Scene>,
+    accel: Arc<Accel>,
+    lights: Arc<Lights>,
+}
+
+impl SharedTransport {
+    /// The transport of `scene` with its acceleration structure and its lights.
+    pub fn new(scene: Arc<Scene>, accel: Arc<Accel>, lights: Arc<Lights>) -> Self {
+        Self { scene, accel, lights }
+    }
+
+    fn borrowed(&self) -> SceneTransport<'_> {
+        SceneTransport::new(&self.scene, &self.accel, &self.lights)
+    }
+}
+
+impl LightTransport for SharedTransport {
+    fn trace(&self, seed: u64, index: u64, deposit: &mut dyn FnMut(Deposit)) -> u32 {
+        self.borrowed().trace(seed, index, deposit)
+    }
+
+    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Vec3 {
+        self.borrowed().direct(triangle, b1, b2, back, u)
+    }
+
+    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, back: bool, stream: &mut Stream) -> bool {
+        self.borrowed().sees_inside(triangle, b1, b2, back, stream)
+    }
+
+    fn sees(&self, ray: &Ray) -> Option<Hit> {
+        self.borrowed().sees(ray)
+    }
+
+    fn is_diffuse(&self, triangle: u32) -> bool {
+        self.borrowed().is_diffuse(triangle)
+    }
+
+    fn power(&self) -> f32 {
+        self.borrowed().power()
+    }
 }
 
 /// The light transport of a scene: all its materials and lights.
@@ -174,6 +250,10 @@ impl LightTransport for SceneTransport<'_> {
             return Vec3::ZERO;
         }
         irradiance
+    }
+
+    fn sees(&self, ray: &Ray) -> Option<Hit> {
+        self.accel.intersect(self.scene, ray)
     }
 
     fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, back: bool, stream: &mut Stream) -> bool {

@@ -11,7 +11,8 @@ use foveal::display::FrameBuffers;
 use foveal::display::tone::{Encoder, ToneMap};
 use foveal::display::twin::{self, Passes};
 use foveal::geometry::Accel;
-use foveal::illumination::bake::{Baker, quick_direct};
+use foveal::illumination::bake::Baker;
+use foveal::illumination::quick::quick_direct;
 use foveal::image::Map2d;
 use foveal::perception::importance::ObjectScan;
 use foveal::perception::saliency::SaliencyModel;
@@ -267,6 +268,7 @@ fn correction(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
         passes: Passes { texture_ids: false },
         corrects: true,
         textures: None,
+        refinement: None,
         stages: StageTimes::default(),
         sink: Box::new(Counts(shown.clone())),
     };

@@ -180,6 +180,8 @@ pub fn run(a: &SimulateArguments, progress: Progress) -> Result<(), Failure> {
     let illumination = IlluminationArguments {
         bake: None,
         quick: true,
+        baked: false,
+        refined: false,
         cache: None,
         settings: BakeSettingsArguments::default(),
     };

@@ -82,6 +82,7 @@ impl Scenario {
             world: self.world.clone(),
             passes: self.passes,
             corrects: self.corrects,
+            refinement: None,
             textures: None,
             stages: StageTimes::default(),
             sink: Box::new(Unseen),

@@ -2,6 +2,7 @@
 
 pub mod arguments;
 pub mod bake;
+pub mod bake_progress;
 pub mod bench;
 pub mod compare;
 pub mod doctor;

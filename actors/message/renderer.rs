@@ -179,6 +179,8 @@ impl Message for RendererMessage {
             // The allocator that sends these refuses, too.
             Self::TextureChanged { .. } => saver.refuse(),
             Self::ViewConverged { view } => saver.put(&(4_u8, view)),
+            // A walk whose light is refined has no snapshots: a bake in progress is too large for them.
+            Self::Illuminated { .. } => saver.refuse(),
             Self::SendAgain => saver.put(&5_u8),
         }
     }

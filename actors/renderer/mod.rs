@@ -542,6 +542,9 @@ impl Actor for Renderer {
             neighbours: _,
             stages: _,
             sink: _,
+            // Without an illuminator, which has no snapshots, these stay.
+            target: _,
+            lit: _,
             // Only room, and only a time that is shown.
             retired: _,
             drawn_at: _,

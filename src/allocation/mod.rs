@@ -10,6 +10,7 @@ pub mod decision;
 pub mod environment;
 pub mod jobs;
 pub mod knapsack;
+pub mod mesh_elements;
 pub mod policy;
 pub mod ray_order;
 pub mod rays;

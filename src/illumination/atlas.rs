@@ -399,7 +399,7 @@ mod tests {
     #[test]
     fn nothing_is_stored_for_mirrors() {
         let mesh = grid(4, 4, |x, y| Vec3::new(x, y, 0.0));
-        let atlas = Atlas::build(&mesh, 1000, &|t| t >= 16, &ConformalCharts);
+        let atlas = Atlas::build(&mesh, 1000, &|t| t >= 16, &|_| true, &ConformalCharts);
         assert!((area_of(&atlas) - 0.5).abs() < 1e-3);
         for t in 0..16 {
             let Corners::Vertices([e, ..]) = atlas.corners[t] else { panic!("a mirror with texels") };

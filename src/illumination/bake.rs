@@ -10,7 +10,9 @@ use serde::{Deserialize, Serialize};
 
 use super::atlas::{Atlas, ConformalCharts};
 use super::bins::{BinState, Bins};
-use super::direct::DirectBin;
+use super::clusters::ClusterTree;
+use super::direct::{DirectBin, SAMPLES_PER_ROUND};
+pub use super::quick::quick_direct;
 use super::seen::seen;
 use super::stored::{Illumination, Summary};
 use crate::rng::hash;
@@ -125,6 +127,12 @@ pub struct Baker<'a> {
     pub(super) atlas: Atlas,
     pub(super) bins: Bins,
     pub(super) direct: Vec<[DirectBin; 2]>,
+    /// Samples of direct light per round, element and side.
+    pub(super) samples_per_round: u32,
+    /// Whether estimates are for a first picture only.
+    pub(super) coarse: bool,
+    /// The tree over the open elements, and how many these are.
+    pub(super) tree: Option<(usize, ClusterTree)>,
     /// Elements that a walk can see, whose error counts.
     pub(super) watched: Vec<bool>,
     /// Elements known not to lie inside of a body.
@@ -161,6 +169,9 @@ impl<'a> Baker<'a> {
             direct: vec![[DirectBin::default(); 2]; elements],
             open: vec![false; elements],
             watched,
+            samples_per_round: SAMPLES_PER_ROUND,
+            coarse: false,
+            tree: None,
             transport: Box::new(transport),
             pass_end: pass_end_after(0, settings),
             relative_error: None,
@@ -245,7 +256,7 @@ impl<'a> Baker<'a> {
         // single elements: those that missed the light by chance would stop and stay dark.
         let enough = if self.direct_rounds < 4 { -1.0 } else { 0.5 * self.mean_direct_variance() };
         let (atlas, transport, seed) = (&self.atlas, &self.transport, self.settings.seed);
-        let watched = &self.watched;
+        let (watched, samples) = (&self.watched, self.samples_per_round);
         self.direct.par_chunks_mut(BLOCK).enumerate().for_each(|(block, bins)| {
             // After a round without any light on 64 neighbours, none is expected.
             let variance = |side: usize| bins.iter().map(|b| b[side].mean().1).sum::<f32>() / BLOCK as f32;
@@ -261,7 +272,8 @@ impl<'a> Baker<'a> {
                 for side in [0, 1] {
                     if goes_on[side] {
                         let key = hash(seed, index as u64, side as u64);
-                        bin[side].gather(key, |u| transport.direct(e.triangle, e.b1, e.b2, side == 1, u));
+                        bin[side]
+                            .gather(key, samples, |u| transport.direct(e.triangle, e.b1, e.b2, side == 1, u));
                     }
                 }
             }

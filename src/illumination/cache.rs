@@ -166,7 +166,7 @@ mod tests {
 
     fn map() -> Illumination {
         let mesh = quad(Vec3::ZERO, Vec3::X, Vec3::Y);
-        let atlas = Atlas::build(&mesh, 200, &|_| true, &ConformalCharts);
+        let atlas = Atlas::build(&mesh, 200, &|_| true, &|_| true, &ConformalCharts);
         let n = atlas.elements.len();
         let values = (0..n).map(|i| Some(Vec4::splat(i as f32))).collect();
         Illumination::new(&atlas, values, vec![None; n], Summary::default())

@@ -9,11 +9,11 @@ use super::bins::{Arrived, Bins};
 
 /// Elements in a leaf at most.
 const LEAF: usize = 4;
-/// Cosine of the angle within which the mean normal of a cluster speaks for all of it, 0.15 rad.
-const NARROW: f32 = 0.988_771_1;
+/// Cosine of the angle within which the mean normal of a cluster speaks for all of it in a kernel, 0.25 rad.
+const NARROW: f32 = 0.968_912_4;
 /// A difference of normals of 1 counts like a distance of this share of the scene's size, so that clusters as
 /// large as a kernel resolves have narrow normals (compare Walter et al. 2005, Lightcuts).
-const NORMAL_SCALE: f32 = 0.02;
+const NORMAL_SCALE: f32 = 0.08;
 
 /// A cluster of elements.
 #[derive(Clone, Copy, Debug, Default)]
@@ -128,11 +128,11 @@ impl ClusterTree {
         found
     }
 
-    /// A node as one element, with the mean area of its elements, and its radius; `None` where its elements
-    /// face different ways.
-    pub fn as_element(&self, i: u32) -> Option<(Element, f32)> {
+    /// A node as one element, with the mean area of its elements, and its radius; `None` where normals differ
+    /// from its own by more than `cosine` allows.
+    pub fn as_element(&self, i: u32, cosine: f32) -> Option<(Element, f32)> {
         let node = &self.nodes[i as usize];
-        (node.cosine > NARROW).then(|| {
+        (node.cosine > cosine).then(|| {
             let area = node.area / node.count as f32;
             (Element { position: node.center, normal: node.normal, area, ..Element::default() }, node.radius)
         })
@@ -142,6 +142,11 @@ impl ClusterTree {
     pub fn halves(&self, i: u32) -> Option<[u32; 2]> {
         let second = self.nodes[i as usize].second;
         (second != 0).then_some([i + 1, second])
+    }
+
+    /// What arrived at one side of the elements of a node, and their area.
+    pub fn sums(&self, i: u32, side: usize) -> (Arrived, f32) {
+        (self.sums[i as usize][side], self.nodes[i as usize].area)
     }
 
     /// The elements of a node, as a range of the order.

@@ -52,13 +52,19 @@ pub struct Bandwidth {
     pub count: f32,
     /// Largest radius, scene units.
     pub radius_max: f32,
+    /// Whether kernels see few large clusters: for a first picture.
+    pub coarse: bool,
 }
 
 impl Bandwidth {
     /// For `stored` particles in a scene of this diagonal. The radius of least error falls with
     /// N^(−1/6) (REFERENCE §6.2), so the particles inside grow with N^(2/3).
     pub fn new(stored: u64, diagonal: f32) -> Self {
-        Self { count: (0.1 * (stored as f32).powf(2.0 / 3.0)).max(24.0), radius_max: 0.1 * diagonal }
+        Self {
+            count: (0.1 * (stored as f32).powf(2.0 / 3.0)).max(24.0),
+            radius_max: 0.1 * diagonal,
+            coarse: false,
+        }
     }
 
     /// The radius at which a kernel on a plane holds `count` of `stored` particles spread evenly over `area`.
@@ -94,15 +100,16 @@ impl Bandwidth {
         radius: f32,
         emitted: u64,
     ) -> Estimate {
-        let first = estimate(tree, element, back, radius, emitted);
+        let resolution = if self.coarse { 2.0 * RESOLUTION } else { RESOLUTION };
+        let first = estimate_with(tree, element, back, radius, resolution, emitted);
         // ∫K² of a whole disc (REFERENCE §6.2).
         let in_the_open = 4.0 / (3.0 * self.count) * luminance(first.irradiance).powi(2);
         let excess = first.variance / in_the_open.max(1e-30);
-        if in_the_open <= 0.0 || excess < 1.6 {
+        if self.coarse || in_the_open <= 0.0 || excess < 1.6 {
             return first;
         }
         let wider = (radius * excess.sqrt().min(2.0)).min(1.5 * self.radius_max.max(radius));
-        let second = estimate(tree, element, back, wider, emitted);
+        let second = estimate_with(tree, element, back, wider, resolution, emitted);
         if second.variance < first.variance { second } else { first }
     }
 
@@ -175,8 +182,30 @@ struct Moments {
 
 /// The estimate at one side of `element` from `emitted` particles with kernels of `radius`.
 pub fn estimate(tree: &ClusterTree, element: &Element, back: bool, radius: f32, emitted: u64) -> Estimate {
+    estimate_with(tree, element, back, radius, RESOLUTION, emitted)
+}
+
+/// The same from fewer, larger clusters: where noise is the larger error.
+pub fn estimate_coarsely(
+    tree: &ClusterTree,
+    element: &Element,
+    back: bool,
+    radius: f32,
+    emitted: u64,
+) -> Estimate {
+    estimate_with(tree, element, back, radius, 2.0 * RESOLUTION, emitted)
+}
+
+fn estimate_with(
+    tree: &ClusterTree,
+    element: &Element,
+    back: bool,
+    radius: f32,
+    resolution: f32,
+    emitted: u64,
+) -> Estimate {
     let mut m = Moments::default();
-    visit_disc(tree, element, back, radius, RESOLUTION, &mut |u, cluster, side| {
+    visit_disc(tree, element, back, radius, resolution, &mut |u, cluster, side| {
         let k = 1.0 - u.length_squared();
         let arrived = &cluster.arrived[side];
         let w = k * cluster.area;
@@ -344,7 +373,7 @@ mod tests {
     #[test]
     fn the_radius_follows_the_density() {
         let (elements, tree) = square(64, |_| 1.0, 4);
-        let bandwidth = Bandwidth { count: 400.0, radius_max: 1.0 };
+        let bandwidth = Bandwidth { count: 400.0, radius_max: 1.0, coarse: false };
         let exact = (400.0 / (4.0 * 64.0 * 64.0) / std::f32::consts::PI).sqrt();
         let found = bandwidth.radius(&tree, &elements[64 * 32 + 32], false, 0.0);
         assert!((found / exact - 1.0).abs() < 0.15, "{found} {exact}");

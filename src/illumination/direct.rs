@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::image::luminance;
 use crate::rng::hash;
 
-/// Samples per round, stratified among themselves.
+/// Samples per round of a bake, stratified among themselves.
 pub const SAMPLES_PER_ROUND: u32 = 8;
 
 /// Three numbers in [0, 1) for sample `s` of a round: an Owen-scrambled Sobol sequence, scrambled anew for
@@ -25,20 +25,22 @@ pub struct DirectBin {
     /// Of the luminance of samples.
     squared_samples: f32,
     rounds: u32,
+    samples: u32,
 }
 
 impl DirectBin {
-    /// Adds a round of samples; `sample` gives the irradiance for three random numbers. `key` identifies the
+    /// Adds a round of `samples`; `sample` gives the irradiance for three random numbers. `key` identifies the
     /// side of the element and the seed.
-    pub fn gather(&mut self, key: u64, mut sample: impl FnMut([f32; 3]) -> Vec3) {
+    pub fn gather(&mut self, key: u64, samples: u32, mut sample: impl FnMut([f32; 3]) -> Vec3) {
         let scramble = hash(key, u64::from(self.rounds), 0xd1ec7) as u32;
         let mut sum = Vec3::ZERO;
-        for s in 0..SAMPLES_PER_ROUND {
+        for s in 0..samples {
             let value = sample(stratified(s, scramble));
             sum += value;
             self.squared_samples += luminance(value).powi(2);
         }
-        let mean = sum / SAMPLES_PER_ROUND as f32;
+        let mean = sum / samples.max(1) as f32;
+        self.samples += samples;
         self.sum = (Vec3::from_array(self.sum) + mean).to_array();
         self.squared_means += luminance(mean).powi(2);
         self.rounds += 1;
@@ -60,8 +62,8 @@ impl DirectBin {
         // Few rounds cannot tell their spread: the spread of samples is an upper bound, as if they were not
         // stratified.
         let variance = if self.rounds < 4 {
-            let samples = n * SAMPLES_PER_ROUND as f32;
-            (self.squared_samples / samples - squared) / (samples - 1.0)
+            let samples = self.samples as f32;
+            (self.squared_samples / samples - squared) / (samples - 1.0).max(0.5)
         } else {
             (self.squared_means / n - squared) / (n - 1.0)
         };
@@ -80,7 +82,7 @@ mod tests {
         let independent = |s: u64| Vec3::splat(crate::rng::Stream::new(1, s, 0).next_f32());
         let mut s = 0;
         for _ in 0..500 {
-            bin.gather(7, |_| {
+            bin.gather(7, 8, |_| {
                 s += 1;
                 independent(s)
             });
@@ -99,7 +101,7 @@ mod tests {
         for key in 0..trials {
             let mut bin = DirectBin::default();
             for _ in 0..4 {
-                bin.gather(key, hidden);
+                bin.gather(key, 8, hidden);
             }
             let (mean, variance) = bin.mean();
             error += (mean.x - 0.5).powi(2) / trials as f32;

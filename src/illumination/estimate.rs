@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::bake::{BLOCK, Baker};
 use super::clusters::ClusterTree;
 use super::density::{Bandwidth, Estimate, estimate};
-use super::smooth_direct::DirectSums;
+use super::smooth_direct::{Sides, smoothed};
 use super::stored::{Illumination, Summary, Value};
 use crate::image::luminance;
 use crate::rng::Stream;
@@ -15,8 +15,11 @@ use crate::rng::Stream;
 const PILOTS: usize = 3000;
 /// Neighbours in the tree that are estimated one after the other, each from the radius of the one before.
 const RUN: u32 = 4096;
-/// Elements within this share of the kernel's radius share a fit. The windows then overlap by 90 %.
-const SHARED: f32 = 0.1;
+/// Elements share a fit within this share of the kernel's radius, where their normals are within the angle of this
+/// cosine, 0.15 rad. The windows then overlap by 90 %.
+const SHARED: (f32, f32) = (0.1, 0.988_771_1);
+/// The same for a first picture: on leaves and ornaments 0.4 rad is all that a second allows.
+const SHARED_COARSELY: (f32, f32) = (0.25, 0.921);
 /// Direct light noisier than this share of itself is smoothed.
 const DIRECT_NOISE: f32 = 0.03;
 /// Rays that decide whether an element lies inside a body.
@@ -49,6 +52,8 @@ struct ChosenBandwidth {
 /// Where estimates can be made, with the sums of what arrived.
 struct Prepared {
     tree: ClusterTree,
+    /// Elements in it.
+    open: usize,
     stored: u64,
     bandwidth: ChosenBandwidth,
     /// Per block of elements whether its backs receive anything.
@@ -77,7 +82,11 @@ impl Baker<'_> {
         self.update_buried();
         // Geometry of the tree changes only while elements are found to lie open.
         let open = &self.open;
-        let mut tree = ClusterTree::build_where(&self.atlas.elements, &|e| open[e as usize]);
+        let count = open.iter().filter(|&&o| o).count();
+        let mut tree = match self.tree.take() {
+            Some((before, tree)) if before == count => tree,
+            _ => ClusterTree::build_where(&self.atlas.elements, &|e| open[e as usize]),
+        };
         tree.update(&self.bins);
         let stored = self.bins.total_count();
         let lit_back = (0..self.atlas.elements.len().div_ceil(BLOCK))
@@ -92,7 +101,7 @@ impl Baker<'_> {
             })
             .collect();
         let bandwidth = self.bandwidth(&tree, stored);
-        Prepared { tree, stored, bandwidth, lit_back }
+        Prepared { tree, open: count, stored, bandwidth, lit_back }
     }
 
     /// Estimates of particles at the elements of a node of the tree, in its order, front and back.
@@ -100,18 +109,21 @@ impl Baker<'_> {
     /// Elements much closer to each other than the kernel is wide share one fit, evaluated at each of them.
     fn estimate_node(&self, root: u32, with: &Prepared) -> Vec<[Estimate; 2]> {
         let elements = &self.atlas.elements;
+        let (shared, cosine) = if self.coarse { SHARED_COARSELY } else { SHARED };
         let mut found = Vec::with_capacity(with.tree.range(root).len());
         let mut open = vec![(root, with.bandwidth.guess)];
         while let Some((node, mut guess)) = open.pop() {
             let members = &with.tree.order()[with.tree.range(node)];
             let bandwidth = &with.bandwidth.bandwidth;
             let needs_back = |e: &u32| with.lit_back[*e as usize / BLOCK];
-            if let Some((center, radius)) =
-                with.tree.as_element(node).filter(|(_, radius)| *radius <= SHARED * bandwidth.radius_max)
+            if let Some((center, radius)) = with
+                .tree
+                .as_element(node, cosine)
+                .filter(|(_, radius)| *radius <= shared * bandwidth.radius_max)
             {
                 let kernel = bandwidth.radius(&with.tree, &center, false, guess);
                 guess = kernel;
-                if radius <= SHARED * kernel {
+                if radius <= shared * kernel {
                     let within =
                         |back| bandwidth.estimate_within(&with.tree, &center, back, kernel, self.emitted);
                     let front = within(false);
@@ -149,54 +161,57 @@ impl Baker<'_> {
     }
 
     /// What is known of the sides of an element.
-    fn parts(
-        &self,
-        e: u32,
-        particles: [Estimate; 2],
-        with: &Prepared,
-        sums: &DirectSums<'_>,
-    ) -> [Option<Parts>; 2] {
+    fn parts(&self, e: u32, particles: [Estimate; 2], direct: Sides, with: &Prepared) -> [Option<Parts>; 2] {
         [0, 1].map(|side| {
-            if side == 1 && !with.lit_back[e as usize / BLOCK] {
-                return None;
-            }
-            let (direct, direct_variance) = sums.at(e, &self.atlas.elements[e as usize], side == 1);
-            Some(Parts { direct, direct_variance, particles: particles[side] })
+            (side == 0 || with.lit_back[e as usize / BLOCK]).then(|| Parts {
+                direct: direct[side].0,
+                direct_variance: direct[side].1,
+                particles: particles[side],
+            })
         })
     }
 
-    fn direct_sums(&self, with: &Prepared) -> DirectSums<'_> {
-        let target = DIRECT_NOISE.max(2.0 * self.settings.error.unwrap_or(0.0));
-        DirectSums::new(&self.atlas.elements, &self.direct, with.tree.clone(), 0.05 * self.diagonal, target)
+    /// Direct light noisier than this share of itself is smoothed.
+    fn direct_target(&self) -> f32 {
+        DIRECT_NOISE.max(2.0 * self.settings.error.unwrap_or(0.0))
     }
 
     /// The irradiance from all that was gathered so far.
     pub fn illumination(&mut self) -> Illumination {
         let with = self.prepare();
         let order = with.tree.order();
-        let estimates: Vec<Vec<[Estimate; 2]>> = match with.stored {
-            0 => vec![vec![[Estimate::default(); 2]; order.len()]],
-            _ => with.tree.subtrees(RUN).par_iter().map(|&node| self.estimate_node(node, &with)).collect(),
+        let estimates: Vec<[Estimate; 2]> = match with.stored {
+            0 => vec![[Estimate::default(); 2]; order.len()],
+            _ => {
+                let nodes = with.tree.subtrees(RUN);
+                let found: Vec<_> = nodes.par_iter().map(|&node| self.estimate_node(node, &with)).collect();
+                found.into_iter().flatten().collect()
+            }
         };
-        let estimates: Vec<[Estimate; 2]> = estimates.into_iter().flatten().collect();
-        let sums = self.direct_sums(&with);
-        let found: Vec<[Option<Parts>; 2]> =
-            order.par_iter().zip(estimates).map(|(&e, p)| self.parts(e, p, &with, &sums)).collect();
+        let radius_max = 0.05 * self.diagonal;
+        let direct: Vec<Sides> = if self.direct_rounds == 0 {
+            vec![Sides::default(); order.len()]
+        } else {
+            let tree = with.tree.clone();
+            smoothed(&self.atlas.elements, &self.direct, tree, radius_max, self.direct_target())
+        };
         let mut values: Vec<[Option<Parts>; 2]> = vec![[None; 2]; self.atlas.elements.len()];
-        for (&e, parts) in order.iter().zip(found) {
-            values[e as usize] = parts;
+        for ((&e, particles), direct) in order.iter().zip(estimates).zip(direct) {
+            values[e as usize] = self.parts(e, particles, direct, &with);
         }
         let summary = self.summary((0..values.len() as u32).zip(values.iter().copied()), &with);
         let side = |s: usize| values.iter().map(|v| v[s].map(|p| p.value())).collect::<Vec<Value>>();
-        Illumination::new(&self.atlas, side(0), side(1), summary)
+        let map = Illumination::new(&self.atlas, side(0), side(1), summary);
+        self.tree = Some((with.open, with.tree));
+        map
     }
 
     /// What [`Self::illumination`] would say of itself, from some of the elements only: takes much less time.
     pub fn appraise(&mut self) -> Summary {
         let with = self.prepare();
-        let order = with.tree.order();
-        let sums = self.direct_sums(&with);
-        let order: Vec<u32> = order.iter().copied().filter(|&e| self.watched[e as usize]).collect();
+        let target = self.direct_target();
+        let order: Vec<u32> =
+            with.tree.order().iter().copied().filter(|&e| self.watched[e as usize]).collect();
         let step = order.len().div_ceil(PILOTS).max(1);
         let values: Vec<(u32, [Option<Parts>; 2])> = order
             .par_iter()
@@ -204,24 +219,34 @@ impl Baker<'_> {
             .map(|&e| {
                 let element = &self.atlas.elements[e as usize];
                 let mut guess = with.bandwidth.guess;
-                let mut at = |back| {
+                let mut at = |back: bool| {
+                    if with.stored == 0 || (back && !with.lit_back[e as usize / BLOCK]) {
+                        return Estimate::default();
+                    }
                     let bandwidth = &with.bandwidth.bandwidth;
                     let estimate;
                     (estimate, guess) = bandwidth.estimate(&with.tree, element, back, guess, self.emitted);
                     estimate
                 };
-                let particles = if with.stored == 0 { Default::default() } else { [at(false), at(true)] };
-                (e, self.parts(e, particles, &with, &sums))
+                let particles = [at(false), at(true)];
+                // Smoothing leaves the error that it aims at, no more.
+                let direct = [0, 1].map(|side| {
+                    let (mean, variance) = self.direct[e as usize][side].mean();
+                    (mean, variance.min((target * luminance(mean)).powi(2)))
+                });
+                (e, self.parts(e, particles, direct, &with))
             })
             .collect();
-        self.summary(values.into_iter(), &with)
+        let summary = self.summary(values.into_iter(), &with);
+        self.tree = Some((with.open, with.tree));
+        summary
     }
 
     /// The bandwidth of least error: at some elements the estimate is compared with one from twice as many
     /// particles. Bias grows with the count k, variance falls with 1/k, so their sum is least where the
     /// squared bias is half of the variance (REFERENCE §6.2).
     fn bandwidth(&self, tree: &ClusterTree, stored: u64) -> ChosenBandwidth {
-        let base = Bandwidth::new(stored, self.diagonal);
+        let base = Bandwidth { coarse: self.coarse, ..Bandwidth::new(stored, self.diagonal) };
         let elements = &self.atlas.elements;
         let area: f32 = elements.iter().map(|e| e.area).sum();
         if tree.is_empty() || stored == 0 {
@@ -231,7 +256,7 @@ impl Baker<'_> {
         if order.is_empty() {
             return ChosenBandwidth { bandwidth: base, bias_squared: 0.0, guess: 0.0 };
         }
-        let step = order.len().div_ceil(PILOTS);
+        let step = order.len().div_ceil(if self.coarse { PILOTS / 8 } else { PILOTS });
         let wide = Bandwidth { count: 2.0 * base.count, ..base };
         let pilots: Vec<(f64, f64, f64)> = order
             .par_iter()

@@ -10,6 +10,7 @@ pub mod clusters;
 pub mod density;
 pub mod direct;
 mod estimate;
+pub mod from_radiosity;
 pub mod quick;
 mod raster;
 pub mod seen;
@@ -21,6 +22,7 @@ pub mod stored;
 pub(crate) mod test_scenes;
 #[cfg(test)]
 pub(crate) mod test_transport;
+pub mod truth;
 
 use glam::Vec3;
 

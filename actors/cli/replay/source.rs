@@ -127,6 +127,7 @@ impl Source {
             passes: self.recorded.passes(),
             corrects: self.recorded.corrects,
             textures: self.session.textures.clone(),
+            refinement: self.session.refinement.clone(),
             stages: StageTimes::default(),
             sink: Box::new(Unseen),
         };

@@ -321,6 +321,39 @@ impl<const BANDS: usize> Radiosity<BANDS> {
         Forest { nodes: self.nodes.iter().map(node).collect() }
     }
 
+    /// The quadtrees cut back: nodes that `is_element` names become leaves, and nothing is left below them. Links
+    /// are not kept.
+    pub fn cut(&self, is_element: &[bool]) -> Self {
+        let mut place = vec![None; self.nodes.len()];
+        let mut nodes: Vec<Node<BANDS>> = Vec::new();
+        for (i, node) in self.nodes.iter().enumerate() {
+            // Parents stand before their children, and siblings together.
+            let kept_parent = node.parent.map(|p| (p as usize, place[p as usize]));
+            if matches!(kept_parent, Some((p, new)) if new.is_none() || is_element[p]) {
+                continue;
+            }
+            let index = nodes.len() as u32;
+            place[i] = Some(index);
+            let parent = kept_parent.and_then(|(_, new)| new);
+            if let Some(parent) = parent {
+                let children = &mut nodes[parent as usize].children;
+                *children = Some(children.map_or(index, |c: u32| c.min(index)));
+            }
+            nodes.push(Node { parent, children: None, links: Vec::new(), ..node.clone() });
+        }
+        Self { nodes, ..self.clone_without_nodes() }
+    }
+
+    fn clone_without_nodes(&self) -> Self {
+        Self {
+            patches: self.patches.clone(),
+            normals: self.normals.clone(),
+            nodes: Vec::new(),
+            total_area: self.total_area,
+            power: self.power,
+        }
+    }
+
     /// The first child of a node, which is divided if it was not.
     pub(crate) fn children_of(&mut self, i: u32) -> u32 {
         if let Some(first) = self.nodes[i as usize].children {

@@ -1,0 +1,130 @@
+//! What a bake says while it runs, and where its time went.
+
+use std::io::Write;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use foveal::illumination::bake::{Progress as Baking, Stage};
+use serde_json::json;
+
+use super::Progress;
+
+/// Names of stages in reports, in the order in which they come.
+pub const STAGES: [&str; 6] = ["elements", "direct", "particles", "error", "estimate", "radiosity"];
+/// Milliseconds between two lines of JSON.
+const EVERY: u64 = 250;
+
+/// A bake's clock: its bar or its lines of JSON, and the time by stage.
+pub struct BakeClock {
+    start: Instant,
+    limit: Option<Duration>,
+    bar: indicatif::ProgressBar,
+    jsonl: bool,
+    /// Error and particles at which it ends.
+    aims: (f32, u64),
+    current: AtomicUsize,
+    /// Nanoseconds from the start to when the current stage began.
+    since: AtomicU64,
+    sums: [AtomicU64; STAGES.len()],
+    /// Milliseconds from the start to the last line.
+    said: AtomicU64,
+}
+
+impl BakeClock {
+    /// Starts; the time limit counts from here.
+    pub fn new(progress: Progress, jsonl: bool, limit: Option<Duration>, aims: (f32, u64)) -> Self {
+        Self {
+            start: Instant::now(),
+            limit,
+            bar: if jsonl { indicatif::ProgressBar::hidden() } else { progress.bar(aims.1, "bake") },
+            jsonl,
+            aims,
+            current: AtomicUsize::new(0),
+            since: AtomicU64::new(0),
+            sums: Default::default(),
+            said: AtomicU64::new(0),
+        }
+    }
+
+    /// Another stage begins.
+    pub fn enter(&self, stage: usize) {
+        let now = self.start.elapsed().as_nanos() as u64;
+        let before = self.since.swap(now, Ordering::Relaxed);
+        let last = self.current.swap(stage, Ordering::Relaxed);
+        self.sums[last].fetch_add(now.saturating_sub(before), Ordering::Relaxed);
+    }
+
+    /// Whether the time is up.
+    pub fn is_over(&self) -> bool {
+        self.limit.is_some_and(|limit| self.start.elapsed() >= limit)
+    }
+
+    /// The bake is about to do `p.stage`.
+    pub fn at(&self, p: &Baking) {
+        self.enter(match p.stage {
+            Stage::Direct => 1,
+            Stage::Particles => 2,
+            Stage::Density => 3,
+            Stage::Estimate => 4,
+        });
+        self.say(p.particles, p.relative_error);
+    }
+
+    /// Tells how far it is.
+    pub fn say(&self, particles: u64, error: Option<f32>) {
+        let stage = STAGES[self.current.load(Ordering::Relaxed)];
+        let elapsed = self.start.elapsed();
+        let eta = self.eta(elapsed.as_secs_f64(), particles, error);
+        if self.jsonl {
+            let now = elapsed.as_millis() as u64;
+            let last = self.said.load(Ordering::Relaxed);
+            if last == 0 || now >= last + EVERY {
+                self.said.store(now.max(1), Ordering::Relaxed);
+                let line = json!({
+                    "schema": "foveal.bake.progress/1",
+                    "stage": stage,
+                    "seconds": elapsed.as_secs_f64(),
+                    "particles": particles,
+                    "error": error,
+                    "eta_seconds": eta,
+                });
+                // Nobody may be reading any more.
+                let _ = writeln!(std::io::stderr(), "{line}");
+            }
+            return;
+        }
+        self.bar.set_position(particles.min(self.aims.1));
+        let eta = eta.map_or(String::new(), |s| format!(", {s:.0} s left"));
+        self.bar.set_message(match error {
+            Some(e) => format!("{stage}, error {:.1} %{eta}", 100.0 * e),
+            None => stage.to_owned(),
+        });
+    }
+
+    /// Seconds left: the error falls with the cube root of the particles (REFERENCE §6.3).
+    fn eta(&self, seconds: f64, particles: u64, error: Option<f32>) -> Option<f64> {
+        let (aim, most) = (f64::from(self.aims.0.max(1e-6)), self.aims.1 as f64);
+        let done = particles as f64;
+        if done <= 0.0 {
+            return None;
+        }
+        let wanted = error.map_or(most, |e| (done * (f64::from(e) / aim).max(1.0).powi(3)).min(most));
+        let left = seconds * (wanted / done - 1.0).max(0.0);
+        Some(match self.limit {
+            Some(limit) => left.min((limit.as_secs_f64() - seconds).max(0.0)),
+            None => left,
+        })
+    }
+
+    /// Ends; seconds by stage, without those that never came.
+    pub fn finish(&self) -> Vec<(&'static str, f64)> {
+        self.enter(0);
+        self.bar.finish_and_clear();
+        STAGES
+            .iter()
+            .zip(&self.sums)
+            .map(|(&name, sum)| (name, sum.load(Ordering::Relaxed) as f64 * 1e-9))
+            .filter(|(_, seconds)| *seconds > 0.0)
+            .collect()
+    }
+}

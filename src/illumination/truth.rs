@@ -1,0 +1,114 @@
+//! Irradiance at points by unbiased paths: what a bake is measured against.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::atlas::Atlas;
+use crate::image::luminance;
+use crate::rng::Stream;
+use crate::transport::bsdf::cosine_hemisphere;
+use crate::transport::interaction::Interaction;
+use crate::transport::particle::{LightTransport, SceneTransport};
+use crate::world::World;
+
+use super::Irradiance;
+use crate::geometry::{Hit, Ray};
+
+/// A point of the front of a surface with its irradiance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Truth {
+    /// Triangle.
+    pub triangle: u32,
+    /// Barycentric coordinate at its second corner.
+    pub b1: f32,
+    /// Barycentric coordinate at its third corner.
+    pub b2: f32,
+    /// Irradiance, W/m² per band.
+    pub irradiance: Vec3,
+    /// Variance of its luminance.
+    pub variance: f32,
+}
+
+/// Irradiance on the front of about `count` elements of `atlas` that `counts` accepts, drawn in proportion to their
+/// area, from `samples` light samples and as many paths each.
+pub fn truth(
+    world: &World,
+    atlas: &Atlas,
+    counts: &dyn Fn(u32) -> bool,
+    count: usize,
+    samples: u32,
+    seed: u64,
+) -> Vec<Truth> {
+    let elements: Vec<u32> = (0..atlas.elements.len() as u32)
+        .filter(|&e| atlas.elements[e as usize].area > 0.0 && counts(e))
+        .collect();
+    let area: f64 = elements.iter().map(|&e| f64::from(atlas.elements[e as usize].area)).sum();
+    // Systematic sampling: every step of the summed area takes one.
+    let (mut chosen, mut sum, step) = (Vec::new(), 0.0, area / count.max(1) as f64);
+    for e in elements {
+        let before = (sum / step - 0.5).floor();
+        sum += f64::from(atlas.elements[e as usize].area);
+        if (sum / step - 0.5).floor() > before {
+            chosen.push(e);
+        }
+    }
+    chosen
+        .par_iter()
+        .map(|&e| {
+            let element = &atlas.elements[e as usize];
+            at_point(
+                world,
+                element.triangle,
+                element.b1,
+                element.b2,
+                samples,
+                crate::rng::hash(seed, e.into(), 0),
+            )
+        })
+        .collect()
+}
+
+/// Irradiance on the front of one point. Light straight from lights comes from light samples, all other from paths
+/// whose first emission is left out.
+fn at_point(world: &World, triangle: u32, b1: f32, b2: f32, samples: u32, key: u64) -> Truth {
+    let (scene, accel, lights) = (&*world.scene, &*world.accel, &*world.lights);
+    let transport = SceneTransport::new(scene, accel, lights);
+    let [a, b, c] = scene.mesh.corners(triangle);
+    let normal = (b - a).cross(c - a).normalize_or_zero();
+    let p = a * (1.0 - b1 - b2) + b * b1 + c * b2;
+    let at = Interaction::at(scene, &Ray::new(p + normal, -normal), &Hit { t: 1.0, triangle, b1, b2 });
+    let (x, y) = normal.any_orthonormal_pair();
+    let (mut sum, mut squares) = (glam::DVec3::ZERO, 0.0f64);
+    for s in 0..samples {
+        let u = sobol_burley::sample_4d(s, 0, key as u32);
+        let v = sobol_burley::sample_4d(s, 1, key as u32);
+        let direct = transport.direct(triangle, b1, b2, false, [u[0], u[1], u[2]]);
+        let local = cosine_hemisphere([v[0], v[1]]);
+        let ray = at.spawn(x * local.x + y * local.y + normal * local.z);
+        let mut arriving = world.path_radiance(&ray, Stream::new(key, s.into(), 1));
+        arriving -= match accel.intersect(scene, &ray) {
+            Some(hit) => Interaction::at(scene, &ray, &hit).point().emission(scene),
+            None => lights.escaped(scene, ray.direction),
+        };
+        let value = direct + std::f32::consts::PI * arriving;
+        sum += value.as_dvec3();
+        squares += f64::from(luminance(value)).powi(2);
+    }
+    let n = f64::from(samples.max(1));
+    let irradiance = (sum / n).as_vec3();
+    let variance = ((squares / n - f64::from(luminance(irradiance)).powi(2)) / n).max(0.0) as f32;
+    Truth { triangle, b1, b2, irradiance, variance }
+}
+
+/// Root of the mean squared error of `found` against the truth, relative to the root mean square irradiance; the
+/// variance that the truth itself has is taken off (it is an upper bound, as its samples are stratified).
+pub fn relative_error(found: &dyn Irradiance, truth: &[Truth]) -> f64 {
+    let (mut error, mut energy) = (0.0f64, 0.0f64);
+    for t in truth {
+        let e = found.irradiance(t.triangle, t.b1, t.b2, false);
+        let difference = f64::from(luminance(e - t.irradiance));
+        error += difference * difference - f64::from(t.variance);
+        energy += f64::from(luminance(t.irradiance)).powi(2);
+    }
+    if energy > 0.0 { (error.max(0.0) / energy).sqrt() } else { 0.0 }
+}

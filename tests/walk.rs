@@ -94,7 +94,7 @@ fn bakes_are_kept_and_found() {
     let walk =
         || Foveal::new("walk --frames 1 --size 32x24 --texels 8192 --bake").arg(&out).arg(scene("box"));
     walk().ok();
-    let walked = format!("walk --frames 1 --size 32x24 {CHEAP_BAKE} --cache");
+    let walked = format!("walk --baked --frames 1 --size 32x24 {CHEAP_BAKE} --cache");
     Foveal::new(&walked).arg(&cache).arg(scene("box")).ok();
     assert_eq!(bake().json()["cached"], true, "what a walk has baked is found by `bake`");
     assert!(fs::read(&out).expect("the bake") == bytes, "two bakes differ");

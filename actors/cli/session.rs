@@ -20,8 +20,8 @@ use foveal::world::World;
 use super::Progress;
 use super::arguments::{duration, share};
 use super::failure::Failure;
-use crate::textures::TextureStore;
 use crate::illuminator::Refinement;
+use crate::textures::TextureStore;
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
@@ -178,9 +178,14 @@ pub fn illuminated(
 ) -> Result<Session, Failure> {
     let accel = Arc::new(Accel::build(&scene));
     let lights = Arc::new(Lights::build(&scene));
-    let (illumination, refinement) = illuminate(&scene, &accel, &lights, a, progress, &mut warnings)?;
-    Ok(Session { world: World { scene, accel, lights, illumination }, textures: None, refinement, warnings })
+    let (illumination, unmet) = illuminate(&scene, &accel, &lights, a, progress, &mut warnings)?;
+    let world = World { scene, accel, lights, illumination };
+    let refinement = unmet.map(|(settings, keep)| Refinement { world: world.clone(), settings, keep });
+    Ok(Session { world, textures: None, refinement, warnings })
 }
+
+/// Settings that the illumination does not meet yet, and where one that does is to be kept.
+type Unmet = Option<(BakeSettings, Option<PathBuf>)>;
 
 fn illuminate(
     scene: &Arc<Scene>,
@@ -189,7 +194,7 @@ fn illuminate(
     a: &IlluminationArguments,
     progress: Progress,
     warnings: &mut Vec<String>,
-) -> Result<(Arc<dyn Irradiance>, Option<Refinement>), Failure> {
+) -> Result<(Arc<dyn Irradiance>, Unmet), Failure> {
     let transport = SceneTransport::new(scene, accel, lights);
     let first = || Arc::new(quick_direct(scene, &transport, a.settings.bake_seed));
     if a.quick {
@@ -219,7 +224,7 @@ fn illuminate(
         }
     }
     if !a.baked {
-        return Ok((first(), Some(Refinement { settings, keep: kept })));
+        return Ok((first(), Some((settings, kept))));
     }
     let baked = bake_with_progress(scene, &transport, &settings, a.settings.time, progress);
     if interrupted() {

@@ -11,7 +11,7 @@ fn needs(document: &Value, part: &str) -> bool {
 }
 
 fn walk(name: &str) -> Value {
-    Foveal::new(&format!("walk --frames 6 --fps 20 --size 64x48 --workers 2 {CHEAP_BAKE}"))
+    Foveal::new(&format!("walk --baked --frames 6 --fps 20 --size 64x48 --workers 2 {CHEAP_BAKE}"))
         .arg(scene(name))
         .json()
 }

@@ -191,7 +191,7 @@ fn particles(
     let accel = Accel::build(scene);
     let lights = Lights::build(scene);
     let transport = SceneTransport::new(scene, &accel, &lights);
-    let mut baker = Baker::new(scene, &transport, settings);
+    let mut baker = Baker::new(scene, transport, settings);
     let state = state_file(file);
     let mut resumed = false;
     if a.resume {
@@ -262,7 +262,7 @@ fn radiosity(
     });
     clock.enter(0);
     let transport = SceneTransport::new(scene, &accel, &lights);
-    let baker = Baker::new(scene, &transport, settings);
+    let baker = Baker::new(scene, transport, settings);
     clock.enter(4);
     let map = solution.lightmap(scene, baker.atlas());
     let lit = scene.mesh.triangles.len();

@@ -111,7 +111,7 @@ fn a_furnace_with_direct_light_at_the_elements_agrees() {
     let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
     let transport = SceneTransport::new(&scene, &accel, &lights);
     let settings = settings(3_000, 1 << 19, DirectLight::NextEvent);
-    let mut baker = Baker::new(&scene, &transport, &settings);
+    let mut baker = Baker::new(&scene, transport, &settings);
     for _ in 0..8 {
         baker.gather_direct();
     }

@@ -8,11 +8,13 @@ use crate::image::luminance;
 use crate::rng::Stream;
 use crate::transport::bsdf::cosine_hemisphere;
 use crate::transport::interaction::Interaction;
+use crate::transport::light::Lights;
 use crate::transport::particle::{LightTransport, SceneTransport};
-use crate::world::World;
+use crate::transport::path::path_radiance;
 
 use super::Irradiance;
-use crate::geometry::{Hit, Ray};
+use crate::geometry::{Accel, Hit, Ray};
+use crate::scene::Scene;
 
 /// A point of the front of a surface with its irradiance.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,7 +34,7 @@ pub struct Truth {
 /// Irradiance on the front of about `count` elements of `atlas` that `counts` accepts, drawn in proportion to their
 /// area, from `samples` light samples and as many paths each.
 pub fn truth(
-    world: &World,
+    (scene, accel, lights): (&Scene, &Accel, &Lights),
     atlas: &Atlas,
     counts: &dyn Fn(u32) -> bool,
     count: usize,
@@ -57,7 +59,7 @@ pub fn truth(
         .map(|&e| {
             let element = &atlas.elements[e as usize];
             at_point(
-                world,
+                (scene, accel, lights),
                 element.triangle,
                 element.b1,
                 element.b2,
@@ -70,8 +72,14 @@ pub fn truth(
 
 /// Irradiance on the front of one point. Light straight from lights comes from light samples, all other from paths
 /// whose first emission is left out.
-fn at_point(world: &World, triangle: u32, b1: f32, b2: f32, samples: u32, key: u64) -> Truth {
-    let (scene, accel, lights) = (&*world.scene, &*world.accel, &*world.lights);
+fn at_point(
+    (scene, accel, lights): (&Scene, &Accel, &Lights),
+    triangle: u32,
+    b1: f32,
+    b2: f32,
+    samples: u32,
+    key: u64,
+) -> Truth {
     let transport = SceneTransport::new(scene, accel, lights);
     let [a, b, c] = scene.mesh.corners(triangle);
     let normal = (b - a).cross(c - a).normalize_or_zero();
@@ -85,7 +93,7 @@ fn at_point(world: &World, triangle: u32, b1: f32, b2: f32, samples: u32, key: u
         let direct = transport.direct(triangle, b1, b2, false, [u[0], u[1], u[2]]);
         let local = cosine_hemisphere([v[0], v[1]]);
         let ray = at.spawn(x * local.x + y * local.y + normal * local.z);
-        let mut arriving = world.path_radiance(&ray, Stream::new(key, s.into(), 1));
+        let mut arriving = path_radiance(scene, accel, lights, &ray, Stream::new(key, s.into(), 1));
         arriving -= match accel.intersect(scene, &ray) {
             Some(hit) => Interaction::at(scene, &ray, &hit).point().emission(scene),
             None => lights.escaped(scene, ray.direction),

@@ -309,7 +309,7 @@ fn baking(a: &StagesArguments) -> Result<Vec<Row>, Failure> {
     let (mut seconds, mut errors) = (Vec::new(), Vec::new());
     for _ in 0..a.common.runs.min(3) {
         let (ms, baked) =
-            timed(|| Baker::new(&scene, &transport, &settings).run(&|_: &_| true, &mut |_: &_| {}));
+            timed(|| Baker::new(&scene, transport, &settings).run(&|_: &_| true, &mut |_: &_| {}));
         seconds.push(ms * 1e-3);
         errors.push(f64::from(baked.illumination.summary.relative_error) * 100.0);
     }

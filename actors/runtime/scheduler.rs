@@ -76,6 +76,7 @@ impl Scheduler {
         waker: Option<Box<dyn Fn() + Send + Sync>>,
     ) -> (Self, Vec<Worker<u32>>) {
         let threads = threads.min(64);
+        let cores = std::thread::available_parallelism().map_or(usize::MAX, usize::from);
         let locals: Vec<Worker<u32>> = (0..threads).map(|_| Worker::new_fifo()).collect();
         let scheduler = Self {
             threads,
@@ -93,7 +94,8 @@ impl Scheduler {
             },
             active: CachePadded::new(AtomicU64::new(0)),
             heavy_running: CachePadded::new(AtomicUsize::new(0)),
-            heavy_limit: threads.saturating_sub(1).max(1),
+            // More than there are cores would only take time from the main thread.
+            heavy_limit: threads.saturating_sub(1).min(cores).max(1),
             stopping: AtomicBool::new(false),
             resting: AtomicUsize::new(0),
         };
@@ -306,13 +308,14 @@ impl Scheduler {
         if self.heavy.is_empty() {
             return None;
         }
-        if self.heavy_running.fetch_add(1, Ordering::SeqCst) < self.heavy_limit
-            && let Some(actor) = steal(|| self.heavy.steal())
-        {
-            return Some(actor);
+        // A thread that finds the limit reached leaves no trace: it would wake the next one to find the same.
+        let below = |running: usize| (running < self.heavy_limit).then_some(running + 1);
+        self.heavy_running.fetch_update(Ordering::SeqCst, Ordering::SeqCst, below).ok()?;
+        let actor = steal(|| self.heavy.steal());
+        if actor.is_none() {
+            self.release_heavy();
         }
-        self.release_heavy();
-        None
+        actor
     }
 
     fn release_heavy(&self) {

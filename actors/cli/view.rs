@@ -169,7 +169,7 @@ fn start(a: &ViewArguments, path: &Path, opened: session::Session) -> Result<Ses
 fn recorder(a: &ViewArguments, path: &Path, opened: &session::Session, file: &Path) -> Recorder {
     let (path, file, illumination) = (path.to_owned(), file.to_owned(), a.illumination.clone());
     let world = opened.world.clone();
-    let opened = session::Session { world, textures: None, warnings: Vec::new() };
+    let opened = session::Session { world, textures: None, refinement: None, warnings: Vec::new() };
     let mut sessions = 0;
     Box::new(move |settings, passes, corrects| {
         let run = RecordedRun::new("view", &path, &opened, &illumination, settings, passes, corrects);

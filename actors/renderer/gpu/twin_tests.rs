@@ -71,7 +71,7 @@ fn draw(scene: &Scene, accel: &Accel, light: &dyn Irradiance, frame: &CameraFram
                 let level = mip_level(at.uv_density, hit.t * frame.pixel_angle(), size);
                 *buffers.texture.at_mut(x, y) = TextureLevel::new(id, level);
             }
-            *buffers.color.at_mut(x, y) = tracer.base(&at);
+            *buffers.color.at_mut(x, y) = tracer.base(&at.point());
             *buffers.depth.at_mut(x, y) = hit.t * direction.dot(frame.forward);
             *buffers.object.at_mut(x, y) = at.object;
             buffers.hit.at_mut(x, y).triangle = hit.triangle;

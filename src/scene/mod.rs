@@ -45,7 +45,7 @@ pub struct Mesh {
     /// Material of each triangle.
     pub materials: Vec<MaterialId>,
     /// Object id of each triangle: 0 for every diffuse one, ≥ 1 for each non-diffuse group
-    /// (REFERENCE §10); an index into [`Scene::objects`].
+    /// (REFERENCE §10); an index into [`SceneParts::objects`].
     pub objects: Vec<u32>,
 }
 

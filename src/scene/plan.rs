@@ -91,7 +91,7 @@ pub struct ScenePlan {
 pub const ENVIRONMENT_MAP_COVERAGE_MIN: f32 = 1e-3;
 
 impl ScenePlan {
-    /// The plan for a scene within a budget (usually [`Scene::budget`], changed by the command line).
+    /// The plan for a scene within a budget (usually [`SceneParts::budget`](super::SceneParts::budget), changed by the command line).
     pub fn new(scene: &Scene, budget: &Budget) -> Self {
         let facts = Facts::of(scene, budget);
         let parts = Part::ALL.map(|part| {

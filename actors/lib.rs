@@ -1,4 +1,4 @@
-//! The five actors of foveal, their messages and wiring, and the program's command line.
+//! The actors of foveal, their messages and wiring, and the program's command line.
 //!
 //! | actor | owns | decides |
 //! | --- | --- | --- |

@@ -7,6 +7,7 @@
 #[cfg(feature = "window")]
 pub mod gpu;
 pub mod overlay;
+mod saved;
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
@@ -32,7 +33,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::message::cache_ager::Forget;
-use crate::message::saved::{hash_view, load_drawn, load_frame, save_drawn, save_frame};
+use crate::message::saved::hash_view;
 use crate::message::{
     AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameIndex, FrameSnapshot, RendererInput,
     RendererMessage, View,
@@ -530,75 +531,10 @@ impl Actor for Renderer {
     }
 
     fn save(&self, saver: &mut Saver) {
-        let Self {
-            // What the wiring makes alike.
-            settings: _,
-            world: _,
-            passes: _,
-            tone: _,
-            viewing: _,
-            thresholds: _,
-            encoder: _,
-            neighbours: _,
-            stages: _,
-            sink: _,
-            // Without an illuminator, which has no snapshots, these stay.
-            target: _,
-            lit: _,
-            // Only room, and only a time that is shown.
-            retired: _,
-            drawn_at: _,
-            camera,
-            view,
-            drawn,
-            layer,
-            approximation,
-            counts,
-            converged,
-            changed,
-            shown,
-            outbox,
-            waiting,
-            former,
-            releasing: _,
-        } = self;
-        if !outbox.is_empty() || !waiting.is_empty() || !former.is_empty() {
-            return saver.refuse();
-        }
-        saver.put(&(camera, view, converged, changed, drawn.is_some(), shown.is_some()));
-        let FrameCounts { traced, reused, expired, late } = counts;
-        saver.put(&(traced, reused, expired, late));
-        if let Some(drawn) = drawn {
-            save_drawn(saver, drawn);
-        }
-        if let Some(shown) = shown {
-            save_frame(saver, shown);
-        }
-        saver.put(&layer.maps());
-        let maps = approximation.as_ref().map_or(&[][..], FirstApproximation::maps);
-        saver.put(&(maps.len() as u64));
-        for map in maps {
-            saver.put(&map.is_some());
-            if let Some(map) = map {
-                saver.shared(map, |map, saver| saver.put(map));
-            }
-        }
+        self.save_state(saver);
     }
 
     fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
-        let (camera, view, converged, changed, is_drawn, is_shown) = loader.take()?;
-        (self.camera, self.view, self.converged, self.changed) = (camera, view, converged, changed);
-        let (traced, reused, expired, late) = loader.take()?;
-        self.counts = FrameCounts { traced, reused, expired, late };
-        self.drawn = if is_drawn { Some(load_drawn(loader)?) } else { None };
-        self.shown = if is_shown { Some(load_frame(loader)?) } else { None };
-        let (color, rank, source) = loader.take()?;
-        self.layer.restore(color, rank, source)?;
-        let count: u64 = loader.take()?;
-        for object in 0..u32::try_from(count).ok()? {
-            let map = if loader.take()? { Some(loader.shared(|loader| loader.take())?) } else { None };
-            self.approximation.as_mut()?.set(object, map);
-        }
-        Some(())
+        self.restore_state(loader)
     }
 }

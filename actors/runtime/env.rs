@@ -50,7 +50,7 @@ pub(crate) struct Env {
     nodes: OnceLock<Vec<NodeInfo>>,
     closed: AtomicBool,
     halted: AtomicBool,
-    pub(crate) divergence: ArrayQueue<Divergence>,
+    divergences: ArrayQueue<(Divergence, bool)>,
     mark_kind: AtomicU32,
     mark_value: AtomicU64,
     marks_made: AtomicU64,
@@ -115,7 +115,7 @@ impl Env {
             nodes: OnceLock::new(),
             closed: AtomicBool::new(false),
             halted: AtomicBool::new(false),
-            divergence: ArrayQueue::new(1),
+            divergences: ArrayQueue::new(2 * (threads + 1)),
             mark_kind: AtomicU32::new(u32::MAX),
             mark_value: AtomicU64::new(0),
             marks_made: AtomicU64::new(0),
@@ -195,9 +195,27 @@ impl Env {
         self.scheduler.notify_all();
     }
 
-    pub(crate) fn diverged(&self, divergence: Divergence) {
-        let _ = self.divergence.push(divergence);
+    /// Replay went wrong: in what reached an actor, or `of_state`, in what it made of it.
+    pub(crate) fn diverged(&self, divergence: Divergence, of_state: bool) {
+        let _ = self.divergences.push((divergence, of_state));
         self.halt();
+    }
+
+    pub(crate) fn has_diverged(&self) -> bool {
+        !self.divergences.is_empty()
+    }
+
+    /// The divergence at which it began; call it when no turn runs.
+    ///
+    /// A turn that goes wrong may send before its state's hash is compared, so that another thread can meet the wrong
+    /// message first. That one stops; the sender's turn, ending, adds its own, and what was made wrong comes before
+    /// what was received so.
+    pub(crate) fn first_divergence(&self) -> Option<Divergence> {
+        let mut all: Vec<_> = std::iter::from_fn(|| self.divergences.pop()).collect();
+        all.sort_by_key(|(_, of_state)| !of_state);
+        let first = all.into_iter().next()?;
+        let _ = self.divergences.push(first.clone());
+        Some(first.0)
     }
 
     pub(crate) fn last_mark(&self) -> Option<(u32, u64)> {

@@ -264,7 +264,9 @@ impl Journal {
             && expected != short(self.chain)
         {
             let found = format!("state hash {:06x}", short(self.chain));
-            return self.diverge(self.index - 1, format!("state hash {expected:06x}"), found);
+            self.env
+                .diverged(self.divergence(self.index - 1, format!("state hash {expected:06x}"), found), true);
+            return Err(Halted);
         }
         Ok(())
     }
@@ -304,7 +306,12 @@ impl Journal {
     }
 
     fn diverge(&self, index: u64, expected: String, found: String) -> Result<(), Halted> {
-        self.env.diverged(Divergence {
+        self.env.diverged(self.divergence(index, expected, found), false);
+        Err(Halted)
+    }
+
+    fn divergence(&self, index: u64, expected: String, found: String) -> Divergence {
+        Divergence {
             actor: self.id,
             name: self.env.name(self.id),
             index,
@@ -314,8 +321,7 @@ impl Journal {
             expected,
             found,
             turns: self.history.iter().cloned().collect(),
-        });
-        Err(Halted)
+        }
     }
 
     /// Replay and recording agree that something else comes next.

@@ -110,6 +110,6 @@ impl Runtime {
 
     /// Whether a replay has diverged; [`Runtime::replay_report`] says where.
     pub fn diverged(&self) -> bool {
-        !self.env.divergence.is_empty()
+        self.env.has_diverged()
     }
 }

@@ -249,13 +249,10 @@ impl Runtime {
         let mut report = ReplayReport {
             deliveries: 0,
             recorded: 0,
-            divergence: env.divergence.pop(),
+            divergence: env.first_divergence(),
             complete: false,
             waiting: Vec::new(),
         };
-        if let Some(divergence) = report.divergence.clone() {
-            let _ = env.divergence.push(divergence);
-        }
         let states: Vec<_> = self.nodes.iter().map(|node| node.script_state()).collect();
         for (number, state) in states.iter().enumerate() {
             let Some(state) = state else { continue };

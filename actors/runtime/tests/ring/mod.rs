@@ -60,15 +60,18 @@ impl Actor for Player {
                 digest.u64(self.state);
                 digest.u64(token.value);
                 self.state = digest.finish();
-                if let Some(flip) = self.flip
-                    && flip.at + 1 == cx.index()
-                {
+                let flip = self.flip.filter(|flip| flip.at + 1 == cx.index());
+                if let Some(flip) = flip {
                     self.state ^= 1 << flip.bit;
                 }
                 if token.hops > 0 {
                     let to = self.others[(self.state >> 33) as usize % self.others.len()].clone();
                     let token = Token { hops: token.hops - 1, value: token.value ^ self.state };
                     cx.tell(&to, Msg::Token(token)).expect("there is room for every token");
+                }
+                if flip.is_some() {
+                    // Long enough for another thread to meet the wrong token while this turn still runs.
+                    std::thread::sleep(std::time::Duration::from_millis(2));
                 }
             }
         }

@@ -11,6 +11,7 @@ mod replay;
 mod shell;
 mod skipped;
 mod still;
+mod stress;
 mod support;
 mod textures;
 mod tidy;

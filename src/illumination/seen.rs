@@ -28,14 +28,14 @@ fn look(
     direction: Vec3,
     mut met: impl FnMut(u32),
 ) -> Option<f32> {
-    let mut start = 0.0;
+    let mut ray = Ray::new(origin, direction);
     for _ in 0..PANES_MAX {
-        let hit = transport.sees(&Ray { t_min: start, ..Ray::new(origin, direction) })?;
+        let hit = transport.sees(&ray)?;
         met(hit.triangle);
         if !scene.materials[scene.mesh.materials[hit.triangle as usize].0 as usize].is_transparent() {
             return Some(hit.t);
         }
-        start = hit.t * (1.0 + 1e-5) + 1e-6;
+        (ray.t_min, ray.ignore) = (hit.t * (1.0 + 1e-5), hit.triangle);
     }
     None
 }

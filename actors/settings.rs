@@ -3,6 +3,7 @@
 use foveal::allocation::policy::{Policy, RayPolicy};
 use foveal::perception::importance::Weights;
 use foveal::sampling::Lattice;
+use foveal::splatting::supersampling::Supersampling;
 use foveal::splatting::{AgeingRules, Footprint};
 
 /// Settings that all actors of a session share; part of a recording's header.
@@ -32,6 +33,8 @@ pub struct Settings {
     pub cache_capacity: usize,
     /// Most bytes of environment maps; with 0 only the coarsest of each object is drawn.
     pub environment_bytes: u64,
+    /// How far a converged view is refined; `None` leaves it as it converged.
+    pub supersampling: Option<Supersampling>,
     /// Winner takes all: the most attended object converges before the next.
     pub winner_takes_all: bool,
 }
@@ -52,6 +55,7 @@ impl Settings {
             ageing: AgeingRules::default(),
             cache_capacity: (1 << 18).max(width as usize * height as usize),
             environment_bytes: 64 << 20,
+            supersampling: None,
             winner_takes_all: false,
         }
     }

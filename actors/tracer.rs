@@ -9,6 +9,7 @@ use foveal::display::environment_map::{self, EnvironmentMap, capture, direction,
 use foveal::image::luminance;
 use foveal::sampling::Lattice;
 use foveal::scene::mip_cache;
+use foveal::splatting::supersampling::supersample;
 use foveal::splatting::trace::{Owner, trace_samples};
 use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver, Worker};
 
@@ -17,7 +18,7 @@ use xxhash_rust::xxh3::Xxh3;
 use crate::message::tracer::EnvironmentWork;
 use crate::message::{
     AllocatorMessage, CacheAgerMessage, EnvironmentOrder, LevelOrder, PredictionOrder, RendererMessage,
-    SampleOrder, TraceJob, TracerMessage,
+    SampleOrder, TileWork, TraceJob, TracerMessage,
 };
 use crate::outbox::Outbox;
 
@@ -64,6 +65,16 @@ impl Tracer {
         self.outbox.tell(cx, &self.renderer, to_renderer);
         self.outbox.tell(cx, &self.cache_ager, CacheAgerMessage::SamplesTraced { batch, hash });
         self.job_done(job, samples, duration.as_secs_f32(), cx);
+    }
+
+    fn supersample(&mut self, work: &TileWork, cx: &mut Cx<'_, TracerMessage>) {
+        let TileWork { drawn, order, seed } = work;
+        let sums =
+            supersample(&drawn.world, &drawn.frame, order.tile, order.on.as_deref(), order.count, *seed);
+        let (hash, view, sums) = (sums.digest(), drawn.view, Arc::new(sums));
+        // To the renderer first, as with samples.
+        self.outbox.tell(cx, &self.renderer, RendererMessage::TileSampled { view, sums: sums.clone(), hash });
+        self.outbox.tell(cx, &self.allocator, AllocatorMessage::TileSampled { view, sums: Some(sums), hash });
     }
 
     fn capture(&mut self, order: &EnvironmentOrder, cx: &mut Cx<'_, TracerMessage>) {
@@ -165,6 +176,7 @@ impl Worker for Tracer {
     fn run(&mut self, job: &TraceJob, cx: &mut Cx<'_, TracerMessage>) {
         match job {
             TraceJob::Samples(order) => self.trace_samples(order, cx),
+            TraceJob::Tile(work) => self.supersample(work, cx),
             TraceJob::Environment(order) => self.capture(order, cx),
             TraceJob::Prediction(order) => self.look_ahead(order, cx),
             TraceJob::Level(order) => self.load(order, cx),
@@ -174,6 +186,10 @@ impl Worker for Tracer {
     fn stale(&mut self, job: TraceJob, cx: &mut Cx<'_, TracerMessage>) {
         match job {
             TraceJob::Samples(order) => self.job_done(&order, 0, 0.0, cx),
+            TraceJob::Tile(TileWork { drawn, .. }) => {
+                let back = AllocatorMessage::TileSampled { view: drawn.view, sums: None, hash: 0 };
+                self.outbox.tell(cx, &self.allocator, back);
+            }
             TraceJob::Environment(order) => {
                 let nothing = AllocatorMessage::EnvironmentCaptured {
                     object: order.object,

@@ -25,7 +25,7 @@ fn a_diffuse_scene_starts_one_actor() {
     }
     assert_eq!(
         d["samples"],
-        serde_json::json!({"traced": 0, "reused": 0, "expired": 0, "splatted": 0, "late": 0})
+        serde_json::json!({"traced": 0, "reused": 0, "expired": 0, "splatted": 0, "late": 0, "refined": 0})
     );
     assert_eq!(d["messages"]["delivered"], 2 * 6);
     assert_eq!(d["converged"], true);

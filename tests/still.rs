@@ -86,6 +86,36 @@ fn diffuse_is_the_reference() {
     check("diffuse", 2);
 }
 
+/// What a view is refined to is the reference with as many samples; a scene without anything to correct is refined too.
+#[test]
+fn a_refined_view_is_the_reference_of_many_samples() {
+    for (name, workers) in [("box", 1), ("chess", 3), ("diffuse", 2)] {
+        let expected = reference(&scene(name), "--size 50x40 --seed 5 --spp 7");
+        let out = folder("refined");
+        let d = Foveal::new(&format!(
+            "walk --frames 1 --until-converged --refine 0 --refine-samples 7 --size 50x40 --seed 5 --fps 40 \
+             --workers {workers} {CHEAP_BAKE} --out"
+        ))
+        .arg(&out)
+        .arg(scene(name))
+        .json();
+        assert_eq!(
+            (&d["converged"], &d["samples"]["refined"]),
+            (&true.into(), &(50 * 40 * 6).into()),
+            "{name}"
+        );
+        assert_same_bits(&picture(&out.join("last.exr")), &expected, name);
+        // A bound on the noise lets quiet tiles end early.
+        let d = Foveal::new(&format!(
+            "walk --frames 1 --until-converged --refine 0.05 --refine-samples 60 --size 50x40 {CHEAP_BAKE}"
+        ))
+        .arg(scene(name))
+        .json();
+        let refined = d["samples"]["refined"].as_u64().expect("a count");
+        assert!((4 * 2000..59 * 2000).contains(&refined), "{name}: {refined}");
+    }
+}
+
 /// The path comes to rest at the start view, so that the reference can be asked for it.
 #[test]
 fn a_walk_that_comes_to_rest_is_the_reference() {

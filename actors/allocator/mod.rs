@@ -12,16 +12,19 @@ use std::sync::Arc;
 use foveal::allocation::environment::MapContrast;
 use foveal::allocation::policy::bucket_of;
 use foveal::allocation::ray_order::RayOrder;
+use foveal::allocation::supersampling::Supersampler;
 use foveal::allocation::texture_demand::TextureUse;
 use foveal::display::environment_map::Seen;
+use foveal::display::tone::ToneMap;
 use foveal::perception::importance::{ObjectScan, ObjectStatistics, priorities};
 use foveal::scene::texture::LevelTexels;
+use foveal::splatting::supersampling::TileSums;
 use foveal_runtime::{Actor, Address, Cx, Incident, JobPool, Loader, Saver};
 
-use crate::message::saved::{load_drawn, save_drawn};
+use crate::message::saved::{load_drawn, load_sums, save_drawn, save_sums};
 use crate::message::tracer::{ENVIRONMENT_MAP, LEVEL_OF_TEXTURE, TEXTURES_WANTED};
 use crate::message::{
-    AllocatorMessage, DrawnView, RendererMessage, SampleOrder, TraceJob, TracerMessage, View,
+    AllocatorMessage, DrawnView, RendererMessage, SampleOrder, TileWork, TraceJob, TracerMessage, View,
 };
 use crate::outbox::Outbox;
 use crate::settings::Settings;
@@ -62,6 +65,10 @@ pub struct Allocator {
     since_map: u32,
     /// Whether the renderer knows that the view has converged.
     told_converged: bool,
+    /// Refines a view that has converged, where that is wanted.
+    supersampler: Option<Supersampler>,
+    /// Whether the renderer knows that the view is refined.
+    told_refined: bool,
     /// Jobs that were given up.
     lost_jobs: u32,
     /// What the runtime had to tell.
@@ -103,6 +110,10 @@ impl Allocator {
             textures,
             since_map: u32::MAX,
             told_converged: false,
+            supersampler: settings
+                .supersampling
+                .map(|rules| Supersampler::new(rules, settings.width, settings.height)),
+            told_refined: false,
             lost_jobs: 0,
             incidents: Vec::new(),
         }
@@ -143,6 +154,9 @@ impl Allocator {
         // Jobs of older views come back as stale, and none is handed out until there is something to trace.
         cx.retire(&self.pool, u64::from(view.0));
         self.drawn = None;
+        if let Some(supersampler) = &mut self.supersampler {
+            supersampler.forget();
+        }
     }
 
     fn on_view_drawn(&mut self, drawn: Arc<DrawnView>, cx: &mut Cx<'_, AllocatorMessage>) {
@@ -151,6 +165,7 @@ impl Allocator {
             self.scan.gather(&drawn.buffers.object, None, drawn.object_count, &mut self.statistics);
             self.drawn = Some(drawn);
             self.told_converged = false;
+            self.told_refined = false;
             self.update_attention();
             let view = self.drawn.as_ref().map_or(0, |d| u64::from(d.view.0));
             self.order.start_view(view, &self.statistics, &self.attention);
@@ -280,6 +295,40 @@ impl Allocator {
         self.fill_pool(cx);
     }
 
+    fn on_tile_sampled(
+        &mut self,
+        view: View,
+        sums: Option<Arc<TileSums>>,
+        cx: &mut Cx<'_, AllocatorMessage>,
+    ) {
+        self.in_flight = self.in_flight.saturating_sub(1);
+        if let (Some(supersampler), Some(drawn), Some(sums)) = (&mut self.supersampler, &self.drawn, sums)
+            && drawn.view == view
+        {
+            let tone = ToneMap::from(&drawn.world.scene.display);
+            self.stages.time(Stage::Allocate, || supersampler.record(sums, &tone));
+        }
+        self.fill_pool(cx);
+    }
+
+    /// Orders more samples for tiles of a view that has converged.
+    fn refine(&mut self, drawn: &Arc<DrawnView>, cx: &mut Cx<'_, AllocatorMessage>) {
+        let Some(supersampler) = &mut self.supersampler else { return };
+        if !supersampler.has_begun() {
+            supersampler.begin();
+        }
+        while self.in_flight < self.settings.jobs_in_flight() {
+            let Some(order) = supersampler.next_order() else { break };
+            let work = TileWork { drawn: drawn.clone(), order, seed: self.settings.seed };
+            self.outbox.push(cx, &self.pool, bucket_of(0.0), u64::from(drawn.view.0), TraceJob::Tile(work));
+            self.in_flight += 1;
+        }
+        if self.in_flight == 0 && supersampler.is_exhausted() && !self.told_refined {
+            self.outbox.tell(cx, &self.renderer, RendererMessage::ViewRefined { view: drawn.view });
+            self.told_refined = true;
+        }
+    }
+
     fn on_incident(&mut self, incident: Incident, cx: &mut Cx<'_, AllocatorMessage>) {
         match &incident {
             Incident::JobDead { description, .. } => {
@@ -343,6 +392,9 @@ impl Allocator {
             self.outbox.tell(cx, &self.renderer, message);
             self.told_converged = true;
         }
+        if self.told_converged {
+            self.refine(&drawn, cx);
+        }
     }
 }
 
@@ -365,6 +417,7 @@ impl Actor for Allocator {
                 self.order.record_time(object, samples, seconds);
                 self.on_job_done(cx);
             }
+            AllocatorMessage::TileSampled { view, sums, hash: _ } => self.on_tile_sampled(view, sums, cx),
             AllocatorMessage::ResidualsMeasured { view, object, level, residual } => {
                 self.order.record(u64::from(view.0), object, level, &residual);
             }
@@ -403,6 +456,8 @@ impl Actor for Allocator {
             textures,
             since_map,
             told_converged,
+            supersampler,
+            told_refined,
             lost_jobs,
             incidents,
         } = self;
@@ -411,9 +466,26 @@ impl Actor for Allocator {
             return saver.refuse();
         }
         saver.put(&(order, statistics, saliency.as_slice(), attention));
-        saver.put(&(in_flight, since_map, told_converged, lost_jobs, incidents, drawn.is_some()));
+        saver.put(&(
+            in_flight,
+            since_map,
+            told_converged,
+            told_refined,
+            lost_jobs,
+            incidents,
+            drawn.is_some(),
+        ));
         if let Some(drawn) = drawn {
             save_drawn(saver, drawn);
+        }
+        if let Some(supersampler) = supersampler {
+            saver.put(&(supersampler.open(), supersampler.tiles().len() as u64));
+            for tile in supersampler.tiles() {
+                saver.put(&tile.is_some());
+                if let Some(sums) = tile {
+                    save_sums(saver, sums);
+                }
+            }
         }
         environments.save(saver);
     }
@@ -423,9 +495,23 @@ impl Actor for Allocator {
         (self.order, self.statistics, saliency, self.attention) = loader.take()?;
         self.saliency = Arc::new(saliency);
         let is_drawn: bool;
-        (self.in_flight, self.since_map, self.told_converged, self.lost_jobs, self.incidents, is_drawn) =
-            loader.take()?;
+        (
+            self.in_flight,
+            self.since_map,
+            self.told_converged,
+            self.told_refined,
+            self.lost_jobs,
+            self.incidents,
+            is_drawn,
+        ) = loader.take()?;
         self.drawn = if is_drawn { Some(load_drawn(loader)?) } else { None };
+        if let Some(supersampler) = &mut self.supersampler {
+            let (open, count): (_, u64) = loader.take()?;
+            let tiles: Option<Vec<_>> = (0..count)
+                .map(|_| Some(if loader.take()? { Some(load_sums(loader)?) } else { None }))
+                .collect();
+            supersampler.restore(tiles?, open)?;
+        }
         self.environments.restore(loader)
     }
 }

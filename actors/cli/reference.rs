@@ -14,6 +14,7 @@ use foveal::display::twin::{self, Passes};
 use foveal::geometry::Ray;
 use foveal::image::Map2d;
 use foveal::scene::camera::CameraFrame;
+use foveal::splatting::supersampling::supersampled;
 use foveal::splatting::trace::pixel_stream;
 use foveal::world::World;
 
@@ -31,8 +32,8 @@ pub struct ReferenceArguments {
     /// What to render
     #[arg(long, value_enum, default_value_t = Kind::Traced)]
     kind: Kind,
-    /// Samples per pixel
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    /// Samples per pixel; traced: as many as `walk --refine` gives a pixel
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1 << 16))]
     spp: u32,
     /// Camera (default: the first)
     #[arg(long, value_name = "NAME")]
@@ -62,8 +63,8 @@ enum Kind {
     Path,
 }
 
-/// Every non-diffuse pixel traced, as a still view converges to. Samples beyond the first use other random
-/// numbers through the same pixel centre.
+/// Every non-diffuse pixel traced, as a still view converges to; with more than one sample, what a converged view is
+/// refined to: all pixels, through other points of each.
 pub fn traced_picture(
     world: &World,
     frame: &CameraFrame,
@@ -87,15 +88,10 @@ pub fn traced_picture(
             let (px, py) = (x as u32, y as u32);
             let ray = twin::primary_ray(frame, px, py);
             let at = twin::primary_interaction(world, frame, &ray, &hit);
-            let mut sum = tracer.view_dependent(&at, pixel_stream(seed, px, py, 0));
-            for sample in 1..samples {
-                sum += tracer.view_dependent(&at, pixel_stream(seed, px, py, u64::from(sample)));
-            }
-            // One sample is not divided, so that it has the bits of a converged view.
-            *out += if samples > 1 { sum / samples as f32 } else { sum };
+            *out += tracer.view_dependent(&at, pixel_stream(seed, px, py, 0));
         }
     });
-    picture
+    if samples > 1 { supersampled(world, frame, seed, samples, picture, &|| !interrupted()) } else { picture }
 }
 
 /// Path-traced picture, box-filtered over each pixel.

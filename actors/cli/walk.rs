@@ -14,6 +14,7 @@ use foveal::scene::plan::{Part, ScenePlan};
 use foveal::scene::texture::{forget_most_held, held_bytes};
 use foveal::scene::{Budget, Camera, CameraPath, Scene};
 use foveal::splatting::Footprint;
+use foveal::splatting::supersampling::Supersampling;
 use foveal_runtime::{BuildError, Config, Limit, RecordingStatus, Runtime};
 
 use super::arguments::{Size, bytes, positive, unit};
@@ -68,6 +69,12 @@ pub struct WalkArguments {
     /// After the last frame stay until the picture has converged (without --path: at the start camera)
     #[arg(long)]
     until_converged: bool,
+    /// Refine the converged picture until the standard error of its displayed values, 0 to 1, is below this
+    #[arg(long, value_name = "NOISE", num_args = 0..=1, default_missing_value = "0.01", value_parser = unit, requires = "until_converged")]
+    refine: Option<f32>,
+    /// Most samples of a pixel in that
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 16), requires = "refine")]
+    refine_samples: u32,
     /// Folder for pictures and reports
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -198,6 +205,8 @@ pub struct Walked {
     pub expired: u64,
     /// Samples that came after their view.
     pub late: u64,
+    /// Samples that refined the converged view.
+    pub refined: u64,
     /// Textures after each frame, where they are limited.
     pub textures: Vec<TextureReport>,
 }
@@ -246,13 +255,15 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         ageing: foveal::splatting::AgeingRules { delta: a.delta, max_age: a.max_age, n_min: a.n_min },
         environment_bytes: a.environment_budget,
         winner_takes_all: a.winner_takes_all,
+        supersampling: a.refine.map(|noise| Supersampling { noise, max_samples: a.refine_samples }),
         ..Settings::new(a.size.width, a.size.height, a.workers.unwrap_or(cores.min(TRACERS_MAX)))
     };
     if let Some(out) = &a.out {
         make_folder(out)?;
     }
-    // Textures under pressure need somebody to decide and to load.
-    let corrects = plan.needs(Part::Tracers) || session.textures.is_some();
+    // Textures under pressure need somebody to decide and to load, edges somebody to smooth them.
+    let corrects =
+        plan.needs(Part::Tracers) || session.textures.is_some() || settings.supersampling.is_some();
     let stages = StageTimes::default();
     let handover = Arc::new(SegQueue::new());
     let passes = Passes { texture_ids: plan.needs(Part::TextureIdPass) };
@@ -380,6 +391,7 @@ fn walk(
         reused: 0,
         expired: 0,
         late: 0,
+        refined: 0,
         textures: Vec::new(),
     };
     forget_most_held();
@@ -391,7 +403,7 @@ fn walk(
     let mut pose = motion.at(0.0);
     loop {
         let staying = frame >= frames;
-        if interrupted() || (staying && (!a.until_converged || is_converged(runtime, actors))) {
+        if interrupted() || (staying && (!a.until_converged || is_done(runtime, actors))) {
             break;
         }
         let began = Instant::now();
@@ -401,7 +413,7 @@ fn walk(
         send(actors, RendererInput::FrameBegan { frame: FrameIndex(frame), camera: pose })?;
         // The camera has not moved and all is traced: nothing to wait for once the stay has begun.
         let done_early = |r: &Runtime| {
-            interrupted() || (staying && r.inspect(renderer, Renderer::is_converged) == Some(true))
+            interrupted() || (staying && r.inspect(renderer, Renderer::is_refined) == Some(true))
         };
         runtime.pump_until(Limit::time(budget.saturating_sub(began.elapsed())), done_early);
         send(actors, RendererInput::DeadlineReached { frame: FrameIndex(frame) })?;
@@ -430,6 +442,7 @@ fn walk(
         walked.reused += u64::from(shown.counts.reused);
         walked.expired += u64::from(shown.counts.expired);
         walked.late += u64::from(shown.counts.late);
+        walked.refined += u64::from(shown.counts.refined);
         let reports = store.map(|s| std::iter::from_fn(|| s.reports.pop()).collect::<Vec<_>>());
         if let Some(report) = reports.unwrap_or_default().pop().or_else(|| walked.textures.last().cloned()) {
             walked.textures.push(report);
@@ -445,8 +458,8 @@ fn walk(
     Ok(walked)
 }
 
-fn is_converged(runtime: &Runtime, actors: &Actors) -> bool {
-    runtime.inspect(actors.renderer, |r| r.is_converged() && r.is_shown()).unwrap_or(false)
+fn is_done(runtime: &Runtime, actors: &Actors) -> bool {
+    runtime.inspect(actors.renderer, |r| r.is_refined() && r.is_shown()).unwrap_or(false)
 }
 
 fn send(actors: &Actors, input: RendererInput) -> Result<(), Failure> {
@@ -507,6 +520,7 @@ fn document(
             "expired": walked.expired,
             "splatted": walked.traced + walked.reused,
             "late": walked.late,
+            "refined": walked.refined,
         },
         "messages": {"delivered": deliveries},
         "lost_jobs": lost_jobs,

@@ -7,9 +7,10 @@ use foveal::allocation::rays::Residual;
 use foveal::allocation::texture_demand::TextureUse;
 use foveal::display::environment_map::Seen;
 use foveal::scene::texture::LevelTexels;
+use foveal::splatting::supersampling::TileSums;
 use foveal_runtime::{Digest, Incident, Lane, Loader, Message, Saver};
 
-use super::saved::{load_drawn, save_drawn};
+use super::saved::{load_drawn, load_sums, save_drawn, save_sums};
 use super::{DrawnView, View};
 
 /// Everything the allocator can be told.
@@ -56,6 +57,15 @@ pub enum AllocatorMessage {
         level: u32,
         /// The differences.
         residual: Residual,
+    },
+    /// From a tracer: a tile of a converged view has more samples, which are with the renderer.
+    TileSampled {
+        /// The view.
+        view: View,
+        /// What the tile has; none where the order came back.
+        sums: Option<Arc<TileSums>>,
+        /// Hash of it.
+        hash: u64,
     },
     /// From a tracer: part of an environment map is captured.
     EnvironmentCaptured {
@@ -123,6 +133,10 @@ impl Message for AllocatorMessage {
                 }
                 digest.f32(residual.mean().unwrap_or(0.0));
             }
+            Self::TileSampled { view, sums: _, hash } => {
+                digest.u32(view.0);
+                digest.u64(*hash);
+            }
             Self::EnvironmentCaptured { object, seen: _, hash, seconds } => {
                 digest.u32(*object);
                 digest.u64(*hash);
@@ -152,6 +166,7 @@ impl Message for AllocatorMessage {
             Self::ObjectsRanked { .. } => "ObjectsRanked",
             Self::JobDone { .. } => "JobDone",
             Self::ResidualsMeasured { .. } => "ResidualsMeasured",
+            Self::TileSampled { .. } => "TileSampled",
             Self::EnvironmentCaptured { .. } => "EnvironmentCaptured",
             Self::EnvironmentFiltered { .. } => "EnvironmentFiltered",
             Self::TexturesSeen { .. } => "TexturesSeen",
@@ -170,6 +185,7 @@ impl Message for AllocatorMessage {
             | Self::ObjectsRanked { .. }
             | Self::JobDone { .. }
             | Self::ResidualsMeasured { .. }
+            | Self::TileSampled { .. }
             | Self::EnvironmentCaptured { .. }
             | Self::EnvironmentFiltered { .. }
             | Self::TexturesSeen { .. }
@@ -201,6 +217,12 @@ impl Message for AllocatorMessage {
             Self::TexturesSeen { .. } | Self::LevelLoaded { .. } | Self::TexturesReleased => saver.refuse(),
             Self::Incident(incident) => saver.put(&(7_u8, incident)),
             Self::SendAgain => saver.put(&8_u8),
+            Self::TileSampled { view, sums, hash } => {
+                saver.put(&(9_u8, view, hash, sums.is_some()));
+                if let Some(sums) = sums {
+                    save_sums(saver, sums);
+                }
+            }
         }
     }
 
@@ -230,6 +252,11 @@ impl Message for AllocatorMessage {
             }
             7 => Self::Incident(loader.take()?),
             8 => Self::SendAgain,
+            9 => {
+                let (view, hash, is_sampled) = loader.take()?;
+                let sums = if is_sampled { Some(load_sums(loader)?) } else { None };
+                Self::TileSampled { view, sums, hash }
+            }
             _ => return None,
         })
     }

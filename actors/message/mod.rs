@@ -20,7 +20,9 @@ pub use analyzer::AnalyzerMessage;
 pub use cache_ager::CacheAgerMessage;
 pub use illuminator::IlluminatorMessage;
 pub use renderer::{RendererInput, RendererMessage};
-pub use tracer::{EnvironmentOrder, LevelOrder, PredictionOrder, SampleOrder, TraceJob, TracerMessage};
+pub use tracer::{
+    EnvironmentOrder, LevelOrder, PredictionOrder, SampleOrder, TileWork, TraceJob, TracerMessage,
+};
 
 /// The age of the camera: how often the view (pose, size or illumination) has changed.
 #[derive(

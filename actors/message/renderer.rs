@@ -6,10 +6,11 @@ use foveal::display::environment_map::EnvironmentMap;
 use foveal::illumination::stored::Illumination;
 use foveal::scene::Camera;
 use foveal::scene::texture::LevelTexels;
+use foveal::splatting::supersampling::TileSums;
 use foveal::splatting::{SampleBatch, WarpedSample};
 use foveal_runtime::{Digest, Loader, Message, Saver};
 
-use super::saved::{load_batch, save_batch};
+use super::saved::{load_batch, load_sums, save_batch, save_sums};
 use super::{FrameIndex, View};
 
 /// What reaches the renderer from outside: the clock and the user. Recorded with its payload.
@@ -78,6 +79,20 @@ pub enum RendererMessage {
         /// Which view.
         view: View,
     },
+    /// From a tracer: more samples of a tile of a converged view.
+    TileSampled {
+        /// Which view.
+        view: View,
+        /// All that the tile has.
+        sums: Arc<TileSums>,
+        /// Hash of them.
+        hash: u64,
+    },
+    /// From the allocator: the view is as good as it gets, and all of its tiles are in the mailbox before this message.
+    ViewRefined {
+        /// Which view.
+        view: View,
+    },
     /// From the illuminator: better light.
     Illuminated {
         /// The light.
@@ -126,7 +141,11 @@ impl Message for RendererMessage {
                     digest.u32(word);
                 }
             }
-            Self::ViewConverged { view } => digest.u32(view.0),
+            Self::ViewConverged { view } | Self::ViewRefined { view } => digest.u32(view.0),
+            Self::TileSampled { view, sums: _, hash } => {
+                digest.u32(view.0);
+                digest.u64(*hash);
+            }
             Self::Illuminated { map: _, last, hash } => {
                 digest.u32(u32::from(*last));
                 digest.u64(*hash);
@@ -144,6 +163,8 @@ impl Message for RendererMessage {
             Self::EnvironmentChanged { .. } => "EnvironmentChanged",
             Self::TextureChanged { .. } => "TextureChanged",
             Self::ViewConverged { .. } => "ViewConverged",
+            Self::TileSampled { .. } => "TileSampled",
+            Self::ViewRefined { .. } => "ViewRefined",
             Self::Illuminated { .. } => "Illuminated",
             Self::SendAgain => "SendAgain",
         }
@@ -155,8 +176,9 @@ impl Message for RendererMessage {
             Self::SamplesTraced { batch, .. } => batch.size_bytes(),
             Self::EnvironmentChanged { map, .. } => map.as_ref().map_or(0, |map| map.bytes()),
             Self::TextureChanged { texels, .. } => texels.as_ref().map_or(0, |t| t.as_bytes().len()),
+            Self::TileSampled { sums, .. } => sums.size_bytes(),
             Self::Illuminated { map, .. } => map.bytes(),
-            Self::Input(_) | Self::ViewConverged { .. } | Self::SendAgain => 0,
+            Self::Input(_) | Self::ViewConverged { .. } | Self::ViewRefined { .. } | Self::SendAgain => 0,
         }
     }
 
@@ -179,6 +201,11 @@ impl Message for RendererMessage {
             // The allocator that sends these refuses, too.
             Self::TextureChanged { .. } => saver.refuse(),
             Self::ViewConverged { view } => saver.put(&(4_u8, view)),
+            Self::TileSampled { view, sums, hash } => {
+                saver.put(&(6_u8, view, hash));
+                save_sums(saver, sums);
+            }
+            Self::ViewRefined { view } => saver.put(&(7_u8, view)),
             // A walk whose light is refined has no snapshots: a bake in progress is too large for them.
             Self::Illuminated { .. } => saver.refuse(),
             Self::SendAgain => saver.put(&5_u8),
@@ -203,6 +230,11 @@ impl Message for RendererMessage {
             }
             4 => Self::ViewConverged { view: loader.take()? },
             5 => Self::SendAgain,
+            6 => {
+                let (view, hash) = loader.take()?;
+                Self::TileSampled { view, sums: load_sums(loader)?, hash }
+            }
+            7 => Self::ViewRefined { view: loader.take()? },
             _ => return None,
         })
     }

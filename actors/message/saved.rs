@@ -8,6 +8,7 @@ use foveal::display::twin::{self, Passes};
 use foveal::image::Map2d;
 use foveal::scene::camera::CameraFrame;
 use foveal::splatting::SampleBatch;
+use foveal::splatting::supersampling::TileSums;
 use foveal::world::World;
 use foveal_runtime::{Loader, Saver};
 
@@ -97,4 +98,14 @@ pub fn load_batch(loader: &mut Loader<'_>) -> Option<Arc<SampleBatch>> {
         let lengths = [positions.len(), normals.len(), views.len(), colors.len(), pixel_widths.len()];
         lengths.iter().all(|length| *length == pixels.len()).then_some(batch)
     })
+}
+
+/// Saves what a tile has.
+pub fn save_sums(saver: &mut Saver, sums: &Arc<TileSums>) {
+    saver.shared(sums, |sums, saver| saver.put(sums));
+}
+
+/// Reads what a tile has; who takes it up checks that it fits the picture.
+pub fn load_sums(loader: &mut Loader<'_>) -> Option<Arc<TileSums>> {
+    loader.shared(|loader| loader.take())
 }

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use foveal::allocation::jobs::SampleJob;
+use foveal::allocation::supersampling::TileOrder;
 use foveal::display::environment_map::Seen;
 use foveal::display::first_approximation::Probes;
 use foveal::scene::texture::LevelTexels;
@@ -10,7 +11,7 @@ use foveal::world::World;
 use foveal_runtime::{Digest, Job, Loader, Message, Saver};
 
 use super::DrawnView;
-use super::saved::{Surroundings, load_drawn, save_drawn};
+use super::saved::{Surroundings, load_drawn, load_sums, save_drawn, save_sums};
 use crate::textures::TextureStore;
 
 /// An order for a tracer, complete in itself.
@@ -18,6 +19,8 @@ use crate::textures::TextureStore;
 pub enum TraceJob {
     /// Samples of a view.
     Samples(SampleOrder),
+    /// More samples for a tile of a converged view.
+    Tile(TileWork),
     /// Part of an environment map.
     Environment(EnvironmentOrder),
     /// Which levels of which textures a view wants.
@@ -63,6 +66,17 @@ pub struct SampleOrder {
     pub attention: f32,
 }
 
+/// A tile to sample on.
+#[derive(Clone, Debug)]
+pub struct TileWork {
+    /// The view.
+    pub drawn: Arc<DrawnView>,
+    /// Which tile, what it has, how many samples.
+    pub order: TileOrder,
+    /// Seed of the random numbers.
+    pub seed: u64,
+}
+
 /// Part of an object's environment map.
 #[derive(Clone, Debug)]
 pub struct EnvironmentOrder {
@@ -82,6 +96,9 @@ pub struct EnvironmentOrder {
 
 /// What the description of a job says if it belongs to a map.
 pub const ENVIRONMENT_MAP: &str = "of the environment map";
+
+/// What the description of a job that samples a tile begins with.
+pub const TILE_OF_VIEW: &str = "supersampling of view";
 
 /// What the description of a job that looks ahead begins with.
 pub const TEXTURES_WANTED: &str = "the textures wanted";
@@ -146,6 +163,13 @@ impl Job for TraceJob {
                     digest.u32(word);
                 }
             }
+            Self::Tile(TileWork { drawn, order, seed: _ }) => {
+                digest.u32(drawn.view.0);
+                let samples = order.on.as_ref().map_or(0, |on| on.samples);
+                for word in [order.tile, order.count, samples] {
+                    digest.u32(word);
+                }
+            }
             Self::Environment(o) => {
                 digest.u32(o.object);
                 digest.u32(o.side);
@@ -184,6 +208,13 @@ impl Job for TraceJob {
                     seed
                 )
             }
+            Self::Tile(TileWork { drawn, order, seed }) => {
+                let had = order.on.as_ref().map_or(0, |on| on.samples);
+                format!(
+                    "{TILE_OF_VIEW} {}, tile {}, {} samples a pixel after {had}, seed {seed}",
+                    drawn.view.0, order.tile, order.count
+                )
+            }
             Self::Environment(o) => {
                 let what = match &o.work {
                     EnvironmentWork::Capture { first, count } => format!("{count} texels from {first} on"),
@@ -199,6 +230,7 @@ impl Job for TraceJob {
     fn kind(&self) -> &'static str {
         match self {
             Self::Samples(_) => "TraceJob",
+            Self::Tile(_) => "TileJob",
             Self::Environment(_) => "EnvironmentJob",
             Self::Prediction(_) => "PredictionJob",
             Self::Level(_) => "LevelJob",
@@ -210,6 +242,13 @@ impl Job for TraceJob {
             Self::Samples(SampleOrder { drawn, order, seed, priority, attention }) => {
                 saver.put(&(0_u8, order, seed, priority, attention));
                 save_drawn(saver, drawn);
+            }
+            Self::Tile(TileWork { drawn, order: TileOrder { tile, on, count }, seed }) => {
+                saver.put(&(2_u8, tile, count, seed, on.is_some()));
+                save_drawn(saver, drawn);
+                if let Some(on) = on {
+                    save_sums(saver, on);
+                }
             }
             Self::Environment(EnvironmentOrder { world: _, probes: _, object, side, exponent, work }) => {
                 saver.put(&(1_u8, object, side, exponent));
@@ -224,10 +263,20 @@ impl Job for TraceJob {
     }
 
     fn restore(loader: &mut Loader<'_>) -> Option<Self> {
-        if loader.take::<u8>()? == 0 {
-            let (order, seed, priority, attention) = loader.take()?;
-            let drawn = load_drawn(loader)?;
-            return Some(Self::Samples(SampleOrder { drawn, order, seed, priority, attention }));
+        match loader.take::<u8>()? {
+            0 => {
+                let (order, seed, priority, attention) = loader.take()?;
+                let drawn = load_drawn(loader)?;
+                return Some(Self::Samples(SampleOrder { drawn, order, seed, priority, attention }));
+            }
+            1 => {}
+            2 => {
+                let (tile, count, seed, begun) = loader.take()?;
+                let drawn = load_drawn(loader)?;
+                let on = if begun { Some(load_sums(loader)?) } else { None };
+                return Some(Self::Tile(TileWork { drawn, order: TileOrder { tile, on, count }, seed }));
+            }
+            _ => return None,
         }
         let surroundings = loader.context::<Surroundings>()?;
         let (world, probes) = (surroundings.world.clone(), surroundings.probes.clone()?);

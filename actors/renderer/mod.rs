@@ -26,6 +26,7 @@ use foveal::perception::tvi::TviTable;
 use foveal::perception::viewing::Viewing;
 use foveal::scene::texture::LevelTexels;
 use foveal::scene::{Camera, Scene};
+use foveal::splatting::supersampling::{self, TileSums, Tiles};
 use foveal::splatting::{SampleBatch, SplatLayer, WarpedSample};
 use foveal::world::World;
 use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver};
@@ -71,6 +72,8 @@ pub struct FrameCounts {
     pub expired: u32,
     /// Fresh samples of an older view, which came too late to be shown.
     pub late: u32,
+    /// Samples that refined the converged view.
+    pub refined: u32,
 }
 
 /// Who sees the frames: a window, a writer of files, a comparison.
@@ -107,6 +110,10 @@ pub struct Renderer {
     counts: FrameCounts,
     /// Whether every sample of the current view is splatted.
     converged: bool,
+    /// What the tiles of the converged view have been refined to, by tile; none before that.
+    tiles: Vec<Option<Arc<TileSums>>>,
+    /// Whether the current view is as good as it gets.
+    refined: bool,
     /// Better light that the shown one moves towards, and whether it is the last.
     target: Option<(Arc<Illumination>, bool)>,
     /// Whether the shown light is final.
@@ -170,6 +177,8 @@ impl Renderer {
             approximation,
             counts: FrameCounts::default(),
             converged: false,
+            tiles: Vec::new(),
+            refined: false,
             target: None,
             lit: true,
             changed: false,
@@ -191,6 +200,17 @@ impl Renderer {
     /// Whether every non-diffuse pixel of the current view shows its own ray, under light that is final.
     pub fn is_converged(&self) -> bool {
         self.converged && self.lit && self.waiting.is_empty()
+    }
+
+    /// Whether the current view has converged, and has been refined where that is wanted.
+    pub fn is_refined(&self) -> bool {
+        let wanted = self.settings.supersampling.is_some() && self.neighbours.is_some();
+        self.is_converged() && (self.refined || !wanted)
+    }
+
+    /// What tiles of the converged view have been refined to.
+    pub fn tiles(&self) -> impl Iterator<Item = &TileSums> {
+        self.tiles.iter().flatten().map(|sums| &**sums)
     }
 
     /// The world with the levels of textures that are shown now.
@@ -223,15 +243,17 @@ impl Renderer {
         &self.layer
     }
 
-    /// The picture as it stands, linear radiance: base layer + splat layer. `None` before the first frame.
+    /// The picture as it stands, linear radiance: base layer + splat layer, and tiles in their places. `None` before
+    /// the first frame.
     pub fn picture(&self) -> Option<Map2d<Vec3>> {
         let base = &self.drawn.as_ref()?.buffers.color;
         let sum = base.data().iter().zip(self.layer.colors().data()).map(|(&b, &s)| b + s).collect();
-        Some(Map2d::from_vec(base.width(), base.height(), sum))
+        let mut picture = Map2d::from_vec(base.width(), base.height(), sum);
+        supersampling::show(self.tiles(), &mut picture);
+        Some(picture)
     }
 
     fn on_frame_began(&mut self, camera: Camera, cx: &mut Cx<'_, RendererMessage>) {
-        self.counts = FrameCounts::default();
         let retextured = self.change_textures();
         let brighter = self.approach_light();
         if brighter || retextured || self.camera != Some(camera) {
@@ -314,6 +336,8 @@ impl Renderer {
     fn begin_view(&mut self, camera: &Camera, forget: Forget, cx: &mut Cx<'_, RendererMessage>) {
         self.view = self.view.next();
         self.converged = self.neighbours.is_none();
+        self.refined = false;
+        self.tiles.clear();
         self.changed = true;
         let frame = camera.frame(self.settings.width, self.settings.height);
         if let Some(neighbours) = &self.neighbours {
@@ -433,6 +457,19 @@ impl Renderer {
         }
     }
 
+    fn on_tile_sampled(&mut self, view: View, sums: Arc<TileSums>) {
+        let tiles = Tiles::of_size(self.settings.width, self.settings.height);
+        if view != self.view || !sums.fits(&tiles) {
+            return;
+        }
+        self.tiles.resize(tiles.len(), None);
+        let tile = &mut self.tiles[sums.tile as usize];
+        let before = tile.as_ref().map_or(0, |tile| tile.samples);
+        self.counts.refined += (sums.samples - before.min(sums.samples)) * sums.sums.len() as u32;
+        *tile = Some(sums);
+        self.changed = true;
+    }
+
     /// Shows the frame; while nothing changes the last picture stands, and nobody has work.
     fn on_deadline_reached(&mut self, index: FrameIndex, cx: &mut Cx<'_, RendererMessage>) {
         if let Some(since) = self.drawn_at.take() {
@@ -466,8 +503,9 @@ impl Renderer {
         cx.mark(MARK_FRAME, hash);
         self.changed = false;
         self.shown = Some(snapshot.clone());
+        // From here on they are the next frame's, whose beginning may lie behind samples in the mailbox.
+        let counts = std::mem::take(&mut self.counts);
         if cx.effects() {
-            let counts = self.counts;
             // The sink is lent to itself: it may look at the layers.
             let mut sink = std::mem::replace(&mut self.sink, Box::new(NoSink));
             sink.frame_shown(&snapshot, counts, self);
@@ -488,6 +526,13 @@ impl Renderer {
                     *out = encoder.rgb8(tone, base + splat);
                 }
             });
+        let grid = Tiles::of_size(width as u32, height as u32);
+        for tile in self.tiles() {
+            for (i, (x, y)) in grid.pixels(tile.tile).enumerate() {
+                let first = buffers.color.at(x, y) + self.layer.color(x, y);
+                *rgb8.at_mut(x, y) = encoder.rgb8(tone, tile.mean(i, first));
+            }
+        }
         rgb8
     }
 }
@@ -525,6 +570,8 @@ impl Actor for Renderer {
                 self.waiting.push_back(TextureChange { texture, finest, texels });
             }
             RendererMessage::ViewConverged { view } => self.on_view_converged(view),
+            RendererMessage::TileSampled { view, sums, hash: _ } => self.on_tile_sampled(view, sums),
+            RendererMessage::ViewRefined { view } => self.refined |= view == self.view,
             RendererMessage::Illuminated { map, last, hash: _ } => self.target = Some((map, last)),
             RendererMessage::SendAgain => self.outbox.send(cx),
         }

@@ -1,10 +1,11 @@
 //! The renderer's state in a snapshot of a replay.
 
 use foveal::display::first_approximation::FirstApproximation;
+use foveal::splatting::supersampling::Tiles;
 use foveal_runtime::{Loader, Saver};
 
 use super::{FrameCounts, Renderer};
-use crate::message::saved::{load_drawn, load_frame, save_drawn, save_frame};
+use crate::message::saved::{load_drawn, load_frame, load_sums, save_drawn, save_frame, save_sums};
 
 impl Renderer {
     /// Puts down everything that a replay goes on from; refuses where textures are on their way.
@@ -34,6 +35,8 @@ impl Renderer {
             approximation,
             counts,
             converged,
+            tiles,
+            refined,
             changed,
             shown,
             outbox,
@@ -45,8 +48,14 @@ impl Renderer {
             return saver.refuse();
         }
         saver.put(&(camera, view, converged, changed, drawn.is_some(), shown.is_some()));
-        let FrameCounts { traced, reused, expired, late } = counts;
-        saver.put(&(traced, reused, expired, late));
+        let FrameCounts { traced, reused, expired, late, refined: refined_now } = counts;
+        saver.put(&(traced, reused, expired, late, refined_now, refined, tiles.len() as u64));
+        for tile in tiles {
+            saver.put(&tile.is_some());
+            if let Some(sums) = tile {
+                save_sums(saver, sums);
+            }
+        }
         if let Some(drawn) = drawn {
             save_drawn(saver, drawn);
         }
@@ -68,8 +77,14 @@ impl Renderer {
     pub(super) fn restore_state(&mut self, loader: &mut Loader<'_>) -> Option<()> {
         let (camera, view, converged, changed, is_drawn, is_shown) = loader.take()?;
         (self.camera, self.view, self.converged, self.changed) = (camera, view, converged, changed);
-        let (traced, reused, expired, late) = loader.take()?;
-        self.counts = FrameCounts { traced, reused, expired, late };
+        let (traced, reused, expired, late, refined, is_refined, count) = loader.take()?;
+        self.counts = FrameCounts { traced, reused, expired, late, refined };
+        self.refined = is_refined;
+        let count: u64 = count;
+        let tiles: Option<Vec<_>> =
+            (0..count).map(|_| Some(if loader.take()? { Some(load_sums(loader)?) } else { None })).collect();
+        let grid = Tiles::of_size(self.settings.width, self.settings.height);
+        self.tiles = tiles.filter(|tiles| tiles.iter().flatten().all(|sums| sums.fits(&grid)))?;
         self.drawn = if is_drawn { Some(load_drawn(loader)?) } else { None };
         self.shown = if is_shown { Some(load_frame(loader)?) } else { None };
         let (color, rank, source) = loader.take()?;

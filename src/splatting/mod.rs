@@ -7,6 +7,7 @@
 pub mod cache;
 pub mod layer;
 pub mod sample;
+pub mod supersampling;
 pub mod trace;
 pub mod warp;
 

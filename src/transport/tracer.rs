@@ -151,6 +151,13 @@ impl<'a> Tracer<'a> {
         self.finite(self.follow(&ray, Branch::START, stream))
     }
 
+    /// Radiance seen along a direction through a cone that widens by `spread` per unit of length (the angle of a
+    /// pixel, so that textures are filtered as the display filters them). Finite.
+    pub fn seen(&self, eye: Vec3, direction: Vec3, spread: f32, stream: Stream) -> Vec3 {
+        let branch = Branch { spread, ..Branch::START };
+        self.finite(self.follow(&Ray::new(eye, direction), branch, stream))
+    }
+
     fn finite(&self, value: Vec3) -> Vec3 {
         if value.is_finite() {
             return value;

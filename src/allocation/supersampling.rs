@@ -1,0 +1,128 @@
+//! Which tile of a converged view is sampled next: the one with the largest error.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+use std::sync::Arc;
+
+use crate::display::tone::ToneMap;
+use crate::splatting::supersampling::{SAMPLES_MAX, Supersampling, TileSums, Tiles};
+
+/// Samples of each pixel in one order: a few milliseconds of a tile.
+const SAMPLES_PER_ORDER: u32 = 4;
+/// Samples before an error is believed: so few that a quiet wall costs little, so many that an edge is not missed by
+/// all pixels of a tile.
+const SAMPLES_MIN: u32 = 4;
+
+/// More samples for a tile.
+#[derive(Clone, Debug)]
+pub struct TileOrder {
+    /// Which tile.
+    pub tile: u32,
+    /// What it has; none at first.
+    pub on: Option<Arc<TileSums>>,
+    /// Samples to add to each pixel.
+    pub count: u32,
+}
+
+/// Refines one view at a time.
+#[derive(Clone, Debug)]
+pub struct Supersampler {
+    rules: Supersampling,
+    tiles: Tiles,
+    /// What each tile has.
+    sums: Vec<Option<Arc<TileSums>>>,
+    /// Tiles that may be ordered, the largest error first (as bits: errors are not negative), the first tile of those.
+    open: BinaryHeap<(u32, Reverse<u32>)>,
+}
+
+impl Supersampler {
+    /// For pictures of a size; nothing is open until a view has converged.
+    pub fn new(rules: Supersampling, width: u32, height: u32) -> Self {
+        Self { rules, tiles: Tiles::of_size(width, height), sums: Vec::new(), open: BinaryHeap::new() }
+    }
+
+    /// Another view: what was there holds no more.
+    pub fn forget(&mut self) {
+        self.sums.clear();
+        self.open.clear();
+    }
+
+    /// Whether a view is being refined or is refined.
+    pub fn has_begun(&self) -> bool {
+        !self.sums.is_empty()
+    }
+
+    /// Whether no tile is to be ordered. Those that were ordered may still be on their way.
+    pub fn is_exhausted(&self) -> bool {
+        self.open.is_empty()
+    }
+
+    /// The view has converged: all tiles are open.
+    pub fn begin(&mut self) {
+        self.forget();
+        self.sums.resize(self.tiles.len(), None);
+        if self.room(0) > 0 {
+            self.open
+                .extend((0..self.tiles.len() as u32).map(|tile| (f32::INFINITY.to_bits(), Reverse(tile))));
+        }
+    }
+
+    /// Samples that a pixel may still get after `samples` later ones.
+    fn room(&self, samples: u32) -> u32 {
+        self.rules.max_samples.min(SAMPLES_MAX).saturating_sub(samples + 1)
+    }
+
+    /// The order that helps most.
+    pub fn next_order(&mut self) -> Option<TileOrder> {
+        let (_, Reverse(tile)) = self.open.pop()?;
+        let on = self.sums.get(tile as usize).cloned().flatten();
+        let count = SAMPLES_PER_ORDER.min(self.room(on.as_ref().map_or(0, |on| on.samples)));
+        Some(TileOrder { tile, on, count })
+    }
+
+    /// A tile has come back.
+    pub fn record(&mut self, sums: Arc<TileSums>, tone: &ToneMap) {
+        if let Some(slot) = self.sums.get_mut(sums.tile as usize) {
+            *slot = Some(sums.clone());
+            let [mean, largest] = sums.error(tone);
+            let done =
+                sums.samples >= SAMPLES_MIN && mean < self.rules.noise && largest < 4.0 * self.rules.noise;
+            if !done && self.room(sums.samples) > 0 {
+                self.open.push((mean.to_bits(), Reverse(sums.tile)));
+            }
+        }
+    }
+
+    /// Root mean square of the tiles' errors, where each has one.
+    pub fn error(&self, tone: &ToneMap) -> Option<f32> {
+        let errors: Option<Vec<f32>> =
+            self.sums.iter().map(|tile| tile.as_ref().map(|sums| sums.error(tone)[0])).collect();
+        let errors = errors.filter(|errors| !errors.is_empty())?;
+        Some((errors.iter().map(|e| e * e).sum::<f32>() / errors.len() as f32).sqrt())
+    }
+
+    /// What the tiles have, for a snapshot.
+    pub fn tiles(&self) -> &[Option<Arc<TileSums>>] {
+        &self.sums
+    }
+
+    /// The open tiles, for a snapshot.
+    pub fn open(&self) -> Vec<(u32, u32)> {
+        let mut open: Vec<_> = self.open.iter().map(|&(error, Reverse(tile))| (error, tile)).collect();
+        open.sort_unstable();
+        open
+    }
+
+    /// Takes a snapshot up again; `None` if it is one of another picture.
+    pub fn restore(&mut self, sums: Vec<Option<Arc<TileSums>>>, open: Vec<(u32, u32)>) -> Option<()> {
+        let whole = sums.is_empty() || sums.len() == self.tiles.len();
+        let fits = |(at, sums): (usize, &Arc<TileSums>)| sums.tile as usize == at && sums.fits(&self.tiles);
+        let all_fit = sums.iter().enumerate().all(|(at, sums)| sums.as_ref().is_none_or(|s| fits((at, s))));
+        if !whole || !all_fit || open.iter().any(|&(_, tile)| tile as usize >= sums.len()) {
+            return None;
+        }
+        self.sums = sums;
+        self.open = open.into_iter().map(|(error, tile)| (error, Reverse(tile))).collect();
+        Some(())
+    }
+}

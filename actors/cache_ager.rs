@@ -135,20 +135,24 @@ impl Actor for CacheAger {
                 self.on_camera_moved(view, &frame, forget, cx)
             }
             CacheAgerMessage::SamplesTraced { batch, hash: _ } => self.on_samples_traced(batch),
+            CacheAgerMessage::Adjusted(adjustment) => self.settings.adjust(&adjustment),
             CacheAgerMessage::SendAgain => self.outbox.send(cx),
         }
     }
 
     fn save(&self, saver: &mut Saver) {
-        let Self { settings: _, cache, angle_limits: _, renderer: _, outbox, stages: _ } = self;
+        let Self { settings, cache, angle_limits: _, renderer: _, outbox, stages: _ } = self;
         if !outbox.is_empty() {
             return saver.refuse();
         }
+        // The rest of the settings does not change.
+        saver.put(&settings.ageing);
         saver.put(&(cache.shared().count() as u64));
         cache.shared().for_each(|batch| save_batch(saver, batch));
     }
 
     fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        self.settings.ageing = loader.take()?;
         let count: u64 = loader.take()?;
         for _ in 0..count {
             self.cache.insert(load_batch(loader)?);

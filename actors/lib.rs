@@ -15,6 +15,7 @@ pub mod analyzer;
 pub mod cache_ager;
 pub mod cli;
 pub mod illuminator;
+pub mod insight;
 pub mod message;
 pub mod outbox;
 pub mod renderer;

@@ -1,6 +1,7 @@
 //! What a walk can be told to do differently.
 
 use foveal::allocation::policy::{Policy, RayPolicy};
+use foveal::display::tone::ToneMap;
 use foveal::perception::importance::Weights;
 use foveal::sampling::Lattice;
 use foveal::splatting::supersampling::Supersampling;
@@ -39,7 +40,46 @@ pub struct Settings {
     pub winner_takes_all: bool,
 }
 
+/// What the user may change while walking. Each change reaches the actors as a recorded message.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Adjustment {
+    /// Frames per second to aim at. Frames come when the clock says so; this one is for whoever reads the recording.
+    pub fps: f32,
+    /// Tracers at work, at least 1; the others rest.
+    pub workers: u32,
+    /// Order of rays.
+    pub policy: Policy,
+    /// Weight of saliency against importance, 0 (task only) to 1 (saliency only).
+    pub saliency_weight: f32,
+    /// Samples per job, the paper's n_job.
+    pub samples_per_job: u32,
+    /// Ageing, from the next view on.
+    pub ageing: AgeingRules,
+    /// Most bytes of environment maps.
+    pub environment_bytes: u64,
+    /// Most bytes of textures, where they are limited.
+    pub texture_bytes: Option<u64>,
+    /// Exposure and curve of what is displayed; what is computed does not change with it.
+    pub tone: ToneMap,
+}
+
+impl Adjustment {
+    /// All values as bytes, for a hash.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        postcard::to_stdvec(self).unwrap_or_default()
+    }
+}
+
 impl Settings {
+    /// Takes up what the user changed.
+    pub fn adjust(&mut self, to: &Adjustment) {
+        self.policy.policy = to.policy;
+        self.saliency_weight = if to.saliency_weight >= 0.0 { to.saliency_weight.min(1.0) } else { 0.0 };
+        self.samples_per_job = to.samples_per_job.clamp(1, 1 << 20);
+        self.ageing = to.ageing;
+        self.environment_bytes = to.environment_bytes;
+    }
+
     /// Defaults for a picture of this size.
     pub fn new(width: u32, height: u32, tracers: u32) -> Self {
         Self {

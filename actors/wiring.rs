@@ -23,6 +23,7 @@ use crate::allocator::textures::Textures;
 use crate::analyzer::Analyzer;
 use crate::cache_ager::CacheAger;
 use crate::illuminator::{Illuminator, Refinement};
+use crate::insight::InsightSlot;
 use crate::message::saved::Surroundings;
 use crate::message::{AllocatorMessage, RendererInput, RendererMessage, TraceJob};
 use crate::renderer::{FrameSink, Neighbours, Renderer};
@@ -45,6 +46,8 @@ pub struct Parts {
     pub textures: Option<Arc<TextureStore>>,
     /// What the illumination is refined towards while one walks; `None` where it is final.
     pub refinement: Option<Refinement>,
+    /// Who looks on, if anybody.
+    pub insight: Option<InsightSlot>,
     /// Where durations go.
     pub stages: StageTimes,
     /// Who sees the frames.
@@ -86,7 +89,7 @@ fn batches_on_their_way(settings: &Settings) -> usize {
 
 /// Makes mailboxes and starts actors. The same function for live, recorded, replayed and simulated runs.
 pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
-    let Parts { settings, world, passes, corrects, textures, refinement, stages, sink } = parts;
+    let Parts { settings, world, passes, corrects, textures, refinement, insight, stages, sink } = parts;
     let batches = batches_on_their_way(&settings);
     let probes = corrects.then(|| Arc::new(Probes::of_world(&world)));
     wiring.context(Surroundings { world: world.clone(), passes, probes: probes.clone() });
@@ -148,6 +151,7 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
                 textures.and_then(|store| Textures::new(store, &world)),
                 stages.clone(),
             );
+            let actor = actor.looked_on_by(insight);
             wiring.spawn(allocator, actor)
         },
     };

@@ -17,6 +17,7 @@ use foveal::world::World;
 
 use foveal_runtime::{Loader, Saver};
 
+use crate::insight::MapRank;
 use crate::message::DrawnView;
 use crate::message::tracer::{EnvironmentOrder, EnvironmentWork};
 
@@ -69,6 +70,8 @@ pub struct Environments {
     shown: Vec<f64>,
     /// Maps that were captured.
     captured: u32,
+    /// The last ranking, for whoever looks on.
+    ranking: Vec<MapRank>,
 }
 
 impl Environments {
@@ -96,6 +99,7 @@ impl Environments {
             ray_ns: RAY_NS_PRIOR,
             shown: Vec::new(),
             captured: 0,
+            ranking: Vec::new(),
         }
     }
 
@@ -111,6 +115,7 @@ impl Environments {
             in_flight,
             ray_ns,
             shown: _,
+            ranking: _,
             captured,
         } = self;
         saver.put(&(states, wanted, current, in_flight, ray_ns, captured));
@@ -123,6 +128,20 @@ impl Environments {
         let same = states.len() == self.states.len();
         self.states = states;
         same.then_some(())
+    }
+
+    /// Another limit, bytes; what is over it goes with the next ranking.
+    pub fn set_budget(&mut self, bytes: u64) {
+        self.budget = bytes;
+    }
+
+    /// The last ranking with the maps as they are now, the most worth first.
+    pub fn ranking(&self) -> Vec<MapRank> {
+        let now = |rank: &MapRank| MapRank {
+            side: self.states.get(rank.object as usize).map_or(0, |state| state.side as u32),
+            ..*rank
+        };
+        self.ranking.iter().map(now).collect()
     }
 
     /// Whether a job is out.
@@ -148,7 +167,14 @@ impl Environments {
         attention: &[f32],
     ) -> Vec<u32> {
         if self.budget == 0 {
-            return Vec::new();
+            self.wanted.clear();
+            self.ranking.clear();
+            let mut dropped = Vec::new();
+            for (id, state) in self.states.iter_mut().enumerate().filter(|(_, state)| state.side > 0) {
+                state.side = 0;
+                dropped.push(id as u32);
+            }
+            return dropped;
         }
         let display = self.world.scene.display;
         let to_cd = display.exposure * display.white_cd_m2;
@@ -191,6 +217,15 @@ impl Environments {
         let soon = decide(&MapChoices(&by_time), Constraint::Nanoseconds(TIME_LIMIT_NS), None);
         // Without any map the cost is 0, so both limits can be met.
         let (Ok(kept), Ok(soon)) = (kept, soon) else { return Vec::new() };
+        self.ranking.clear();
+        for (i, (&object, &wanted)) in ids.iter().zip(&sides).enumerate() {
+            let c = &by_memory[i];
+            let worth = c.saliency * c.pixels * c.visible_error();
+            let side = self.states[object as usize].side as u32;
+            let kept = kept.states[i] != 0;
+            self.ranking.push(MapRank { object, worth, side, wanted: wanted as u32, kept });
+        }
+        self.ranking.sort_by(|a, b| b.worth.total_cmp(&a.worth).then(a.object.cmp(&b.object)));
         let mut dropped = Vec::new();
         let mut ranked: Vec<(f32, u32, usize)> = Vec::new();
         for (i, (&id, &side)) in ids.iter().zip(&sides).enumerate() {

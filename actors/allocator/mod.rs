@@ -16,28 +16,33 @@ use foveal::allocation::supersampling::Supersampler;
 use foveal::allocation::texture_demand::TextureUse;
 use foveal::display::environment_map::Seen;
 use foveal::display::tone::ToneMap;
-use foveal::perception::importance::{ObjectScan, ObjectStatistics, priorities};
+use foveal::perception::importance::{ObjectScan, ObjectStatistics, importance, priorities};
 use foveal::scene::texture::LevelTexels;
 use foveal::splatting::supersampling::TileSums;
 use foveal_runtime::{Actor, Address, Cx, Incident, JobPool, Loader, Saver};
 
+use crate::insight::{Insight, InsightSlot, ObjectInsight};
 use crate::message::saved::{load_drawn, load_sums, save_drawn, save_sums};
 use crate::message::tracer::{ENVIRONMENT_MAP, LEVEL_OF_TEXTURE, TEXTURES_WANTED};
 use crate::message::{
     AllocatorMessage, DrawnView, RendererMessage, SampleOrder, TileWork, TraceJob, TracerMessage, View,
 };
 use crate::outbox::Outbox;
-use crate::settings::Settings;
+use crate::settings::{Adjustment, Settings};
 use crate::stages::{Stage, StageTimes};
 use environments::Environments;
 use textures::{TextureWork, Textures};
 
+/// Jobs of samples that are done until whoever looks on is told anew.
+const JOBS_BETWEEN_INSIGHTS: u32 = 32;
 /// Jobs of samples that are done between two jobs of environment maps, per tracer.
 const SAMPLES_BETWEEN_MAPS: u32 = 3;
 
 /// The allocator's state.
 pub struct Allocator {
     settings: Settings,
+    /// What the user changed last.
+    adjustment: Option<Adjustment>,
     renderer: Address<RendererMessage>,
     pool: JobPool<TraceJob>,
     /// By number.
@@ -71,6 +76,10 @@ pub struct Allocator {
     told_refined: bool,
     /// Jobs that were given up.
     lost_jobs: u32,
+    /// Jobs done since whoever looks on was told.
+    since_insight: u32,
+    /// Whoever looks on.
+    insight: Option<InsightSlot>,
     /// What the runtime had to tell.
     incidents: Vec<Incident>,
 }
@@ -95,6 +104,7 @@ impl Allocator {
                 settings.width as usize * settings.height as usize,
             ),
             settings,
+            adjustment: None,
             renderer,
             pool,
             tracers,
@@ -115,7 +125,52 @@ impl Allocator {
                 .map(|rules| Supersampler::new(rules, settings.width, settings.height)),
             told_refined: false,
             lost_jobs: 0,
+            since_insight: 0,
+            insight: None,
             incidents: Vec::new(),
+        }
+    }
+
+    /// Tells `slot` what it thinks, now and then.
+    pub fn looked_on_by(mut self, slot: Option<InsightSlot>) -> Self {
+        self.insight = slot;
+        self
+    }
+
+    /// What it thinks.
+    pub fn insight(&self) -> Insight {
+        let size = (self.settings.width as usize, self.settings.height as usize);
+        let weights = self.settings.weights();
+        let mut objects: Vec<ObjectInsight> = self
+            .statistics
+            .iter()
+            .enumerate()
+            .map(|(id, s)| ObjectInsight {
+                pixels: s.pixels,
+                saliency: s.saliency,
+                importance: if id == 0 { 0.0 } else { importance(s, size.0, size.1, &weights) },
+                attention: self.attention.get(id).copied().unwrap_or(0.0),
+                ..ObjectInsight::default()
+            })
+            .collect();
+        for (standing, error) in self.order.standings() {
+            if let Some(object) = objects.get_mut(standing.object as usize) {
+                (object.level, object.priority, object.error) = (standing.level, standing.priority, error);
+            }
+        }
+        Insight {
+            view: self.drawn.as_ref().map_or(View(0), |d| d.view),
+            objects,
+            maps: self.environments.ranking(),
+            map_bytes: [self.environments.bytes(), self.settings.environment_bytes],
+            textures: self.textures.as_ref().map(|t| (t.current(), t.residency().limit())),
+        }
+    }
+
+    fn tell_insight(&mut self) {
+        if let Some(slot) = &self.insight {
+            self.since_insight = 0;
+            slot.put(self.insight());
         }
     }
 
@@ -176,6 +231,7 @@ impl Allocator {
         }
         self.change_textures(cx);
         self.fill_pool(cx);
+        self.tell_insight();
     }
 
     /// Gives the orders that textures need now.
@@ -292,7 +348,11 @@ impl Allocator {
     fn on_job_done(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {
         self.in_flight = self.in_flight.saturating_sub(1);
         self.since_map = self.since_map.saturating_add(1);
+        self.since_insight += 1;
         self.fill_pool(cx);
+        if self.since_insight >= JOBS_BETWEEN_INSIGHTS {
+            self.tell_insight();
+        }
     }
 
     fn on_tile_sampled(
@@ -362,6 +422,29 @@ impl Allocator {
         }
     }
 
+    /// Takes up what the user changed, in the middle of a view.
+    fn on_adjusted(&mut self, adjustment: &Adjustment, cx: &mut Cx<'_, AllocatorMessage>) {
+        let before = self.settings.environment_bytes;
+        self.adjust(adjustment);
+        self.update_attention();
+        self.order.attend(&self.attention);
+        if before != self.settings.environment_bytes {
+            self.rank_maps(cx);
+        }
+        self.change_textures(cx);
+        self.fill_pool(cx);
+    }
+
+    fn adjust(&mut self, adjustment: &Adjustment) {
+        self.adjustment = Some(*adjustment);
+        self.settings.adjust(adjustment);
+        self.order.adjust(self.settings.policy, self.settings.samples_per_job);
+        self.environments.set_budget(self.settings.environment_bytes);
+        if let (Some(textures), Some(bytes)) = (&mut self.textures, adjustment.texture_bytes) {
+            textures.set_limit(bytes);
+        }
+    }
+
     fn update_attention(&mut self) {
         for (id, s) in self.statistics.iter_mut().enumerate() {
             s.saliency = self.saliency.get(id).copied().unwrap_or(0.0);
@@ -391,6 +474,7 @@ impl Allocator {
             let message = RendererMessage::ViewConverged { view: drawn.view };
             self.outbox.tell(cx, &self.renderer, message);
             self.told_converged = true;
+            self.tell_insight();
         }
         if self.told_converged {
             self.refine(&drawn, cx);
@@ -432,6 +516,7 @@ impl Actor for Allocator {
                 self.on_level_loaded(texture, level, texels, cx);
             }
             AllocatorMessage::TexturesReleased => self.on_textures_released(cx),
+            AllocatorMessage::Adjusted(adjustment) => self.on_adjusted(&adjustment, cx),
             AllocatorMessage::Incident(incident) => self.on_incident(incident, cx),
             AllocatorMessage::SendAgain => self.outbox.send(cx),
         }
@@ -445,6 +530,9 @@ impl Actor for Allocator {
             tracers: _,
             stages: _,
             scan: _,
+            since_insight: _,
+            insight: _,
+            adjustment,
             outbox,
             order,
             drawn,
@@ -465,6 +553,7 @@ impl Actor for Allocator {
         if !outbox.is_empty() || textures.is_some() {
             return saver.refuse();
         }
+        saver.put(adjustment);
         saver.put(&(order, statistics, saliency.as_slice(), attention));
         saver.put(&(
             in_flight,
@@ -491,6 +580,9 @@ impl Actor for Allocator {
     }
 
     fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        if let Some(adjustment) = loader.take()? {
+            self.adjust(&adjustment);
+        }
         let saliency: Vec<f32>;
         (self.order, self.statistics, saliency, self.attention) = loader.take()?;
         self.saliency = Arc::new(saliency);

@@ -60,6 +60,13 @@ impl Textures {
         &self.residency
     }
 
+    /// Another limit, bytes; one that cannot be met changes nothing.
+    pub fn set_limit(&mut self, bytes: u64) {
+        if self.residency.limit() != bytes && self.residency.set_limit(bytes).is_err() {
+            tracing::warn!("textures cannot be kept within {bytes} bytes");
+        }
+    }
+
     /// What is known of the textures.
     pub fn store(&self) -> &TextureStore {
         &self.store
@@ -122,19 +129,24 @@ impl Textures {
 
     /// Says how things stand.
     pub fn report(&self) {
+        self.store.reports.push(self.current());
+    }
+
+    /// How things stand.
+    pub fn current(&self) -> TextureReport {
         let residency = &self.residency;
         let charge = |(i, facts): (usize, &TextureFacts)| {
             let (used, given) = (&residency.uses()[i], residency.states()[i]);
             let loss = if facts.pinned { 0.0 } else { used.error(&facts.spatial, given) };
             Charge { pixels: used.total_pixels(), asked: used.finest(), given, loss }
         };
-        self.store.reports.push(TextureReport {
+        TextureReport {
             used: residency.used(),
             held: held_bytes().0,
             price_per_mib: residency.price_per_mib(),
             counts: self.counts,
             bill: residency.facts().iter().enumerate().map(charge).collect(),
-        });
+        }
     }
 
     /// A level is there, or is not to be had.

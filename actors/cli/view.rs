@@ -2,13 +2,14 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
 use super::Progress;
-use super::arguments::{Size, positive};
+use super::arguments::{Size, bytes, positive};
 use super::failure::Failure;
 use super::output::{print_json, print_line, write_atomic};
 use super::recording::{RecordedRun, TRACERS_MAX};
@@ -16,7 +17,9 @@ use super::session::{self, IlluminationArguments};
 use crate::renderer::overlay::Overlay;
 use crate::settings::Settings;
 use crate::window::walk::{Next, Walk};
-use crate::window::{self, Backend, Build, FrameSource, Loader, Recorder, Session, WindowError, screenshot};
+use crate::window::{
+    self, Backend, Build, FrameSource, Loader, Made, Recording, Session, WindowError, parts_of, screenshot,
+};
 
 /// Arguments of `foveal view`.
 #[derive(Args, Clone, Debug)]
@@ -35,7 +38,10 @@ pub struct ViewArguments {
     /// Who paints the window
     #[arg(long, value_enum, default_value_t = BackendName::Auto)]
     backend: BackendName,
-    /// Record the walk, so that `foveal replay` can run it again; other settings begin FILE-2, FILE-3, …
+    /// Most bytes of textures in memory, e.g. 64MiB (default: the scene's, else no limit)
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
+    texture_budget: Option<u64>,
+    /// Record the walk, so that `foveal replay` can run it again; another scene, or the same read again, begins FILE-2
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
     /// Folder for screenshots (F12)
@@ -58,9 +64,10 @@ pub struct ViewArguments {
 }
 
 impl ViewArguments {
-    /// The window's actors start anew with every setting, so the light is final before they do.
+    /// Without a window nobody sees the light grow, so it is final at once.
     fn illumination(&self) -> IlluminationArguments {
-        IlluminationArguments { baked: !self.illumination.quick, ..self.illumination.clone() }
+        let baked = self.illumination.baked || self.headless && !self.illumination.quick;
+        IlluminationArguments { baked, ..self.illumination.clone() }
     }
 }
 
@@ -102,6 +109,14 @@ enum OverlayName {
     Tracer,
     /// Mip level wanted
     Mip,
+    /// How much the task draws the eye to each object
+    Importance,
+    /// Which object the next samples go to
+    Priority,
+    /// Estimated error that each object shows
+    Error,
+    /// Mip level given
+    MipGiven,
 }
 
 impl From<OverlayName> for Overlay {
@@ -114,6 +129,10 @@ impl From<OverlayName> for Overlay {
             OverlayName::Age => Self::Age,
             OverlayName::Tracer => Self::Tracer,
             OverlayName::Mip => Self::Mip,
+            OverlayName::Importance => Self::Importance,
+            OverlayName::Priority => Self::Priority,
+            OverlayName::Error => Self::Error,
+            OverlayName::MipGiven => Self::MipGiven,
         }
     }
 }
@@ -139,56 +158,59 @@ pub fn run(a: ViewArguments, progress: Progress) -> Result<(), Failure> {
 
 /// Loads the scene of the command line, or another one that was dropped on the window.
 fn loader(a: ViewArguments) -> Loader {
+    // Each session has a recording of its own.
+    let sessions = Arc::new(AtomicU32::new(0));
     Arc::new(move |path: Option<&Path>| {
         let path = path.unwrap_or(&a.scene).to_path_buf();
         // The bar is for terminals; the window says itself that it loads.
         let quiet = Progress { shown: false };
-        let opened = session::open(&path, &a.illumination(), quiet).map_err(|e| e.to_string())?;
-        let a = a.clone();
+        let made = load(&a, &path, &sessions, quiet).map_err(|e| e.to_string())?;
         let build: Build =
-            Box::new(move || start(&a, &path, opened).map(|s| Box::new(s) as Box<dyn FrameSource>));
+            Box::new(move || Session::start(made).map(|s| Box::new(s) as Box<dyn FrameSource>));
         Ok(build)
     })
 }
 
-fn start(a: &ViewArguments, path: &Path, opened: session::Session) -> Result<Session, String> {
+/// Everything of a session but its threads.
+fn load(a: &ViewArguments, path: &Path, sessions: &AtomicU32, progress: Progress) -> Result<Made, Failure> {
+    let illumination = a.illumination();
+    let mut opened = session::open(path, &illumination, progress)?;
+    let budget = &opened.world.scene.budget;
+    let (limit, fps) = (a.texture_budget.or(budget.texture_bytes), a.fps.or(budget.fps).unwrap_or(10.0));
+    opened.limit_textures(limit, illumination.cache.as_deref())?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
     let settings = Settings::new(a.size.width, a.size.height, a.workers.unwrap_or(cores.min(TRACERS_MAX)));
-    let fps = a.fps.or(opened.world.scene.budget.fps).unwrap_or(10.0);
     let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let facts = vec![
         ("Software".to_owned(), format!("foveal {}", env!("CARGO_PKG_VERSION"))),
         ("foveal file".to_owned(), file),
     ];
-    let recorder = a.record.as_ref().map(|file| recorder(a, path, &opened, file));
-    Session::start(opened.world, settings, fps, facts, recorder)
-}
-
-/// Names the recordings: the file that was asked for, and for each new session of actors, as other settings need it,
-/// another one beside it.
-fn recorder(a: &ViewArguments, path: &Path, opened: &session::Session, file: &Path) -> Recorder {
-    let (path, file, illumination) = (path.to_owned(), file.to_owned(), a.illumination.clone());
-    let world = opened.world.clone();
-    let opened = session::Session { world, textures: None, refinement: None, warnings: Vec::new() };
-    let mut sessions = 0;
-    Box::new(move |settings, passes, corrects| {
-        let run = RecordedRun::new("view", &path, &opened, &illumination, settings, passes, corrects);
+    let (corrects, passes) = parts_of(&opened.world.scene);
+    let recording = a.record.as_ref().and_then(|file| {
+        let run = RecordedRun::new("view", path, &opened, &illumination, &settings, passes, corrects);
         let header = run.and_then(|run| run.to_bytes());
         let header = header.map_err(|e| tracing::warn!("the walk is not recorded: {e}")).ok()?;
-        sessions += 1;
-        let stem = file.file_stem().unwrap_or_default().to_string_lossy();
-        let end = file.extension().map_or_else(String::new, |e| format!(".{}", e.to_string_lossy()));
-        let name =
-            if sessions == 1 { file.clone() } else { file.with_file_name(format!("{stem}-{sessions}{end}")) };
-        Some((name, header))
-    })
+        Some(Recording { file: numbered(file, sessions.fetch_add(1, Ordering::Relaxed) + 1), header })
+    });
+    let session::Session { world, textures, refinement, warnings: _ } = opened;
+    Ok(Made { world, textures, refinement, settings, fps, facts, recording })
+}
+
+/// The file of a session, counted from 1.
+fn numbered(file: &Path, session: u32) -> PathBuf {
+    if session == 1 {
+        return file.to_owned();
+    }
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+    let end = file.extension().map_or_else(String::new, |e| format!(".{}", e.to_string_lossy()));
+    file.with_file_name(format!("{stem}-{session}{end}"))
 }
 
 /// The start view, converged, into a file: what the window would show after a while.
 fn headless(a: &ViewArguments, progress: Progress) -> Result<(), Failure> {
     session::end_on_interrupt();
-    let opened = session::open(&a.scene, &a.illumination(), progress)?;
-    let mut source = start(a, &a.scene, opened).map_err(Failure::Environment)?;
+    let made = load(a, &a.scene, &AtomicU32::new(0), progress)?;
+    let mut source = Session::start(made).map_err(Failure::Environment)?;
     let controls = window::Controls { overlay: a.overlay.into(), ..source.controls() };
     source.set_controls(&controls);
     let begin = Instant::now();

@@ -277,6 +277,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         corrects,
         textures: session_textures.clone(),
         refinement: refinement.clone(),
+        insight: None,
         stages: stages.clone(),
         sink: Box::new(Handover(handover.clone())),
     };

@@ -12,6 +12,7 @@ use foveal_runtime::{Digest, Incident, Lane, Loader, Message, Saver};
 
 use super::saved::{load_drawn, load_sums, save_drawn, save_sums};
 use super::{DrawnView, View};
+use crate::settings::Adjustment;
 
 /// Everything the allocator can be told.
 #[derive(Clone, Debug)]
@@ -103,6 +104,8 @@ pub enum AllocatorMessage {
     },
     /// From the renderer: nobody holds a level that was dropped any more.
     TexturesReleased,
+    /// From the renderer: the user changed something.
+    Adjusted(Adjustment),
     /// From the runtime: an actor panicked, a job was given up, or a tracer was stopped.
     Incident(Incident),
     /// From its own timer: send what was not accepted.
@@ -154,6 +157,7 @@ impl Message for AllocatorMessage {
                 }
             }
             Self::TexturesReleased => {}
+            Self::Adjusted(adjustment) => digest.bytes(&adjustment.to_bytes()),
             Self::Incident(incident) => digest.bytes(format!("{incident:?}").as_bytes()),
             Self::SendAgain => {}
         }
@@ -172,6 +176,7 @@ impl Message for AllocatorMessage {
             Self::TexturesSeen { .. } => "TexturesSeen",
             Self::LevelLoaded { .. } => "LevelLoaded",
             Self::TexturesReleased => "TexturesReleased",
+            Self::Adjusted(_) => "Adjusted",
             Self::Incident(_) => "Incident",
             Self::SendAgain => "SendAgain",
         }
@@ -191,6 +196,7 @@ impl Message for AllocatorMessage {
             | Self::TexturesSeen { .. }
             | Self::LevelLoaded { .. }
             | Self::TexturesReleased
+            | Self::Adjusted(_)
             | Self::SendAgain => Lane::Data,
         }
     }
@@ -223,6 +229,7 @@ impl Message for AllocatorMessage {
                     save_sums(saver, sums);
                 }
             }
+            Self::Adjusted(adjustment) => saver.put(&(10_u8, adjustment)),
         }
     }
 
@@ -257,6 +264,7 @@ impl Message for AllocatorMessage {
                 let sums = if is_sampled { Some(load_sums(loader)?) } else { None };
                 Self::TileSampled { view, sums, hash }
             }
+            10 => Self::Adjusted(loader.take()?),
             _ => return None,
         })
     }

@@ -8,6 +8,7 @@ use foveal_runtime::{Digest, Loader, Message, Saver};
 
 use super::View;
 use super::saved::{load_batch, save_batch};
+use crate::settings::Adjustment;
 
 /// Everything the cache ager can be told.
 #[derive(Clone, Debug)]
@@ -28,6 +29,8 @@ pub enum CacheAgerMessage {
         /// Their hash.
         hash: u64,
     },
+    /// From the renderer: the user changed something.
+    Adjusted(Adjustment),
     /// From its own timer: send what was not accepted.
     SendAgain,
 }
@@ -52,6 +55,7 @@ impl Message for CacheAgerMessage {
                 digest.u32(u32::from(*forget == Forget::Everything));
             }
             Self::SamplesTraced { batch: _, hash } => digest.u64(*hash),
+            Self::Adjusted(adjustment) => digest.bytes(&adjustment.to_bytes()),
             Self::SendAgain => {}
         }
     }
@@ -60,13 +64,14 @@ impl Message for CacheAgerMessage {
         match self {
             Self::CameraMoved { .. } => "CameraMoved",
             Self::SamplesTraced { .. } => "SamplesTraced",
+            Self::Adjusted(_) => "Adjusted",
             Self::SendAgain => "SendAgain",
         }
     }
 
     fn size_bytes(&self) -> usize {
         match self {
-            Self::CameraMoved { .. } | Self::SendAgain => 0,
+            Self::CameraMoved { .. } | Self::Adjusted(_) | Self::SendAgain => 0,
             Self::SamplesTraced { batch, .. } => batch.size_bytes(),
         }
     }
@@ -79,6 +84,7 @@ impl Message for CacheAgerMessage {
                 save_batch(saver, batch);
             }
             Self::SendAgain => saver.put(&2_u8),
+            Self::Adjusted(adjustment) => saver.put(&(3_u8, adjustment)),
         }
     }
 
@@ -93,6 +99,7 @@ impl Message for CacheAgerMessage {
                 Self::SamplesTraced { batch: load_batch(loader)?, hash }
             }
             2 => Self::SendAgain,
+            3 => Self::Adjusted(loader.take()?),
             _ => return None,
         })
     }

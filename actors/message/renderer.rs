@@ -12,6 +12,7 @@ use foveal_runtime::{Digest, Loader, Message, Saver};
 
 use super::saved::{load_batch, load_sums, save_batch, save_sums};
 use super::{FrameIndex, View};
+use crate::settings::Adjustment;
 
 /// What reaches the renderer from outside: the clock and the user. Recorded with its payload.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -28,6 +29,8 @@ pub enum RendererInput {
         /// Its number.
         frame: FrameIndex,
     },
+    /// The user changed something.
+    Adjusted(Adjustment),
 }
 
 /// Everything the renderer can be told.
@@ -123,6 +126,7 @@ impl Message for RendererMessage {
                 digest.f32(camera.fov_y);
             }
             Self::Input(RendererInput::DeadlineReached { frame }) => digest.u32(frame.0),
+            Self::Input(RendererInput::Adjusted(adjustment)) => digest.bytes(&adjustment.to_bytes()),
             Self::SamplesAged { view, samples: _, expired, hash } => {
                 digest.u32(view.0);
                 digest.u32(*expired);
@@ -158,6 +162,7 @@ impl Message for RendererMessage {
         match self {
             Self::Input(RendererInput::FrameBegan { .. }) => "FrameBegan",
             Self::Input(RendererInput::DeadlineReached { .. }) => "DeadlineReached",
+            Self::Input(RendererInput::Adjusted(_)) => "Adjusted",
             Self::SamplesAged { .. } => "SamplesAged",
             Self::SamplesTraced { .. } => "SamplesTraced",
             Self::EnvironmentChanged { .. } => "EnvironmentChanged",

@@ -40,7 +40,7 @@ use crate::message::{
     RendererMessage, View,
 };
 use crate::outbox::Outbox;
-use crate::settings::Settings;
+use crate::settings::{Adjustment, Settings};
 use crate::stages::{Stage, StageTimes};
 
 /// Most that irradiance anywhere changes from one frame to the next while light is refined: this share of itself
@@ -88,6 +88,8 @@ pub struct Renderer {
     world: World,
     passes: Passes,
     tone: ToneMap,
+    /// What the user changed last.
+    adjustment: Option<Adjustment>,
     /// How the picture is seen, and what differences are noticed then.
     viewing: Viewing,
     thresholds: TviTable,
@@ -157,6 +159,7 @@ impl Renderer {
         Self {
             layer: SplatLayer::new(width, height, settings.k_max, settings.footprint),
             tone: ToneMap::from(&world.scene.display),
+            adjustment: None,
             viewing: Viewing::from_centre_of_projection(
                 world.scene.display.white_cd_m2,
                 width,
@@ -213,6 +216,16 @@ impl Renderer {
         self.tiles.iter().flatten().map(|sums| &**sums)
     }
 
+    /// Whether the shown light is final.
+    pub fn is_lit(&self) -> bool {
+        self.lit
+    }
+
+    /// K of the lattice.
+    pub fn k_max(&self) -> u32 {
+        self.settings.k_max
+    }
+
     /// The world with the levels of textures that are shown now.
     pub fn world(&self) -> &World {
         &self.world
@@ -251,6 +264,20 @@ impl Renderer {
         let mut picture = Map2d::from_vec(base.width(), base.height(), sum);
         supersampling::show(self.tiles(), &mut picture);
         Some(picture)
+    }
+
+    /// What the user changed last; `None` where all is as it began.
+    pub fn adjustment(&self) -> Option<&Adjustment> {
+        self.adjustment.as_ref()
+    }
+
+    fn on_adjusted(&mut self, adjustment: Adjustment, cx: &mut Cx<'_, RendererMessage>) {
+        self.settings.adjust(&adjustment);
+        self.adjustment = Some(adjustment);
+        if let Some(neighbours) = &self.neighbours {
+            self.outbox.tell(cx, &neighbours.cache_ager, CacheAgerMessage::Adjusted(adjustment));
+            self.outbox.tell(cx, &neighbours.allocator, AllocatorMessage::Adjusted(adjustment));
+        }
     }
 
     fn on_frame_began(&mut self, camera: Camera, cx: &mut Cx<'_, RendererMessage>) {
@@ -557,6 +584,7 @@ impl Actor for Renderer {
             RendererMessage::Input(RendererInput::DeadlineReached { frame }) => {
                 self.on_deadline_reached(frame, cx)
             }
+            RendererMessage::Input(RendererInput::Adjusted(adjustment)) => self.on_adjusted(adjustment, cx),
             RendererMessage::SamplesAged { view, samples, expired, hash: _ } => {
                 self.on_samples_aged(view, &samples, expired);
             }

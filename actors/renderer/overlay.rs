@@ -25,12 +25,31 @@ pub enum Overlay {
     Tracer = 5,
     /// Mip level wanted: white is full size.
     Mip = 6,
+    /// How much the task draws the eye to each object: size, place and shape (Haber 2001 §3).
+    Importance = 7,
+    /// Which object the next samples go to: white first.
+    Priority = 8,
+    /// Estimated error that each object shows still: white is ten just noticeable differences and more.
+    Error = 9,
+    /// Mip level given: wanted, or the finest in memory where that is coarser.
+    MipGiven = 10,
 }
 
 impl Overlay {
     /// All, in the order of the keys that choose them.
-    pub const ALL: [Self; 7] =
-        [Self::None, Self::Saliency, Self::Objects, Self::Level, Self::Age, Self::Tracer, Self::Mip];
+    pub const ALL: [Self; 11] = [
+        Self::None,
+        Self::Saliency,
+        Self::Importance,
+        Self::Priority,
+        Self::Error,
+        Self::Level,
+        Self::Age,
+        Self::Tracer,
+        Self::Objects,
+        Self::Mip,
+        Self::MipGiven,
+    ];
 
     /// Name for people.
     pub fn name(self) -> &'static str {
@@ -41,7 +60,11 @@ impl Overlay {
             Self::Level => "sample level",
             Self::Age => "sample age",
             Self::Tracer => "tracer",
-            Self::Mip => "mip level",
+            Self::Mip => "mip wanted",
+            Self::Importance => "importance",
+            Self::Priority => "priority",
+            Self::Error => "error",
+            Self::MipGiven => "mip given",
         }
     }
 }
@@ -70,8 +93,9 @@ pub struct Sources<'a> {
     pub splats: &'a SplatLayer,
     /// K of the lattice.
     pub k_max: u32,
-    /// Attention of each object in [0, 1], by object id.
-    pub attention: &'a [f32],
+    /// What the overlay shows of each object, in [0, 1], by object id; of [`Overlay::MipGiven`] the finest level in
+    /// memory, by texture.
+    pub values: &'a [f32],
 }
 
 /// The picture with an overlay; `rgb8` is the picture without.
@@ -92,8 +116,10 @@ fn overlay_color(overlay: Overlay, sources: &Sources<'_>, x: usize, y: usize, gr
     let tinted = |color: Vec3| grey.lerp(color, 0.7);
     match overlay {
         Overlay::None => None,
-        Overlay::Saliency if object == 0 => None,
-        Overlay::Saliency => sources.attention.get(object as usize).map(|a| tinted(heat(*a))),
+        Overlay::Saliency | Overlay::Importance | Overlay::Priority | Overlay::Error if object == 0 => None,
+        Overlay::Saliency | Overlay::Importance | Overlay::Priority | Overlay::Error => {
+            sources.values.get(object as usize).map(|a| tinted(heat(*a)))
+        }
         Overlay::Objects => (object != 0).then(|| tinted(distinct(object))),
         Overlay::Level => {
             let (k, _) = sources.splats.shown_level(x, y)?;
@@ -107,10 +133,15 @@ fn overlay_color(overlay: Overlay, sources: &Sources<'_>, x: usize, y: usize, gr
             0 => None,
             source => Some(tinted(distinct(u32::from(source)))),
         },
-        Overlay::Mip => {
+        Overlay::Mip | Overlay::MipGiven => {
             let words = &sources.buffers.texture;
             let word = words.data().get(y * words.width() + x)?;
-            word.texture().map(|_| tinted(heat(1.0 - word.level() / 8.0)))
+            let texture = word.texture()?;
+            let finest = match overlay {
+                Overlay::MipGiven => sources.values.get(texture.0 as usize).copied().unwrap_or(0.0),
+                _ => 0.0,
+            };
+            Some(tinted(heat(1.0 - word.level().max(finest) / 8.0)))
         }
     }
 }

@@ -28,6 +28,7 @@ impl Renderer {
             // Only room, and only a time that is shown.
             retired: _,
             drawn_at: _,
+            adjustment,
             camera,
             view,
             drawn,
@@ -47,6 +48,7 @@ impl Renderer {
         if !outbox.is_empty() || !waiting.is_empty() || !former.is_empty() {
             return saver.refuse();
         }
+        saver.put(adjustment);
         saver.put(&(camera, view, converged, changed, drawn.is_some(), shown.is_some()));
         let FrameCounts { traced, reused, expired, late, refined: refined_now } = counts;
         saver.put(&(traced, reused, expired, late, refined_now, refined, tiles.len() as u64));
@@ -75,6 +77,10 @@ impl Renderer {
 
     /// Takes it up again; `None` if the snapshot holds something else.
     pub(super) fn restore_state(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        self.adjustment = loader.take()?;
+        if let Some(adjustment) = &self.adjustment {
+            self.settings.adjust(adjustment);
+        }
         let (camera, view, converged, changed, is_drawn, is_shown) = loader.take()?;
         (self.camera, self.view, self.converged, self.changed) = (camera, view, converged, changed);
         let (traced, reused, expired, late, refined, is_refined, count) = loader.take()?;

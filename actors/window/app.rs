@@ -163,7 +163,10 @@ impl App {
             Ok(source) => {
                 let now = self.now();
                 match &mut self.walk {
-                    Some(walk) if stays => walk.replace_source(source),
+                    Some(walk) if stays => {
+                        walk.replace_source(source);
+                        walk.tell("the scene was read again".into());
+                    }
                     walk => *walk = Some(Walk::new(source, now)),
                 }
                 if let (Some(walk), Some(screen)) = (&self.walk, &self.screen) {
@@ -278,6 +281,8 @@ impl App {
                     status: &status,
                     times: &walk.times,
                     speed: walk.navigator.speed(),
+                    ranges: walk.ranges(),
+                    insight: walk.insight(),
                     presenter: &presenter,
                     notice: walk.notice.as_ref(),
                 };
@@ -308,9 +313,9 @@ impl App {
         screen.picture_rect = picture_rect;
         if let (Some(walk), Some(controls)) = (&mut self.walk, controls) {
             let before = walk.controls().overlay;
-            let tone = walk.controls().tone;
+            let tone = walk.controls().set.tone;
             walk.set_controls(controls);
-            self.picture_is_new |= before != controls.overlay || tone != controls.tone;
+            self.picture_is_new |= before != controls.overlay || tone != controls.set.tone;
         }
         screen.egui.handle_platform_output(&screen.window, output.platform_output);
         let delay = output.viewport_output.get(&egui::ViewportId::ROOT).map(|v| v.repaint_delay);

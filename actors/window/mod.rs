@@ -7,6 +7,8 @@
 //! With a graphics adapter the window is painted by it, without one by the processor; both show the same.
 
 pub mod app;
+pub mod decisions;
+pub mod look;
 pub mod navigation;
 pub mod painter;
 pub mod panel;
@@ -18,5 +20,5 @@ pub mod walk;
 
 pub use app::{Options, WindowError, run};
 pub use presenter::Backend;
-pub use session::{Recorder, Session};
-pub use source::{Build, Controls, FrameSource, Loader, Place, Status};
+pub use session::{Made, Recording, Session, parts_of};
+pub use source::{Build, Controls, FrameSource, Loader, Place, Ranges, Status};

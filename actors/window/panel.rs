@@ -7,7 +7,9 @@ use egui::{Color32, Pos2, Rect, RichText, Sense, Shape, Slider, Stroke, Ui, Vec2
 use foveal::allocation::policy::Policy;
 use foveal::display::tone::ToneCurve;
 
-use super::source::{ActorStatus, Controls, Status};
+use super::decisions::decisions;
+use super::source::{ActorStatus, Controls, Names, Ranges, Status};
+use crate::insight::Insight;
 use crate::renderer::overlay::Overlay;
 
 /// Frames in the graph.
@@ -67,6 +69,10 @@ pub struct Shown<'a> {
     pub times: &'a FrameTimes,
     /// Speed of walking, scene units per second.
     pub speed: f32,
+    /// How far controls go.
+    pub ranges: Ranges,
+    /// What the allocator thought last.
+    pub insight: Option<(&'a Insight, &'a Names)>,
     /// Who presents: an adapter or the processor.
     pub presenter: &'a str,
     /// The last thing that went well or wrong.
@@ -88,24 +94,28 @@ pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
     egui::ScrollArea::vertical().show(ui, |ui| {
         state(ui, shown);
         ui.separator();
-        graph(ui, shown.times, controls.fps);
+        graph(ui, shown.times, controls.set.fps);
         ui.separator();
-        ui.add(Slider::new(&mut controls.fps, 1.0..=60.0).logarithmic(true).text("frames per second"));
+        ui.add(Slider::new(&mut controls.set.fps, 1.0..=60.0).logarithmic(true).text("frames per second"));
         ui.horizontal(|ui| {
             ui.label("task");
-            ui.add(Slider::new(&mut controls.saliency_weight, 0.0..=1.0).text("saliency"));
+            ui.add(Slider::new(&mut controls.set.saliency_weight, 0.0..=1.0).text("saliency"));
         });
-        egui::ComboBox::from_label("policy").selected_text(controls.policy.name()).show_ui(ui, |ui| {
+        egui::ComboBox::from_label("policy").selected_text(controls.set.policy.name()).show_ui(ui, |ui| {
             for policy in Policy::ALL {
-                ui.selectable_value(&mut controls.policy, policy, policy.name());
+                ui.selectable_value(&mut controls.set.policy, policy, policy.name());
             }
         });
         ui.add(
-            Slider::new(&mut controls.samples_per_job, 16..=4096).logarithmic(true).text("samples per job"),
+            Slider::new(&mut controls.set.samples_per_job, 16..=4096)
+                .logarithmic(true)
+                .text("samples per job"),
         );
-        ui.add(Slider::new(&mut controls.ageing.delta, 0.01..=0.5).text("delta"));
-        ui.add(Slider::new(&mut controls.ageing.max_age, 0..=256).text("MAX_AGE"));
-        ui.add(Slider::new(&mut controls.ageing.n_min, 1..=100).text("N_min"));
+        ui.add(Slider::new(&mut controls.set.ageing.delta, 0.01..=0.5).text("delta"));
+        ui.add(Slider::new(&mut controls.set.ageing.max_age, 0..=256).text("MAX_AGE"));
+        ui.add(Slider::new(&mut controls.set.ageing.n_min, 1..=100).text("N_min"));
+        ui.add(Slider::new(&mut controls.set.workers, 1..=shown.ranges.workers).text("workers"));
+        budgets(ui, controls, shown.ranges);
         ui.separator();
         exposure(ui, controls);
         ui.separator();
@@ -116,7 +126,12 @@ pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
             }
         });
         ui.separator();
-        actors(ui, &shown.status.actors);
+        if let Some((insight, names)) = shown.insight {
+            decisions(ui, insight, names);
+        }
+        egui::CollapsingHeader::new("actors").default_open(true).show(ui, |ui| {
+            actors(ui, &shown.status.actors);
+        });
         ui.separator();
         ui.weak(shown.presenter);
         ui.weak("F1: help");
@@ -125,7 +140,11 @@ pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
 
 fn state(ui: &mut Ui, shown: &Shown<'_>) {
     let status = shown.status;
-    let state = if status.converged { "converged" } else { "correcting" };
+    let state = match (status.converged, status.lit) {
+        (true, _) => "converged",
+        (false, true) => "correcting",
+        (false, false) => "correcting, light grows",
+    };
     ui.label(RichText::new(format!("view {}, {state}", status.view)).strong());
     ui.label(format!("{} traced, {} reused, {} expired", status.traced, status.reused, status.expired));
     ui.label(format!("speed {:.3} per second", shown.speed));
@@ -135,16 +154,38 @@ fn state(ui: &mut Ui, shown: &Shown<'_>) {
     }
 }
 
+/// Most memory for textures and environment maps.
+fn budgets(ui: &mut Ui, controls: &mut Controls, ranges: Ranges) {
+    const MIB: f64 = (1 << 20) as f64;
+    let mut maps = controls.set.environment_bytes as f64 / MIB;
+    if ui.add(Slider::new(&mut maps, 0.0..=256.0).text("environments, MiB")).changed() {
+        controls.set.environment_bytes = (maps * MIB) as u64;
+    }
+    match (ranges.textures, &mut controls.set.texture_bytes) {
+        (Some([least, most]), Some(bytes)) => {
+            let mut mib = *bytes as f64 / MIB;
+            let range = least as f64 / MIB..=most as f64 / MIB;
+            if ui.add(Slider::new(&mut mib, range).text("textures, MiB")).changed() {
+                *bytes = ((mib * MIB) as u64).clamp(least, most);
+            }
+        }
+        _ => {
+            ui.weak("all textures fit (--texture-budget)");
+        }
+    }
+}
+
 fn exposure(ui: &mut Ui, controls: &mut Controls) {
-    let mut stops = controls.tone.exposure.max(1e-6).log2();
+    let mut stops = controls.set.tone.exposure.max(1e-6).log2();
     if ui.add(Slider::new(&mut stops, -12.0..=12.0).text("exposure, stops")).changed() {
-        controls.tone.exposure = stops.exp2();
+        controls.set.tone.exposure = stops.exp2();
     }
-    let mut compresses = matches!(controls.tone.curve, ToneCurve::Reinhard { .. });
+    let mut compresses = matches!(controls.set.tone.curve, ToneCurve::Reinhard { .. });
     if ui.checkbox(&mut compresses, "compress highlights").changed() {
-        controls.tone.curve = if compresses { ToneCurve::Reinhard { white: 4.0 } } else { ToneCurve::Clamp };
+        controls.set.tone.curve =
+            if compresses { ToneCurve::Reinhard { white: 4.0 } } else { ToneCurve::Clamp };
     }
-    if let ToneCurve::Reinhard { white } = &mut controls.tone.curve {
+    if let ToneCurve::Reinhard { white } = &mut controls.set.tone.curve {
         ui.add(Slider::new(white, 0.5..=64.0).logarithmic(true).text("white"));
     }
 }
@@ -182,7 +223,7 @@ fn graph(ui: &mut Ui, times: &FrameTimes, fps: f32) {
 
 fn actors(ui: &mut Ui, actors: &[ActorStatus]) {
     egui::Grid::new("actors").striped(true).num_columns(4).show(ui, |ui| {
-        for heading in ["actor", "delivered", "waited", "busy, s"] {
+        for heading in ["actor", "delivered", "queue", "busy, s"] {
             ui.weak(heading);
         }
         ui.end_row();

@@ -5,23 +5,25 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crossbeam_queue::ArrayQueue;
-use foveal::allocation::policy::RayPolicy;
+use foveal::allocation::residency::smallest;
 use foveal::display::tone::{Encoder, ToneMap};
 use foveal::display::twin::Passes;
 use foveal::image::Map2d;
-use foveal::perception::importance::{ObjectScan, ObjectStatistics};
-use foveal::perception::saliency::SaliencyModel;
-use foveal::scene::Camera;
 use foveal::scene::plan::{Part, ScenePlan};
+use foveal::scene::{Camera, Scene};
 use foveal::world::World;
-use foveal_runtime::{BuildError, Config, Limit, Runtime};
+use foveal_runtime::{BuildError, Config, Control, Limit, Runtime};
 
-use super::source::{ActorStatus, Controls, FrameSource, Place, Status};
+use super::look;
+use super::source::{Controls, FrameSource, Names, Place, Ranges, Status};
+use crate::illuminator::Refinement;
+use crate::insight::{Insight, InsightSlot};
 use crate::message::{FrameIndex, FrameSnapshot, RendererInput};
-use crate::renderer::overlay::{Overlay, Sources, paint};
+use crate::renderer::overlay::Overlay;
 use crate::renderer::{FrameCounts, FrameSink, Renderer};
-use crate::settings::Settings;
+use crate::settings::{Adjustment, Settings};
 use crate::stages::StageTimes;
+use crate::textures::TextureStore;
 use crate::wiring::{Actors, Parts, wire};
 
 /// Time that actors have to come to rest when they are no longer needed.
@@ -29,8 +31,21 @@ const SHUTDOWN: Duration = Duration::from_secs(2);
 /// Longest time for the picture of a frame, once its deadline is over.
 const SHOWING: Duration = Duration::from_secs(10);
 
-/// Says where a session of actors with these settings is recorded, and the application's part of the header.
-pub type Recorder = Box<dyn FnMut(&Settings, Passes, bool) -> Option<(PathBuf, Vec<u8>)> + Send>;
+/// Where the actors are recorded, and the application's part of the header.
+#[derive(Clone, Debug)]
+pub struct Recording {
+    /// The file.
+    pub file: PathBuf,
+    /// The application's part of the header.
+    pub header: Vec<u8>,
+}
+
+/// Whether there is anything to correct, and what the display pass must fill.
+pub fn parts_of(scene: &Scene) -> (bool, Passes) {
+    let plan = ScenePlan::new(scene, &scene.budget);
+    // The overlay of mip levels shows the texture ids.
+    (plan.needs(Part::Tracers), Passes { texture_ids: !scene.textures.is_empty() })
+}
 
 /// Keeps the newest frame's counts for the window.
 struct Newest(Arc<ArrayQueue<FrameCounts>>);
@@ -41,30 +56,41 @@ impl FrameSink for Newest {
     }
 }
 
+/// What a session is made of.
+pub struct Made {
+    /// What is walked through.
+    pub world: World,
+    /// Textures, where they do not all fit into their limit.
+    pub textures: Option<Arc<TextureStore>>,
+    /// What the illumination is refined towards while one walks.
+    pub refinement: Option<Refinement>,
+    /// Settings to begin with.
+    pub settings: Settings,
+    /// Frames per second to aim at.
+    pub fps: f32,
+    /// Names and values for a screenshot's metadata.
+    pub facts: Vec<(String, String)>,
+    /// Where the session is recorded, if anywhere.
+    pub recording: Option<Recording>,
+}
+
 /// Actors at work, and what they are made of.
 pub struct Session {
     world: World,
     settings: Settings,
-    corrects: bool,
-    passes: Passes,
+    ranges: Ranges,
     controls: Controls,
-    /// `None` only while it is made anew, or if that failed.
-    system: Option<(Runtime, Actors)>,
+    /// `None` only while it is dropped.
+    runtime: Option<Runtime>,
+    actors: Actors,
     newest: Arc<ArrayQueue<FrameCounts>>,
     counts: FrameCounts,
     frame: u32,
     encoder: Encoder,
-    attention: AttentionView,
+    slot: InsightSlot,
+    insight: Option<Insight>,
+    names: Names,
     facts: Vec<(String, String)>,
-    recorder: Option<Recorder>,
-}
-
-/// Relative saliency of the objects on screen, for the overlay alone: the allocator's own numbers belong to its thread.
-#[derive(Default)]
-struct AttentionView {
-    model: SaliencyModel,
-    scan: ObjectScan,
-    statistics: Vec<ObjectStatistics>,
 }
 
 impl Session {
@@ -72,63 +98,42 @@ impl Session {
     ///
     /// # Errors
     /// If threads cannot be started.
-    pub fn start(
-        world: World,
-        settings: Settings,
-        fps: f32,
-        facts: Vec<(String, String)>,
-        recorder: Option<Recorder>,
-    ) -> Result<Self, String> {
-        let plan = ScenePlan::new(&world.scene, &world.scene.budget);
+    pub fn start(made: Made) -> Result<Self, String> {
+        let Made { world, textures, refinement, settings, fps, facts, recording } = made;
+        let (corrects, passes) = parts_of(&world.scene);
+        let store = textures.as_ref();
         let controls = Controls {
-            fps,
-            saliency_weight: settings.saliency_weight,
-            policy: settings.policy.policy,
-            samples_per_job: settings.samples_per_job,
-            ageing: settings.ageing,
-            tone: ToneMap::from(&world.scene.display),
+            set: Adjustment {
+                fps,
+                workers: settings.tracers,
+                policy: settings.policy.policy,
+                saliency_weight: settings.saliency_weight,
+                samples_per_job: settings.samples_per_job,
+                ageing: settings.ageing,
+                environment_bytes: settings.environment_bytes,
+                texture_bytes: store.map(|store| store.limit),
+                tone: ToneMap::from(&world.scene.display),
+            },
             overlay: Overlay::None,
         };
-        let mut session = Self {
-            corrects: plan.needs(Part::Tracers),
-            // The overlay of mip levels shows it.
-            passes: Passes { texture_ids: !world.scene.textures.is_empty() },
-            world,
-            settings,
-            controls,
-            system: None,
-            newest: Arc::new(ArrayQueue::new(1)),
-            counts: FrameCounts::default(),
-            frame: 0,
-            encoder: Encoder::default(),
-            attention: AttentionView::default(),
-            facts,
-            recorder,
-        };
-        session.restart()?;
-        Ok(session)
-    }
-
-    /// New actors with the settings as they are now. The world stays; samples are traced again.
-    fn restart(&mut self) -> Result<(), String> {
-        self.stop();
-        let threads = if self.corrects { self.settings.tracers as usize + 1 } else { 0 };
-        let recorder = self.recorder.as_mut();
-        let recorded = recorder.and_then(|r| r(&self.settings, self.passes, self.corrects));
+        let ranges = Ranges { workers: settings.tracers, textures: store.map(|store| range(store)) };
+        let threads = if corrects { settings.tracers as usize + 1 } else { 0 };
+        let (newest, slot) = (Arc::new(ArrayQueue::new(1)), InsightSlot::default());
         let parts = || Parts {
-            settings: self.settings,
-            world: self.world.clone(),
-            passes: self.passes,
-            corrects: self.corrects,
-            textures: None,
-            refinement: None,
+            settings,
+            world: world.clone(),
+            passes,
+            corrects,
+            textures: textures.clone(),
+            refinement: refinement.clone(),
+            insight: Some(slot.clone()),
             stages: StageTimes::default(),
-            sink: Box::new(Newest(self.newest.clone())),
+            sink: Box::new(Newest(newest.clone())),
         };
         let mut config = Config::live(threads);
-        if let Some((file, header)) = recorded {
-            config.application = header;
-            config = config.record(file);
+        if let Some(recording) = recording {
+            config.application = recording.header;
+            config = config.record(recording.file);
         }
         let built = match Runtime::build(config, |w| wire(w, parts())) {
             Err(BuildError::Record(e)) => {
@@ -137,34 +142,66 @@ impl Session {
             }
             built => built,
         };
-        self.system = Some(built.map_err(|e| format!("the actors cannot be started: {e}"))?);
-        Ok(())
-    }
-
-    fn stop(&mut self) {
-        if let Some((runtime, _)) = self.system.take() {
-            let end = runtime.shutdown(SHUTDOWN);
-            tracing::debug!("actors stopped, drained: {}", end.drained);
-        }
+        let (runtime, actors) = built.map_err(|e| format!("the actors cannot be started: {e}"))?;
+        let scene = &world.scene;
+        let names = Names {
+            objects: scene.objects.iter().map(|o| o.name.clone()).collect(),
+            textures: scene.textures.iter().map(|t| t.name.clone()).collect(),
+        };
+        Ok(Self {
+            world,
+            settings,
+            ranges,
+            controls,
+            runtime: Some(runtime),
+            actors,
+            newest,
+            counts: FrameCounts::default(),
+            frame: 0,
+            encoder: Encoder::default(),
+            slot,
+            insight: None,
+            names,
+            facts,
+        })
     }
 
     fn send(&mut self, input: RendererInput) {
-        if let Some((_, actors)) = &self.system
-            && let Err(e) = actors.input.send(input)
-        {
+        if let Err(e) = self.actors.input.send(input) {
             tracing::warn!("an input was not taken: {e}");
         }
     }
 
     fn look<R>(&self, look: impl FnOnce(&Renderer) -> R) -> Option<R> {
-        let (runtime, actors) = self.system.as_ref()?;
-        runtime.inspect(actors.renderer, look)
+        self.runtime.as_ref()?.inspect(self.actors.renderer, look)
     }
+
+    fn pump(&mut self, time: Duration, until: impl FnMut(&Runtime) -> bool) {
+        if let Some(runtime) = &mut self.runtime {
+            runtime.pump_until(Limit::time(time), until);
+        }
+    }
+
+    /// Takes the allocator's newest word, and drops reports that nobody collects here.
+    fn listen(&mut self) {
+        if let Some(insight) = self.slot.take() {
+            self.insight = Some(insight);
+        }
+    }
+}
+
+/// Bytes with the coarsest levels only, and with all levels.
+fn range(store: &TextureStore) -> [u64; 2] {
+    let all = store.facts.iter().map(|facts| facts.bytes_from(0)).sum();
+    [smallest(&store.facts), all]
 }
 
 impl Drop for Session {
     fn drop(&mut self) {
-        self.stop();
+        if let Some(runtime) = self.runtime.take() {
+            let end = runtime.shutdown(SHUTDOWN);
+            tracing::debug!("actors stopped, drained: {}", end.drained);
+        }
     }
 }
 
@@ -188,38 +225,41 @@ impl FrameSource for Session {
         self.controls
     }
 
+    fn ranges(&self) -> Ranges {
+        self.ranges
+    }
+
+    fn insight(&self) -> Option<(&Insight, &Names)> {
+        self.insight.as_ref().map(|insight| (insight, &self.names))
+    }
+
     fn set_controls(&mut self, controls: &Controls) {
-        let settings = Settings {
-            saliency_weight: controls.saliency_weight,
-            policy: RayPolicy { policy: controls.policy, ..self.settings.policy },
-            samples_per_job: controls.samples_per_job.max(1),
-            ageing: controls.ageing,
-            ..self.settings
-        };
-        self.controls = *controls;
-        if settings != self.settings {
-            self.settings = settings;
-            if let Err(e) = self.restart() {
-                tracing::error!("{e}");
+        let before = std::mem::replace(&mut self.controls, *controls);
+        if before.set == controls.set {
+            return;
+        }
+        let workers = controls.set.workers.clamp(1, self.ranges.workers) as usize;
+        for (index, tracer) in self.actors.tracers.iter().enumerate() {
+            let (rested, rests) = (index >= before.set.workers as usize, index >= workers);
+            if let (true, Some(runtime)) = (rested != rests, &self.runtime) {
+                runtime.control(*tracer, if rests { Control::Pause } else { Control::Resume });
             }
         }
+        self.controls.set.workers = workers as u32;
+        self.settings.adjust(&self.controls.set);
+        self.send(RendererInput::Adjusted(self.controls.set));
     }
 
     fn begin_frame(&mut self, camera: &Camera) {
         self.send(RendererInput::FrameBegan { frame: FrameIndex(self.frame), camera: *camera });
         // Until the renderer has heard of it, "converged" is said of the view before.
-        if let Some((runtime, actors)) = &mut self.system {
-            let renderer = actors.renderer;
-            runtime.pump_until(Limit::time(SHOWING), |r| {
-                r.inspect(renderer, |r| r.camera() == Some(*camera)) == Some(true)
-            });
-        }
+        let renderer = self.actors.renderer;
+        self.pump(SHOWING, |r| r.inspect(renderer, |r| r.camera() == Some(*camera)) == Some(true));
     }
 
     fn work(&mut self, time: Duration) {
-        let Some((runtime, actors)) = &mut self.system else { return };
-        let renderer = actors.renderer;
-        runtime.pump_until(Limit::time(time), |r| r.inspect(renderer, Renderer::is_converged) == Some(true));
+        let renderer = self.actors.renderer;
+        self.pump(time, |r| r.inspect(renderer, Renderer::is_converged) == Some(true));
     }
 
     fn end_frame(&mut self) {
@@ -227,62 +267,31 @@ impl FrameSource for Session {
         self.send(RendererInput::DeadlineReached { frame: FrameIndex(self.frame) });
         self.frame = self.frame.wrapping_add(1);
         let newest = self.newest.clone();
-        if let Some((runtime, _)) = &mut self.system {
-            runtime.pump_until(Limit::time(SHOWING), |_| !newest.is_empty());
-        }
+        self.pump(SHOWING, |_| !newest.is_empty());
         if let Some(counts) = self.newest.pop() {
             self.counts = counts;
         }
+        self.listen();
     }
 
     fn picture(&mut self) -> Option<Map2d<[u8; 3]>> {
-        let (runtime, actors) = self.system.as_ref()?;
-        let (controls, k_max) = (self.controls, self.settings.k_max);
-        let (encoder, attention) = (&self.encoder, &mut self.attention);
-        let as_scene = controls.tone == ToneMap::from(&self.world.scene.display);
-        let objects = self.world.scene.objects.len().max(1);
-        runtime.inspect(actors.renderer, |renderer| {
-            let shown = renderer.shown()?;
-            let rgb8 = if as_scene {
-                (*shown.rgb8).clone()
-            } else {
-                renderer.picture()?.map(|radiance| encoder.rgb8(&controls.tone, radiance))
-            };
-            if controls.overlay == Overlay::None {
-                return Some(rgb8);
-            }
-            let buffers = &renderer.drawn()?.buffers;
-            let attention = match controls.overlay {
-                Overlay::Saliency => attention.of(&shown.rgb8, &buffers.object, objects),
-                _ => Vec::new(),
-            };
-            let sources = Sources { buffers, splats: renderer.layer(), k_max, attention: &attention };
-            Some(paint(controls.overlay, &sources, &rgb8))
-        })?
+        self.listen();
+        let (controls, insight) = (self.controls, self.insight.as_ref());
+        self.look(|renderer| look::picture(renderer, &self.world, &controls, insight, &self.encoder))?
     }
 
     fn status(&self) -> Status {
-        let (view, converged) =
-            self.look(|r| (r.drawn().map_or(0, |d| d.view.0), r.is_converged())).unwrap_or((0, true));
-        let actors = self.system.as_ref().map_or_else(Vec::new, |(runtime, _)| {
-            runtime
-                .counters()
-                .into_iter()
-                .map(|c| ActorStatus {
-                    name: c.name,
-                    delivered: c.delivered,
-                    waiting_max: c.depth_max,
-                    busy: Duration::from_nanos(c.busy_ns),
-                })
-                .collect()
-        });
+        let (view, converged, lit) = self
+            .look(|r| (r.drawn().map_or(0, |d| d.view.0), r.is_converged(), r.is_lit()))
+            .unwrap_or((0, true, true));
         Status {
             view,
             converged,
+            lit,
             traced: self.counts.traced,
             reused: self.counts.reused,
             expired: self.counts.expired,
-            actors,
+            actors: self.runtime.as_ref().map(look::actors).unwrap_or_default(),
         }
     }
 
@@ -299,20 +308,9 @@ impl FrameSource for Session {
         facts.push(("foveal view".into(), format!("{view}, {state}")));
         facts.push((
             "foveal display".into(),
-            format!("{:?}, {}", self.controls.tone, self.controls.overlay.name()),
+            format!("{:?}, {}", self.controls.set.tone, self.controls.overlay.name()),
         ));
         facts
-    }
-}
-
-impl AttentionView {
-    fn of(&mut self, rgb8: &Map2d<[u8; 3]>, objects: &Map2d<u32>, count: usize) -> Vec<f32> {
-        let map = &self.model.compute_rgb8(rgb8.data().as_flattened(), rgb8.width(), rgb8.height()).map;
-        self.scan.gather(objects, Some(map), count, &mut self.statistics);
-        // Relative to the most salient of the objects that can be corrected.
-        let highest = self.statistics.iter().skip(1).map(|s| s.saliency).fold(0.0, f32::max);
-        let scale = if highest > 0.0 { 1.0 / highest } else { 0.0 };
-        self.statistics.iter().map(|s| s.saliency * scale).collect()
     }
 }
 
@@ -321,6 +319,7 @@ mod tests {
     use super::*;
     use crate::renderer::gpu::test_scene;
     use crate::window::walk::{Next, Walk};
+    use foveal::allocation::policy::Policy;
     use foveal::illumination::Uniform;
     use foveal::splatting::AgeingRules;
     use glam::Vec3;
@@ -328,8 +327,16 @@ mod tests {
 
     fn walk() -> Walk {
         let world = World::new(Arc::new(test_scene::room(4)), Arc::new(Uniform(Vec3::ONE)));
-        let session =
-            Session::start(world, Settings::new(64, 48, 1), 30.0, Vec::new(), None).expect("actors");
+        let session = Session::start(Made {
+            world,
+            textures: None,
+            refinement: None,
+            settings: Settings::new(64, 48, 2),
+            fps: 30.0,
+            facts: Vec::new(),
+            recording: None,
+        })
+        .expect("actors");
         Walk::new(Box::new(session), 0.0)
     }
 
@@ -369,7 +376,7 @@ mod tests {
         settle(&mut walk, start);
         let (view, plain) = (walk.status().view, walk.picture().cloned().expect("a picture"));
         let mut controls = *walk.controls();
-        controls.tone.exposure = 0.25;
+        controls.set.tone.exposure = 0.25;
         walk.set_controls(controls);
         settle(&mut walk, start);
         let sum = |p: &Map2d<[u8; 3]>| p.data().iter().flatten().map(|b| u64::from(*b)).sum::<u64>();
@@ -378,12 +385,40 @@ mod tests {
     }
 
     #[test]
+    fn every_control_is_a_message_and_no_new_actors_start() {
+        let (mut walk, start) = (walk(), Instant::now());
+        settle(&mut walk, start);
+        let plain = walk.picture().cloned();
+        let before = *walk.controls();
+        let set = Adjustment {
+            fps: 20.0,
+            workers: 1,
+            policy: Policy::Uniform,
+            saliency_weight: 1.0,
+            samples_per_job: 64,
+            environment_bytes: 0,
+            ..before.set
+        };
+        walk.set_controls(Controls { set, ..before });
+        settle(&mut walk, start);
+        walk.navigator.look(40.0, 0.0, start.elapsed().as_secs_f64());
+        settle(&mut walk, start);
+        assert_eq!((walk.controls().set, walk.status().view), (set, 2), "the same actors go on");
+        let (insight, _) = walk.insight().expect("the allocator said something");
+        assert_eq!(insight.map_bytes, [0, 0], "maps are given up");
+        walk.set_controls(Controls { set: Adjustment { workers: 2, ..set }, ..before });
+        walk.go_to(0, start.elapsed().as_secs_f64());
+        settle(&mut walk, start);
+        assert_eq!(walk.picture().cloned(), plain, "whatever the order of the samples");
+    }
+
+    #[test]
     fn other_ageing_rules_converge_to_the_same_picture() {
         let (mut walk, start) = (walk(), Instant::now());
         settle(&mut walk, start);
         let plain = walk.picture().cloned();
         let mut controls = *walk.controls();
-        controls.ageing = AgeingRules { delta: 0.3, max_age: 7, n_min: 2 };
+        controls.set.ageing = AgeingRules { delta: 0.3, max_age: 7, n_min: 2 };
         walk.set_controls(controls);
         settle(&mut walk, start);
         assert!(walk.status().converged);

@@ -4,40 +4,30 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use foveal::allocation::policy::Policy;
-use foveal::display::tone::ToneMap;
 use foveal::image::Map2d;
 use foveal::scene::{Camera, CameraPath, NamedCamera};
-use foveal::splatting::AgeingRules;
 use glam::Vec3;
 
+use crate::insight::Insight;
 use crate::renderer::overlay::Overlay;
+use crate::settings::Adjustment;
 
 /// What the user may change while walking.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Controls {
-    /// Frames per second to aim at.
-    pub fps: f32,
-    /// Weight of saliency against importance, 0 (task only) to 1 (saliency only).
-    pub saliency_weight: f32,
-    /// Order of rays.
-    pub policy: Policy,
-    /// Samples per job.
-    pub samples_per_job: u32,
-    /// Ageing: δ, MAX_AGE, N_min.
-    pub ageing: AgeingRules,
-    /// Exposure and tone curve. Of the display alone: invalidates nothing.
-    pub tone: ToneMap,
-    /// What is painted over the picture. Of the display alone.
+    /// What reaches the actors, as messages.
+    pub set: Adjustment,
+    /// What is painted over the picture. Of the window alone.
     pub overlay: Overlay,
 }
 
-impl Controls {
-    /// Whether what is computed differs, not only how it is shown.
-    pub fn differ_in_work(&self, other: &Self) -> bool {
-        let shown = Self { tone: other.tone, overlay: other.overlay, ..*self };
-        shown != *other
-    }
+/// How far [`Controls`] go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ranges {
+    /// Most tracers.
+    pub workers: u32,
+    /// Least and most bytes of textures, where they are limited.
+    pub textures: Option<[u64; 2]>,
 }
 
 /// One actor as the window sees it.
@@ -66,6 +56,8 @@ pub struct Status {
     pub reused: u32,
     /// Samples that expired in the last frame.
     pub expired: u32,
+    /// The illumination is final.
+    pub lit: bool,
     /// The actors.
     pub actors: Vec<ActorStatus>,
 }
@@ -85,6 +77,15 @@ pub struct Place {
     pub paths: Vec<CameraPath>,
 }
 
+/// Names for people.
+#[derive(Clone, Debug, Default)]
+pub struct Names {
+    /// Of objects, by id.
+    pub objects: Vec<String>,
+    /// Of textures.
+    pub textures: Vec<String>,
+}
+
 /// A session of actors on the window's thread.
 pub trait FrameSource {
     /// The scene.
@@ -93,6 +94,10 @@ pub trait FrameSource {
     fn size(&self) -> [u32; 2];
     /// What it starts with.
     fn controls(&self) -> Controls;
+    /// How far controls go.
+    fn ranges(&self) -> Ranges;
+    /// What the allocator thought last, and names of objects and textures with it.
+    fn insight(&self) -> Option<(&Insight, &Names)>;
     /// The user changed something.
     fn set_controls(&mut self, controls: &Controls);
     /// A frame begins, seen from `camera`.

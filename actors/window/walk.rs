@@ -10,7 +10,8 @@ use foveal::scene::{Camera, CameraPath};
 
 use super::navigation::Navigator;
 use super::panel::{FrameTimes, Notice};
-use super::source::{Controls, FrameSource, Place, Status};
+use super::source::{Controls, FrameSource, Names, Place, Ranges, Status};
+use crate::insight::Insight;
 use crate::renderer::overlay::Overlay;
 
 /// Longest stretch of work between two looks at the input.
@@ -117,6 +118,16 @@ impl Walk {
         if self.picture.is_some() {
             self.picture = self.source.picture();
         }
+    }
+
+    /// How far controls go.
+    pub fn ranges(&self) -> Ranges {
+        self.source.ranges()
+    }
+
+    /// What the allocator thought last.
+    pub fn insight(&self) -> Option<(&Insight, &Names)> {
+        self.source.insight()
     }
 
     /// The overlay after this one.
@@ -231,7 +242,7 @@ impl Walk {
 
     /// Works a little. Returns whether there is a new picture, and when to call again.
     pub fn tick(&mut self, now: f64) -> (bool, Next) {
-        let period = 1.0 / f64::from(self.controls.fps.clamp(0.1, 1000.0));
+        let period = 1.0 / f64::from(self.controls.set.fps.clamp(0.1, 1000.0));
         let Some(begin) = self.frame else {
             return (false, self.begin(now, period));
         };
@@ -289,6 +300,7 @@ mod tests {
     use glam::Vec3;
 
     use super::*;
+    use crate::settings::Adjustment;
     use crate::window::navigation::Motion;
 
     /// What a session was told, and how many slices of work it needs to converge.
@@ -316,15 +328,24 @@ mod tests {
             [2, 2]
         }
         fn controls(&self) -> Controls {
-            Controls {
+            let set = Adjustment {
                 fps: 10.0,
+                workers: 1,
                 saliency_weight: 0.5,
                 policy: Policy::default(),
                 samples_per_job: 256,
                 ageing: AgeingRules::default(),
+                environment_bytes: 0,
+                texture_bytes: None,
                 tone: ToneMap::default(),
-                overlay: Overlay::None,
-            }
+            };
+            Controls { set, overlay: Overlay::None }
+        }
+        fn ranges(&self) -> Ranges {
+            Ranges { workers: 1, textures: None }
+        }
+        fn insight(&self) -> Option<(&Insight, &Names)> {
+            None
         }
         fn set_controls(&mut self, controls: &Controls) {
             self.0.borrow_mut().controls.push(*controls);
@@ -404,7 +425,7 @@ mod tests {
         let (shown, controls) = (told.borrow().shown, *walk.controls());
         walk.set_controls(controls);
         assert_eq!(walk.tick(end + 1.0).1, Next::Input, "nothing changed");
-        walk.set_controls(Controls { fps: 20.0, ..controls });
+        walk.set_controls(Controls { set: Adjustment { fps: 20.0, ..controls.set }, ..controls });
         walk.next_overlay();
         run(&mut walk, end + 1.0, end + 5.0);
         assert_eq!(told.borrow().shown, shown + 1);

@@ -37,6 +37,19 @@ struct Progress {
     priority: f32,
 }
 
+/// Where an object stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Standing {
+    /// Object id.
+    pub object: u32,
+    /// Level of its next job; 0 where every sample is handed out.
+    pub level: u32,
+    /// Samples of that level that are handed out.
+    pub handed: u32,
+    /// Priority of its next job.
+    pub priority: f32,
+}
+
 /// The objects of one view and what is left to trace of them.
 #[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct SampleJobs {
@@ -49,6 +62,11 @@ impl SampleJobs {
     /// No object yet. `samples_per_job` is the paper's n_job, at least 1.
     pub fn new(lattice: Lattice, samples_per_job: u32) -> Self {
         Self { lattice, samples_per_job: samples_per_job.max(1), objects: Vec::new() }
+    }
+
+    /// Jobs of so many samples from now on.
+    pub fn set_samples_per_job(&mut self, samples: u32) {
+        self.samples_per_job = samples.max(1);
     }
 
     /// The lattice.
@@ -91,9 +109,12 @@ impl SampleJobs {
         self.objects.iter().all(|o| o.cursor.is_none())
     }
 
-    /// Level each object is at, for overlays: (object, level).
-    pub fn levels(&self) -> impl Iterator<Item = (u32, u32)> {
-        self.objects.iter().map(|o| (o.object, o.level))
+    /// Where each visible object stands, for whoever looks on.
+    pub fn standings(&self) -> impl Iterator<Item = Standing> {
+        self.objects.iter().map(|o| match o.cursor {
+            Some(_) => Standing { object: o.object, level: o.level, handed: o.handed, priority: o.priority },
+            None => Standing { object: o.object, level: 0, handed: 0, priority: 0.0 },
+        })
     }
 
     /// The next job and its priority: the object of highest priority (the lowest id among equals).

@@ -12,7 +12,7 @@ use crate::sampling::Lattice;
 use crate::splatting::{SampleBatch, SplatLayer};
 use glam::Vec3;
 
-use super::jobs::{SampleJob, SampleJobs};
+use super::jobs::{SampleJob, SampleJobs, Standing};
 use super::policy::{Demand, Policy, RayPolicy};
 use super::rays::{LEVELS_MAX, RayDemand, RayLedger, RaySettings, Residual};
 
@@ -67,6 +67,13 @@ impl RayOrder {
         }
     }
 
+    /// Another policy and size of jobs from now on; what is handed out stays so.
+    pub fn adjust(&mut self, policy: RayPolicy, samples_per_job: u32) {
+        self.policy = policy;
+        self.jobs.set_samples_per_job(samples_per_job);
+        self.reprioritise(None);
+    }
+
     /// Whether the policy wants to hear of residuals.
     pub fn learns(&self) -> bool {
         self.policy.policy == Policy::Utility
@@ -75,6 +82,23 @@ impl RayOrder {
     /// What was learnt.
     pub fn ledger(&self) -> &RayLedger {
         &self.ledger
+    }
+
+    /// Where each visible object stands, and the error it shows, in just noticeable differences, where that is known.
+    pub fn standings(&self) -> impl Iterator<Item = (Standing, Option<f32>)> {
+        self.jobs.standings().map(|standing| {
+            let pixels = self.statistics.get(standing.object as usize).map_or(0, |s| s.pixels);
+            let levels = self.lattice.levels();
+            let error = match standing.level {
+                0 => Some(0.0),
+                level => {
+                    let all = samples_of_level(pixels, self.lattice.k_of(level), levels - 1);
+                    let left = all.saturating_sub(standing.handed);
+                    self.ledger.displayed_error(standing.object, level, left)
+                }
+            };
+            (standing, error)
+        })
     }
 
     /// Whether every sample of the view is handed out.

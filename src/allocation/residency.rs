@@ -112,6 +112,20 @@ impl Residency {
         self.limit
     }
 
+    /// Another limit, decided for at once; what is over it goes step by step.
+    ///
+    /// # Errors
+    /// Where not even the coarsest levels fit into it; the old limit stays.
+    pub fn set_limit(&mut self, limit: u64) -> Result<(), LimitTooSmall> {
+        let smallest = smallest(&self.facts);
+        if smallest > limit {
+            return Err(LimitTooSmall { limit, smallest });
+        }
+        self.limit = limit;
+        self.decide(self.uses.clone());
+        Ok(())
+    }
+
     /// Finest level of each texture in memory or ordered to be.
     pub fn states(&self) -> &[usize] {
         &self.states
@@ -137,7 +151,8 @@ impl Residency {
         self.price * f64::from(1 << 20)
     }
 
-    /// Bytes in memory, on their way there, or dropped and perhaps still held. Never above the limit.
+    /// Bytes in memory, on their way there, or dropped and perhaps still held. Never above the limit, unless that
+    /// was lowered a moment ago.
     pub fn used(&self) -> u64 {
         let resident: u64 = self.facts.iter().zip(&self.states).map(|(f, &s)| f.bytes_from(s)).sum();
         resident + self.releasing
@@ -194,12 +209,15 @@ impl Residency {
             .filter(waiting)
             .map(|i| (gain(i), i))
             .max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
-        let (_, texture) = best?;
-        let level = self.states[texture] - 1;
-        if self.used() + self.facts[texture].bytes[level] <= self.limit {
-            self.states[texture] = level;
-            self.loading.push((texture, level));
-            return Some(Step::Load { texture, level });
+        if let Some((_, texture)) = best {
+            let level = self.states[texture] - 1;
+            if self.used() + self.facts[texture].bytes[level] <= self.limit {
+                self.states[texture] = level;
+                self.loading.push((texture, level));
+                return Some(Step::Load { texture, level });
+            }
+        } else if self.used() <= self.limit {
+            return None;
         }
         if self.releasing > 0 {
             return None;

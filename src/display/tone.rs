@@ -10,7 +10,7 @@ use crate::image::{Map2d, luminance, srgb_from_linear};
 use crate::scene::Display;
 
 /// What happens to exposed radiance above 1.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum ToneCurve {
     /// It is shown as 1.
     #[default]
@@ -25,7 +25,7 @@ pub enum ToneCurve {
 }
 
 /// Exposure and tone curve.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ToneMap {
     /// Factor on radiance, ≥ 0.
     pub exposure: f32,

@@ -269,6 +269,7 @@ fn correction(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
         corrects: true,
         textures: None,
         refinement: None,
+        insight: None,
         stages: StageTimes::default(),
         sink: Box::new(Counts(shown.clone())),
     };

@@ -128,6 +128,7 @@ impl Source {
             corrects: self.recorded.corrects,
             textures: self.session.textures.clone(),
             refinement: self.session.refinement.clone(),
+            insight: None,
             stages: StageTimes::default(),
             sink: Box::new(Unseen),
         };

@@ -84,6 +84,7 @@ impl Scenario {
             corrects: self.corrects,
             refinement: None,
             textures: None,
+            insight: None,
             stages: StageTimes::default(),
             sink: Box::new(Unseen),
         }

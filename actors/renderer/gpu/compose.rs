@@ -27,7 +27,7 @@ pub struct ComposePass {
     pipeline: wgpu::RenderPipeline,
     layout: wgpu::BindGroupLayout,
     uniform: wgpu::Buffer,
-    attention: wgpu::Buffer,
+    values: wgpu::Buffer,
 }
 
 impl ComposePass {
@@ -64,17 +64,17 @@ impl ComposePass {
         });
         let uniform =
             gpu.buffer("compose", bytemuck::bytes_of(&ComposeRecord::zeroed()), wgpu::BufferUsages::UNIFORM);
-        let attention = gpu.buffer("attention", &[], wgpu::BufferUsages::STORAGE);
-        Self { pipeline, layout, uniform, attention }
+        let values = gpu.buffer("overlay values", &[], wgpu::BufferUsages::STORAGE);
+        Self { pipeline, layout, uniform, values }
     }
 
-    /// Replaces the attention of the objects, by object id, in [0, 1].
-    pub fn set_attention(&mut self, gpu: &Gpu, attention: &[f32]) {
-        let bytes: &[u8] = bytemuck::cast_slice(attention);
-        if self.attention.size() == bytes.len() as u64 {
-            gpu.queue.write_buffer(&self.attention, 0, bytes);
+    /// Replaces what overlays show of objects or textures: `Sources::values`.
+    pub fn set_values(&mut self, gpu: &Gpu, values: &[f32]) {
+        let bytes: &[u8] = bytemuck::cast_slice(values);
+        if self.values.size() == bytes.len() as u64 {
+            gpu.queue.write_buffer(&self.values, 0, bytes);
         } else {
-            self.attention = gpu.buffer("attention", bytes, wgpu::BufferUsages::STORAGE);
+            self.values = gpu.buffer("overlay values", bytes, wgpu::BufferUsages::STORAGE);
         }
     }
 
@@ -108,7 +108,7 @@ impl ComposePass {
             binding: i as u32 + 1,
             resource: wgpu::BindingResource::TextureView(view),
         }));
-        entries.push(wgpu::BindGroupEntry { binding: 6, resource: self.attention.as_entire_binding() });
+        entries.push(wgpu::BindGroupEntry { binding: 6, resource: self.values.as_entire_binding() });
         let bind_group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("compose"),
             layout: &self.layout,

@@ -16,8 +16,8 @@ struct Compose {
 @group(0) @binding(3) var ranks: texture_depth_2d;
 @group(0) @binding(4) var objects: texture_2d<u32>;
 @group(0) @binding(5) var textures: texture_2d<u32>;
-// Attention of each object in [0, 1].
-@group(0) @binding(6) var<storage, read> attention: array<f32>;
+// What the overlay shows of each object, in [0, 1]; of MIP_GIVEN the finest level of each texture.
+@group(0) @binding(6) var<storage, read> values: array<f32>;
 
 const SALIENCY: u32 = 1u;
 const OBJECTS: u32 = 2u;
@@ -25,6 +25,10 @@ const LEVEL: u32 = 3u;
 const AGE: u32 = 4u;
 const TRACER: u32 = 5u;
 const MIP: u32 = 6u;
+const IMPORTANCE: u32 = 7u;
+const PRIORITY: u32 = 8u;
+const ERROR: u32 = 9u;
+const MIP_GIVEN: u32 = 10u;
 const K_LIMIT: u32 = 9u;
 
 @vertex
@@ -79,9 +83,9 @@ fn fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let grey = vec3f(luminance(shown)) * 0.5;
     var color = grey;
     switch compose.overlay {
-        case SALIENCY: {
-            if object != 0u && object < arrayLength(&attention) {
-                color = mix(grey, heat(attention[object]), 0.7);
+        case SALIENCY, IMPORTANCE, PRIORITY, ERROR: {
+            if object != 0u && object < arrayLength(&values) {
+                color = mix(grey, heat(values[object]), 0.7);
             }
         }
         case OBJECTS: {
@@ -111,10 +115,15 @@ fn fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
                 color = mix(grey, distinct(u32(splat.a - 0.5)), 0.7);
             }
         }
-        case MIP: {
+        case MIP, MIP_GIVEN: {
             let word = textureLoad(textures, p, 0).x;
             if word != 0xffffffffu {
-                color = mix(grey, heat(1.0 - f32(word & 0xffu) / 64.0), 0.7);
+                var level = f32(word & 0xffu) / 8.0;
+                let texture = word >> 8u;
+                if compose.overlay == MIP_GIVEN && texture < arrayLength(&values) {
+                    level = max(level, values[texture]);
+                }
+                color = mix(grey, heat(1.0 - level / 8.0), 0.7);
             }
         }
         default: {}

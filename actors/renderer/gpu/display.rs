@@ -112,9 +112,9 @@ impl GpuDisplay {
         self.base_pass.update_light(&self.gpu, &mut self.base, illumination);
     }
 
-    /// How much the eye is drawn to each object, by object id, in [0, 1]; for the overlay.
-    pub fn set_attention(&mut self, attention: &[f32]) {
-        self.compose_pass.set_attention(&self.gpu, attention);
+    /// What the overlay shows of objects or textures: `Sources::values`.
+    pub fn set_values(&mut self, values: &[f32]) {
+        self.compose_pass.set_values(&self.gpu, values);
     }
 
     /// A new view begins: its base layer replaces the old one, and all splats go.

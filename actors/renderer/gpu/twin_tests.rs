@@ -312,15 +312,15 @@ fn composition_and_overlays_match_their_twins() {
     let batch = fresh(&lattice, 4, 1, &buffers, 5);
     layer.splat_fresh(&batch, &buffers.object, 3);
     display.splat_fresh(&batch, 3);
-    let attention = [0.1, 0.9, 0.4];
-    display.set_attention(&attention);
+    let values = [0.1, 0.9, 0.4];
+    display.set_values(&values);
     for curve in [ToneCurve::Clamp, ToneCurve::Reinhard { white: 2.0 }] {
         let tone = ToneMap { exposure: 1.3, curve };
         let rgb8 = Map2d::from_fn(120, 90, |x, y| tone.to_rgb8(buffers.color.at(x, y) + layer.color(x, y)));
         for overlay in Overlay::ALL {
             display.draw(&tone, overlay);
             let picture = display.read_picture().unwrap();
-            let sources = Sources { buffers: &buffers, splats: &layer, k_max: 4, attention: &attention };
+            let sources = Sources { buffers: &buffers, splats: &layer, k_max: 4, values: &values };
             let expected = paint(overlay, &sources, &rgb8);
             for (i, rgb) in expected.data().iter().enumerate() {
                 for c in 0..3 {

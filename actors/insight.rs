@@ -1,0 +1,79 @@
+//! What the allocator thinks, for whoever looks on: overlays, panels, replays. Nobody decides by it.
+
+use std::sync::Arc;
+
+use crossbeam_queue::ArrayQueue;
+
+use crate::message::View;
+use crate::textures::TextureReport;
+
+/// What is known of one object.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ObjectInsight {
+    /// Pixels that show it.
+    pub pixels: u32,
+    /// Mean saliency of its pixels in the newest frame that was looked at.
+    pub saliency: f32,
+    /// Importance in [0, 1] (Haber 2001 §3).
+    pub importance: f32,
+    /// Both combined, in [0, 1].
+    pub attention: f32,
+    /// Priority of its next job; infinite where it comes before all others, 0 where nothing is left to trace.
+    pub priority: f32,
+    /// Level of its next job; 0 where nothing is left.
+    pub level: u32,
+    /// Estimated error that it shows, just noticeable differences; `None` before anything is known.
+    pub error: Option<f32>,
+}
+
+/// An object's environment map in the ranking (Dumont 2003, Eq. (10) and figure 16).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapRank {
+    /// Object id.
+    pub object: u32,
+    /// What the map takes off the visible error: saliency × pixels × just noticeable differences.
+    pub worth: f32,
+    /// Texels along an edge of the map that is there; 0 for none.
+    pub side: u32,
+    /// Texels along an edge that are wanted.
+    pub wanted: u32,
+    /// Whether it is kept within the budget.
+    pub kept: bool,
+}
+
+/// Everything at a moment.
+#[derive(Clone, Debug, Default)]
+pub struct Insight {
+    /// The view it was thought of in.
+    pub view: View,
+    /// By object id.
+    pub objects: Vec<ObjectInsight>,
+    /// The most worth first.
+    pub maps: Vec<MapRank>,
+    /// Bytes of the maps that are there, and most bytes.
+    pub map_bytes: [u64; 2],
+    /// Textures, where they are limited, and the limit in bytes.
+    pub textures: Option<(TextureReport, u64)>,
+}
+
+/// Holds the newest.
+#[derive(Clone, Debug)]
+pub struct InsightSlot(Arc<ArrayQueue<Insight>>);
+
+impl Default for InsightSlot {
+    fn default() -> Self {
+        Self(Arc::new(ArrayQueue::new(1)))
+    }
+}
+
+impl InsightSlot {
+    /// Replaces what nobody has taken.
+    pub fn put(&self, insight: Insight) {
+        self.0.force_push(insight);
+    }
+
+    /// The newest, once.
+    pub fn take(&self) -> Option<Insight> {
+        self.0.pop()
+    }
+}

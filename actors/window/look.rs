@@ -1,0 +1,87 @@
+//! What can be seen of a running session: its picture with exposure and overlay, its actors.
+
+use std::time::Duration;
+
+use foveal::display::tone::{Encoder, ToneMap};
+use foveal::image::Map2d;
+use foveal::world::World;
+use foveal_runtime::Runtime;
+
+use super::source::{ActorStatus, Controls};
+use crate::insight::{Insight, ObjectInsight};
+use crate::renderer::Renderer;
+use crate::renderer::overlay::{Overlay, Sources, paint};
+
+/// Just noticeable differences that the overlay of errors shows white.
+const ERROR_MAX: f32 = 10.0;
+
+/// The renderer's last picture as `controls` want it seen.
+pub fn picture(
+    renderer: &Renderer,
+    world: &World,
+    controls: &Controls,
+    insight: Option<&Insight>,
+    encoder: &Encoder,
+) -> Option<Map2d<[u8; 3]>> {
+    let shown = renderer.shown()?;
+    let rgb8 = if controls.set.tone == ToneMap::from(&world.scene.display) {
+        (*shown.rgb8).clone()
+    } else {
+        renderer.picture()?.map(|radiance| encoder.rgb8(&controls.set.tone, radiance))
+    };
+    if controls.overlay == Overlay::None {
+        return Some(rgb8);
+    }
+    let values = values(controls.overlay, renderer, insight);
+    let buffers = &renderer.drawn()?.buffers;
+    let k_max = renderer.k_max();
+    let sources = Sources { buffers, splats: renderer.layer(), k_max, values: &values };
+    Some(paint(controls.overlay, &sources, &rgb8))
+}
+
+/// What an overlay shows of each object or texture: [`Sources::values`].
+fn values(overlay: Overlay, renderer: &Renderer, insight: Option<&Insight>) -> Vec<f32> {
+    let objects = insight.map_or(&[][..], |insight| &insight.objects);
+    let of = |value: fn(&ObjectInsight) -> f32| objects.iter().map(value).collect::<Vec<f32>>();
+    match overlay {
+        Overlay::Saliency => relative(of(|o| if o.pixels > 0 { o.saliency } else { 0.0 })),
+        Overlay::Importance => relative(of(|o| o.importance)),
+        Overlay::Priority => relative(of(|o| o.priority)),
+        Overlay::Error => of(|o| o.error.map_or(1.0, |e| e / ERROR_MAX)),
+        Overlay::MipGiven => renderer.world().scene.textures.iter().map(|t| t.mips.finest() as f32).collect(),
+        _ => Vec::new(),
+    }
+}
+
+/// Relative to the largest finite value of the objects that can be corrected; what is infinite is 1.
+fn relative(mut values: Vec<f32>) -> Vec<f32> {
+    let highest = values.iter().skip(1).copied().filter(|v| v.is_finite()).fold(0.0, f32::max);
+    let scale = if highest > 0.0 { 1.0 / highest } else { 0.0 };
+    for value in &mut values {
+        *value = if value.is_finite() { *value * scale } else { 1.0 };
+    }
+    values
+}
+
+/// The actors as they are.
+pub fn actors(runtime: &Runtime) -> Vec<ActorStatus> {
+    let status = |c: foveal_runtime::ActorCounters| ActorStatus {
+        name: c.name,
+        delivered: c.delivered,
+        waiting_max: c.depth_max,
+        busy: Duration::from_nanos(c.busy_ns),
+    };
+    // Ports have no turns.
+    runtime.counters().into_iter().filter(|c| c.turns > 0).map(status).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_relative_to_the_largest_finite_one() {
+        assert_eq!(relative(vec![9.0, 1.0, 4.0, f32::INFINITY]), [2.25, 0.25, 1.0, 1.0]);
+        assert_eq!(relative(vec![0.0, 0.0]), [0.0, 0.0]);
+    }
+}

@@ -6,6 +6,7 @@
 mod approximation;
 mod bundled;
 mod exits;
+mod faults;
 mod hostile;
 mod replay;
 mod shell;
@@ -13,6 +14,7 @@ mod skipped;
 mod still;
 mod stress;
 mod support;
+mod system;
 mod textures;
 mod tidy;
 mod walk;

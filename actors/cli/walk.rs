@@ -326,6 +326,8 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
     }
     let converged = runtime.inspect(actors.renderer, Renderer::is_converged).unwrap_or(false);
     let deliveries = runtime.deliveries();
+    // Only the main thread's actors can be looked at while others run.
+    let end = runtime.end(Duration::from_secs(10));
     let (lost_jobs, incidents) = actors.correction.map_or((0, Vec::new()), |c| {
         let look = |a: &Allocator| {
             (a.lost_jobs(), a.incidents().iter().map(|i| format!("{i:?}")).collect::<Vec<_>>())
@@ -350,7 +352,6 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         write_atomic(&out.join("report.html"), super::report::html(&page).as_bytes())?;
         write_atomic(&out.join("report.json"), format!("{document:#}\n").as_bytes())?;
     }
-    let end = runtime.shutdown(Duration::from_secs(10));
     if !end.drained {
         tracing::warn!("the actors did not come to rest within 10 s");
     }

@@ -29,6 +29,11 @@ impl Runtime {
     /// Takes no more input, lets everything that was accepted be handled, then stops the actors, the last made first.
     /// What is not done within `time` is counted in the result.
     pub fn shutdown(mut self, time: Duration) -> Shutdown {
+        self.end(time)
+    }
+
+    /// As [`Self::shutdown`], and keeps the actors as they stopped: every one can be inspected then.
+    pub fn end(&mut self, time: Duration) -> Shutdown {
         self.env.close();
         let end = self.env.clock.now().saturating_add(nanoseconds(time));
         let mut drained = true;

@@ -7,6 +7,7 @@
 
 mod block;
 pub mod bvh;
+pub mod bvh_peers;
 mod node;
 mod offset;
 pub mod packet;

@@ -3,6 +3,7 @@
 pub mod error;
 pub mod made;
 pub mod messages;
+pub mod rays;
 pub mod stages;
 pub mod table;
 pub mod textures;
@@ -21,6 +22,8 @@ pub enum BenchCommand {
     Stages(stages::StagesArguments),
     /// How fast the error of corrected pixels falls under each policy
     Error(error::ErrorArguments),
+    /// Rays per second: primary, diffuse bounce, shadow; obvhs' own traversal beside it
+    Rays(rays::RaysArguments),
     /// What a limit on texture memory costs, beside what others do about it
     Textures(textures::TexturesArguments),
     /// What a message costs, with and without recording; peers beside it where they are built in
@@ -32,6 +35,7 @@ pub fn run(command: &BenchCommand, progress: Progress) -> Result<(), Failure> {
     match command {
         BenchCommand::Stages(a) => stages::run(a, progress),
         BenchCommand::Error(a) => error::run(a, progress),
+        BenchCommand::Rays(a) => rays::run(a, progress),
         BenchCommand::Textures(a) => textures::run(a, progress),
         BenchCommand::Messages(a) => messages::run(a, progress),
     }

@@ -86,14 +86,14 @@ pub fn cost(work: impl FnOnce()) -> Cost {
 
 /// Processor time of this process so far.
 #[cfg(unix)]
-fn cpu_ns() -> f64 {
+pub fn cpu_ns() -> f64 {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     time.tv_sec as f64 * 1e9 + time.tv_nsec as f64
 }
 
 /// Unknown here.
 #[cfg(not(unix))]
-fn cpu_ns() -> f64 {
+pub fn cpu_ns() -> f64 {
     f64::NAN
 }
 

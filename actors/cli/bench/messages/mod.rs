@@ -1,6 +1,6 @@
 //! `foveal bench messages`: what a message costs, with and without recording, beside other runtimes and channels.
 
-mod load;
+pub mod load;
 mod ours;
 #[cfg(feature = "peers")]
 mod peers;

@@ -76,6 +76,7 @@ impl System {
             corrects: plan.needs(Part::Tracers),
             textures: None,
             refinement: None,
+            insight: None,
             stages: stages.clone(),
             sink: Box::new(Shown(send)),
         };

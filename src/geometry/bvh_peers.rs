@@ -23,6 +23,16 @@ pub enum PeerTree {
     CompressedWide,
 }
 
+impl PeerTree {
+    /// Its name in tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Binary => "obvhs, two children",
+            Self::CompressedWide => "obvhs, eight children",
+        }
+    }
+}
+
 #[derive(Clone)]
 enum Tree {
     Binary(Bvh2),

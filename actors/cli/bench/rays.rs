@@ -46,7 +46,9 @@ pub struct RaysArguments {
     common: CommonArguments,
 }
 
-/// Rays of a round at most go to a thread at once.
+/// What stands beside ours.
+const TREES: [PeerTree; 2] = [PeerTree::Binary, PeerTree::CompressedWide];
+/// Rays that go to a thread at once.
 const CHUNK: usize = 4096;
 
 /// What the rays are for.
@@ -91,7 +93,7 @@ pub fn run(a: &RaysArguments, progress: Progress) -> Result<(), Failure> {
     let start = Instant::now();
     let accel = Accel::build(&job.scene);
     let build = start.elapsed().as_secs_f64();
-    let peers = [PeerTree::Binary, PeerTree::CompressedWide].map(|tree| Peer::build(&corners, tree));
+    let peers = TREES.map(|tree| Peer::build(&corners, tree));
     let bar = progress.bar(u64::from(a.common.runs) * a.threads.len() as u64, "rays");
     let mut pools = Vec::new();
     for &threads in &a.threads {
@@ -125,7 +127,7 @@ pub fn run(a: &RaysArguments, progress: Progress) -> Result<(), Failure> {
                 kind.name(),
                 if *threads == 1 { "" } else { "s" }
             );
-            let best = [("obvhs, two children", median(binary)), ("obvhs, eight children", median(wide))]
+            let best = [(TREES[0].name(), median(binary)), (TREES[1].name(), median(wide))]
                 .into_iter()
                 .max_by(|a, b| a.1.unwrap_or(0.0).total_cmp(&b.1.unwrap_or(0.0)));
             let row = Row::new(&what, "Mrays per CPU s", own);

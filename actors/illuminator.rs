@@ -1,7 +1,7 @@
 //! The illuminator: refines the illumination while the walk goes on, uncoupled from the display.
 //!
 //! Owns a bake in progress. Hears only itself: each turn does one bounded batch. Says: to the renderer,
-//! after each pass, that there is better light. What it computes depends on its settings only, so the last
+//! again and again, that there is better light. What it computes depends on its settings only, so the last
 //! map is that of `foveal bake`, bit for bit.
 
 use std::path::PathBuf;
@@ -28,12 +28,29 @@ pub struct Refinement {
     pub keep: Option<PathBuf>,
 }
 
+/// A map is made once there are so many times the particles of the one before.
+const MORE: u64 = 4;
+/// Runs of elements estimated in a turn.
+const RUNS: usize = 16;
+
+/// What the next turn does.
+enum Stage {
+    /// Divides the surfaces.
+    Begun,
+    /// Traces.
+    Gathering(Box<Baker<'static>>),
+    /// Makes a map, the last or one of those before.
+    Estimating(Box<Baker<'static>>, bool),
+    /// Nothing.
+    Done,
+}
+
 /// The illuminator's state.
 pub struct Illuminator {
     refinement: Refinement,
-    /// `None` before the first turn and after the last.
-    baker: Option<Baker<'static>>,
-    done: bool,
+    stage: Stage,
+    /// Particles in the last map that was sent.
+    sent: u64,
     /// Threads of its own, so that the display never waits behind its work.
     pool: Option<rayon::ThreadPool>,
     renderer: Address<RendererMessage>,
@@ -47,8 +64,8 @@ impl Illuminator {
         let pool = rayon::ThreadPoolBuilder::new().num_threads((cores / 2).max(1)).build();
         Self {
             refinement,
-            baker: None,
-            done: false,
+            stage: Stage::Begun,
+            sent: 0,
             pool: pool.ok(),
             renderer,
             outbox: Outbox::new(|| IlluminatorMessage::SendAgain),
@@ -57,42 +74,43 @@ impl Illuminator {
 
     /// Whether the last map has been sent.
     pub fn is_done(&self) -> bool {
-        self.done
+        matches!(self.stage, Stage::Done)
     }
 
     fn refine(&mut self, cx: &mut Cx<'_, IlluminatorMessage>) {
-        if self.done {
-            return;
-        }
+        let stage = std::mem::replace(&mut self.stage, Stage::Done);
         let Refinement { world, settings, .. } = &self.refinement;
-        let baker = self.baker.take();
-        let work = || match baker {
-            None => {
+        let sent = self.sent;
+        let work = || match stage {
+            Stage::Begun => {
                 let w = world.clone();
                 let transport = SharedTransport::new(w.scene.clone(), w.accel, w.lights);
-                let baker = Baker::new(&w.scene, transport, settings);
+                let baker = Box::new(Baker::new(&w.scene, transport, settings));
                 // The same light in the storage of what follows, so that values can be blended.
                 let map = Illumination::resampled(baker.atlas(), &*world.illumination);
-                (baker, Some(map), false)
+                (Stage::Gathering(baker), Some(map))
             }
-            Some(mut baker) => match baker.step() {
-                Step::Going => (baker, None, false),
-                Step::Appraised(_) => {
-                    let map = baker.illumination();
-                    (baker, Some(map), false)
-                }
-                Step::Done(_) => {
-                    let map = baker.illumination();
-                    (baker, Some(map), true)
-                }
+            Stage::Gathering(mut baker) => match baker.step() {
+                // A map costs about as much as a pass of particles: not every pass gets one.
+                Step::Appraised(s) if s.particles >= MORE * sent => (Stage::Estimating(baker, false), None),
+                Step::Going | Step::Appraised(_) => (Stage::Gathering(baker), None),
+                Step::Done(_) => (Stage::Estimating(baker, true), None),
             },
+            Stage::Estimating(mut baker, last) => match baker.estimate_some(RUNS) {
+                None => (Stage::Estimating(baker, last), None),
+                map if last => (Stage::Done, map),
+                map => (Stage::Gathering(baker), map),
+            },
+            Stage::Done => (Stage::Done, None),
         };
-        let (baker, map, last) = match &self.pool {
+        let (stage, map) = match &self.pool {
             Some(pool) => pool.install(work),
             None => work(),
         };
-        self.done = last;
+        self.stage = stage;
+        let last = self.is_done();
         if let Some(map) = map {
+            self.sent = map.summary.particles;
             if last && cx.effects() {
                 self.keep(&map);
             }
@@ -101,7 +119,6 @@ impl Illuminator {
             self.outbox.tell(cx, &self.renderer, message);
         }
         if !last {
-            self.baker = Some(baker);
             let own = cx.address().clone();
             self.outbox.tell(cx, &own, IlluminatorMessage::Refine);
         }

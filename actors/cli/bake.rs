@@ -124,8 +124,8 @@ pub fn run(a: &BakeArguments, progress: Progress) -> Result<(), Failure> {
     let cached = found.is_some();
     let made = match (found, method) {
         (Some(map), _) => Made { map, complete: true, more: json!({}), stages: Vec::new() },
-        (None, Method::Particles) => particles(a, &scene, &settings, &key, &file, progress)?,
-        (None, Method::Radiosity) => radiosity(a, &scene, &settings, progress)?,
+        (None, Method::Particles) => particles(a, &scene, &settings, &key, &file, start, progress)?,
+        (None, Method::Radiosity) => radiosity(a, &scene, &settings, start, progress)?,
     };
     // A bake that was cut short is kept beside the place of a whole one, where no walk takes it for that.
     let file = match (made.complete, &a.out) {
@@ -184,14 +184,15 @@ fn particles(
     settings: &BakeSettings,
     key: &[u8; 32],
     file: &Path,
+    start: Instant,
     progress: Progress,
 ) -> Result<Made, Failure> {
     let aims = (settings.error.unwrap_or(0.0), settings.particles.unwrap_or(0));
-    let clock = BakeClock::new(progress, a.jsonl, a.settings.time, aims);
+    let clock = BakeClock::new(start, progress, a.jsonl, a.settings.time, aims);
     let accel = Accel::build(scene);
     let lights = Lights::build(scene);
     let transport = SceneTransport::new(scene, &accel, &lights);
-    let mut baker = Baker::new(scene, transport, settings);
+    let mut baker = Baker::new(scene, transport, settings).hurried_by(|| clock.is_late());
     let state = state_file(file);
     let mut resumed = false;
     if a.resume {
@@ -234,9 +235,10 @@ fn radiosity(
     a: &BakeArguments,
     scene: &Scene,
     settings: &BakeSettings,
+    start: Instant,
     progress: Progress,
 ) -> Result<Made, Failure> {
-    let clock = BakeClock::new(progress, a.jsonl, a.settings.time, (a.settings.error, 0));
+    let clock = BakeClock::new(start, progress, a.jsonl, a.settings.time, (a.settings.error, 0));
     let accel = Accel::build(scene);
     let lights = Lights::build(scene);
     clock.enter(5);

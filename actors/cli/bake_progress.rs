@@ -11,6 +11,12 @@ use super::Progress;
 
 /// Names of stages in reports, in the order in which they come.
 pub const STAGES: [&str; 6] = ["elements", "direct", "particles", "error", "estimate", "radiosity"];
+/// The last estimate gets at least one in so many parts of the time.
+const RESERVE: u32 = 8;
+/// What it takes, compared to an estimate of the error, about.
+const ESTIMATE_PER_ERROR: u64 = 3;
+/// Share of the time after which what remains is made coarsely.
+const LATE: f32 = 0.95;
 /// Milliseconds between two lines of JSON.
 const EVERY: u64 = 250;
 
@@ -26,15 +32,23 @@ pub struct BakeClock {
     /// Nanoseconds from the start to when the current stage began.
     since: AtomicU64,
     sums: [AtomicU64; STAGES.len()],
+    /// Nanoseconds kept for the last estimate.
+    reserve: AtomicU64,
     /// Milliseconds from the start to the last line.
     said: AtomicU64,
 }
 
 impl BakeClock {
-    /// Starts; the time limit counts from here.
-    pub fn new(progress: Progress, jsonl: bool, limit: Option<Duration>, aims: (f32, u64)) -> Self {
+    /// A clock of what began at `start`, from which the time limit counts.
+    pub fn new(
+        start: Instant,
+        progress: Progress,
+        jsonl: bool,
+        limit: Option<Duration>,
+        aims: (f32, u64),
+    ) -> Self {
         Self {
-            start: Instant::now(),
+            start,
             limit,
             bar: if jsonl { indicatif::ProgressBar::hidden() } else { progress.bar(aims.1, "bake") },
             jsonl,
@@ -42,6 +56,7 @@ impl BakeClock {
             current: AtomicUsize::new(0),
             since: AtomicU64::new(0),
             sums: Default::default(),
+            reserve: AtomicU64::new(0),
             said: AtomicU64::new(0),
         }
     }
@@ -54,13 +69,25 @@ impl BakeClock {
         self.sums[last].fetch_add(now.saturating_sub(before), Ordering::Relaxed);
     }
 
-    /// Whether the time is up.
+    /// Whether the time is up, but for what the last estimate takes.
     pub fn is_over(&self) -> bool {
-        self.limit.is_some_and(|limit| self.start.elapsed() >= limit)
+        let reserve = Duration::from_nanos(self.reserve.load(Ordering::Relaxed));
+        self.limit.is_some_and(|limit| self.start.elapsed() + reserve.max(limit / RESERVE) >= limit)
+    }
+
+    /// Whether all must end now.
+    pub fn is_late(&self) -> bool {
+        self.limit.is_some_and(|limit| self.start.elapsed() >= limit.mul_f32(LATE))
     }
 
     /// The bake is about to do `p.stage`.
     pub fn at(&self, p: &Baking) {
+        if STAGES[self.current.load(Ordering::Relaxed)] == "error" {
+            // The error is estimated from a few elements, the irradiance at all of them.
+            let now = self.start.elapsed().as_nanos() as u64;
+            let taken = now.saturating_sub(self.since.load(Ordering::Relaxed));
+            self.reserve.fetch_max(ESTIMATE_PER_ERROR * taken, Ordering::Relaxed);
+        }
         self.enter(match p.stage {
             Stage::Direct => 1,
             Stage::Particles => 2,

@@ -15,7 +15,7 @@ use foveal::scene::texture::{forget_most_held, held_bytes};
 use foveal::scene::{Budget, Camera, CameraPath, Scene};
 use foveal::splatting::Footprint;
 use foveal::splatting::supersampling::Supersampling;
-use foveal_runtime::{BuildError, Config, Limit, RecordingStatus, Runtime};
+use foveal_runtime::{BuildError, Config, Control, Limit, RecordingStatus, Runtime};
 
 use super::arguments::{Size, bytes, positive, unit};
 use super::failure::Failure;
@@ -352,6 +352,14 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         write_atomic(&out.join("report.html"), super::report::html(&page).as_bytes())?;
         write_atomic(&out.join("report.json"), format!("{document:#}\n").as_bytes())?;
     }
+<<<<<<< HEAD
+=======
+    // It would go on until the light is final.
+    if let Some(illuminator) = actors.illuminator {
+        runtime.control(illuminator, Control::Stop);
+    }
+    let end = runtime.shutdown(Duration::from_secs(10));
+>>>>>>> 2856bf1 (Irradiance in bounded time on large scenes: neighbourhoods gathered once for a run of elements, lightmaps that hold their texels, a first estimate of bounded work, refinement in short turns that ends with the walk, time limits that hold)
     if !end.drained {
         tracing::warn!("the actors did not come to rest within 10 s");
     }

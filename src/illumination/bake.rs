@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 
 use super::atlas::{Atlas, ConformalCharts};
 use super::bins::{BinState, Bins};
-use super::clusters::ClusterTree;
-use super::direct::{DirectBin, SAMPLES_PER_ROUND};
+use super::direct::{DirectBin, SAMPLES_PER_ROUND, probe};
+use super::estimate::{Estimating, Prepared};
 pub use super::quick::quick_direct;
 use super::seen::seen;
 use super::stored::{Illumination, Summary};
@@ -23,6 +23,10 @@ use crate::transport::particle::LightTransport;
 const BATCH: u64 = 1 << 15;
 /// Particles of the first pass; every later pass doubles the sum.
 const FIRST_PASS: u64 = 1 << 17;
+/// Blocks of elements at which direct light is gathered between two questions whether to go on.
+const BLOCKS: usize = 256;
+/// Samples of direct light per element where there is no time for more.
+const HURRIED_SAMPLES: u32 = 2;
 /// Elements that share the decision whether direct light can reach them.
 pub(super) const BLOCK: usize = 64;
 
@@ -108,12 +112,14 @@ pub struct Progress {
 }
 
 /// Everything a bake has gathered, for saving and going on later.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BakeState {
     emitted: u64,
     bounces: u64,
     direct_rounds: u32,
     direct_rounds_wanted: u32,
+    direct_block: u64,
+    direct_enough: f32,
     pass_end: u64,
     bins: Vec<BinState>,
     direct: Vec<[DirectBin; 2]>,
@@ -131,8 +137,14 @@ pub struct Baker<'a> {
     pub(super) samples_per_round: u32,
     /// Whether estimates are for a first picture only.
     pub(super) coarse: bool,
-    /// The tree over the open elements, and how many these are.
-    pub(super) tree: Option<(usize, ClusterTree)>,
+    /// What the last estimate was made from.
+    pub(super) prepared: Option<Prepared>,
+    /// An estimate in the making.
+    pub(super) estimating: Option<Estimating>,
+    /// Whether the rest of an estimate must be coarse.
+    late: Option<Box<dyn Fn() -> bool + Send + Sync + 'a>>,
+    /// Whether the first round of direct light had fewer samples than it should have, for want of time.
+    hurried: bool,
     /// Elements that a walk can see, whose error counts.
     pub(super) watched: Vec<bool>,
     /// Elements known not to lie inside of a body.
@@ -140,6 +152,10 @@ pub struct Baker<'a> {
     pub(super) emitted: u64,
     pub(super) bounces: u64,
     pub(super) direct_rounds: u32,
+    /// Blocks done of the round that has begun.
+    pub(super) direct_block: usize,
+    /// Blocks of less variance do not take part in it.
+    direct_enough: f32,
     /// Rounds due before the next particles.
     direct_rounds_wanted: u32,
     /// Particles at which the error is asked for next.
@@ -154,8 +170,8 @@ impl<'a> Baker<'a> {
         let seen = if settings.everything {
             vec![true; scene.mesh.triangles.len()]
         } else {
-            // A few looks per texel: what is missed is smaller than one.
-            seen(scene, &transport, 4 * u64::from(settings.texels).clamp(1 << 14, 1 << 18))
+            // A look per texel: what is missed is about as small as one.
+            seen(scene, &transport, u64::from(settings.texels).clamp(1 << 14, 1 << 18))
         };
         let is_diffuse = |t: u32| transport.is_diffuse(t);
         let is_seen = |t: u32| seen[t as usize];
@@ -171,7 +187,10 @@ impl<'a> Baker<'a> {
             watched,
             samples_per_round: SAMPLES_PER_ROUND,
             coarse: false,
-            tree: None,
+            prepared: None,
+            estimating: None,
+            late: None,
+            hurried: false,
             transport: Box::new(transport),
             pass_end: pass_end_after(0, settings),
             relative_error: None,
@@ -179,8 +198,21 @@ impl<'a> Baker<'a> {
             emitted: 0,
             bounces: 0,
             direct_rounds: 0,
+            direct_block: 0,
+            direct_enough: 0.0,
             direct_rounds_wanted: 1,
         }
+    }
+
+    /// `late` is asked while there is nothing to show yet, and while the irradiance is estimated: once it says yes, the
+    /// rest is made coarsely, and so in little time.
+    pub fn hurried_by(mut self, late: impl Fn() -> bool + Send + Sync + 'a) -> Self {
+        self.late = Some(Box::new(late));
+        self
+    }
+
+    pub(super) fn is_late(&self) -> bool {
+        self.late.as_ref().is_some_and(|late| late())
     }
 
     /// The elements.
@@ -200,11 +232,23 @@ impl<'a> Baker<'a> {
 
     /// What has been gathered.
     pub fn state(&self) -> BakeState {
+        if self.hurried {
+            // What has fewer samples than it should have is not gone on with.
+            return BakeState {
+                direct_rounds_wanted: 1,
+                pass_end: pass_end_after(0, &self.settings),
+                bins: vec![BinState::default(); 2 * self.direct.len()],
+                direct: vec![[DirectBin::default(); 2]; self.direct.len()],
+                ..BakeState::default()
+            };
+        }
         BakeState {
             emitted: self.emitted,
             bounces: self.bounces,
             direct_rounds: self.direct_rounds,
             direct_rounds_wanted: self.direct_rounds_wanted,
+            direct_block: self.direct_block as u64,
+            direct_enough: self.direct_enough,
             pass_end: self.pass_end,
             bins: self.bins.state(),
             direct: self.direct.clone(),
@@ -220,6 +264,8 @@ impl<'a> Baker<'a> {
         (self.emitted, self.bounces) = (state.emitted, state.bounces);
         self.direct_rounds = state.direct_rounds;
         self.direct_rounds_wanted = state.direct_rounds_wanted;
+        self.direct_block = state.direct_block as usize;
+        self.direct_enough = state.direct_enough;
         self.pass_end = state.pass_end;
         true
     }
@@ -248,25 +294,51 @@ impl<'a> Baker<'a> {
     /// One more round of direct light at all elements that may receive some. Does nothing where particles
     /// bring it.
     pub fn gather_direct(&mut self) {
+        self.gather_blocks(usize::MAX);
+    }
+
+    /// The same at the next `count` blocks of elements.
+    fn gather_blocks(&mut self, count: usize) {
         if !self.gathers_direct() {
             return;
         }
         let first = self.direct_rounds == 0;
+        if first && self.samples_per_round > HURRIED_SAMPLES && self.is_late() {
+            (self.samples_per_round, self.hurried) = (HURRIED_SAMPLES, true);
+        }
         // After four rounds the spread is known, and only blocks that are worse than the average go on. Not
         // single elements: those that missed the light by chance would stop and stay dark.
-        let enough = if self.direct_rounds < 4 { -1.0 } else { 0.5 * self.mean_direct_variance() };
+        if self.direct_block == 0 {
+            self.direct_enough =
+                if self.direct_rounds < 4 { -1.0 } else { 0.5 * self.mean_direct_variance() };
+        }
+        let begin = self.direct_block * BLOCK;
+        let end = begin.saturating_add(count.saturating_mul(BLOCK)).min(self.direct.len());
         let (atlas, transport, seed) = (&self.atlas, &self.transport, self.settings.seed);
-        let (watched, samples) = (&self.watched, self.samples_per_round);
-        self.direct.par_chunks_mut(BLOCK).enumerate().for_each(|(block, bins)| {
-            // After a round without any light on 64 neighbours, none is expected.
-            let variance = |side: usize| bins.iter().map(|b| b[side].mean().1).sum::<f32>() / BLOCK as f32;
-            let goes_on = [0, 1]
-                .map(|side| first || (bins.iter().any(|b| b[side].is_lit()) && variance(side) > enough));
-            let watched = &watched[block * BLOCK..];
+        let (watched, samples, enough) = (&self.watched, self.samples_per_round, self.direct_enough);
+        self.direct[begin..end].par_chunks_mut(BLOCK).enumerate().for_each(|(block, bins)| {
+            let begin = begin + block * BLOCK;
+            let goes_on = [0, 1].map(|side| {
+                let lit = || bins.iter().any(|b| b[side].is_lit());
+                let variance = || bins.iter().map(|b| b[side].mean().1).sum::<f32>() / BLOCK as f32;
+                match (first, side) {
+                    (true, 0) => true,
+                    // Most backs are inside of bodies: a few samples each, and none finds light.
+                    (true, _) => (begin..begin + bins.len()).any(|index| {
+                        let e = &atlas.elements[index];
+                        e.area > 0.0
+                            && probe(hash(seed, index as u64, 2), |u| {
+                                transport.direct(e.triangle, e.b1, e.b2, true, u)
+                            })
+                    }),
+                    // After a round without any light on 64 neighbours, none is expected.
+                    (false, _) => lit() && variance() > enough,
+                }
+            });
             for (i, bin) in bins.iter_mut().enumerate() {
-                let index = block * BLOCK + i;
+                let index = begin + i;
                 let e = &atlas.elements[index];
-                if e.area <= 0.0 || !(first || watched[i]) {
+                if e.area <= 0.0 || !(first || watched[index]) {
                     continue;
                 }
                 for side in [0, 1] {
@@ -278,7 +350,12 @@ impl<'a> Baker<'a> {
                 }
             }
         });
-        self.direct_rounds += 1;
+        if end < self.direct.len() {
+            self.direct_block = end / BLOCK;
+        } else {
+            self.direct_block = 0;
+            self.direct_rounds += 1;
+        }
     }
 
     /// Mean over all lit surface of the variance of direct light.
@@ -320,7 +397,7 @@ impl Baker<'_> {
     pub fn step(&mut self) -> Step {
         match self.next_stage() {
             Stage::Direct => {
-                self.gather_direct();
+                self.gather_blocks(BLOCKS);
                 Step::Going
             }
             Stage::Particles => {
@@ -367,7 +444,8 @@ impl Baker<'_> {
             let stage = self.next_stage();
             // The first round of direct light is short, and without it there is nothing to show.
             let first = stage == Stage::Direct && self.direct_rounds == 0;
-            if !first && !keep_going(&self.progress(stage)) {
+            if !keep_going(&self.progress(stage)) && !first {
+                keep_going(&self.progress(Stage::Estimate));
                 return Baked { illumination: self.illumination(), complete: false };
             }
             match self.step() {
@@ -375,7 +453,7 @@ impl Baker<'_> {
                 Step::Appraised(summary) => on_pass(&summary),
                 Step::Done(summary) => {
                     on_pass(&summary);
-                    keep_going(&Progress { stage: Stage::Estimate, ..self.progress(stage) });
+                    keep_going(&self.progress(Stage::Estimate));
                     return Baked { illumination: self.illumination(), complete: true };
                 }
             }

@@ -9,8 +9,6 @@ use super::bins::{Arrived, Bins};
 
 /// Elements in a leaf at most.
 const LEAF: usize = 4;
-/// Cosine of the angle within which the mean normal of a cluster speaks for all of it in a kernel, 0.25 rad.
-const NARROW: f32 = 0.968_912_4;
 /// A difference of normals of 1 counts like a distance of this share of the scene's size, so that clusters as
 /// large as a kernel resolves have narrow normals (compare Walter et al. 2005, Lightcuts).
 const NORMAL_SCALE: f32 = 0.08;
@@ -49,6 +47,59 @@ pub struct Cluster {
     pub area: f32,
     /// What arrived on the front and on the back.
     pub arrived: [Arrived; 2],
+}
+
+/// How far a node extends.
+#[derive(Clone, Copy, Debug)]
+pub struct Extent {
+    /// Its middle.
+    pub center: Element,
+    /// All centroids are within this distance of it.
+    pub reach: f32,
+    /// All normals are within the angle of this cosine of its own.
+    pub cosine: f32,
+}
+
+impl Extent {
+    /// That of a single element.
+    pub fn of(element: &Element) -> Self {
+        Self { center: *element, reach: 0.0, cosine: 1.0 }
+    }
+
+    /// The largest angle between its normal and an element's, radians.
+    pub fn spread(&self) -> f32 {
+        self.cosine.clamp(-1.0, 1.0).acos()
+    }
+}
+
+/// A cluster in the tree.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClusterIndex {
+    /// All elements of a node.
+    Node(u32),
+    /// The element at this place of the order.
+    Leaf(u32),
+}
+
+/// What clusters are wanted.
+#[derive(Clone, Copy, Debug)]
+pub struct Query {
+    /// Middle of the sphere in which elements are wanted.
+    pub center: Vec3,
+    /// Normal of the surface asked for, or its opposite.
+    pub normal: Vec3,
+    /// Radius of the sphere.
+    pub radius: f32,
+    /// Elements whose normals are within this angle of `normal` or its opposite are wanted, radians.
+    pub normal_angle: f32,
+    /// Elements are wanted up to a height of `height` + `slope` × distance over the plane of `center`.
+    pub slope: f32,
+    /// See `slope`.
+    pub height: f32,
+    /// Clusters are no wider than this (radius of their centroids), unless they are single elements.
+    pub resolution: f32,
+    /// Cosine of the angle within which the mean normal of a cluster speaks for all of it.
+    pub narrow: f32,
 }
 
 /// The tree. The geometry stays; the sums follow the bins.
@@ -115,8 +166,13 @@ impl ClusterTree {
 
     /// Runs of neighbours of about `size` elements in the order of the tree, each as the node that holds them.
     pub fn subtrees(&self, size: u32) -> Vec<u32> {
+        if self.nodes.is_empty() { Vec::new() } else { self.subtrees_of(0, size) }
+    }
+
+    /// The same below the node `root`.
+    pub fn subtrees_of(&self, root: u32, size: u32) -> Vec<u32> {
         let mut found = Vec::new();
-        let mut open = if self.nodes.is_empty() { Vec::new() } else { vec![0] };
+        let mut open = vec![root];
         while let Some(i) = open.pop() {
             let node = &self.nodes[i as usize];
             if node.count <= size || node.second == 0 {
@@ -128,14 +184,12 @@ impl ClusterTree {
         found
     }
 
-    /// A node as one element, with the mean area of its elements, and its radius; `None` where normals differ
-    /// from its own by more than `cosine` allows.
-    pub fn as_element(&self, i: u32, cosine: f32) -> Option<(Element, f32)> {
+    /// A node as one element, with the mean area of its elements.
+    pub fn as_element(&self, i: u32) -> Extent {
         let node = &self.nodes[i as usize];
-        (node.cosine > cosine).then(|| {
-            let area = node.area / node.count as f32;
-            (Element { position: node.center, normal: node.normal, area, ..Element::default() }, node.radius)
-        })
+        let area = node.area / node.count as f32;
+        let center = Element { position: node.center, normal: node.normal, area, ..Element::default() };
+        Extent { center, reach: node.radius, cosine: node.cosine }
     }
 
     /// The two halves of a node; `None` for a leaf.
@@ -192,54 +246,67 @@ impl ClusterTree {
         self.sums = sums;
     }
 
-    /// Calls `visit` for clusters that together hold every element within `radius` of `center` whose
-    /// normal, or its opposite, is within `normal_angle` (radians) of `normal`. Clusters are no wider
-    /// than `resolution` (radius of their centroids), unless they are single elements. Some lie outside
-    /// the radius or the cone: the caller weights them.
-    pub fn visit(
-        &self,
-        center: Vec3,
-        normal: Vec3,
-        radius: f32,
-        normal_angle: f32,
-        resolution: f32,
-        visit: &mut impl FnMut(&Cluster),
-    ) {
+    /// Finds at most `most` clusters that together hold every element that `query` asks for; `false` if there are more.
+    /// Some lie outside: the caller weights them.
+    pub fn collect(&self, query: &Query, most: usize, found: &mut Vec<ClusterIndex>) -> bool {
+        found.clear();
         if self.nodes.is_empty() {
-            return;
+            return true;
         }
         let mut stack = [0u32; 64];
         let mut depth = 1;
-        let (sin_angle, cos_angle) = normal_angle.sin_cos();
+        let (sin_angle, cos_angle) = query.normal_angle.sin_cos();
         while depth > 0 {
             depth -= 1;
-            let i = stack[depth] as usize;
-            let node = &self.nodes[i];
-            let reach = radius + node.radius;
-            if node.center.distance_squared(center) > reach * reach {
+            let i = stack[depth];
+            let node = &self.nodes[i as usize];
+            let offset = node.center - query.center;
+            let reach = query.radius + node.radius;
+            let squared = offset.length_squared();
+            if squared > reach * reach {
                 continue;
             }
             // Outside the cone even if widened by the spread: cos x < cos(a + b), as long as a + b < π/2.
             let limit = cos_angle * node.cosine - sin_angle * node.sine;
-            if node.cosine > 0.0 && node.normal.dot(normal).abs() < limit {
+            if node.cosine > 0.0 && node.normal.dot(query.normal).abs() < limit {
                 continue;
             }
-            if node.radius <= resolution && node.cosine > NARROW {
-                visit(&Cluster {
-                    center: node.center,
-                    normal: node.normal,
-                    area: node.area,
-                    arrived: self.sums[i],
-                });
-            } else if node.second == 0 {
-                for k in node.first as usize..(node.first + node.count) as usize {
-                    let (center, normal, area) = self.leaves[k];
-                    visit(&Cluster { center, normal, area, arrived: self.leaf_sums[k] });
+            // Above or below the slab that a bending surface stays in, with all of its elements.
+            let above = offset.dot(query.normal).abs() - node.radius - query.height;
+            if above > 0.0 && above > query.slope * (squared.sqrt() + node.radius) {
+                continue;
+            }
+            if node.radius <= query.resolution && node.cosine > query.narrow {
+                if found.len() >= most {
+                    return false;
                 }
+                found.push(ClusterIndex::Node(i));
+            } else if node.second == 0 {
+                if found.len() + node.count as usize > most {
+                    return false;
+                }
+                found.extend((node.first..node.first + node.count).map(ClusterIndex::Leaf));
             } else if depth + 2 <= stack.len() {
                 stack[depth] = node.second;
-                stack[depth + 1] = i as u32 + 1;
+                stack[depth + 1] = i + 1;
                 depth += 2;
+            }
+        }
+        true
+    }
+
+    /// A cluster that was found.
+    #[inline]
+    pub fn cluster(&self, index: ClusterIndex) -> Cluster {
+        match index {
+            ClusterIndex::Node(i) => {
+                let node = &self.nodes[i as usize];
+                let (center, normal, area) = (node.center, node.normal, node.area);
+                Cluster { center, normal, area, arrived: self.sums[i as usize] }
+            }
+            ClusterIndex::Leaf(k) => {
+                let (center, normal, area) = self.leaves[k as usize];
+                Cluster { center, normal, area, arrived: self.leaf_sums[k as usize] }
             }
         }
     }
@@ -327,6 +394,11 @@ mod tests {
             .collect()
     }
 
+    fn query(center: Vec3, radius: f32, resolution: f32) -> Query {
+        let (normal_angle, slope, height, narrow) = (0.4, 0.25, 0.0, 0.97);
+        Query { center, normal: Vec3::Z, radius, normal_angle, slope, height, resolution, narrow }
+    }
+
     #[test]
     fn a_query_sees_every_element_in_reach_exactly_once() {
         for n in [0, 1, 4, 5, 77, 3000] {
@@ -339,12 +411,14 @@ mod tests {
             tree.update(&bins);
             let (center, radius) = (Vec3::new(0.4, 0.6, 0.0), 0.3);
             let (mut inside, mut all) = (0.0, 0.0);
-            tree.visit(center, Vec3::Z, radius, 0.4, 0.0, &mut |c| {
+            let mut found = Vec::new();
+            assert!(tree.collect(&query(center, radius, 0.0), usize::MAX, &mut found));
+            for c in found.iter().map(|&i| tree.cluster(i)) {
                 all += c.arrived[0].count;
                 if c.center.distance(center) <= radius {
                     inside += c.arrived[0].count;
                 }
-            });
+            }
             let exact = elements.iter().filter(|e| e.position.distance(center) <= radius).count();
             assert_eq!(inside, exact as f32, "{n}");
             assert!(all >= inside);
@@ -360,13 +434,13 @@ mod tests {
         let mut tree = ClusterTree::build(&flat);
         let bins = Bins::new(flat.len(), 1.0);
         tree.update(&bins);
-        let (mut area, mut clusters) = (0.0, 0);
-        tree.visit(Vec3::splat(0.5), Vec3::Z, 10.0, 0.4, 0.2, &mut |c| {
-            area += c.area;
-            clusters += 1;
-        });
+        let mut found = Vec::new();
+        let middle = Vec3::new(0.5, 0.5, 0.0);
+        assert!(tree.collect(&query(middle, 10.0, 0.2), usize::MAX, &mut found));
+        let area: f32 = found.iter().map(|&i| tree.cluster(i).area).sum();
         assert!((area - 1.0f32).abs() < 1e-4);
-        assert!(clusters < 200, "{clusters}");
+        assert!(found.len() < 200, "{}", found.len());
+        assert!(!tree.collect(&query(middle, 10.0, 0.0), 10, &mut found) && found.len() <= 10);
     }
 
     #[test]

@@ -6,20 +6,13 @@
 //! no clipping, and a constant irradiance is met exactly. Deviation from the paper: kernels do not
 //! know charts or polygons, only positions and normals, so there are no seams between charts.
 
-use glam::{Mat2, Vec2, Vec3};
+use glam::{Mat2, Vec2, Vec3, Vec4};
 
 use super::atlas::Element;
-use super::clusters::{Cluster, ClusterTree};
+use super::clusters::{ClusterTree, Extent};
+use super::neighbourhood::{Neighbourhood, REACH, RESOLUTION};
 use crate::image::luminance;
 
-/// Particles count together if their normals are within 25° (REFERENCE §6.2).
-pub const NORMAL_ANGLE: f32 = 25.0 * std::f32::consts::PI / 180.0;
-const NORMAL_COSINE: f32 = 0.906_307_8;
-/// Slope against the tangent plane beyond which a piece belongs to another surface, such as the top of
-/// a book beside the table it lies on; sin(25°/2) is what a smooth bend may reach.
-const SLOPE_MAX: f32 = 0.25;
-/// Clusters in a kernel are no wider than this share of its radius.
-const RESOLUTION: f32 = 0.12;
 /// Ridge on the second moments, in units of the squared radius: a strip much narrower than the kernel
 /// has no measurable slope across. A full disc has 1/6.
 const RIDGE: f32 = 1e-3;
@@ -77,98 +70,77 @@ impl Bandwidth {
         2.2 * element.area.sqrt()
     }
 
-    /// The estimate with this bandwidth, and the radius to guess for a neighbour. A slope fitted at a border or in a corner is noisier than in the
-    /// open by up to an order of magnitude; there the radius grows by up to two.
-    pub fn estimate(
-        &self,
-        tree: &ClusterTree,
-        element: &Element,
-        back: bool,
-        guess: f32,
-        emitted: u64,
-    ) -> (Estimate, f32) {
-        let radius = self.radius(tree, element, back, guess);
-        (self.estimate_within(tree, element, back, radius, emitted), radius)
+    /// Size of clusters as a share of the radius.
+    fn resolution(&self) -> f32 {
+        if self.coarse { 2.0 * RESOLUTION } else { RESOLUTION }
     }
 
-    /// The same, if the radius is known.
-    pub fn estimate_within(
+    /// The radius for a kernel at `element`, given the radius that holds the particles wanted.
+    fn limited(&self, element: &Element, radius: f32) -> f32 {
+        let low = Self::radius_min(element);
+        radius.clamp(low, self.radius_max.max(low))
+    }
+
+    /// The radius of the kernel at the placed element of a neighbourhood.
+    pub fn kernel(&self, hood: &Neighbourhood, element: &Element, back: bool) -> f32 {
+        self.limited(element, hood.radius(self.count, back)).min(REACH * hood.nominal())
+    }
+
+    /// Gathers the neighbourhood of the elements of `extent`, starting from `guess` (a former radius, or 0). Returns the
+    /// radius of the kernel at its center, which is placed.
+    pub fn focus(&self, hood: &mut Neighbourhood, tree: &ClusterTree, extent: &Extent, guess: f32) -> f32 {
+        let center = &extent.center;
+        let low = Self::radius_min(center);
+        let high = self.radius_max.max(low);
+        let mut nominal = if guess > 0.0 { guess.clamp(low, high) } else { (low * high).sqrt() };
+        let mut radius = nominal;
+        for _ in 0..6 {
+            hood.gather(tree, extent, nominal, self.resolution());
+            hood.place(center);
+            radius = self.limited(center, hood.radius(self.count, false).clamp(0.3 * nominal, 3.0 * nominal));
+            if (0.6 * nominal..=1.3 * nominal).contains(&radius) {
+                break;
+            }
+            nominal = radius;
+        }
+        radius.min(REACH * hood.nominal())
+    }
+
+    /// The estimate at the placed element of a neighbourhood, and the radius of its kernel. A slope fitted at a border
+    /// or in a corner is noisier than in the open by up to an order of magnitude; there the radius grows by up to two.
+    pub fn estimate(
         &self,
-        tree: &ClusterTree,
+        hood: &Neighbourhood,
         element: &Element,
         back: bool,
-        radius: f32,
         emitted: u64,
-    ) -> Estimate {
-        let resolution = if self.coarse { 2.0 * RESOLUTION } else { RESOLUTION };
-        let first = estimate_with(tree, element, back, radius, resolution, emitted);
+    ) -> (Estimate, f32) {
+        let widest = REACH * hood.nominal();
+        let radius = self.kernel(hood, element, back);
+        let first = hood.estimate(radius, back, emitted);
         // ∫K² of a whole disc (REFERENCE §6.2).
         let in_the_open = 4.0 / (3.0 * self.count) * luminance(first.irradiance).powi(2);
         let excess = first.variance / in_the_open.max(1e-30);
         if self.coarse || in_the_open <= 0.0 || excess < 1.6 {
-            return first;
+            return (first, radius);
         }
-        let wider = (radius * excess.sqrt().min(2.0)).min(1.5 * self.radius_max.max(radius));
-        let second = estimate_with(tree, element, back, wider, resolution, emitted);
-        if second.variance < first.variance { second } else { first }
-    }
-
-    /// The radius at `element`, starting from `guess` (a former radius, or 0), at which the kernel holds
-    /// about `count` particles.
-    pub fn radius(&self, tree: &ClusterTree, element: &Element, back: bool, guess: f32) -> f32 {
-        let low = Self::radius_min(element);
-        let high = self.radius_max.max(low);
-        let mut radius = if guess > 0.0 { guess.clamp(low, high) } else { (low * high).sqrt() };
-        for _ in 0..6 {
-            let mut count = 0.0;
-            visit_disc(tree, element, back, radius, 0.25, &mut |_, cluster, side| {
-                count += cluster.arrived[side].count;
-            });
-            // The count grows with the square of the radius.
-            let factor = (self.count / count.max(0.5)).sqrt().clamp(0.35, 3.0);
-            let next = (radius * factor).clamp(low, high);
-            let done = (next / radius - 1.0).abs() < 0.1;
-            radius = next;
-            if done {
-                break;
-            }
-        }
-        radius
+        let wider = (radius * excess.sqrt().min(2.0)).min(1.5 * self.radius_max.max(radius)).min(widest);
+        let second = hood.estimate(wider, back, emitted);
+        (if second.variance < first.variance { second } else { first }, radius)
     }
 }
 
-/// Calls `visit` with the offset in the tangent plane in units of `radius`, the cluster, and its side
-/// that looks to where `element`'s side looks.
-fn visit_disc(
-    tree: &ClusterTree,
-    element: &Element,
-    back: bool,
-    radius: f32,
-    resolution: f32,
-    visit: &mut impl FnMut(Vec2, &Cluster, usize),
-) {
-    let normal = if back { -element.normal } else { element.normal };
-    let (tangent, bitangent) = element.normal.any_orthonormal_pair();
-    let inverse = 1.0 / radius;
-    let mut on_cluster = |cluster: &Cluster| {
-        let cosine = cluster.normal.dot(normal);
-        if cosine.abs() < NORMAL_COSINE {
-            return;
-        }
-        let d = cluster.center - element.position;
-        let height = d.dot(normal);
-        let u = Vec2::new(d.dot(tangent), d.dot(bitangent)) * inverse;
-        if u.length_squared() >= 1.0 || height.abs() > SLOPE_MAX * d.length() + 0.02 * radius {
-            return;
-        }
-        visit(u, cluster, usize::from(cosine < 0.0));
-    };
-    tree.visit(element.position, normal, radius * 1.04, NORMAL_ANGLE, resolution * radius, &mut on_cluster);
+/// The estimate at one side of `element` from `emitted` particles with kernels of `radius`.
+pub fn estimate(tree: &ClusterTree, element: &Element, back: bool, radius: f32, emitted: u64) -> Estimate {
+    let mut hood = Neighbourhood::default();
+    hood.gather(tree, &Extent::of(element), radius, RESOLUTION);
+    hood.place(element);
+    hood.estimate(radius, back, emitted)
 }
 
 /// Sums over a kernel.
 #[derive(Default)]
-struct Moments {
+pub(super) struct Moments {
     m0: f32,
     m1: Vec2,
     m2: [f32; 3],
@@ -180,58 +152,33 @@ struct Moments {
     count: f32,
 }
 
-/// The estimate at one side of `element` from `emitted` particles with kernels of `radius`.
-pub fn estimate(tree: &ClusterTree, element: &Element, back: bool, radius: f32, emitted: u64) -> Estimate {
-    estimate_with(tree, element, back, radius, RESOLUTION, emitted)
-}
-
-/// The same from fewer, larger clusters: where noise is the larger error.
-pub fn estimate_coarsely(
-    tree: &ClusterTree,
-    element: &Element,
-    back: bool,
-    radius: f32,
-    emitted: u64,
-) -> Estimate {
-    estimate_with(tree, element, back, radius, 2.0 * RESOLUTION, emitted)
-}
-
-fn estimate_with(
-    tree: &ClusterTree,
-    element: &Element,
-    back: bool,
-    radius: f32,
-    resolution: f32,
-    emitted: u64,
-) -> Estimate {
-    let mut m = Moments::default();
-    visit_disc(tree, element, back, radius, resolution, &mut |u, cluster, side| {
-        let k = 1.0 - u.length_squared();
-        let arrived = &cluster.arrived[side];
-        let w = k * cluster.area;
-        m.m0 += w;
-        m.m1 += w * u;
-        m.m2[0] += w * u.x * u.x;
-        m.m2[1] += w * u.x * u.y;
-        m.m2[2] += w * u.y * u.y;
-        let flux = k * arrived.flux;
-        m.flux += flux;
-        m.flux_u[0] += flux * u.x;
-        m.flux_u[1] += flux * u.y;
-        let square = k * k * arrived.square;
-        m.square += square;
-        m.square_u += square * u;
-        m.square_uu[0] += square * u.x * u.x;
-        m.square_uu[1] += square * u.x * u.y;
-        m.square_uu[2] += square * u.y * u.y;
-        m.count += arrived.count;
-    });
-    m.solve(emitted, radius)
-}
-
 impl Moments {
+    /// Adds a cluster at `u` in units of the kernel's radius: its area, the flux that arrived there with the sum of
+    /// squared luminances, and the count.
+    #[inline]
+    pub(super) fn add(&mut self, u: Vec2, area: f32, flux: Vec4, count: f32) {
+        let k = 1.0 - u.length_squared();
+        let w = k * area;
+        self.m0 += w;
+        self.m1 += w * u;
+        self.m2[0] += w * u.x * u.x;
+        self.m2[1] += w * u.x * u.y;
+        self.m2[2] += w * u.y * u.y;
+        let square = k * k * flux.w;
+        let flux = k * flux.truncate();
+        self.flux += flux;
+        self.flux_u[0] += flux * u.x;
+        self.flux_u[1] += flux * u.y;
+        self.square += square;
+        self.square_u += square * u;
+        self.square_uu[0] += square * u.x * u.x;
+        self.square_uu[1] += square * u.x * u.y;
+        self.square_uu[2] += square * u.y * u.y;
+        self.count += count;
+    }
+
     /// The value of the linear fit at the centre, or the area form Σ w K / ∫ K.
-    fn solve(&self, emitted: u64, radius: f32) -> Estimate {
+    pub(super) fn solve(&self, emitted: u64, radius: f32) -> Estimate {
         if self.m0 <= 0.0 || emitted == 0 {
             return Estimate::default();
         }
@@ -375,9 +322,11 @@ mod tests {
         let (elements, tree) = square(64, |_| 1.0, 4);
         let bandwidth = Bandwidth { count: 400.0, radius_max: 1.0, coarse: false };
         let exact = (400.0 / (4.0 * 64.0 * 64.0) / std::f32::consts::PI).sqrt();
-        let found = bandwidth.radius(&tree, &elements[64 * 32 + 32], false, 0.0);
+        let mut hood = Neighbourhood::default();
+        let mut at = |e: &Element| bandwidth.focus(&mut hood, &tree, &Extent::of(e), 0.0);
+        let found = at(&elements[64 * 32 + 32]);
         assert!((found / exact - 1.0).abs() < 0.15, "{found} {exact}");
-        let corner = bandwidth.radius(&tree, &elements[0], false, 0.0);
+        let corner = at(&elements[0]);
         assert!((1.6..2.4).contains(&(corner / exact)), "{}", corner / exact);
     }
 }

@@ -16,6 +16,15 @@ fn stratified(s: u32, scramble: u32) -> [f32; 3] {
     [a, b, c]
 }
 
+/// Samples of a first look.
+const PROBES: u32 = 2;
+
+/// Whether any of a few samples finds light.
+pub fn probe(key: u64, mut sample: impl FnMut([f32; 3]) -> Vec3) -> bool {
+    let scramble = hash(key, 0, 0xd1ec8) as u32;
+    (0..PROBES).any(|s| sample(stratified(s, scramble)).max_element() > 0.0)
+}
+
 /// Sums of the samples of one side of an element.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DirectBin {

@@ -3,10 +3,12 @@
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
+use super::atlas::Element;
 use super::bake::{BLOCK, Baker};
-use super::clusters::ClusterTree;
-use super::density::{Bandwidth, Estimate, estimate};
-use super::smooth_direct::{Sides, smoothed};
+use super::clusters::{ClusterTree, Extent};
+use super::density::{Bandwidth, Estimate};
+use super::neighbourhood::{Neighbourhood, along_tangents};
+use super::smooth_direct::{Sides, SmoothDirect};
 use super::stored::{Illumination, Summary, Value};
 use crate::image::luminance;
 use crate::rng::Stream;
@@ -14,16 +16,24 @@ use crate::rng::Stream;
 /// Elements that decide on the bandwidth.
 const PILOTS: usize = 3000;
 /// Neighbours in the tree that are estimated one after the other, each from the radius of the one before.
-const RUN: u32 = 4096;
+const RUN: u32 = 1024;
 /// Elements share a fit within this share of the kernel's radius, where their normals are within the angle of this
 /// cosine, 0.15 rad. The windows then overlap by 90 %.
 const SHARED: (f32, f32) = (0.1, 0.988_771_1);
 /// The same for a first picture: on leaves and ornaments 0.4 rad is all that a second allows.
 const SHARED_COARSELY: (f32, f32) = (0.25, 0.921);
+/// Elements within the first share of the kernel's radius read one neighbourhood, where their normals are within the
+/// angle of this cosine, 0.4 rad; and those of small things, within the second share and 1 rad.
+const TOGETHER: [(f32, f32); 2] = [(0.6, 0.921), (0.2, 0.54)];
 /// Direct light noisier than this share of itself is smoothed.
 const DIRECT_NOISE: f32 = 0.03;
 /// Rays that decide whether an element lies inside a body.
 const BURIED_RAYS: u64 = 8;
+
+/// Whether elements of this extent read one neighbourhood for kernels of `radius`.
+pub(super) fn reads_one(extent: &Extent, radius: f32) -> bool {
+    TOGETHER.iter().any(|&(share, cosine)| extent.reach <= share * radius && extent.cosine > cosine)
+}
 
 /// What the irradiance at one side of an element is made of.
 #[derive(Clone, Copy, Debug)]
@@ -50,20 +60,36 @@ struct ChosenBandwidth {
 }
 
 /// Where estimates can be made, with the sums of what arrived.
-struct Prepared {
+pub(super) struct Prepared {
     tree: ClusterTree,
     /// Elements in it.
     open: usize,
+    /// How far the bake was.
+    emitted: u64,
+    direct_rounds: u32,
     stored: u64,
     bandwidth: ChosenBandwidth,
     /// Per block of elements whether its backs receive anything.
     lit_back: Vec<bool>,
 }
 
+/// The last estimate in the making.
+pub(super) struct Estimating {
+    with: Prepared,
+    smooth: Option<SmoothDirect>,
+    /// Runs of neighbours, and what was found for the first of them.
+    nodes: Vec<u32>,
+    found: Vec<Vec<([Estimate; 2], Sides)>>,
+}
+
 impl Baker<'_> {
     /// Elements inside a body, such as the floor under a box: nothing ever arrives there, and from all
     /// directions the inside of something is seen. What was once seen to lie open is not asked again.
     fn update_buried(&mut self) {
+        if self.coarse {
+            // A first picture has no time to ask.
+            return self.open.fill(true);
+        }
         let (atlas, bins, direct, transport) = (&self.atlas, &self.bins, &self.direct, &self.transport);
         self.open.par_iter_mut().enumerate().filter(|(_, open)| !**open).for_each(|(i, open)| {
             let element = &atlas.elements[i];
@@ -79,12 +105,16 @@ impl Baker<'_> {
     }
 
     fn prepare(&mut self) -> Prepared {
-        self.update_buried();
         // Geometry of the tree changes only while elements are found to lie open.
+        let before = match self.prepared.take() {
+            Some(p) if p.emitted == self.emitted && p.direct_rounds == self.direct_rounds => return p,
+            before => before,
+        };
+        self.update_buried();
         let open = &self.open;
         let count = open.iter().filter(|&&o| o).count();
-        let mut tree = match self.tree.take() {
-            Some((before, tree)) if before == count => tree,
+        let mut tree = match before {
+            Some(p) if p.open == count => p.tree,
             _ => ClusterTree::build_where(&self.atlas.elements, &|e| open[e as usize]),
         };
         tree.update(&self.bins);
@@ -101,63 +131,94 @@ impl Baker<'_> {
             })
             .collect();
         let bandwidth = self.bandwidth(&tree, stored);
-        Prepared { tree, open: count, stored, bandwidth, lit_back }
+        let (emitted, direct_rounds) = (self.emitted, self.direct_rounds);
+        Prepared { tree, open: count, emitted, direct_rounds, stored, bandwidth, lit_back }
     }
 
     /// Estimates of particles at the elements of a node of the tree, in its order, front and back.
-    ///
-    /// Elements much closer to each other than the kernel is wide share one fit, evaluated at each of them.
-    fn estimate_node(&self, root: u32, with: &Prepared) -> Vec<[Estimate; 2]> {
-        let elements = &self.atlas.elements;
-        let (shared, cosine) = if self.coarse { SHARED_COARSELY } else { SHARED };
-        let mut found = Vec::with_capacity(with.tree.range(root).len());
+    fn estimate_node(
+        &self,
+        root: u32,
+        with: &Prepared,
+        coarse: bool,
+        hood: &mut Neighbourhood,
+    ) -> Vec<[Estimate; 2]> {
+        let tree = &with.tree;
+        let bandwidth = &Bandwidth { coarse, ..with.bandwidth.bandwidth };
+        let mut found = Vec::with_capacity(tree.range(root).len());
         let mut open = vec![(root, with.bandwidth.guess)];
         while let Some((node, mut guess)) = open.pop() {
-            let members = &with.tree.order()[with.tree.range(node)];
-            let bandwidth = &with.bandwidth.bandwidth;
-            let needs_back = |e: &u32| with.lit_back[*e as usize / BLOCK];
-            if let Some((center, radius)) = with
-                .tree
-                .as_element(node, cosine)
-                .filter(|(_, radius)| *radius <= shared * bandwidth.radius_max)
-            {
-                let kernel = bandwidth.radius(&with.tree, &center, false, guess);
-                guess = kernel;
-                if radius <= shared * kernel {
-                    let within =
-                        |back| bandwidth.estimate_within(&with.tree, &center, back, kernel, self.emitted);
-                    let front = within(false);
-                    let back = if members.iter().any(needs_back) {
-                        bandwidth.estimate(&with.tree, &center, true, kernel, self.emitted).0
-                    } else {
-                        Estimate::default()
-                    };
-                    let (x, y) = center.normal.any_orthonormal_pair();
-                    found.extend(members.iter().map(|&e| {
-                        let d = elements[e as usize].position - center.position;
-                        let (u, v) = (d.dot(x), d.dot(y));
-                        [front, back].map(|fit| Estimate { irradiance: fit.at(u, v), ..fit })
-                    }));
+            let extent = tree.as_element(node);
+            // The radius may turn out to be larger than the one before.
+            if reads_one(&extent, 1.6 * guess) {
+                guess = bandwidth.focus(hood, tree, &extent, guess);
+                if reads_one(&extent, guess) {
+                    self.estimate_run(node, with, bandwidth, hood, &mut found);
                     continue;
                 }
             }
-            if let Some([first, second]) = with.tree.halves(node) {
+            if let Some([first, second]) = tree.halves(node) {
                 open.extend([(second, guess), (first, guess)]);
                 continue;
             }
-            for &e in members {
-                let element = &elements[e as usize];
-                let (front, kernel) = bandwidth.estimate(&with.tree, element, false, guess, self.emitted);
-                guess = kernel;
-                let back = if needs_back(&e) {
-                    bandwidth.estimate(&with.tree, element, true, kernel, self.emitted).0
-                } else {
-                    Estimate::default()
-                };
-                found.push([front, back]);
+            for &e in &tree.order()[tree.range(node)] {
+                let element = &self.atlas.elements[e as usize];
+                guess = bandwidth.focus(hood, tree, &Extent::of(element), guess);
+                found.push(self.fits(element, &[e], with, bandwidth, hood));
             }
         }
         found
+    }
+
+    /// The same at elements that read one neighbourhood. Those much closer to each other than the kernel is wide share
+    /// one fit, evaluated at each of them.
+    fn estimate_run(
+        &self,
+        root: u32,
+        with: &Prepared,
+        bandwidth: &Bandwidth,
+        hood: &mut Neighbourhood,
+        found: &mut Vec<[Estimate; 2]>,
+    ) {
+        let (tree, elements) = (&with.tree, &self.atlas.elements);
+        let (shared, narrow) = if bandwidth.coarse { SHARED_COARSELY } else { SHARED };
+        let mut open = vec![root];
+        while let Some(node) = open.pop() {
+            let members = &tree.order()[tree.range(node)];
+            let Extent { center, reach, cosine } = tree.as_element(node);
+            if reach <= shared * hood.nominal() && cosine > narrow {
+                hood.place(&center);
+                let fits = self.fits(&center, members, with, bandwidth, hood);
+                found.extend(members.iter().map(|&e| {
+                    let [u, v] = along_tangents(&center, elements[e as usize].position);
+                    fits.map(|fit| Estimate { irradiance: fit.at(u, v), ..fit })
+                }));
+            } else if let Some([first, second]) = tree.halves(node) {
+                open.extend([second, first]);
+            } else {
+                for &e in members {
+                    let element = &elements[e as usize];
+                    hood.place(element);
+                    found.push(self.fits(element, &[e], with, bandwidth, hood));
+                }
+            }
+        }
+    }
+
+    /// Front and back of a placed element that speaks for `members`.
+    fn fits(
+        &self,
+        element: &Element,
+        members: &[u32],
+        with: &Prepared,
+        bandwidth: &Bandwidth,
+        hood: &Neighbourhood,
+    ) -> [Estimate; 2] {
+        let needs_back = members.iter().any(|&e| with.lit_back[e as usize / BLOCK]);
+        [false, true].map(|back| match back && !needs_back {
+            true => Estimate::default(),
+            false => bandwidth.estimate(hood, element, back, self.emitted).0,
+        })
     }
 
     /// What is known of the sides of an element.
@@ -178,32 +239,73 @@ impl Baker<'_> {
 
     /// The irradiance from all that was gathered so far.
     pub fn illumination(&mut self) -> Illumination {
-        let with = self.prepare();
-        let order = with.tree.order();
-        let estimates: Vec<[Estimate; 2]> = match with.stored {
-            0 => vec![[Estimate::default(); 2]; order.len()],
-            _ => {
+        loop {
+            if let Some(map) = self.estimate_some(usize::MAX) {
+                return map;
+            }
+        }
+    }
+
+    /// A bounded part of the work for [`Self::illumination`]: estimates at about 1000 × `runs` elements. The map, once
+    /// it is whole. Nothing else may be asked of the bake meanwhile.
+    pub fn estimate_some(&mut self, runs: usize) -> Option<Illumination> {
+        let mut e = match self.estimating.take() {
+            Some(e) => e,
+            None => {
+                let with = self.prepare();
+                let smooth = (self.direct_rounds > 0 || self.direct_block > 0).then(|| {
+                    let radius_max = 0.05 * self.diagonal;
+                    let tree = with.tree.clone();
+                    SmoothDirect::new(
+                        &self.atlas.elements,
+                        &self.direct,
+                        tree,
+                        radius_max,
+                        self.direct_target(),
+                    )
+                });
                 let nodes = with.tree.subtrees(RUN);
-                let found: Vec<_> = nodes.par_iter().map(|&node| self.estimate_node(node, &with)).collect();
-                found.into_iter().flatten().collect()
+                Estimating { with, smooth, nodes, found: Vec::new() }
             }
         };
-        let radius_max = 0.05 * self.diagonal;
-        let direct: Vec<Sides> = if self.direct_rounds == 0 {
-            vec![Sides::default(); order.len()]
-        } else {
-            let tree = with.tree.clone();
-            smoothed(&self.atlas.elements, &self.direct, tree, radius_max, self.direct_target())
+        let first = e.found.len();
+        let last = first.saturating_add(runs).min(e.nodes.len());
+        let with = &e.with;
+        let work = |hood: &mut Neighbourhood, &node: &u32| {
+            let late = self.is_late();
+            let coarse = self.coarse || late;
+            hood.reset();
+            let members = &with.tree.order()[with.tree.range(node)];
+            let particles = match with.stored {
+                0 => vec![[Estimate::default(); 2]; members.len()],
+                _ => self.estimate_node(node, with, coarse, hood),
+            };
+            let direct = match &e.smooth {
+                Some(_) if late => {
+                    members.iter().map(|&e| [0, 1].map(|side| self.direct[e as usize][side].mean())).collect()
+                }
+                Some(smooth) => smooth.at_node(&self.atlas.elements, &self.direct, node, hood),
+                None => vec![Sides::default(); members.len()],
+            };
+            particles.into_iter().zip(direct).collect()
         };
-        let mut values: Vec<[Option<Parts>; 2]> = vec![[None; 2]; self.atlas.elements.len()];
-        for ((&e, particles), direct) in order.iter().zip(estimates).zip(direct) {
-            values[e as usize] = self.parts(e, particles, direct, &with);
+        let found: Vec<Vec<_>> =
+            e.nodes[first..last].par_iter().map_init(Neighbourhood::default, work).collect();
+        e.found.extend(found);
+        if last < e.nodes.len() {
+            self.estimating = Some(e);
+            return None;
         }
-        let summary = self.summary((0..values.len() as u32).zip(values.iter().copied()), &with);
+        let mut values: Vec<[Option<Parts>; 2]> = vec![[None; 2]; self.atlas.elements.len()];
+        let found = e.found.into_iter().flatten();
+        for (&e, (particles, direct)) in with.tree.order().iter().zip(found) {
+            values[e as usize] = self.parts(e, particles, direct, with);
+        }
+        let summary = self.summary((0..values.len() as u32).zip(values.iter().copied()), with);
         let side = |s: usize| values.iter().map(|v| v[s].map(|p| p.value())).collect::<Vec<Value>>();
         let map = Illumination::new(&self.atlas, side(0), side(1), summary);
-        self.tree = Some((with.open, with.tree));
-        map
+        self.prepared = Some(e.with);
+        Some(map)
     }
 
     /// What [`Self::illumination`] would say of itself, from some of the elements only: takes much less time.
@@ -216,19 +318,16 @@ impl Baker<'_> {
         let values: Vec<(u32, [Option<Parts>; 2])> = order
             .par_iter()
             .step_by(step)
-            .map(|&e| {
+            .map_init(Neighbourhood::default, |hood, &e| {
                 let element = &self.atlas.elements[e as usize];
-                let mut guess = with.bandwidth.guess;
-                let mut at = |back: bool| {
-                    if with.stored == 0 || (back && !with.lit_back[e as usize / BLOCK]) {
-                        return Estimate::default();
-                    }
+                let particles = if with.stored == 0 {
+                    [Estimate::default(); 2]
+                } else {
                     let bandwidth = &with.bandwidth.bandwidth;
-                    let estimate;
-                    (estimate, guess) = bandwidth.estimate(&with.tree, element, back, guess, self.emitted);
-                    estimate
+                    hood.reset();
+                    bandwidth.focus(hood, &with.tree, &Extent::of(element), with.bandwidth.guess);
+                    self.fits(element, &[e], &with, bandwidth, hood)
                 };
-                let particles = [at(false), at(true)];
                 // Smoothing leaves the error that it aims at, no more.
                 let direct = [0, 1].map(|side| {
                     let (mean, variance) = self.direct[e as usize][side].mean();
@@ -238,7 +337,7 @@ impl Baker<'_> {
             })
             .collect();
         let summary = self.summary(values.into_iter(), &with);
-        self.tree = Some((with.open, with.tree));
+        self.prepared = Some(with);
         summary
     }
 
@@ -258,18 +357,21 @@ impl Baker<'_> {
         }
         let step = order.len().div_ceil(if self.coarse { PILOTS / 8 } else { PILOTS });
         let wide = Bandwidth { count: 2.0 * base.count, ..base };
+        let guess = base.radius_for(area, stored);
         let pilots: Vec<(f64, f64, f64)> = order
             .par_iter()
             .step_by(step)
-            .map(|&e| {
+            .map_init(Neighbourhood::default, |hood, &e| {
                 let element = &elements[e as usize];
-                let at = |b: &Bandwidth, guess: f32| {
-                    let radius = b.radius(tree, element, false, guess);
-                    let e = estimate(tree, element, false, radius, self.emitted);
+                hood.reset();
+                base.focus(hood, tree, &Extent::of(element), guess);
+                let at = |b: &Bandwidth| {
+                    let radius = b.kernel(hood, element, false);
+                    let e = hood.estimate(radius, false, self.emitted);
                     (f64::from(luminance(e.irradiance)), f64::from(e.variance), radius)
                 };
-                let (narrow, v1, r1) = at(&base, base.radius_for(area, stored));
-                let (wide, v2, r2) = at(&wide, 1.4 * r1);
+                let (narrow, v1, r1) = at(&base);
+                let (wide, v2, r2) = at(&wide);
                 let area = f64::from(element.area);
                 // Where the radius is at a limit nothing can be learned.
                 if r2 < 1.2 * r1 {

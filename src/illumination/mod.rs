@@ -11,6 +11,7 @@ pub mod density;
 pub mod direct;
 mod estimate;
 pub mod from_radiosity;
+pub mod neighbourhood;
 pub mod quick;
 mod raster;
 pub mod seen;

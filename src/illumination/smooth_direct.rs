@@ -2,13 +2,14 @@
 //! (REFERENCE §6.3). Where the samples suffice nothing is changed, so sharp shadows stay.
 
 use glam::Vec3;
-use rayon::prelude::*;
 
 use super::atlas::Element;
 use super::bins::Arrived;
-use super::clusters::ClusterTree;
-use super::density::{Bandwidth, estimate_coarsely};
+use super::clusters::{ClusterTree, Extent};
+use super::density::Bandwidth;
 use super::direct::DirectBin;
+use super::estimate::reads_one;
+use super::neighbourhood::{Neighbourhood, REACH, RESOLUTION, along_tangents};
 use crate::image::luminance;
 
 /// Neighbours that decide together how noisy their samples are: enough that some of them found the light.
@@ -23,83 +24,114 @@ const INEFFICIENCY: f32 = 4.0 / 3.0;
 /// Irradiance and the variance of its luminance, front and back.
 pub type Sides = [(Vec3, f32); 2];
 
-/// Direct light at the elements of `tree`, in its order, with a standard error of about `target` of itself at most,
-/// as far as kernels of `radius_max` bring it there.
-pub fn smoothed(
-    elements: &[Element],
-    direct: &[[DirectBin; 2]],
-    mut tree: ClusterTree,
+/// Direct light with a standard error of about `target` of itself at most, as far as kernels of `radius_max` bring it
+/// there.
+pub struct SmoothDirect {
+    tree: ClusterTree,
     radius_max: f32,
     target: f32,
-) -> Vec<Sides> {
-    tree.update_with(&|e| {
-        [0, 1].map(|side| {
-            let area = elements[e as usize].area;
-            let (mean, variance) = direct[e as usize][side].mean();
-            Arrived { flux: area * mean, square: area * area * variance, count: 1.0 }
-        })
-    });
-    let tree = &tree;
-    let run = |&node: &u32| {
-        let members = &tree.order()[tree.range(node)];
-        let mut found: Vec<Sides> =
-            members.iter().map(|&e| [0, 1].map(|side| direct[e as usize][side].mean())).collect();
-        for side in [0, 1] {
-            let (sum, area) = tree.sums(node, side);
-            let n = members.len() as f32;
-            let mean = luminance(sum.flux) / area;
-            let variance = sum.square * n / (area * area);
-            let wanted = INEFFICIENCY * variance / (target * mean).powi(2);
-            if mean > 0.0 && wanted > 1.5 {
-                let radius = (wanted * area / n / std::f32::consts::PI).sqrt().min(radius_max);
-                let most = 2.0 * (target * mean).powi(2);
-                smooth(elements, tree, node, side, radius, most, &mut found);
+}
+
+impl SmoothDirect {
+    /// Smooths what `direct` holds for the elements of `tree`.
+    pub fn new(
+        elements: &[Element],
+        direct: &[[DirectBin; 2]],
+        mut tree: ClusterTree,
+        radius_max: f32,
+        target: f32,
+    ) -> Self {
+        tree.update_with(&|e| {
+            [0, 1].map(|side| {
+                let area = elements[e as usize].area;
+                let (mean, variance) = direct[e as usize][side].mean();
+                Arrived { flux: area * mean, square: area * area * variance, count: 1.0 }
+            })
+        });
+        Self { tree, radius_max, target }
+    }
+
+    /// Direct light at the elements of a node of the tree, in its order.
+    pub fn at_node(
+        &self,
+        elements: &[Element],
+        direct: &[[DirectBin; 2]],
+        root: u32,
+        hood: &mut Neighbourhood,
+    ) -> Vec<Sides> {
+        let tree = &self.tree;
+        let mut all = Vec::with_capacity(tree.range(root).len());
+        for node in tree.subtrees_of(root, RUN) {
+            let members = &tree.order()[tree.range(node)];
+            let first = all.len();
+            all.extend(members.iter().map(|&e| [0, 1].map(|side| direct[e as usize][side].mean())));
+            for side in [0, 1] {
+                let (sum, area) = tree.sums(node, side);
+                let n = members.len() as f32;
+                let mean = luminance(sum.flux) / area;
+                let variance = sum.square * n / (area * area);
+                let wanted = INEFFICIENCY * variance / (self.target * mean).powi(2);
+                if mean > 0.0 && wanted > 1.5 {
+                    let radius = (wanted * area / n / std::f32::consts::PI).sqrt().min(self.radius_max);
+                    let kernel = Kernel { side, radius, variance_max: 2.0 * (self.target * mean).powi(2) };
+                    smooth(elements, tree, node, &kernel, &mut all[first..], hood);
+                }
             }
         }
-        found
-    };
-    tree.subtrees(RUN).par_iter().flat_map_iter(run).collect()
+        all
+    }
+}
+
+/// How the elements of a run are smoothed.
+struct Kernel {
+    side: usize,
+    radius: f32,
+    /// Beyond this kernels grow.
+    variance_max: f32,
 }
 
 fn smooth(
     elements: &[Element],
     tree: &ClusterTree,
     root: u32,
-    side: usize,
-    radius: f32,
-    variance_max: f32,
+    &Kernel { side, radius, variance_max }: &Kernel,
     found: &mut [Sides],
+    hood: &mut Neighbourhood,
 ) {
     let first = tree.range(root).start;
     // A slope fitted at a border or in a corner is noisier than in the open.
-    let fitted = |element: &Element, radius: f32| {
-        let fit = estimate_coarsely(tree, element, side == 1, radius, 1);
-        if fit.variance <= variance_max {
-            fit
-        } else {
-            estimate_coarsely(tree, element, side == 1, 2.0 * radius, 1)
-        }
+    let fitted = |hood: &mut Neighbourhood, element: &Element, radius: f32| {
+        hood.place(element);
+        let fit = hood.estimate(radius, side == 1, 1);
+        if fit.variance <= variance_max { fit } else { hood.estimate(REACH * radius, side == 1, 1) }
     };
-    let mut open = vec![root];
-    while let Some(node) = open.pop() {
+    // Nodes, and whether the neighbourhood of one above them is theirs as well.
+    let mut open = vec![(root, false)];
+    while let Some((node, mut gathered)) = open.pop() {
         let range = tree.range(node);
         let members = &tree.order()[range.clone()];
-        if let Some((center, _)) =
-            tree.as_element(node, NARROW).filter(|(_, reach)| *reach <= SHARED * radius)
-        {
-            let fit = fitted(&center, radius);
-            let (x, y) = center.normal.any_orthonormal_pair();
+        let extent = tree.as_element(node);
+        if !gathered && reads_one(&extent, radius) {
+            hood.gather(tree, &extent, radius, 2.0 * RESOLUTION);
+            gathered = true;
+        }
+        let Extent { center, reach, cosine } = extent;
+        if gathered && reach <= SHARED * radius && cosine > NARROW {
+            let fit = fitted(hood, &center, radius);
             for (i, &e) in range.zip(members) {
-                let d = elements[e as usize].position - center.position;
-                found[i - first][side] = (fit.at(d.dot(x), d.dot(y)), fit.variance);
+                let [u, v] = along_tangents(&center, elements[e as usize].position);
+                found[i - first][side] = (fit.at(u, v), fit.variance);
             }
         } else if let Some([a, b]) = tree.halves(node) {
-            open.extend([b, a]);
+            open.extend([(b, gathered), (a, gathered)]);
         } else {
             for (i, &e) in range.zip(members) {
                 let element = &elements[e as usize];
                 let radius = radius.max(Bandwidth::radius_min(element));
-                let fit = fitted(element, radius);
+                if !gathered {
+                    hood.gather(tree, &Extent::of(element), radius, 2.0 * RESOLUTION);
+                }
+                let fit = fitted(hood, element, radius.min(REACH * hood.nominal()));
                 found[i - first][side] = (fit.irradiance, fit.variance);
             }
         }
@@ -135,7 +167,8 @@ mod tests {
             let (elements, direct) = lit(p);
             let tree = ClusterTree::build(&elements);
             let order = tree.order().to_vec();
-            let found = smoothed(&elements, &direct, tree, 0.2, 0.1);
+            let smooth = SmoothDirect::new(&elements, &direct, tree, 0.2, 0.1);
+            let found = smooth.at_node(&elements, &direct, 0, &mut Neighbourhood::default());
             let mut error = 0.0f32;
             for (&e, sides) in order.iter().zip(&found) {
                 let x = elements[e as usize].position.x;

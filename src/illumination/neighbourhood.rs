@@ -1,0 +1,197 @@
+//! The clusters around a run of neighbouring elements, gathered once from the tree and then read in a row for
+//! every kernel of the run. Their number is bounded: where a scene is so cluttered that kernels would see more,
+//! clusters become larger.
+
+use glam::{Vec2, Vec3, Vec4};
+
+use super::atlas::Element;
+use super::clusters::{ClusterIndex, ClusterTree, Extent, Query};
+use super::density::{Estimate, Moments};
+
+/// Elements count together if their normals are within 25° (REFERENCE §6.2).
+pub const NORMAL_ANGLE: f32 = 25.0 * std::f32::consts::PI / 180.0;
+const NORMAL_COSINE: f32 = 0.906_307_8;
+/// Slope against the tangent plane beyond which a piece belongs to another surface, such as the top of
+/// a book beside the table it lies on; sin(25°/2) is what a smooth bend may reach.
+const SLOPE_MAX: f32 = 0.25;
+/// Height over the tangent plane that counts as none, in units of the kernel's radius.
+const HEIGHT: f32 = 0.02;
+/// Clusters in a kernel are no wider than this share of its radius.
+pub const RESOLUTION: f32 = 0.16;
+/// Cosine of the angle within which the mean normal of a cluster speaks for all of it in a kernel, 0.25 rad; beside it
+/// the same where clutter is denser and denser.
+const NARROW: [f32; 4] = [0.968_912_4, 0.921, 0.8, 0.6];
+/// Clusters become at most so many times twice as large.
+const CLUTTER_MAX: u32 = 5;
+/// Clusters in a neighbourhood at most; a flat surface has about 560.
+const CLUSTERS_MAX: usize = 840;
+/// Kernels may be wider than the nominal radius by this factor.
+pub const REACH: f32 = 1.5;
+/// Rings of equal area in which particles are counted to find a radius.
+const RINGS: usize = 64;
+
+/// What arrived at a cluster: flux per band and the squared luminance, and the count.
+type Arrival = (Vec4, f32);
+
+/// See above.
+#[derive(Debug, Default)]
+pub struct Neighbourhood {
+    /// The radius that kernels have, about.
+    nominal: f32,
+    /// How many times clusters are twice as large as they should be.
+    clutter: u32,
+    found: Vec<ClusterIndex>,
+    position: [Vec<f32>; 3],
+    normal: [Vec<f32>; 3],
+    area: Vec<f32>,
+    /// On the side that looks to where the run looks, and on the other one.
+    arrivals: Vec<[Arrival; 2]>,
+    /// Places in the tangent plane of the element in question, and the squared distance there; infinite for clusters
+    /// of other surfaces.
+    placed: [Vec<f32>; 3],
+}
+
+impl Neighbourhood {
+    /// Forgets the last one, so that the next does not depend on it.
+    pub fn reset(&mut self) {
+        self.clutter = 0;
+    }
+
+    /// Gathers what kernels of radius up to [`REACH`] × `nominal` need at the elements of `extent`. `resolution`: size of
+    /// clusters as a share of the radius.
+    pub fn gather(&mut self, tree: &ClusterTree, extent: &Extent, nominal: f32, resolution: f32) {
+        self.nominal = nominal;
+        let Extent { center, reach, .. } = *extent;
+        let spread = extent.spread();
+        let mut query = Query {
+            center: center.position,
+            normal: center.normal,
+            radius: REACH * nominal * 1.04 + reach,
+            normal_angle: NORMAL_ANGLE + spread,
+            slope: SLOPE_MAX + spread.min(std::f32::consts::FRAC_PI_2).sin(),
+            height: HEIGHT * nominal + 2.0 * reach,
+            resolution: 0.0,
+            narrow: 1.0,
+        };
+        let most = if resolution > RESOLUTION { CLUSTERS_MAX / 3 } else { CLUSTERS_MAX };
+        // Clutter begins and ends gradually: what was too much for the last neighbourhood is so for this one.
+        let mut clutter = self.clutter;
+        loop {
+            query.resolution = resolution * nominal * (1 << clutter) as f32;
+            query.narrow = NARROW[(clutter as usize).min(NARROW.len() - 1)];
+            if tree.collect(&query, most, &mut self.found) || clutter >= CLUTTER_MAX {
+                break;
+            }
+            clutter += 1;
+        }
+        self.clutter = if self.found.len() < most / 3 { clutter.saturating_sub(1) } else { clutter };
+        self.clear();
+        for &index in &self.found {
+            let cluster = tree.cluster(index);
+            let facing = cluster.normal.dot(center.normal) >= 0.0;
+            let sign = if facing { 1.0 } else { -1.0 };
+            for (axis, lane) in self.position.iter_mut().enumerate() {
+                lane.push(cluster.center[axis]);
+            }
+            for (axis, lane) in self.normal.iter_mut().enumerate() {
+                lane.push(sign * cluster.normal[axis]);
+            }
+            self.area.push(cluster.area);
+            let [front, back] = cluster.arrived.map(|a| (a.flux.extend(a.square), a.count));
+            self.arrivals.push(if facing { [front, back] } else { [back, front] });
+        }
+        for lane in &mut self.placed {
+            lane.clear();
+            lane.resize(self.area.len(), 0.0);
+        }
+    }
+
+    fn clear(&mut self) {
+        for lane in self.position.iter_mut().chain(&mut self.normal) {
+            lane.clear();
+        }
+        self.area.clear();
+        self.arrivals.clear();
+    }
+
+    /// The radius that kernels have, about.
+    pub fn nominal(&self) -> f32 {
+        self.nominal
+    }
+
+    /// Clusters in it.
+    pub fn len(&self) -> usize {
+        self.area.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.area.is_empty()
+    }
+
+    /// Turns to `element`: what follows is about kernels around it.
+    pub fn place(&mut self, element: &Element) {
+        let n = element.normal;
+        let (s, t) = n.any_orthonormal_pair();
+        let p = element.position;
+        let height = HEIGHT * self.nominal;
+        let count = self.area.len();
+        let [x, y, z] = self.position.each_ref().map(|lane| &lane[..count]);
+        let [nx, ny, nz] = self.normal.each_ref().map(|lane| &lane[..count]);
+        let [u, v, squared] = self.placed.each_mut().map(|lane| &mut lane[..count]);
+        for i in 0..count {
+            let (dx, dy, dz) = (x[i] - p.x, y[i] - p.y, z[i] - p.z);
+            let above = (dx * n.x + dy * n.y + dz * n.z).abs();
+            let distance = (dx * dx + dy * dy + dz * dz).sqrt();
+            let cosine = nx[i] * n.x + ny[i] * n.y + nz[i] * n.z;
+            u[i] = dx * s.x + dy * s.y + dz * s.z;
+            v[i] = dx * t.x + dy * t.y + dz * t.z;
+            let counts = (cosine >= NORMAL_COSINE) & (above <= SLOPE_MAX * distance + height);
+            squared[i] = if counts { u[i] * u[i] + v[i] * v[i] } else { f32::INFINITY };
+        }
+    }
+
+    /// The radius at which a kernel around the placed element holds `count` particles on its front or back; where the
+    /// neighbourhood has fewer, what their density lets expect.
+    pub fn radius(&self, count: f32, back: bool) -> f32 {
+        let limit = REACH * self.nominal;
+        let scale = RINGS as f32 / (limit * limit);
+        let mut rings = [0.0f32; RINGS];
+        for (&squared, arrivals) in self.placed[2].iter().zip(&self.arrivals) {
+            let ring = squared * scale;
+            if ring < RINGS as f32 {
+                rings[ring as usize] += arrivals[usize::from(back)].1;
+            }
+        }
+        let mut sum = 0.0;
+        for (i, &here) in rings.iter().enumerate() {
+            if here > 0.0 && sum + here >= count {
+                return ((i as f32 + (count - sum) / here) / scale).sqrt();
+            }
+            sum += here;
+        }
+        limit * (count / sum.max(0.5)).sqrt()
+    }
+
+    /// The estimate on the front or back of the placed element with kernels of `radius`, from `emitted` particles.
+    pub fn estimate(&self, radius: f32, back: bool, emitted: u64) -> Estimate {
+        let mut moments = Moments::default();
+        let (limit, inverse) = (radius * radius, 1.0 / radius);
+        let [us, vs, squares] = &self.placed;
+        for (i, &squared) in squares.iter().enumerate() {
+            if squared < limit {
+                let u = Vec2::new(us[i], vs[i]) * inverse;
+                let (flux, count) = self.arrivals[i][usize::from(back)];
+                moments.add(u, self.area[i], flux, count);
+            }
+        }
+        moments.solve(emitted, radius)
+    }
+}
+
+/// Any offset along the two tangents of an element, in which slopes are given.
+pub fn along_tangents(element: &Element, to: Vec3) -> [f32; 2] {
+    let (s, t) = element.normal.any_orthonormal_pair();
+    let d = to - element.position;
+    [d.dot(s), d.dot(t)]
+}

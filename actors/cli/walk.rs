@@ -326,6 +326,10 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
     }
     let converged = runtime.inspect(actors.renderer, Renderer::is_converged).unwrap_or(false);
     let deliveries = runtime.deliveries();
+    // It would go on until the light is final.
+    if let Some(illuminator) = actors.illuminator {
+        runtime.control(illuminator, Control::Stop);
+    }
     // Only the main thread's actors can be looked at while others run.
     let end = runtime.end(Duration::from_secs(10));
     let (lost_jobs, incidents) = actors.correction.map_or((0, Vec::new()), |c| {
@@ -352,14 +356,6 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         write_atomic(&out.join("report.html"), super::report::html(&page).as_bytes())?;
         write_atomic(&out.join("report.json"), format!("{document:#}\n").as_bytes())?;
     }
-<<<<<<< HEAD
-=======
-    // It would go on until the light is final.
-    if let Some(illuminator) = actors.illuminator {
-        runtime.control(illuminator, Control::Stop);
-    }
-    let end = runtime.shutdown(Duration::from_secs(10));
->>>>>>> 2856bf1 (Irradiance in bounded time on large scenes: neighbourhoods gathered once for a run of elements, lightmaps that hold their texels, a first estimate of bounded work, refinement in short turns that ends with the walk, time limits that hold)
     if !end.drained {
         tracing::warn!("the actors did not come to rest within 10 s");
     }

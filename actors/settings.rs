@@ -59,6 +59,8 @@ pub struct Adjustment {
     pub environment_bytes: u64,
     /// Most bytes of textures, where they are limited.
     pub texture_bytes: Option<u64>,
+    /// How far a converged view is refined, if at all.
+    pub refine: Option<Supersampling>,
     /// Exposure and curve of what is displayed; what is computed does not change with it.
     pub tone: ToneMap,
 }
@@ -78,6 +80,7 @@ impl Settings {
         self.samples_per_job = to.samples_per_job.clamp(1, 1 << 20);
         self.ageing = to.ageing;
         self.environment_bytes = to.environment_bytes;
+        self.supersampling = to.refine;
     }
 
     /// Defaults for a picture of this size.

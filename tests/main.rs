@@ -18,3 +18,5 @@ mod system;
 mod textures;
 mod tidy;
 mod walk;
+#[cfg(all(feature = "window", target_os = "linux"))]
+mod window;

@@ -99,6 +99,18 @@ impl Foveal {
         self
     }
 
+    /// In another environment.
+    pub fn env(mut self, name: &str, value: impl AsRef<OsStr>) -> Self {
+        self.command.env(name, value);
+        self
+    }
+
+    /// Without a variable of the environment.
+    pub fn without(mut self, name: &str) -> Self {
+        self.command.env_remove(name);
+        self
+    }
+
     /// With this to read.
     pub fn input(mut self, text: &str) -> Self {
         let file = self.folder.join("in");

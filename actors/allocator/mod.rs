@@ -425,6 +425,7 @@ impl Allocator {
     /// Takes up what the user changed, in the middle of a view.
     fn on_adjusted(&mut self, adjustment: &Adjustment, cx: &mut Cx<'_, AllocatorMessage>) {
         let before = self.settings.environment_bytes;
+        self.told_refined &= self.settings.supersampling == adjustment.refine;
         self.adjust(adjustment);
         self.update_attention();
         self.order.attend(&self.attention);
@@ -440,6 +441,16 @@ impl Allocator {
         self.settings.adjust(adjustment);
         self.order.adjust(self.settings.policy, self.settings.samples_per_job);
         self.environments.set_budget(self.settings.environment_bytes);
+        match (self.settings.supersampling, &mut self.supersampler, &self.drawn) {
+            (None, supersampler, _) => *supersampler = None,
+            (Some(rules), Some(supersampler), Some(drawn)) => {
+                supersampler.set_rules(rules, &ToneMap::from(&drawn.world.scene.display));
+            }
+            (Some(rules), supersampler, _) => {
+                let (width, height) = (self.settings.width, self.settings.height);
+                *supersampler = Some(Supersampler::new(rules, width, height));
+            }
+        }
         if let (Some(textures), Some(bytes)) = (&mut self.textures, adjustment.texture_bytes) {
             textures.set_limit(bytes);
         }

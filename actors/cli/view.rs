@@ -14,6 +14,8 @@ use super::failure::Failure;
 use super::output::{print_json, print_line, write_atomic};
 use super::recording::{RecordedRun, TRACERS_MAX};
 use super::session::{self, IlluminationArguments};
+use foveal::splatting::supersampling::Supersampling;
+
 use crate::renderer::overlay::Overlay;
 use crate::settings::Settings;
 use crate::window::walk::{Next, Walk};
@@ -38,6 +40,13 @@ pub struct ViewArguments {
     /// Who paints the window
     #[arg(long, value_enum, default_value_t = BackendName::Auto)]
     backend: BackendName,
+    /// Refine what has converged until the standard error of displayed values, 0 to 1, is below this; 0 leaves it
+    /// (default: 0.01, with --headless 0)
+    #[arg(long, value_name = "NOISE", value_parser = clap::value_parser!(f32))]
+    refine: Option<f32>,
+    /// Most samples of a pixel in that
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 16))]
+    refine_samples: u32,
     /// Most bytes of textures in memory, e.g. 64MiB (default: the scene's, else no limit)
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     texture_budget: Option<u64>,
@@ -180,6 +189,9 @@ fn load(a: &ViewArguments, path: &Path, sessions: &AtomicU32, progress: Progress
     opened.limit_textures(limit, illumination.cache.as_deref())?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
     let settings = Settings::new(a.size.width, a.size.height, a.workers.unwrap_or(cores.min(TRACERS_MAX)));
+    let noise = a.refine.unwrap_or(if a.headless { 0.0 } else { Supersampling::default().noise });
+    let rules = Supersampling { noise, max_samples: a.refine_samples };
+    let settings = Settings { supersampling: (noise > 0.0).then_some(rules), ..settings };
     let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let facts = vec![
         ("Software".to_owned(), format!("foveal {}", env!("CARGO_PKG_VERSION"))),

@@ -207,8 +207,12 @@ impl Renderer {
 
     /// Whether the current view has converged, and has been refined where that is wanted.
     pub fn is_refined(&self) -> bool {
-        let wanted = self.settings.supersampling.is_some() && self.neighbours.is_some();
-        self.is_converged() && (self.refined || !wanted)
+        self.is_converged() && (self.refined || !self.is_supersampled())
+    }
+
+    /// Whether converged views are refined.
+    pub fn is_supersampled(&self) -> bool {
+        self.settings.supersampling.is_some() && self.neighbours.is_some()
     }
 
     /// What tiles of the converged view have been refined to.
@@ -272,7 +276,12 @@ impl Renderer {
     }
 
     fn on_adjusted(&mut self, adjustment: Adjustment, cx: &mut Cx<'_, RendererMessage>) {
+        self.refined &= self.settings.supersampling == adjustment.refine;
         self.settings.adjust(&adjustment);
+        if self.settings.supersampling.is_none() && !self.tiles.is_empty() {
+            self.tiles.clear();
+            self.changed = true;
+        }
         self.adjustment = Some(adjustment);
         if let Some(neighbours) = &self.neighbours {
             self.outbox.tell(cx, &neighbours.cache_ager, CacheAgerMessage::Adjusted(adjustment));
@@ -486,7 +495,7 @@ impl Renderer {
 
     fn on_tile_sampled(&mut self, view: View, sums: Arc<TileSums>) {
         let tiles = Tiles::of_size(self.settings.width, self.settings.height);
-        if view != self.view || !sums.fits(&tiles) {
+        if view != self.view || !sums.fits(&tiles) || self.settings.supersampling.is_none() {
             return;
         }
         self.tiles.resize(tiles.len(), None);

@@ -17,6 +17,7 @@ use super::panel::{self, Shown};
 use super::presenter::{Backend, Painted, Presented, Presenter};
 use super::screenshot;
 use super::source::{Build, Loader};
+use super::timeline::{self, Wish};
 use super::walk::{Next, Walk};
 
 /// What a window is opened with.
@@ -274,6 +275,7 @@ impl App {
         let (walk, picture, name) = (&self.walk, &screen.picture, &self.options.name);
         let is_loading = self.loading.is_some();
         let (help, mut picture_rect) = (&mut self.help, egui::Rect::NOTHING);
+        let (recording, mut wish) = (self.walk.as_ref().and_then(Walk::timeline), None);
         let output = context.run_ui(input, |ui| {
             if let (Some(walk), Some(controls)) = (walk, &mut controls) {
                 let status = walk.status();
@@ -289,6 +291,14 @@ impl App {
                 egui::Panel::right("panel").resizable(false).exact_size(panel::WIDTH).show(ui, |ui| {
                     panel::panel(ui, controls, &shown);
                 });
+            }
+            if let Some((shown, plays)) = &recording {
+                egui::Panel::bottom("timeline").resizable(false).exact_size(timeline::HEIGHT).show(
+                    ui,
+                    |ui| {
+                        wish = timeline::timeline(ui, shown, *plays);
+                    },
+                );
             }
             let space = ui.available_rect_before_wrap();
             ui.painter().rect_filled(space, 0.0, egui::Color32::BLACK);
@@ -317,6 +327,7 @@ impl App {
             walk.set_controls(controls);
             self.picture_is_new |= before != controls.overlay || tone != controls.set.tone;
         }
+        let wished = wish;
         screen.egui.handle_platform_output(&screen.window, output.platform_output);
         let delay = output.viewport_output.get(&egui::ViewportId::ROOT).map(|v| v.repaint_delay);
         screen.repaint_at = delay.and_then(|d| (d < Duration::from_secs(3600)).then(|| Instant::now() + d));
@@ -335,12 +346,56 @@ impl App {
             Presented::Again => screen.repaint_at = Some(Instant::now() + Duration::from_millis(50)),
             Presented::Lost => self.reopen_presenter(event_loop),
         }
+        if let Some(wish) = wished {
+            self.wish(wish);
+        }
     }
 
     fn request_redraw(&self) {
         if let Some(screen) = &self.screen {
             screen.window.request_redraw();
         }
+    }
+
+    fn wish(&mut self, wish: Wish) {
+        let now = self.now();
+        if let Some(walk) = &mut self.walk {
+            walk.wish(wish, now);
+            self.picture_is_new = true;
+        }
+        self.request_redraw();
+    }
+
+    /// The wish of a key, where a recording is shown.
+    fn wish_of(&self, key: KeyCode) -> Option<Wish> {
+        let (shown, _) = self.walk.as_ref()?.timeline()?;
+        let (at, last) = (shown.frame.unwrap_or(0), shown.frames.saturating_sub(1));
+        Some(match key {
+            KeyCode::Space => Wish::Play,
+            KeyCode::ArrowLeft => Wish::Frame(at.saturating_sub(1)),
+            KeyCode::ArrowRight => Wish::Frame((at + 1).min(last)),
+            KeyCode::Home => Wish::Frame(0),
+            KeyCode::End => Wish::Frame(last),
+            KeyCode::Comma => Wish::Messages(-1),
+            KeyCode::Period => Wish::Messages(1),
+            KeyCode::KeyB => Wish::Branch,
+            _ => return None,
+        })
+    }
+
+    /// The pixel of the picture under the pointer.
+    fn pixel(&self) -> Option<[u32; 2]> {
+        let rect = self.screen.as_ref()?.picture_rect;
+        let picture = self.walk.as_ref()?.picture()?;
+        let scale = f64::from(self.context.pixels_per_point());
+        let at = |pointer: f64, from: f32, length: f32, count: usize| {
+            let share = ((pointer / scale) as f32 - from) / length.max(1.0);
+            (0.0..1.0).contains(&share).then_some((share * count as f32) as u32)
+        };
+        Some([
+            at(self.pointer.0, rect.left(), rect.width(), picture.width())?,
+            at(self.pointer.1, rect.top(), rect.height(), picture.height())?,
+        ])
     }
 
     fn on_key(
@@ -364,6 +419,7 @@ impl App {
             KeyCode::Escape if pressed => self.look_around(false),
             // A key that went down before a value was typed must still go up.
             _ if types && pressed => {}
+            _ if pressed && let Some(wish) = self.wish_of(key) => self.wish(wish),
             _ => self.on_walk_key(key, pressed, repeated, now),
         }
         self.request_redraw();
@@ -452,6 +508,13 @@ impl App {
                 ElementState::Pressed => {}
                 ElementState::Released => self.look_around(false),
             },
+            WindowEvent::MouseInput { state: ElementState::Pressed, button: MouseButton::Left, .. }
+                if self.pointer_on_picture() =>
+            {
+                if let Some([x, y]) = self.pixel() {
+                    self.wish(Wish::Why(x, y));
+                }
+            }
             WindowEvent::MouseWheel { delta, .. } if self.pointer_on_picture() => {
                 let steps = match delta {
                     MouseScrollDelta::LineDelta(_, y) => *y,

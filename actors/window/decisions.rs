@@ -89,6 +89,6 @@ fn bar(ui: &mut Ui, share: f32, mark: Option<f32>, color: Color32, text: &str) {
         egui::Align2::LEFT_CENTER,
         text,
         font,
-        ui.visuals().text_color(),
+        ui.visuals().strong_text_color(),
     );
 }

@@ -15,16 +15,19 @@ use crate::renderer::overlay::{Overlay, Sources, paint};
 /// Just noticeable differences that the overlay of errors shows white.
 const ERROR_MAX: f32 = 10.0;
 
-/// The renderer's last picture as `controls` want it seen.
+/// The renderer's last picture as `controls` want it seen. In a recording that stands between two frames, the picture as
+/// it has become since.
 pub fn picture(
     renderer: &Renderer,
     world: &World,
     controls: &Controls,
     insight: Option<&Insight>,
     encoder: &Encoder,
+    between_frames: bool,
 ) -> Option<Map2d<[u8; 3]>> {
     let shown = renderer.shown()?;
-    let rgb8 = if controls.set.tone == ToneMap::from(&world.scene.display) {
+    let as_shown = renderer.is_shown() || !between_frames;
+    let rgb8 = if as_shown && controls.set.tone == ToneMap::from(&world.scene.display) {
         (*shown.rgb8).clone()
     } else {
         renderer.picture()?.map(|radiance| encoder.rgb8(&controls.set.tone, radiance))

@@ -16,6 +16,7 @@ pub mod presenter;
 pub mod screenshot;
 pub mod session;
 pub mod source;
+pub mod timeline;
 pub mod walk;
 
 pub use app::{Options, WindowError, run};

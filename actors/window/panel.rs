@@ -6,6 +6,7 @@ use std::time::Duration;
 use egui::{Color32, Pos2, Rect, RichText, Sense, Shape, Slider, Stroke, Ui, Vec2};
 use foveal::allocation::policy::Policy;
 use foveal::display::tone::ToneCurve;
+use foveal::splatting::supersampling::Supersampling;
 
 use super::decisions::decisions;
 use super::source::{ActorStatus, Controls, Names, Ranges, Status};
@@ -18,7 +19,7 @@ const HISTORY: usize = 120;
 pub const WIDTH: f32 = 310.0;
 
 /// Keys, for the help.
-pub const KEYS: [(&str, &str); 15] = [
+pub const KEYS: [(&str, &str); 17] = [
     ("W A S D", "walk"),
     ("Q E", "down, up"),
     ("right drag", "look around"),
@@ -30,6 +31,8 @@ pub const KEYS: [(&str, &str); 15] = [
     ("R", "record a path, and end it"),
     ("P", "play the recorded path, or the scene's"),
     ("Tab", "next overlay"),
+    ("Space, Left, Right", "in a recording: play, go by frames"),
+    ("comma, period, B", "in a recording: go by messages, walk on"),
     ("F1", "this help"),
     ("F5", "read the scene again"),
     ("F12", "screenshot"),
@@ -96,6 +99,12 @@ pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
         ui.separator();
         graph(ui, shown.times, controls.set.fps);
         ui.separator();
+        ui.horizontal_wrapped(|ui| {
+            for overlay in Overlay::ALL {
+                ui.selectable_value(&mut controls.overlay, overlay, overlay.name());
+            }
+        });
+        ui.separator();
         ui.add(Slider::new(&mut controls.set.fps, 1.0..=60.0).logarithmic(true).text("frames per second"));
         ui.horizontal(|ui| {
             ui.label("task");
@@ -116,15 +125,9 @@ pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
         ui.add(Slider::new(&mut controls.set.ageing.n_min, 1..=100).text("N_min"));
         ui.add(Slider::new(&mut controls.set.workers, 1..=shown.ranges.workers).text("workers"));
         budgets(ui, controls, shown.ranges);
+        refinement(ui, &mut controls.set.refine);
         ui.separator();
         exposure(ui, controls);
-        ui.separator();
-        ui.label("overlay");
-        ui.horizontal_wrapped(|ui| {
-            for overlay in Overlay::ALL {
-                ui.selectable_value(&mut controls.overlay, overlay, overlay.name());
-            }
-        });
         ui.separator();
         if let Some((insight, names)) = shown.insight {
             decisions(ui, insight, names);
@@ -141,6 +144,7 @@ pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
 fn state(ui: &mut Ui, shown: &Shown<'_>) {
     let status = shown.status;
     let state = match (status.converged, status.lit) {
+        (true, _) if status.refined => "refined",
         (true, _) => "converged",
         (false, true) => "correcting",
         (false, false) => "correcting, light grows",
@@ -151,6 +155,18 @@ fn state(ui: &mut Ui, shown: &Shown<'_>) {
     if let Some(notice) = shown.notice {
         let color = if notice.failed { ui.visuals().error_fg_color } else { ui.visuals().text_color() };
         ui.colored_label(color, &notice.text);
+    }
+}
+
+/// How far a view goes on once it has converged.
+fn refinement(ui: &mut Ui, refine: &mut Option<Supersampling>) {
+    let mut refines = refine.is_some();
+    if ui.checkbox(&mut refines, "refine what has converged").changed() {
+        *refine = refines.then(Supersampling::default);
+    }
+    if let Some(rules) = refine {
+        ui.add(Slider::new(&mut rules.noise, 0.001..=0.1).logarithmic(true).text("noise"));
+        ui.add(Slider::new(&mut rules.max_samples, 1..=4096).logarithmic(true).text("samples per pixel"));
     }
 }
 

@@ -9,7 +9,6 @@ use foveal::allocation::residency::smallest;
 use foveal::display::tone::{Encoder, ToneMap};
 use foveal::display::twin::Passes;
 use foveal::image::Map2d;
-use foveal::scene::plan::{Part, ScenePlan};
 use foveal::scene::{Camera, Scene};
 use foveal::world::World;
 use foveal_runtime::{BuildError, Config, Control, Limit, Runtime};
@@ -40,11 +39,10 @@ pub struct Recording {
     pub header: Vec<u8>,
 }
 
-/// Whether there is anything to correct, and what the display pass must fill.
+/// Whether there is anything to correct, as there always is where any view can be refined; and what the display pass must fill.
 pub fn parts_of(scene: &Scene) -> (bool, Passes) {
-    let plan = ScenePlan::new(scene, &scene.budget);
     // The overlay of mip levels shows the texture ids.
-    (plan.needs(Part::Tracers), Passes { texture_ids: !scene.textures.is_empty() })
+    (true, Passes { texture_ids: !scene.textures.is_empty() })
 }
 
 /// Keeps the newest frame's counts for the window.
@@ -86,6 +84,8 @@ pub struct Session {
     newest: Arc<ArrayQueue<FrameCounts>>,
     counts: FrameCounts,
     frame: u32,
+    /// View of the last picture, and how far that has come.
+    shown: (u32, &'static str),
     encoder: Encoder,
     slot: InsightSlot,
     insight: Option<Insight>,
@@ -112,12 +112,14 @@ impl Session {
                 ageing: settings.ageing,
                 environment_bytes: settings.environment_bytes,
                 texture_bytes: store.map(|store| store.limit),
+                refine: settings.supersampling,
                 tone: ToneMap::from(&world.scene.display),
             },
             overlay: Overlay::None,
         };
         let ranges = Ranges { workers: settings.tracers, textures: store.map(|store| range(store)) };
-        let threads = if corrects { settings.tracers as usize + 1 } else { 0 };
+        // One more than tracers, so that the light actors keep one; and one for the illuminator.
+        let threads = settings.tracers as usize + 1 + usize::from(refinement.is_some());
         let (newest, slot) = (Arc::new(ArrayQueue::new(1)), InsightSlot::default());
         let parts = || Parts {
             settings,
@@ -158,6 +160,7 @@ impl Session {
             newest,
             counts: FrameCounts::default(),
             frame: 0,
+            shown: (0, "growing"),
             encoder: Encoder::default(),
             slot,
             insight: None,
@@ -259,7 +262,7 @@ impl FrameSource for Session {
 
     fn work(&mut self, time: Duration) {
         let renderer = self.actors.renderer;
-        self.pump(time, |r| r.inspect(renderer, Renderer::is_converged) == Some(true));
+        self.pump(time, |r| r.inspect(renderer, Renderer::is_refined) == Some(true));
     }
 
     fn end_frame(&mut self) {
@@ -271,26 +274,45 @@ impl FrameSource for Session {
         if let Some(counts) = self.newest.pop() {
             self.counts = counts;
         }
+        // What came since is not on the picture.
+        let state = self.look(|r| match (r.is_shown(), r.is_converged(), r.is_refined()) {
+            (true, true, true) if r.is_supersampled() => "refined",
+            (true, true, _) => "converged",
+            _ => "growing",
+        });
+        let view = self.look(|r| r.drawn().map_or(0, |d| d.view.0));
+        self.shown = (view.unwrap_or(0), state.unwrap_or("growing"));
         self.listen();
     }
 
     fn picture(&mut self) -> Option<Map2d<[u8; 3]>> {
         self.listen();
         let (controls, insight) = (self.controls, self.insight.as_ref());
-        self.look(|renderer| look::picture(renderer, &self.world, &controls, insight, &self.encoder))?
+        self.look(|renderer| look::picture(renderer, &self.world, &controls, insight, &self.encoder, false))?
+    }
+
+    fn is_done(&self) -> bool {
+        self.look(Renderer::is_refined).unwrap_or(true)
+    }
+
+    fn is_shown(&self) -> bool {
+        self.look(Renderer::is_shown).unwrap_or(true)
     }
 
     fn status(&self) -> Status {
         let (view, converged, lit) = self
             .look(|r| (r.drawn().map_or(0, |d| d.view.0), r.is_converged(), r.is_lit()))
             .unwrap_or((0, true, true));
+        let refined = self.look(|r| r.is_refined() && r.is_supersampled()).unwrap_or(false);
         Status {
             view,
             converged,
+            refined,
             lit,
             traced: self.counts.traced,
             reused: self.counts.reused,
             expired: self.counts.expired,
+            supersampled: self.counts.refined,
             actors: self.runtime.as_ref().map(look::actors).unwrap_or_default(),
         }
     }
@@ -303,8 +325,10 @@ impl FrameSource for Session {
         if let Ok(settings) = serde_json::to_string(&self.settings) {
             facts.push(("foveal settings".into(), settings));
         }
-        let Status { view, converged, .. } = self.status();
-        let state = if converged { "converged" } else { "growing" };
+        if let Ok(set) = serde_json::to_string(&self.controls.set) {
+            facts.push(("foveal controls".into(), set));
+        }
+        let (view, state) = self.shown;
         facts.push(("foveal view".into(), format!("{view}, {state}")));
         facts.push((
             "foveal display".into(),

@@ -50,6 +50,10 @@ pub struct Status {
     pub view: u32,
     /// Every non-diffuse pixel shows its own ray.
     pub converged: bool,
+    /// It has been refined as far as was asked for.
+    pub refined: bool,
+    /// Samples that refined the view in the last frame.
+    pub supersampled: u32,
     /// Fresh samples splatted in the last frame.
     pub traced: u32,
     /// Warped samples shown in the last frame.
@@ -86,6 +90,48 @@ pub struct Names {
     pub textures: Vec<String>,
 }
 
+/// A recording at a moment, as its timeline shows it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TimelineShown {
+    /// Frames of the recording.
+    pub frames: u32,
+    /// The frame that is shown; `None` before the first.
+    pub frame: Option<u32>,
+    /// Deliveries made to each actor.
+    pub position: String,
+    /// The last deliveries.
+    pub lines: Vec<String>,
+    /// Why the pixel that was asked for looks as it does.
+    pub story: Vec<String>,
+}
+
+/// A walk that leaves a recording.
+pub struct Branch {
+    /// Its session.
+    pub source: Box<dyn FrameSource>,
+    /// Where it begins.
+    pub camera: Camera,
+}
+
+/// A recording that one can go through.
+pub trait Timeline {
+    /// Where it stands.
+    fn shown(&self) -> TimelineShown;
+    /// Goes to where a frame was shown.
+    fn go_to(&mut self, frame: u32);
+    /// Goes to the next frame; `false` at the end.
+    fn next_frame(&mut self) -> bool;
+    /// Makes so many deliveries, or takes them back.
+    fn step(&mut self, messages: i64);
+    /// Tells the story of a pixel.
+    fn why(&mut self, x: u32, y: u32);
+    /// A walk on from here, with settings, light and camera of this moment; its samples are traced anew.
+    ///
+    /// # Errors
+    /// If no frame has begun, or threads cannot be started.
+    fn branch(&mut self) -> Result<Branch, String>;
+}
+
 /// A session of actors on the window's thread.
 pub trait FrameSource {
     /// The scene.
@@ -104,6 +150,12 @@ pub trait FrameSource {
     fn begin_frame(&mut self, camera: &Camera);
     /// Works for at most `time`; does not use the processor while there is nothing to do.
     fn work(&mut self, time: Duration);
+    /// Whether the view has all that it gets, and all of it arrived.
+    fn is_done(&self) -> bool;
+    /// Whether the last frame shows all that arrived.
+    fn is_shown(&self) -> bool {
+        true
+    }
     /// The frame's time is up: shows what there is.
     fn end_frame(&mut self);
     /// The picture as it was last shown, with tone map and overlay of the controls; `None` before the first.
@@ -112,6 +164,14 @@ pub trait FrameSource {
     fn status(&self) -> Status;
     /// Names and values that say how a picture came to be, for a screenshot's metadata.
     fn facts(&self) -> Vec<(String, String)>;
+    /// Its timeline, where it is a recording.
+    fn timeline(&self) -> Option<&dyn Timeline> {
+        None
+    }
+    /// The same, to go through.
+    fn timeline_mut(&mut self) -> Option<&mut dyn Timeline> {
+        None
+    }
 }
 
 /// Makes a session on the window's thread, of what was loaded on another.

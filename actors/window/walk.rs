@@ -10,7 +10,8 @@ use foveal::scene::{Camera, CameraPath};
 
 use super::navigation::Navigator;
 use super::panel::{FrameTimes, Notice};
-use super::source::{Controls, FrameSource, Names, Place, Ranges, Status};
+use super::source::{Branch, Controls, FrameSource, Names, Place, Ranges, Status, TimelineShown};
+use super::timeline::Wish;
 use crate::insight::Insight;
 use crate::renderer::overlay::Overlay;
 
@@ -52,6 +53,8 @@ pub struct Walk {
     picture: Option<Map2d<[u8; 3]>>,
     /// How long the last frames took.
     pub times: FrameTimes,
+    /// When the next frame of a recording is due, while it plays.
+    replaying: Option<f64>,
     /// The last thing to tell the user.
     pub notice: Option<Notice>,
 }
@@ -83,6 +86,7 @@ impl Walk {
             stale: true,
             picture: None,
             times: FrameTimes::default(),
+            replaying: None,
             notice: None,
         }
     }
@@ -240,15 +244,61 @@ impl Walk {
         camera
     }
 
+    /// The timeline of a recording, and whether it plays.
+    pub fn timeline(&self) -> Option<(TimelineShown, bool)> {
+        self.source.timeline().map(|timeline| (timeline.shown(), self.replaying.is_some()))
+    }
+
+    /// Does what the user wants of a recording. Nothing where this is none.
+    pub fn wish(&mut self, wish: Wish, now: f64) {
+        let replaying = self.replaying.take();
+        let Some(timeline) = self.source.timeline_mut() else { return };
+        match wish {
+            Wish::Frame(frame) => timeline.go_to(frame),
+            Wish::Messages(messages) => timeline.step(messages),
+            Wish::Play => self.replaying = if replaying.is_none() { Some(now) } else { None },
+            Wish::Why(x, y) => timeline.why(x, y),
+            Wish::Branch => match timeline.branch() {
+                Ok(Branch { source, camera }) => {
+                    *self = Self::new(source, now);
+                    self.navigator.set_camera(&camera, now);
+                    self.tell("walking on from the recording".into());
+                }
+                Err(e) => self.complain(e),
+            },
+        }
+        self.stale = true;
+    }
+
+    /// A recording: shows what was asked for, and the next frame while it plays.
+    fn tick_recording(&mut self, now: f64) -> (bool, Next) {
+        let period = 1.0 / f64::from(self.controls.set.fps.clamp(0.1, 1000.0));
+        if let (Some(due), Some(timeline)) = (self.replaying, self.source.timeline_mut()) {
+            if now < due {
+                return (false, Next::At(due));
+            }
+            let goes_on = timeline.next_frame();
+            self.replaying = goes_on.then_some(due.max(now - period) + period);
+            self.stale = true;
+        }
+        if !std::mem::take(&mut self.stale) {
+            return (false, Next::Input);
+        }
+        self.picture = self.source.picture();
+        (true, self.replaying.map_or(Next::Input, Next::At))
+    }
+
     /// Works a little. Returns whether there is a new picture, and when to call again.
     pub fn tick(&mut self, now: f64) -> (bool, Next) {
+        if self.source.timeline().is_some() {
+            return self.tick_recording(now);
+        }
         let period = 1.0 / f64::from(self.controls.set.fps.clamp(0.1, 1000.0));
         let Some(begin) = self.frame else {
             return (false, self.begin(now, period));
         };
         let deadline = begin + period;
-        let converged = self.source.status().converged;
-        if now < deadline && !converged {
+        if now < deadline && !self.source.is_done() {
             self.source.work(SLICE.min(Duration::from_secs_f64(deadline - now)));
             return (false, Next::Now);
         }
@@ -264,7 +314,8 @@ impl Walk {
     fn begin(&mut self, now: f64, period: f64) -> Next {
         let camera = self.camera_at(now);
         let moved = self.camera != Some(camera);
-        if !(moved || self.stale || !self.source.status().converged) {
+        let all_shown = self.source.is_done() && self.source.is_shown();
+        if !moved && !self.stale && all_shown {
             return if self.navigator.is_moving() || self.playing.is_some() {
                 Next::Now
             } else {
@@ -337,6 +388,7 @@ mod tests {
                 ageing: AgeingRules::default(),
                 environment_bytes: 0,
                 texture_bytes: None,
+                refine: None,
                 tone: ToneMap::default(),
             };
             Controls { set, overlay: Overlay::None }
@@ -367,6 +419,9 @@ mod tests {
         }
         fn picture(&mut self) -> Option<Map2d<[u8; 3]>> {
             Some(Map2d::new(2, 2, [self.0.borrow().shown as u8; 3]))
+        }
+        fn is_done(&self) -> bool {
+            self.0.borrow().left == 0
         }
         fn status(&self) -> Status {
             Status { converged: self.0.borrow().left == 0, ..Status::default() }

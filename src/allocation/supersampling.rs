@@ -24,6 +24,19 @@ pub struct TileOrder {
     pub count: u32,
 }
 
+/// Samples that a pixel may still get after `samples` later ones.
+fn room(rules: &Supersampling, samples: u32) -> u32 {
+    rules.max_samples.min(SAMPLES_MAX).saturating_sub(samples + 1)
+}
+
+/// Whether a tile needs no more samples, or may not have them.
+fn is_done(rules: &Supersampling, sums: Option<&TileSums>, tone: &ToneMap) -> bool {
+    let Some(sums) = sums else { return room(rules, 0) == 0 };
+    let [mean, largest] = sums.error(tone);
+    let quiet = sums.samples >= SAMPLES_MIN && mean < rules.noise && largest < 4.0 * rules.noise;
+    quiet || room(rules, sums.samples) == 0
+}
+
 /// Refines one view at a time.
 #[derive(Clone, Debug)]
 pub struct Supersampler {
@@ -47,6 +60,23 @@ impl Supersampler {
         self.open.clear();
     }
 
+    /// Other rules; tiles that were done go on where they are not any more.
+    pub fn set_rules(&mut self, rules: Supersampling, tone: &ToneMap) {
+        let before = std::mem::replace(&mut self.rules, rules);
+        for (at, sums) in self.sums.iter().enumerate() {
+            // What is open stays so, and what is ordered comes back.
+            let was_done = is_done(&before, sums.as_deref(), tone);
+            if was_done && !is_done(&rules, sums.as_deref(), tone) {
+                let error = sums.as_ref().map_or(f32::INFINITY, |sums| sums.error(tone)[0]);
+                self.open.push((error.to_bits(), Reverse(at as u32)));
+            }
+        }
+        let sums = &self.sums;
+        self.open.retain(|&(_, Reverse(tile))| {
+            !is_done(&rules, sums.get(tile as usize).and_then(|s| s.as_deref()), tone)
+        });
+    }
+
     /// Whether a view is being refined or is refined.
     pub fn has_begun(&self) -> bool {
         !self.sums.is_empty()
@@ -61,22 +91,17 @@ impl Supersampler {
     pub fn begin(&mut self) {
         self.forget();
         self.sums.resize(self.tiles.len(), None);
-        if self.room(0) > 0 {
+        if room(&self.rules, 0) > 0 {
             self.open
                 .extend((0..self.tiles.len() as u32).map(|tile| (f32::INFINITY.to_bits(), Reverse(tile))));
         }
-    }
-
-    /// Samples that a pixel may still get after `samples` later ones.
-    fn room(&self, samples: u32) -> u32 {
-        self.rules.max_samples.min(SAMPLES_MAX).saturating_sub(samples + 1)
     }
 
     /// The order that helps most.
     pub fn next_order(&mut self) -> Option<TileOrder> {
         let (_, Reverse(tile)) = self.open.pop()?;
         let on = self.sums.get(tile as usize).cloned().flatten();
-        let count = SAMPLES_PER_ORDER.min(self.room(on.as_ref().map_or(0, |on| on.samples)));
+        let count = SAMPLES_PER_ORDER.min(room(&self.rules, on.as_ref().map_or(0, |on| on.samples)));
         Some(TileOrder { tile, on, count })
     }
 
@@ -84,11 +109,8 @@ impl Supersampler {
     pub fn record(&mut self, sums: Arc<TileSums>, tone: &ToneMap) {
         if let Some(slot) = self.sums.get_mut(sums.tile as usize) {
             *slot = Some(sums.clone());
-            let [mean, largest] = sums.error(tone);
-            let done =
-                sums.samples >= SAMPLES_MIN && mean < self.rules.noise && largest < 4.0 * self.rules.noise;
-            if !done && self.room(sums.samples) > 0 {
-                self.open.push((mean.to_bits(), Reverse(sums.tile)));
+            if !is_done(&self.rules, Some(&sums), tone) {
+                self.open.push((sums.error(tone)[0].to_bits(), Reverse(sums.tile)));
             }
         }
     }

@@ -6,6 +6,8 @@ mod export;
 mod index;
 mod source;
 mod step;
+#[cfg(feature = "window")]
+mod view;
 mod why;
 
 use std::path::PathBuf;
@@ -20,6 +22,8 @@ use super::Progress;
 use super::failure::Failure;
 use super::output::{png_bytes, print_json, print_line, write_atomic};
 use super::recording::Elsewhere;
+#[cfg(feature = "window")]
+use super::recording::{RecordedRun, open_trace, program};
 use super::session::end_on_interrupt;
 use source::{How, Source, observe};
 
@@ -52,6 +56,14 @@ pub struct ReplayArguments {
     /// Take this many deliveries back from --until or the end, and say which
     #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "1", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     back: Option<u32>,
+    /// Show it in a window: a timeline to scrub, step and play, a click on a pixel for its story, and a walk on from there
+    #[cfg(feature = "window")]
+    #[arg(long, conflicts_with_all = ["verify", "until", "step", "back", "show", "why", "actor", "export", "json"])]
+    view: bool,
+    /// Folder for its screenshots (F12)
+    #[cfg(feature = "window")]
+    #[arg(long, value_name = "DIR", default_value = ".", requires = "view")]
+    screenshots: PathBuf,
     /// Write this frame's picture to --out
     #[arg(long, value_name = "FRAME", requires = "out", conflicts_with = "until")]
     show: Option<u32>,
@@ -98,14 +110,18 @@ pub fn run(a: &ReplayArguments, progress: Progress) -> Result<(), Failure> {
     }
     let export = a.export.as_deref().map(export::parse).transpose()?;
     let Some(path) = &a.trace else { return Err(Failure::Usage("which recording?".into())) };
-    let source = Source::open(path, a.scene.as_deref(), &a.elsewhere, a.verify, progress)?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let workers = a.workers.map_or(cores, |w| w as usize).min(64);
+    #[cfg(feature = "window")]
+    if a.view {
+        return view::run(a, path.clone(), workers);
+    }
+    let source = Source::open(path, a.scene.as_deref(), &a.elsewhere, a.verify, progress)?;
     if let Some(pixel) = a.why {
         return why::run(&source, pixel, a.frame, workers, a.json);
     }
     if a.step || a.back.is_some() {
-        return step::run(&source, a.until.as_deref(), a.back, a.step, workers);
+        return step::run(source, a.until.as_deref(), a.back, a.step, workers);
     }
     verify(a, &source, workers, export)
 }

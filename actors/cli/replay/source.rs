@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crossbeam_queue::SegQueue;
+use foveal::world::World;
 use foveal_runtime::{
     ActorId, Config, Delivery, Event, Exit, Hashing, Limit, Mode, Observer, Runtime, Snapshot, Trace, Until,
 };
@@ -106,6 +107,11 @@ impl Source {
         let shown_in = shown_in(&trace);
         let index = RefCell::new(Index::open(path, elsewhere.cache.as_deref()));
         Ok(Self { trace, path: path.to_owned(), recorded, shown_in, session, index })
+    }
+
+    /// The world it was recorded in, as it began.
+    pub fn world(&self) -> &World {
+        &self.session.world
     }
 
     /// A system that replays it.

@@ -5,6 +5,7 @@
 //! snapshot before and replays up to the cut that is asked for.
 
 use std::io::{BufRead, IsTerminal, Write};
+use std::rc::Rc;
 use std::sync::Arc;
 
 use crossbeam_queue::SegQueue;
@@ -15,6 +16,8 @@ use super::why;
 use crate::cli::failure::Failure;
 use crate::cli::output::print_line;
 use crate::cli::session::interrupted;
+use crate::insight::Insight;
+use crate::renderer::Renderer;
 use crate::wiring::Actors;
 
 /// Steps between two snapshots of a session: what a step back has to make again at most.
@@ -38,9 +41,18 @@ struct Stretch {
     steps: Vec<Seen>,
 }
 
+/// Where a session's words go.
+pub enum Teller {
+    /// To the standard output.
+    Printed,
+    /// Into a list that is fetched.
+    Kept(Vec<String>),
+}
+
 /// A replay that is stepped through.
-struct Session<'s> {
-    source: &'s Source,
+pub struct Session {
+    source: Rc<Source>,
+    teller: Teller,
     workers: usize,
     runtime: Runtime,
     actors: Actors,
@@ -50,7 +62,7 @@ struct Session<'s> {
 
 /// Runs the command.
 pub fn run(
-    source: &Source,
+    source: Source,
     until: Option<&str>,
     back: Option<u32>,
     commands: bool,
@@ -59,7 +71,7 @@ pub fn run(
     let place = until.map(|text| source.place(text)).transpose()?;
     // Back from nowhere said is back from the end.
     let at_end = place.is_none() && back.is_some();
-    let mut session = Session::new(source, workers)?;
+    let mut session = Session::new(Rc::new(source), workers, Teller::Printed)?;
     if place.is_some() || at_end {
         session.go(place)?;
     }
@@ -69,12 +81,45 @@ pub fn run(
     if commands { session.commands() } else { Ok(()) }
 }
 
-impl<'s> Session<'s> {
-    fn new(source: &'s Source, workers: usize) -> Result<Self, Failure> {
+impl Session {
+    /// At the start of a recording.
+    pub fn new(source: Rc<Source>, workers: usize, teller: Teller) -> Result<Self, Failure> {
         let seen = Arc::new(SegQueue::new());
-        let (runtime, actors) = build(source, &seen, None)?;
+        let (runtime, actors) = build(&source, &seen, None)?;
         let stretches = vec![Stretch { from: None, steps: Vec::new() }];
-        Ok(Self { source, workers, runtime, actors, seen, stretches })
+        Ok(Self { source, teller, workers, runtime, actors, seen, stretches })
+    }
+
+    /// Says something.
+    fn tell(&mut self, text: &str) {
+        match &mut self.teller {
+            Teller::Printed => print_line(text),
+            Teller::Kept(lines) => lines.push(text.to_owned()),
+        }
+    }
+
+    /// What was said since the last call, where it is kept.
+    pub fn told(&mut self) -> Vec<String> {
+        match &mut self.teller {
+            Teller::Printed => Vec::new(),
+            Teller::Kept(lines) => std::mem::take(lines),
+        }
+    }
+
+    /// Looks at the renderer.
+    pub fn look<R>(&self, look: impl FnOnce(&Renderer) -> R) -> Option<R> {
+        self.runtime.inspect(self.actors.renderer, look)
+    }
+
+    /// What the allocator thinks.
+    pub fn insight(&self) -> Option<Insight> {
+        let allocator = self.actors.correction.as_ref()?.allocator;
+        self.runtime.inspect(allocator, |allocator| allocator.insight())
+    }
+
+    /// The runtime, to look at.
+    pub fn runtime(&self) -> &Runtime {
+        &self.runtime
     }
 
     fn commands(&mut self) -> Result<(), Failure> {
@@ -127,11 +172,13 @@ impl<'s> Session<'s> {
         last.map_or_else(|| "start".to_owned(), |s| self.source.at((s.actor, s.index)))
     }
 
-    fn frame(&self) -> Option<u32> {
+    /// The last frame that was shown.
+    pub fn frame(&self) -> Option<u32> {
         self.runtime.inspect(self.actors.renderer, |r| r.shown().map(|s| s.index.0)).flatten()
     }
 
-    fn positions(&self) -> String {
+    /// Deliveries made to each actor, in a line.
+    pub fn positions(&self) -> String {
         let nodes = &self.source.trace.header().nodes;
         let actors = nodes.iter().zip(self.cut()).filter(|(node, _)| node.class.is_some());
         let made = actors.map(|(node, made)| format!("{} {made}", node.name));
@@ -164,13 +211,14 @@ impl<'s> Session<'s> {
         Ok(Some(seen))
     }
 
-    fn forward(&mut self, count: u64) -> Result<(), Failure> {
+    /// Makes deliveries and says which.
+    pub fn forward(&mut self, count: u64) -> Result<(), Failure> {
         for _ in 0..count {
             let Some(seen) = self.step()? else {
-                print_line("the end of the recording");
+                self.tell("the end of the recording");
                 break;
             };
-            print_line(&self.source.line(&seen));
+            self.tell(&self.source.line(&seen));
             if interrupted() {
                 break;
             }
@@ -178,27 +226,28 @@ impl<'s> Session<'s> {
         Ok(())
     }
 
-    fn next_frame(&mut self) -> Result<(), Failure> {
+    /// Makes deliveries until the next frame is shown.
+    pub fn next_frame(&mut self) -> Result<(), Failure> {
         let before = self.frame();
         while self.frame() == before {
             if self.step()?.is_none() || interrupted() {
-                print_line("the end of the recording");
+                self.tell("the end of the recording");
                 return Ok(());
             }
         }
-        print_line(&self.positions());
+        self.tell(&self.positions());
         Ok(())
     }
 
-    /// Takes deliveries back and prints them, the last one first.
-    fn back(&mut self, steps: u64) -> Result<(), Failure> {
+    /// Takes deliveries back and says which, the last one first.
+    pub fn back(&mut self, steps: u64) -> Result<(), Failure> {
         let mut cut = self.cut();
         let mut undone = 0;
         while undone < steps {
             let count = self.stretches.len();
             let Some(stretch) = self.stretches.last_mut() else { break };
             if let Some(seen) = stretch.steps.pop() {
-                print_line(&format!("back over {}", self.source.line(&seen)));
+                self.tell(&format!("back over {}", self.source.line(&seen)));
                 cut[seen.actor.0 as usize] -= 1;
                 undone += 1;
             } else if count > 1 {
@@ -206,12 +255,12 @@ impl<'s> Session<'s> {
             } else if stretch.from.is_some() {
                 self.reach_back(&cut)?;
             } else {
-                print_line("the start of the recording");
+                self.tell("the start of the recording");
                 break;
             }
         }
         let from = self.stretches.last().and_then(|s| s.from.clone());
-        (self.runtime, self.actors) = build(self.source, &self.seen, from)?;
+        (self.runtime, self.actors) = build(&self.source, &self.seen, from)?;
         let reached = self.runtime.run_to(&cut);
         self.diverged()?;
         while self.seen.pop().is_some() {}
@@ -230,14 +279,14 @@ impl<'s> Session<'s> {
         let before = behind.checked_sub(FRAMES_BEFORE + 1).map(|frame| shown[frame]);
         // One may be kept that is close enough.
         let kept = before.and_then(|index| self.source.kept(renderer, index, cut));
-        let (mut runtime, actors) = build(self.source, &self.seen, kept)?;
+        let (mut runtime, actors) = build(&self.source, &self.seen, kept)?;
         let mut from = None;
         if let Some(index) = before {
             runtime.run_within(cut, Some(Until::Delivery { actor: renderer, index }));
             while self.seen.pop().is_some() {}
             from = runtime.snapshot().map(Arc::new);
             if from.is_none() {
-                (runtime, _) = build(self.source, &self.seen, None)?;
+                (runtime, _) = build(&self.source, &self.seen, None)?;
             }
         }
         let mut steps = Vec::new();
@@ -251,7 +300,7 @@ impl<'s> Session<'s> {
     }
 
     /// Goes to a place, or to the end.
-    fn go(&mut self, place: Option<Until>) -> Result<(), Failure> {
+    pub fn go(&mut self, place: Option<Until>) -> Result<(), Failure> {
         let how = How { threads: self.workers, until: place, jump: true, ..How::default() };
         let (mut fast, _) = self.source.run(how, |_| ())?;
         let report = fast.replay_report();
@@ -263,12 +312,12 @@ impl<'s> Session<'s> {
         match fast.snapshot() {
             Some(snapshot) => {
                 let from = Some(Arc::new(snapshot));
-                (self.runtime, self.actors) = build(self.source, &self.seen, from.clone())?;
+                (self.runtime, self.actors) = build(&self.source, &self.seen, from.clone())?;
                 self.stretches.push(Stretch { from, steps: Vec::new() });
             }
             // What is on its way cannot be saved: step there.
             None => {
-                (self.runtime, self.actors) = build(self.source, &self.seen, None)?;
+                (self.runtime, self.actors) = build(&self.source, &self.seen, None)?;
                 let mut steps = Vec::new();
                 while self.runtime.step(Some(&cut)).is_some() && !interrupted() {
                     steps.extend(self.seen.pop());
@@ -277,7 +326,7 @@ impl<'s> Session<'s> {
                 self.stretches.push(Stretch { from: None, steps });
             }
         }
-        print_line(&self.positions());
+        self.tell(&self.positions());
         Ok(())
     }
 
@@ -285,7 +334,7 @@ impl<'s> Session<'s> {
         let pixel = super::pixel(text).map_err(Failure::Usage)?;
         match self.frame() {
             None => Err(Failure::Usage("no frame is shown yet".into())),
-            frame => why::run(self.source, pixel, frame, self.workers, false),
+            frame => why::run(&self.source, pixel, frame, self.workers, false),
         }
     }
 }

@@ -196,11 +196,38 @@ struct Found {
 /// Runs the command.
 pub fn run(
     source: &Source,
-    (x, y): (u32, u32),
+    pixel: (u32, u32),
     frame: Option<u32>,
     workers: usize,
     as_json: bool,
 ) -> Result<(), Failure> {
+    let document = explain(source, pixel, frame, workers)?;
+    if as_json {
+        print_json(&document);
+    } else {
+        told(&document).iter().for_each(|line| print_line(line));
+    }
+    Ok(())
+}
+
+/// The story of a pixel, in lines.
+#[cfg(feature = "window")]
+pub fn story(
+    source: &Source,
+    pixel: (u32, u32),
+    frame: Option<u32>,
+    workers: usize,
+) -> Result<Vec<String>, Failure> {
+    explain(source, pixel, frame, workers).map(|document| told(&document))
+}
+
+/// The story of a pixel.
+fn explain(
+    source: &Source,
+    (x, y): (u32, u32),
+    frame: Option<u32>,
+    workers: usize,
+) -> Result<Value, Failure> {
     let settings = &source.recorded.settings;
     if x >= settings.width || y >= settings.height {
         let size = format!("{} × {}", settings.width, settings.height);
@@ -252,12 +279,7 @@ pub fn run(
     };
     let found = find(source, &notes, &shown, px, py);
     let document = document(source, &notes, &shown, found.as_ref(), (px, py));
-    if as_json {
-        print_json(&document);
-    } else {
-        tell(&document);
-    }
-    Ok(())
+    Ok(document)
 }
 
 /// Repeats the splats of the view on a layer of its own and sees which one painted the pixel last.
@@ -464,24 +486,25 @@ fn samples(source: &Source, notes: &Notes, shown: &Shown, found: &Found, chain: 
     }
 }
 
-fn tell(d: &Value) {
+fn told(d: &Value) -> Vec<String> {
     let text = |v: &Value| v.as_str().unwrap_or_default().to_owned();
-    print_line(&format!(
-        "frame {}, pixel {},{}: object {} \"{}\", rgb {} {} {}",
-        d["frame"],
-        d["pixel"][0],
-        d["pixel"][1],
-        d["object"],
-        text(&d["name"]),
-        d["rgb"][0],
-        d["rgb"][1],
-        d["rgb"][2],
-    ));
-    print_line(&format!("shows     {}", text(&d["shows"])));
+    let mut lines = vec![
+        format!(
+            "frame {}, pixel {},{}: object {} \"{}\", rgb {} {} {}",
+            d["frame"],
+            d["pixel"][0],
+            d["pixel"][1],
+            d["object"],
+            text(&d["name"]),
+            d["rgb"][0],
+            d["rgb"][1],
+            d["rgb"][2],
+        ),
+        format!("shows     {}", text(&d["shows"])),
+    ];
     for link in d["chain"].as_array().into_iter().flatten() {
-        print_line(
-            format!("{:<9} {:<15} {}", text(&link["step"]), text(&link["at"]), text(&link["text"]))
-                .trim_end(),
-        );
+        let line = format!("{:<9} {:<15} {}", text(&link["step"]), text(&link["at"]), text(&link["text"]));
+        lines.push(line.trim_end().to_owned());
     }
+    lines
 }

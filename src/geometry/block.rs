@@ -63,8 +63,9 @@ impl Block {
 
     /// Distances and barycentric weights of the second and third corner, and a bit for each lane that
     /// is hit with `t_min < t <= t_max`.
-    #[inline]
-    pub fn intersect(&self, origin: [Vec4; 3], s: &Shear, t_min: f32, t_max: f32) -> Lanes {
+    /// `None` where it is none of them.
+    #[inline(always)]
+    pub fn intersect(&self, origin: [Vec4; 3], s: &Shear, t_min: f32, t_max: f32) -> Option<Lanes> {
         let (sx, sy, sz) = (Vec4::splat(s.sx), Vec4::splat(s.sy), Vec4::splat(s.sz));
         let sheared = |c: usize| {
             let z = self.corner[c][s.kz] - origin[s.kz];
@@ -83,9 +84,14 @@ impl Block {
         let positive = u.max(v).max(w).cmpgt(zero);
         let on_edge = (u.cmpeq(zero) | v.cmpeq(zero) | w.cmpeq(zero)).bitmask();
         let det = u + v + w;
+        // Unused lanes are not a number.
+        let candidates = !(negative & positive) & det.cmpeq(det);
+        if candidates.bitmask() | on_edge == 0 {
+            return None;
+        }
         let r = det.recip();
         let t = (u * az + v * bz + w * cz) * sz * r;
-        let inside = !(negative & positive) & t.cmpgt(Vec4::splat(t_min)) & t.cmple(Vec4::splat(t_max));
+        let inside = candidates & t.cmpgt(Vec4::splat(t_min)) & t.cmple(Vec4::splat(t_max));
         let mut lanes = Lanes {
             mask: inside.bitmask() & !on_edge,
             t: t.to_array(),
@@ -109,7 +115,7 @@ impl Block {
                 }
             }
         }
-        lanes
+        (lanes.mask != 0).then_some(lanes)
     }
 }
 
@@ -146,7 +152,7 @@ mod tests {
         let mut block = Block::EMPTY;
         block.set(2, corners, 7);
         let o = origin.to_array().map(Vec4::splat);
-        let l = block.intersect(o, &Shear::new(direction), 0.0, f32::INFINITY);
+        let l = block.intersect(o, &Shear::new(direction), 0.0, f32::INFINITY)?;
         assert_eq!(l.mask & !4, 0, "empty lanes are never hit");
         (l.mask != 0).then(|| (l.t[2], l.b1[2], l.b2[2]))
     }
@@ -214,7 +220,7 @@ mod tests {
                 let target = face[0] + (face[1] - face[0]) * f;
                 let shear = Shear::new(target - origin);
                 let o = origin.to_array().map(Vec4::splat);
-                let hit = blocks.iter().any(|b| b.intersect(o, &shear, 0.0, f32::INFINITY).mask != 0);
+                let hit = blocks.iter().any(|b| b.intersect(o, &shear, 0.0, f32::INFINITY).is_some());
                 assert!(hit, "{origin} → {target}");
             }
         }

@@ -104,7 +104,7 @@ impl Accel {
 /// that it does in debug builds; leaves hold what one block of triangles holds.
 fn build_binary(boxes: &[Aabb]) -> Bvh2 {
     let params =
-        if boxes.len() > 200_000 { BvhBuildParams::fast_build() } else { BvhBuildParams::medium_build() };
+        if boxes.len() > 1_500_000 { BvhBuildParams::fast_build() } else { BvhBuildParams::medium_build() };
     let mut bvh = PlocBuilder::with_capacity(boxes.len()).build(
         params.ploc_search_distance,
         boxes,
@@ -138,7 +138,7 @@ impl Accel {
     /// surfaces are hit where they are there.
     pub fn intersect(&self, scene: &Scene, ray: &Ray) -> Option<Hit> {
         let mut closest: Option<Hit> = None;
-        self.wide.traverse(ray, |found| {
+        self.wide.traverse::<true>(ray, |found| {
             let Some(hit) = self.accepted(scene, ray, &found) else { return Some(f32::INFINITY) };
             if closest.is_none_or(|c| hit.t < c.t || hit.triangle < c.triangle) {
                 closest = Some(hit);
@@ -151,7 +151,7 @@ impl Accel {
     /// The nearest hit of anything but one object.
     pub fn intersect_except(&self, scene: &Scene, ray: &Ray, object: u32) -> Option<Hit> {
         let mut closest: Option<Hit> = None;
-        self.wide.traverse(ray, |found| {
+        self.wide.traverse::<true>(ray, |found| {
             let hit = self.accepted(scene, ray, &found);
             let Some(hit) = hit.filter(|hit| scene.mesh.objects[hit.triangle as usize] != object) else {
                 return Some(f32::INFINITY);
@@ -174,7 +174,7 @@ impl Accel {
     /// stops at the first that blocks.
     pub fn any_hit(&self, scene: &Scene, ray: &Ray, mut blocks: impl FnMut(Hit) -> bool) -> bool {
         let mut blocked = false;
-        self.wide.traverse(ray, |found| {
+        self.wide.traverse::<false>(ray, |found| {
             blocked = self.accepted(scene, ray, &found).is_some_and(&mut blocks);
             (!blocked).then_some(f32::INFINITY)
         });
@@ -200,8 +200,9 @@ impl Accel {
         if !self.packets {
             return directions.map(|d| self.intersect(scene, &Ray::new(origin, d)));
         }
-        let accept = |index: u32, b1: f32, b2: f32| self.is_there(scene, index as usize, b1, b2);
-        let hit = packet::intersect(&self.nodes, &self.corners, origin, directions, accept);
+        let wide = (self.wide.stack() <= packet::BEAM_STACK).then_some(&self.wide);
+        let cut = Cut { accel: self, scene };
+        let hit = packet::intersect(&self.nodes, wide, &self.corners, origin, directions, &cut);
         std::array::from_fn(|l| {
             let triangle = self.triangles.get(hit.index[l] as usize)? & !CUT_OUT;
             Some(Hit { t: hit.t[l], triangle, b1: hit.b1[l], b2: hit.b2[l] })
@@ -212,6 +213,23 @@ impl Accel {
     fn is_there(&self, scene: &Scene, index: usize, b1: f32, b2: f32) -> bool {
         let t = self.triangles[index];
         t & CUT_OUT == 0 || scene.is_opaque_at(t & !CUT_OUT, b1, b2)
+    }
+}
+
+/// The cut-out surfaces of a scene.
+struct Cut<'a> {
+    accel: &'a Accel,
+    scene: &'a Scene,
+}
+
+impl packet::CutOut for Cut<'_> {
+    #[inline(always)]
+    fn may_vanish(&self, index: u32) -> bool {
+        self.accel.triangles[index as usize] & CUT_OUT != 0
+    }
+
+    fn is_there(&self, index: u32, b1: f32, b2: f32) -> bool {
+        self.accel.is_there(self.scene, index as usize, b1, b2)
     }
 }
 
@@ -288,6 +306,40 @@ mod tests {
                 assert_ne!(one.intersect(&scene, &ignoring).map(|h| h.triangle), Some(a.triangle));
             }
         }
+    }
+
+    /// Whatever the processor has and whichever tree a packet takes, hits have the same bits.
+    #[test]
+    fn all_ways_find_the_same_bits() {
+        let scene = of_triangles(&sphere(30, 1.0, Vec3::splat(0.3)));
+        let best = Accel::build(&scene);
+        let mut portable = best.clone();
+        portable.wide.make_portable();
+        let bits = |h: Option<Hit>| h.map(|h| (h.triangle, [h.t, h.b1, h.b2].map(f32::to_bits)));
+        let mut hits = 0;
+        for i in 0..3000 {
+            let mut s = Stream::new(6, i, 0);
+            let mut v = || Vec3::new(s.next_f32(), s.next_f32(), s.next_f32()) * 2.0 - 1.0;
+            let (origin, axis) = (v() * 2.0, v());
+            let ray = Ray::new(origin, axis);
+            let (one, other) = (best.intersect(&scene, &ray), portable.intersect(&scene, &ray));
+            assert_eq!(bits(one), bits(other), "ray {i}");
+            assert_eq!(best.occluded(&scene, &ray), one.is_some());
+            assert_eq!(portable.occluded(&scene, &ray), one.is_some());
+            let directions: [Vec3; LANES] =
+                std::array::from_fn(|_| (axis + 0.05 * v()).try_normalize().unwrap_or(Vec3::X));
+            let beam = best.intersect_packet(&scene, origin, &directions);
+            assert_eq!(beam.map(bits), portable.intersect_packet(&scene, origin, &directions).map(bits));
+            let cut = Cut { accel: &best, scene: &scene };
+            let binary = packet::intersect(&best.nodes, None, &best.corners, origin, &directions, &cut);
+            let of_binary = |l: usize| {
+                let triangle = best.triangles.get(binary.index[l] as usize)? & !CUT_OUT;
+                Some(Hit { t: binary.t[l], triangle, b1: binary.b1[l], b2: binary.b2[l] })
+            };
+            assert_eq!(beam.map(bits), std::array::from_fn(|l| bits(of_binary(l))), "packet {i}");
+            hits += beam.iter().flatten().count();
+        }
+        assert!(hits > 5000, "{hits}");
     }
 
     /// Powers of two change nothing but the scale of t.

@@ -1,17 +1,21 @@
-//! Nodes with four children, whose boxes are tested at once.
+//! Nodes with eight children, whose boxes are tested at once.
 
 use glam::{Vec3, Vec4};
 
+use super::eight::Eight;
 use super::offset::gamma;
 
-/// Four children.
+/// Children of a node.
+pub(super) const CHILDREN: usize = 8;
+
+/// Eight children.
 #[derive(Clone, Copy, Debug)]
-#[repr(C, align(64))]
+#[repr(C, align(32))]
 pub(super) struct Node {
-    /// Lower x, y, z, then upper x, y, z of the four boxes. An unused child's box is (+∞, −∞).
-    pub bounds: [Vec4; 6],
+    /// Lower x, y, z, then upper x, y, z of the boxes. An unused child's box is (+∞, −∞).
+    pub bounds: [[f32; CHILDREN]; 6],
     /// What they are.
-    pub child: [Child; 4],
+    pub child: [Child; CHILDREN],
 }
 
 /// A reference to a node, or to a few blocks of triangles in a row.
@@ -59,54 +63,63 @@ impl Node {
     /// No children.
     pub const EMPTY: Self = Self {
         bounds: [
-            Vec4::INFINITY,
-            Vec4::INFINITY,
-            Vec4::INFINITY,
-            Vec4::NEG_INFINITY,
-            Vec4::NEG_INFINITY,
-            Vec4::NEG_INFINITY,
+            [f32::INFINITY; CHILDREN],
+            [f32::INFINITY; CHILDREN],
+            [f32::INFINITY; CHILDREN],
+            [f32::NEG_INFINITY; CHILDREN],
+            [f32::NEG_INFINITY; CHILDREN],
+            [f32::NEG_INFINITY; CHILDREN],
         ],
-        child: [Child(0); 4],
+        child: [Child(0); CHILDREN],
     };
 }
 
 /// A ray prepared for boxes.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Slabs {
+#[derive(Clone, Copy)]
+pub(super) struct Slabs<E: Eight> {
+    eight: E,
+    /// For triangles, which are tested four at a time.
     pub origin: [Vec4; 3],
-    inverse: [Vec4; 3],
+    start: [E::Lanes; 3],
+    inverse: [E::Lanes; 3],
+    t_min: E::Lanes,
     near: [usize; 3],
     far: [usize; 3],
 }
 
-impl Slabs {
-    #[inline]
-    pub fn new(origin: Vec3, direction: Vec3) -> Self {
+impl<E: Eight> Slabs<E> {
+    #[inline(always)]
+    pub fn new(eight: E, origin: Vec3, direction: Vec3, t_min: f32) -> Self {
         let inverse = direction.recip();
         let side =
             |v: f32, axis: usize, near: bool| if v.is_sign_negative() == near { axis + 3 } else { axis };
         Self {
+            eight,
             origin: origin.to_array().map(Vec4::splat),
-            inverse: inverse.to_array().map(Vec4::splat),
-            near: [0, 1, 2].map(|a| side(inverse[a], a, true)),
-            far: [0, 1, 2].map(|a| side(inverse[a], a, false)),
+            start: [eight.splat(origin.x), eight.splat(origin.y), eight.splat(origin.z)],
+            inverse: [eight.splat(inverse.x), eight.splat(inverse.y), eight.splat(inverse.z)],
+            t_min: eight.splat(t_min),
+            near: [side(inverse.x, 0, true), side(inverse.y, 1, true), side(inverse.z, 2, true)],
+            far: [side(inverse.x, 0, false), side(inverse.y, 1, false), side(inverse.z, 2, false)],
         }
     }
 
-    /// Entry distances of the four boxes, and a bit for each that the ray meets in `[t_min, t_max]`.
+    /// Entry distances of the boxes, and a bit for each that the ray meets in `[t_min, t_max]`.
     ///
     /// The exit is enlarged by 1 + 2γ(3), so that a box is never missed by rounding (Ize 2013). Where
     /// the origin lies on a slab that is parallel to the ray, 0·∞ is NaN; `max` and `min` then return
-    /// their argument, so that the axis sets no bound.
-    #[inline]
-    pub fn intersect(&self, node: &Node, t_min: f32, t_max: f32) -> (Vec4, u32) {
-        let plane = |axis: usize, side: usize| (node.bounds[side] - self.origin[axis]) * self.inverse[axis];
-        let enter = plane(0, self.near[0])
-            .max(plane(1, self.near[1]).max(plane(2, self.near[2]).max(Vec4::splat(t_min))));
-        let leave = plane(0, self.far[0])
-            .min(plane(1, self.far[1]).min(plane(2, self.far[2]).min(Vec4::splat(f32::MAX))))
-            * (1.0 + 2.0 * gamma(3));
-        let leave = leave.min(Vec4::splat(t_max));
-        (enter, enter.cmple(leave).bitmask())
+    /// their second operand, so that the axis sets no bound.
+    #[inline(always)]
+    pub fn intersect(&self, node: &Node, t_max: f32) -> ([f32; CHILDREN], u32) {
+        let e = self.eight;
+        let plane = |axis: usize, side: usize| {
+            e.mul(e.sub(e.load(&node.bounds[side]), self.start[axis]), self.inverse[axis])
+        };
+        let enter = e.max(plane(2, self.near[2]), self.t_min);
+        let enter = e.max(plane(0, self.near[0]), e.max(plane(1, self.near[1]), enter));
+        let leave = e.min(plane(2, self.far[2]), e.splat(f32::MAX));
+        let leave = e.min(plane(0, self.far[0]), e.min(plane(1, self.far[1]), leave));
+        let leave = e.min(e.mul(leave, e.splat(1.0 + 2.0 * gamma(3))), e.splat(t_max));
+        (e.store(enter), e.at_most(enter, leave))
     }
 }

@@ -1,7 +1,9 @@
-//! Sixteen primary rays at once through a binary BVH.
+//! Sixteen primary rays at once.
 //!
-//! All rays of a packet leave one eye, so a box and a triangle are moved to the eye once for all rays. The triangle
-//! test is the watertight one of Woop, Benthin & Wald 2013 (REFERENCE §5.2) with one shear axis for the packet: each
+//! All rays of a packet leave one eye. Where they also point into one octant, the packet goes through the tree of eight
+//! children as one beam: interval bounds of its directions decide for eight boxes at once whether any ray can meet them,
+//! so that a packet visits nodes at the price of a single ray; only triangles are tested for each ray. Other packets take
+//! the binary tree and test each box for each ray. What they find does not depend on the way. The triangle test is the watertight one of Woop, Benthin & Wald 2013 (REFERENCE §5.2) with one shear axis for the packet: each
 //! ray meets all triangles with the same shear, which is what watertightness needs.
 //!
 //! The lanes are plain arrays, which the compiler turns into vectors: of 4 lanes where nothing is known of the
@@ -10,6 +12,11 @@
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
+
+use super::eight::{Eight, Work};
+use super::node::{CHILDREN, Child, Node};
+use super::offset::gamma;
+use super::wide::{Entry, Wide};
 
 /// Nodes on the way to a leaf that the stack has room for.
 pub const STACK: usize = 128;
@@ -34,7 +41,7 @@ pub struct FlatNode {
 
 /// Hits of a packet.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PacketHit {
+pub(super) struct PacketHit {
     /// Distances; infinite where a ray misses.
     pub t: [f32; LANES],
     /// Index in the order of the leaves; `u32::MAX` where a ray misses.
@@ -67,14 +74,23 @@ impl Lanes {
     }
 }
 
+/// Surfaces that may be cut out.
+pub(super) trait CutOut {
+    /// Whether the triangle at an index in the order of the leaves has places that are not there.
+    fn may_vanish(&self, index: u32) -> bool;
+    /// Whether it is there at barycentric weights of the second and third corner.
+    fn is_there(&self, index: u32, b1: f32, b2: f32) -> bool;
+}
+
 /// Closest hits of sixteen rays from `origin` along unit `directions`. `corners` are in the order of the
-/// leaves; `accept(index, b1, b2)` refuses hits of a cut-out surface.
-pub fn intersect(
+/// leaves; `cut` refuses hits of a cut-out surface.
+pub(super) fn intersect(
     nodes: &[FlatNode],
+    wide: Option<&Wide>,
     corners: &[[Vec3; 3]],
     origin: Vec3,
     directions: &[Vec3; LANES],
-    accept: impl Fn(u32, f32, f32) -> bool,
+    cut: &impl CutOut,
 ) -> PacketHit {
     if nodes.is_empty() || corners.is_empty() {
         return MISS;
@@ -86,7 +102,7 @@ pub fn intersect(
         let mut hit = MISS;
         for (lane, &d) in directions.iter().enumerate() {
             let packet = Packet::new(origin, &[d; LANES], dominant_axis(d), d);
-            let single = traverse(nodes, corners, &packet, &accept);
+            let single = traverse(nodes, corners, &packet, cut);
             hit.t[lane] = single.t[0];
             hit.index[lane] = single.index[0];
             hit.b1[lane] = single.b1[0];
@@ -95,7 +111,10 @@ pub fn intersect(
         return hit;
     }
     let packet = Packet::new(origin, directions, kz, mean);
-    pulp::Arch::new().dispatch(Traverse { nodes, corners, packet: &packet, accept: &accept })
+    if let (Some(wide), Some(beam)) = (wide, packet.beam()) {
+        return wide.level().run(Through { wide, corners, packet: &packet, beam, cut });
+    }
+    pulp::Arch::new().dispatch(Traverse { nodes, corners, packet: &packet, cut })
 }
 
 /// The traversal, to be compiled for each set of instructions.
@@ -103,15 +122,116 @@ struct Traverse<'a, F> {
     nodes: &'a [FlatNode],
     corners: &'a [[Vec3; 3]],
     packet: &'a Packet,
-    accept: &'a F,
+    cut: &'a F,
 }
 
-impl<F: Fn(u32, f32, f32) -> bool> pulp::WithSimd for Traverse<'_, F> {
+impl<F: CutOut> pulp::WithSimd for Traverse<'_, F> {
     type Output = PacketHit;
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) -> PacketHit {
-        traverse(self.nodes, self.corners, self.packet, self.accept)
+        traverse(self.nodes, self.corners, self.packet, self.cut)
+    }
+}
+
+/// Bounds of the rays of a packet that point into one octant.
+#[derive(Clone, Copy)]
+struct Beam {
+    origin: [f32; 3],
+    /// Least and largest inverse of the directions.
+    inverse: [[f32; 2]; 3],
+}
+
+/// The way of a beam through the tree of eight children.
+struct Through<'a, F> {
+    wide: &'a Wide,
+    corners: &'a [[Vec3; 3]],
+    packet: &'a Packet,
+    beam: Beam,
+    cut: &'a F,
+}
+
+/// Entries of a beam's stack; trees that may need more take the binary way.
+pub(super) const BEAM_STACK: usize = 128;
+
+impl<F: CutOut> Work for Through<'_, F> {
+    type Output = PacketHit;
+
+    #[inline(always)]
+    fn run<E: Eight>(self, e: E) -> PacketHit {
+        let mut hit = MISS;
+        let mut nearest = Lanes(hit.t);
+        let mut farthest = f32::INFINITY;
+        let Beam { origin, inverse } = self.beam;
+        let start = [e.splat(origin[0]), e.splat(origin[1]), e.splat(origin[2])];
+        let least = [e.splat(inverse[0][0]), e.splat(inverse[1][0]), e.splat(inverse[2][0])];
+        let most = [e.splat(inverse[0][1]), e.splat(inverse[1][1]), e.splat(inverse[2][1])];
+        let is_up = [inverse[0][0] > 0.0, inverse[1][0] > 0.0, inverse[2][0] > 0.0];
+        let (nodes, blocks) = self.wide.parts();
+        // Each ray's own bounds lie within these, since rounding is monotone.
+        let meet = |node: &Node, farthest: f32| {
+            let (mut enter, mut leave) = (e.splat(0.0), e.splat(f32::MAX));
+            for axis in 0..3 {
+                let (near, far) = if is_up[axis] { (axis, axis + 3) } else { (axis + 3, axis) };
+                let near = e.sub(e.load(&node.bounds[near]), start[axis]);
+                let far = e.sub(e.load(&node.bounds[far]), start[axis]);
+                enter = e.max(e.min(e.mul(near, least[axis]), e.mul(near, most[axis])), enter);
+                leave = e.min(e.max(e.mul(far, least[axis]), e.mul(far, most[axis])), leave);
+            }
+            let leave = e.min(e.mul(leave, e.splat(1.0 + 2.0 * gamma(3))), e.splat(farthest));
+            (e.store(enter), e.at_most(enter, leave))
+        };
+        let mut stack = [Entry::default(); BEAM_STACK];
+        let mut top = 0;
+        let mut current = Child::node(0);
+        loop {
+            if current.is_leaf() {
+                let first = current.index();
+                for block in &blocks[first..first + current.block_count()] {
+                    for &index in block.index.iter().take_while(|&&i| i != u32::MAX) {
+                        let triangle = &self.corners[index as usize];
+                        triangle_test(index, triangle, self.packet, &mut nearest, &mut hit, self.cut);
+                    }
+                }
+                farthest = nearest.0.iter().copied().fold(0.0, f32::max);
+            } else {
+                let node = &nodes[current.index()];
+                let (enter, mut mask) = meet(node, farthest);
+                if mask != 0 {
+                    let slot = mask.trailing_zeros() as usize & (CHILDREN - 1);
+                    mask &= mask - 1;
+                    let mut closest = Entry::new(enter[slot], node.child[slot]);
+                    let base = top;
+                    while mask != 0 {
+                        let slot = mask.trailing_zeros() as usize & (CHILDREN - 1);
+                        mask &= mask - 1;
+                        let mut entry = Entry::new(enter[slot], node.child[slot]);
+                        if entry < closest {
+                            std::mem::swap(&mut entry, &mut closest);
+                        }
+                        let mut i = top;
+                        while i > base && stack[i - 1] < entry {
+                            stack[i] = stack[i - 1];
+                            i -= 1;
+                        }
+                        stack[i] = entry;
+                        top += 1;
+                    }
+                    current = closest.child();
+                    continue;
+                }
+            }
+            loop {
+                if top == 0 {
+                    return hit;
+                }
+                top -= 1;
+                if stack[top].t() <= farthest {
+                    current = stack[top].child();
+                    break;
+                }
+            }
+        }
     }
 }
 
@@ -160,6 +280,27 @@ impl Packet {
     }
 }
 
+impl Packet {
+    /// Bounds of its rays, if all point into one octant.
+    #[inline(always)]
+    fn beam(&self) -> Option<Beam> {
+        let mut inverse = [[0.0; 2]; 3];
+        for (bounds, lanes) in inverse.iter_mut().zip(&self.inverse) {
+            let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+            for &v in &lanes.0 {
+                low = least(v, low);
+                high = most(v, high);
+            }
+            // Also where one is not a number.
+            if !(low > 0.0 || high < 0.0) {
+                return None;
+            }
+            *bounds = [low, high];
+        }
+        Some(Beam { origin: self.origin, inverse })
+    }
+}
+
 #[inline(always)]
 fn least(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
@@ -171,12 +312,7 @@ fn most(a: f32, b: f32) -> f32 {
 }
 
 #[inline(always)]
-fn traverse(
-    nodes: &[FlatNode],
-    corners: &[[Vec3; 3]],
-    packet: &Packet,
-    accept: &impl Fn(u32, f32, f32) -> bool,
-) -> PacketHit {
+fn traverse(nodes: &[FlatNode], corners: &[[Vec3; 3]], packet: &Packet, cut: &impl CutOut) -> PacketHit {
     let mut hit = MISS;
     let mut nearest = Lanes(hit.t);
     let mut stack = [0u32; STACK];
@@ -204,7 +340,7 @@ fn traverse(
         }
         if node.count > 0 {
             for index in node.first..node.first + node.count {
-                triangle_test(index, &corners[index as usize], packet, &mut nearest, &mut hit, accept);
+                triangle_test(index, &corners[index as usize], packet, &mut nearest, &mut hit, cut);
             }
             continue;
         }
@@ -231,7 +367,7 @@ fn triangle_test(
     packet: &Packet,
     nearest: &mut Lanes,
     hit: &mut PacketHit,
-    accept: &impl Fn(u32, f32, f32) -> bool,
+    cut: &impl CutOut,
 ) {
     let [kx, ky, kz] = packet.axes;
     let [a, b, c] = triangle.map(|p| {
@@ -269,35 +405,76 @@ fn triangle_test(
             }
         }
     }
-    let mut t = Lanes([0.0; LANES]);
-    let mut closer = [false; LANES];
-    for (i, closer) in closer.iter_mut().enumerate() {
+    let mut found = Found { t: Lanes([0.0; LANES]), b1: [0.0; LANES], b2: [0.0; LANES], closer: [0; LANES] };
+    for i in 0..LANES {
         let (low, high) = (least(least(u.0[i], v.0[i]), w.0[i]), most(most(u.0[i], v.0[i]), w.0[i]));
         let determinant = u.0[i] + v.0[i] + w.0[i];
         let scaled = packet.scale_z.0[i] * (u.0[i] * a[2] + v.0[i] * b[2] + w.0[i] * c[2]);
-        t.0[i] = scaled / determinant;
-        *closer =
-            !((low < 0.0) & (high > 0.0)) & (determinant != 0.0) & (t.0[i] > 0.0) & (t.0[i] < nearest.0[i]);
+        let t = scaled / determinant;
+        // Of hits at one distance the lowest index counts, in whatever order they come.
+        let is_first = (t < nearest.0[i]) | ((t == nearest.0[i]) & (index < hit.index[i]));
+        let closer = !((low < 0.0) & (high > 0.0)) & (determinant != 0.0) & (t > 0.0) & is_first;
+        found.t.0[i] = t;
+        found.b1[i] = v.0[i] / determinant;
+        found.b2[i] = w.0[i] / determinant;
+        found.closer[i] = u32::from(closer);
     }
-    for (i, closer) in closer.into_iter().enumerate() {
-        if closer {
-            let determinant = u.0[i] + v.0[i] + w.0[i];
-            let (b1, b2) = (v.0[i] / determinant, w.0[i] / determinant);
-            if accept(index, b1, b2) {
-                hit.t[i] = t.0[i];
-                hit.index[i] = index;
-                hit.b1[i] = b1;
-                hit.b2[i] = b2;
-                nearest.0[i] = t.0[i];
-            }
+    if cut.may_vanish(index) {
+        for i in 0..LANES {
+            found.closer[i] &=
+                u32::from(found.closer[i] != 0 && cut.is_there(index, found.b1[i], found.b2[i]));
         }
     }
+    for i in 0..LANES {
+        let closer = found.closer[i] != 0;
+        let pick = |new: f32, old: f32| if closer { new } else { old };
+        nearest.0[i] = pick(found.t.0[i], nearest.0[i]);
+        hit.t[i] = pick(found.t.0[i], hit.t[i]);
+        hit.b1[i] = pick(found.b1[i], hit.b1[i]);
+        hit.b2[i] = pick(found.b2[i], hit.b2[i]);
+        hit.index[i] = if closer { index } else { hit.index[i] };
+    }
+}
+
+/// What the rays find of one triangle.
+struct Found {
+    t: Lanes,
+    b1: [f32; LANES],
+    b2: [f32; LANES],
+    /// 1 where it is the closest so far.
+    closer: [u32; LANES],
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::rng::Stream;
+
+    /// Every triangle is there.
+    struct Whole;
+
+    impl CutOut for Whole {
+        fn may_vanish(&self, _: u32) -> bool {
+            false
+        }
+
+        fn is_there(&self, _: u32, _: f32, _: f32) -> bool {
+            true
+        }
+    }
+
+    /// Every fifth is not.
+    struct Fifths;
+
+    impl CutOut for Fifths {
+        fn may_vanish(&self, _: u32) -> bool {
+            true
+        }
+
+        fn is_there(&self, index: u32, _: f32, _: f32) -> bool {
+            !index.is_multiple_of(5)
+        }
+    }
 
     /// A flat tree: one leaf, or halves split by index (bad but valid).
     fn tree(corners: &[[Vec3; 3]], leaf: usize) -> Vec<FlatNode> {
@@ -365,7 +542,7 @@ mod tests {
                     let f = if l % 8 == 7 { 0.0 } else { s.next_f32() };
                     (pair.0 + (pair.1 - pair.0) * f - eye).normalize()
                 });
-                let hit = intersect(&nodes, &corners, eye, &directions, |_, _, _| true);
+                let hit = intersect(&nodes, None, &corners, eye, &directions, &Whole);
                 assert!(hit.index.iter().all(|&i| i != u32::MAX), "offset {offset}, packet {i}: {hit:?}");
             }
         }
@@ -387,9 +564,9 @@ mod tests {
         for i in 0..2000 {
             let directions = random_directions(i, if i % 3 == 0 { 3.0 } else { 0.05 });
             let eye = Vec3::new(0.1, 0.0, -0.2);
-            let packet = intersect(&deep, &corners, eye, &directions, |i, _, _| i % 5 != 0);
+            let packet = intersect(&deep, None, &corners, eye, &directions, &Fifths);
             for (l, &direction) in directions.iter().enumerate() {
-                let single = intersect(&flat, &corners, eye, &[direction; LANES], |i, _, _| i % 5 != 0);
+                let single = intersect(&flat, None, &corners, eye, &[direction; LANES], &Fifths);
                 let close =
                     (packet.t[l] - single.t[0]).abs() <= 1e-4 * single.t[0] || packet.t[l] == single.t[0];
                 assert!(close, "packet {i}, lane {l}: {} against {}", packet.t[l], single.t[0]);
@@ -410,8 +587,8 @@ mod tests {
             [p, p + Vec3::Z, p + Vec3::Z * 2.0],
         ];
         let nodes = tree(&corners, 1);
-        let hit = intersect(&nodes, &corners, Vec3::ZERO, &[Vec3::Z; LANES], |_, _, _| true);
+        let hit = intersect(&nodes, None, &corners, Vec3::ZERO, &[Vec3::Z; LANES], &Whole);
         assert_eq!(hit, MISS);
-        assert_eq!(intersect(&[], &[], Vec3::ZERO, &[Vec3::Z; LANES], |_, _, _| true), MISS);
+        assert_eq!(intersect(&[], None, &[], Vec3::ZERO, &[Vec3::Z; LANES], &Whole), MISS);
     }
 }

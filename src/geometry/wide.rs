@@ -1,16 +1,17 @@
-//! A tree of nodes with four children over blocks of four triangles, for single rays.
+//! A tree of nodes with eight children over blocks of four triangles, for single rays.
 //!
-//! Boxes and triangles are tested four at a time with SSE2, which every x86-64 has (through `glam`, so other
-//! processors work too). Hits do not depend on the shape of the tree: of hits at one distance the lowest index counts.
+//! Boxes are tested eight at a time, with AVX2 where there is it ([`super::eight`]), triangles four at a time through
+//! `glam`. Hits do not depend on the shape of the tree: of hits at one distance the lowest index counts.
 
 use super::Ray;
 use super::block::{Block, Shear};
-use super::node::{Child, Node, Slabs};
+use super::eight::{Eight, Level, Work};
+use super::node::{CHILDREN, Child, Node, Slabs};
 use super::packet::FlatNode;
 use glam::Vec3;
 
 /// Entries of the stack that lies on the thread's own stack; deeper trees get a heap allocation.
-const STACK: usize = 96;
+const STACK: usize = 64;
 
 /// The tree. Indices are those of the binary tree's leaf order.
 #[derive(Clone, Debug, Default)]
@@ -19,6 +20,7 @@ pub(super) struct Wide {
     blocks: Vec<Block>,
     /// Entries that a traversal can need.
     stack: usize,
+    level: Level,
 }
 
 /// A hit, of the triangle at `index` in leaf order.
@@ -31,22 +33,22 @@ pub(super) struct LeafHit {
 }
 
 /// What is still to be visited: entry distance (as bits, which sort as the distances do) above, child below.
-#[derive(Clone, Copy)]
-struct Entry(u64);
+#[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Entry(u64);
 
 impl Entry {
     #[inline]
-    fn new(t: f32, child: Child) -> Self {
+    pub fn new(t: f32, child: Child) -> Self {
         Self(u64::from(t.to_bits()) << 32 | u64::from(child.0))
     }
 
     #[inline]
-    fn t(self) -> f32 {
+    pub fn t(self) -> f32 {
         f32::from_bits((self.0 >> 32) as u32)
     }
 
     #[inline]
-    fn child(self) -> Child {
+    pub fn child(self) -> Child {
         Child(self.0 as u32)
     }
 }
@@ -57,7 +59,7 @@ fn half_area(n: &FlatNode) -> f32 {
 }
 
 impl Wide {
-    /// Joins the nodes of a binary tree: the child with the largest surface opens until there are four.
+    /// Joins the nodes of a binary tree: the child with the largest surface opens until there are eight.
     ///
     /// # Panics
     /// If there are more than 2²⁸ nodes or blocks, which no memory here holds.
@@ -65,15 +67,14 @@ impl Wide {
         if binary.is_empty() {
             return Self::default();
         }
-        let mut wide = Self { nodes: vec![Node::EMPTY], blocks: Vec::new(), stack: 0 };
+        let mut wide = Self { nodes: vec![Node::EMPTY], ..Self::default() };
         let mut deepest = 1;
-        // (index in `binary`, index in `wide.nodes`, depth)
-        let mut open = vec![(0usize, 0usize, 1usize)];
-        while let Some((from, to, depth)) = open.pop() {
-            deepest = deepest.max(depth);
-            let mut children = [from; 4];
+        // (index in `binary`, index in `wide.nodes`, entries on the stack when it is opened)
+        let mut open = vec![(0usize, 0usize, 0usize)];
+        while let Some((from, to, below)) = open.pop() {
+            let mut children = [from; CHILDREN];
             let mut count = 1;
-            while count < 4 {
+            while count < CHILDREN {
                 let inner = (0..count).filter(|&i| binary[children[i]].count == 0);
                 let area = |i: usize| half_area(&binary[children[i]]);
                 let Some(i) = inner.max_by(|&a, &b| area(a).total_cmp(&area(b))) else { break };
@@ -82,6 +83,9 @@ impl Wide {
                 children[count] = first + 1;
                 count += 1;
             }
+            // All but one of the children wait below the one that is visited.
+            let waiting = below + count - 1;
+            deepest = deepest.max(waiting + 1);
             for (slot, &index) in children[..count].iter().enumerate() {
                 let node = &binary[index];
                 for axis in 0..3 {
@@ -96,9 +100,10 @@ impl Wide {
                     let child = wide.nodes.len() - 1;
                     if node.count > 0 {
                         // Many triangles in one place: a row of nodes with the same box.
-                        deepest = deepest.max(depth + wide.row(corners, node, child));
+                        let nodes = wide.row(corners, node, child);
+                        deepest = deepest.max(waiting + nodes * (CHILDREN - 1) + 1);
                     } else {
-                        open.push((index, child, depth + 1));
+                        open.push((index, child, waiting));
                     }
                     Child::node(child)
                 };
@@ -108,7 +113,7 @@ impl Wide {
             wide.nodes.len().max(wide.blocks.len()) <= Child::INDEX_MAX,
             "more nodes than an index holds"
         );
-        wide.stack = 3 * deepest + 1;
+        wide.stack = deepest + 1;
         wide
     }
 
@@ -128,15 +133,15 @@ impl Wide {
     fn row(&mut self, corners: &[[Vec3; 3]], leaf: &FlatNode, mut at: usize) -> usize {
         let (mut first, mut left, mut depth) = (leaf.first as usize, leaf.count as usize, 1);
         loop {
-            for slot in 0..4 {
+            for slot in 0..CHILDREN {
                 for axis in 0..3 {
                     self.nodes[at].bounds[axis][slot] = leaf.min[axis];
                     self.nodes[at].bounds[axis + 3][slot] = leaf.max[axis];
                 }
                 let here = left.min(4 * Child::BLOCKS_MAX);
-                if slot == 3 && left > here {
+                if slot == CHILDREN - 1 && left > here {
                     self.nodes.push(Node::EMPTY);
-                    self.nodes[at].child[3] = Child::node(self.nodes.len() - 1);
+                    self.nodes[at].child[slot] = Child::node(self.nodes.len() - 1);
                     at = self.nodes.len() - 1;
                     depth += 1;
                     break;
@@ -156,10 +161,33 @@ impl Wide {
         self.nodes.len() * size_of::<Node>() + self.blocks.len() * size_of::<Block>()
     }
 
-    /// Calls `on_hit` with hits, near ones first by and large; it returns the distance up to which (inclusive)
-    /// hits still matter, or `None` to stop.
+    /// Nodes, the first of them the root, and blocks.
     #[inline]
-    pub fn traverse(&self, ray: &Ray, on_hit: impl FnMut(LeafHit) -> Option<f32>) {
+    pub fn parts(&self) -> (&[Node], &[Block]) {
+        (&self.nodes, &self.blocks)
+    }
+
+    /// The instructions it was made for.
+    #[inline]
+    pub fn level(&self) -> Level {
+        self.level
+    }
+
+    /// From now on with what every processor has.
+    #[cfg(test)]
+    pub fn make_portable(&mut self) {
+        self.level = Level::portable();
+    }
+
+    /// Entries that a traversal can need.
+    pub fn stack(&self) -> usize {
+        self.stack
+    }
+
+    /// Calls `on_hit` with hits, near ones first by and large if `ORDERED`; it returns the distance up to which
+    /// (inclusive) hits still matter, or `None` to stop.
+    #[inline]
+    pub fn traverse<const ORDERED: bool>(&self, ray: &Ray, on_hit: impl FnMut(LeafHit) -> Option<f32>) {
         if self.nodes.is_empty()
             || !ray.direction.is_finite()
             || !ray.origin.is_finite()
@@ -167,17 +195,37 @@ impl Wide {
         {
             return;
         }
-        if self.stack <= STACK {
-            self.traverse_with(ray, &mut [Entry(0); STACK], on_hit);
+        self.level.run(Walk::<ORDERED, _> { tree: self, ray, on_hit });
+    }
+}
+
+/// A ray on its way.
+struct Walk<'a, const ORDERED: bool, F> {
+    tree: &'a Wide,
+    ray: &'a Ray,
+    on_hit: F,
+}
+
+impl<const ORDERED: bool, F: FnMut(LeafHit) -> Option<f32>> Work for Walk<'_, ORDERED, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<E: Eight>(self, eight: E) {
+        if self.tree.stack <= STACK {
+            self.go(eight, &mut [Entry(0); STACK]);
         } else {
-            self.traverse_with(ray, &mut vec![Entry(0); self.stack], on_hit);
+            let mut stack = vec![Entry(0); self.tree.stack];
+            self.go(eight, &mut stack);
         }
     }
+}
 
-    #[inline]
-    fn traverse_with(&self, ray: &Ray, stack: &mut [Entry], mut on_hit: impl FnMut(LeafHit) -> Option<f32>) {
+impl<const ORDERED: bool, F: FnMut(LeafHit) -> Option<f32>> Walk<'_, ORDERED, F> {
+    #[inline(always)]
+    fn go<E: Eight>(mut self, eight: E, stack: &mut [Entry]) {
+        let (tree, ray) = (self.tree, self.ray);
         let t_min = ray.t_min.max(0.0);
-        let slabs = Slabs::new(ray.origin, ray.direction);
+        let slabs = Slabs::new(eight, ray.origin, ray.direction, t_min);
         let shear = Shear::new(ray.direction);
         // A hit at t_max itself does not count.
         let mut t_max = ray.t_max.next_down();
@@ -186,11 +234,11 @@ impl Wide {
         loop {
             if current.is_leaf() {
                 let first = current.index();
-                for block in &self.blocks[first..first + current.block_count()] {
-                    let lanes = block.intersect(slabs.origin, &shear, t_min, t_max);
+                for block in &tree.blocks[first..first + current.block_count()] {
+                    let Some(lanes) = block.intersect(slabs.origin, &shear, t_min, t_max) else { continue };
                     let mut mask = lanes.mask;
                     while mask != 0 {
-                        let lane = mask.trailing_zeros() as usize;
+                        let lane = mask.trailing_zeros() as usize & 3;
                         mask &= mask - 1;
                         if lanes.t[lane] > t_max {
                             continue;
@@ -201,40 +249,42 @@ impl Wide {
                             b1: lanes.b1[lane],
                             b2: lanes.b2[lane],
                         };
-                        match on_hit(hit) {
+                        match (self.on_hit)(hit) {
                             Some(t) => t_max = t_max.min(t),
                             None => return,
                         }
                     }
                 }
             } else {
-                let node = &self.nodes[current.index()];
-                let (enter, mut mask) = slabs.intersect(node, t_min, t_max);
+                let node = &tree.nodes[current.index()];
+                let (enter, mut mask) = slabs.intersect(node, t_max);
                 if mask != 0 {
-                    let enter = enter.to_array();
-                    let slot = mask.trailing_zeros() as usize;
+                    let mut slot = mask.trailing_zeros() as usize & (CHILDREN - 1);
                     mask &= mask - 1;
-                    if mask == 0 {
-                        // Most nodes have one child on the way.
-                        current = node.child[slot];
-                        continue;
-                    }
+                    let mut nearest = Entry::new(enter[slot], node.child[slot]);
                     let base = top;
-                    stack[top] = Entry::new(enter[slot], node.child[slot]);
-                    top += 1;
                     while mask != 0 {
-                        let slot = mask.trailing_zeros() as usize;
+                        slot = mask.trailing_zeros() as usize & (CHILDREN - 1);
                         mask &= mask - 1;
-                        // Insertion, the nearest on top.
-                        let entry = Entry::new(enter[slot], node.child[slot]);
-                        let mut i = top;
-                        while i > base && stack[i - 1].0 < entry.0 {
-                            stack[i] = stack[i - 1];
-                            i -= 1;
+                        let mut entry = Entry::new(enter[slot], node.child[slot]);
+                        if ORDERED {
+                            // Insertion, the nearest on top and the very nearest in hand.
+                            if entry.0 < nearest.0 {
+                                std::mem::swap(&mut entry, &mut nearest);
+                            }
+                            let mut i = top;
+                            while i > base && stack[i - 1].0 < entry.0 {
+                                stack[i] = stack[i - 1];
+                                i -= 1;
+                            }
+                            stack[i] = entry;
+                        } else {
+                            stack[top] = entry;
                         }
-                        stack[i] = entry;
                         top += 1;
                     }
+                    current = nearest.child();
+                    continue;
                 }
             }
             loop {
@@ -242,7 +292,7 @@ impl Wide {
                     return;
                 }
                 top -= 1;
-                if stack[top].t() <= t_max {
+                if !ORDERED || stack[top].t() <= t_max {
                     current = stack[top].child();
                     break;
                 }
@@ -280,7 +330,7 @@ mod tests {
                 let wide = Wide::new(&binary, &corners);
                 let mut seen = vec![0; count];
                 let ray = Ray::new(Vec3::new(0.25, 0.25, -1.0), Vec3::Z);
-                wide.traverse(&ray, |hit| {
+                wide.traverse::<true>(&ray, |hit| {
                     assert_eq!(hit.t, hit.index as f32 + 1.0);
                     seen[hit.index as usize] += 1;
                     Some(f32::INFINITY)

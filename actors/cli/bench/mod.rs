@@ -4,6 +4,9 @@ pub mod error;
 pub mod made;
 pub mod messages;
 pub mod rays;
+pub mod scaling;
+pub mod skips;
+pub mod soak;
 pub mod stages;
 pub mod table;
 pub mod textures;
@@ -24,6 +27,12 @@ pub enum BenchCommand {
     Error(error::ErrorArguments),
     /// Rays per second: primary, diffuse bounce, shadow; obvhs' own traversal beside it
     Rays(rays::RaysArguments),
+    /// How each stage grows with what it works on, and with tracers; memory beside it
+    Scaling(scaling::ScalingArguments),
+    /// What is saved by what a scene does not need
+    Skips(skips::SkipsArguments),
+    /// A walk of many frames on a virtual clock: memory, lost jobs, frame times
+    Soak(soak::SoakArguments),
     /// What a limit on texture memory costs, beside what others do about it
     Textures(textures::TexturesArguments),
     /// What a message costs, with and without recording; peers beside it where they are built in
@@ -36,6 +45,9 @@ pub fn run(command: &BenchCommand, progress: Progress) -> Result<(), Failure> {
         BenchCommand::Stages(a) => stages::run(a, progress),
         BenchCommand::Error(a) => error::run(a, progress),
         BenchCommand::Rays(a) => rays::run(a, progress),
+        BenchCommand::Scaling(a) => scaling::run(a, progress),
+        BenchCommand::Skips(a) => skips::run(a, progress),
+        BenchCommand::Soak(a) => soak::run(a, progress),
         BenchCommand::Textures(a) => textures::run(a, progress),
         BenchCommand::Messages(a) => messages::run(a, progress),
     }

@@ -136,7 +136,7 @@ fn camera(world: &World) -> Result<Camera, Failure> {
 }
 
 /// The camera a step aside: enough for a new view, as in a walk.
-fn stepped(camera: &Camera, step: u32) -> Camera {
+pub fn stepped(camera: &Camera, step: u32) -> Camera {
     let aside = (camera.target - camera.eye).cross(camera.up).normalize_or_zero();
     let reach = (camera.target - camera.eye).length();
     Camera { eye: camera.eye + aside * (reach * 0.003 * step as f32), ..*camera }
@@ -156,7 +156,7 @@ fn display(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
 }
 
 /// The first `count` samples of a view, level by level as a walk traces them.
-fn traced(
+pub fn traced(
     world: &World,
     camera: &Camera,
     size: Size,

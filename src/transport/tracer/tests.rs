@@ -37,6 +37,8 @@ const EXACT: Settings = Settings {
     max_depth: 64,
     min_contribution: 0.0,
     caustic_bound: f32::INFINITY,
+    repeats_max: 1,
+    outlier: 0.0,
 };
 
 fn white() -> Reflectance {
@@ -120,16 +122,22 @@ fn ways_to_find_a_light_agree() {
         b.rectangle(Vec3::new(0.0, 2.0, 1.5), Vec3::Y * 0.5, Vec3::X * 0.5, light);
         let p = Prepared::new(b.scene(), 0.0);
         let ray = Ray::new(Vec3::new(0.0, -2.0, 1.5), Vec3::new(0.0, 2.0, -1.5));
-        let without = p.trace(ray, 20_000, Settings { light_samples: 0, ..Settings::default() });
-        let both = p.trace(ray, 20_000, Settings::default());
-        let more =
-            p.trace(ray, 5000, Settings { light_samples: 8, glossy_samples: 1, ..Settings::default() });
+        let settings =
+            |light_samples, repeats_max| Settings { light_samples, repeats_max, ..Settings::default() };
+        let without = p.trace(ray, 20_000, settings(0, 1));
+        let both = p.trace(ray, 20_000, settings(2, 16));
+        let more = p.trace(ray, 5000, Settings { glossy_samples: 1, ..settings(8, 16) });
         for (name, other) in [("both", both), ("more light samples", more)] {
-            let close = (without.0 - other.0).abs() < 4.0 * (without.1 + other.1);
+            // To repeat what looks unsure, and only that, shifts the mean a little: by less than a hundredth here.
+            let close = (without.0 - other.0).abs() < 4.0 * (without.1 + other.1) + 0.01 * without.0;
             assert!(close && other.0 > 0.01, "α {alpha}, {name}: {other:?} against {without:?}");
             assert!(other.1.is_finite());
         }
         assert!(both.1 < without.1, "light samples lower the error: {both:?} {without:?}");
+        // What only the lobe finds is looked for again where it is rare: less noise, and a shifted mean.
+        let repeated = p.trace(ray, 20_000, settings(0, 16));
+        let ratio = repeated.0 / without.0;
+        assert!(repeated.1 < without.1 && (0.5..1.1).contains(&ratio), "α {alpha}: {repeated:?} {without:?}");
     }
 }
 

@@ -14,6 +14,7 @@ use super::failure::Failure;
 use super::output::{print_json, print_line, write_atomic};
 use super::recording::{RecordedRun, TRACERS_MAX};
 use super::session::{self, IlluminationArguments};
+use foveal::image::Map2d;
 use foveal::splatting::supersampling::Supersampling;
 
 use crate::renderer::overlay::Overlay;
@@ -65,6 +66,12 @@ pub struct ViewArguments {
     /// What --headless paints over the picture
     #[arg(long, value_enum, default_value_t = OverlayName::None, requires = "headless")]
     overlay: OverlayName,
+    /// With --headless: the picture with the panel beside it, as in the window
+    #[arg(long, requires = "headless")]
+    panel: bool,
+    /// With --headless: stop after so many frames, converged or not
+    #[arg(long, value_name = "N", requires = "headless", value_parser = clap::value_parser!(u32).range(1..))]
+    frames: Option<u32>,
     #[command(flatten)]
     illumination: IlluminationArguments,
     /// One JSON document, with --headless
@@ -73,6 +80,11 @@ pub struct ViewArguments {
 }
 
 impl ViewArguments {
+    /// Where the light comes from.
+    pub fn lit_by(&self) -> &IlluminationArguments {
+        &self.illumination
+    }
+
     /// Without a window nobody sees the light grow, so it is final at once.
     fn illumination(&self) -> IlluminationArguments {
         let baked = self.illumination.baked || self.headless && !self.illumination.quick;
@@ -126,12 +138,14 @@ enum OverlayName {
     Error,
     /// Mip level given
     MipGiven,
+    /// All of them, three in a row, in the order of the window's panel
+    All,
 }
 
 impl From<OverlayName> for Overlay {
     fn from(name: OverlayName) -> Self {
         match name {
-            OverlayName::None => Self::None,
+            OverlayName::None | OverlayName::All => Self::None,
             OverlayName::Saliency => Self::Saliency,
             OverlayName::Objects => Self::Objects,
             OverlayName::Level => Self::Level,
@@ -151,18 +165,22 @@ pub fn run(a: ViewArguments, progress: Progress) -> Result<(), Failure> {
     if a.headless {
         return headless(&a, progress);
     }
-    let name = a.scene.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let options = window::Options {
-        name,
+    window::run(options(a)).map(drop).map_err(|e| match e {
+        WindowError::Environment(m) => Failure::Environment(m),
+        WindowError::Scene(m) => Failure::Input(m),
+    })
+}
+
+/// What the window is opened with.
+pub fn options(a: ViewArguments) -> window::Options {
+    window::Options {
+        name: a.scene.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
         size: [a.size.width, a.size.height],
         backend: a.backend.into(),
         screenshots: a.screenshots.clone(),
         loader: loader(a),
-    };
-    window::run(options).map_err(|e| match e {
-        WindowError::Environment(m) => Failure::Environment(m),
-        WindowError::Scene(m) => Failure::Input(m),
-    })
+        probe: None,
+    }
 }
 
 /// Loads the scene of the command line, or another one that was dropped on the window.
@@ -181,7 +199,12 @@ fn loader(a: ViewArguments) -> Loader {
 }
 
 /// Everything of a session but its threads.
-fn load(a: &ViewArguments, path: &Path, sessions: &AtomicU32, progress: Progress) -> Result<Made, Failure> {
+pub fn load(
+    a: &ViewArguments,
+    path: &Path,
+    sessions: &AtomicU32,
+    progress: Progress,
+) -> Result<Made, Failure> {
     let illumination = a.illumination();
     let mut opened = session::open(path, &illumination, progress)?;
     let budget = &opened.world.scene.budget;
@@ -235,16 +258,27 @@ fn headless(a: &ViewArguments, progress: Progress) -> Result<(), Failure> {
         let now = begin.elapsed().as_secs_f64();
         let (shown, next) = walk.tick(now);
         frames += u32::from(shown);
+        if a.frames.is_some_and(|most| frames >= most) {
+            break;
+        }
         match next {
             Next::Now => {}
             Next::At(t) => std::thread::sleep(Duration::from_secs_f64((t - now).clamp(0.0, 0.1))),
             Next::Input => break,
         }
     }
-    let (Some(picture), Some(out)) = (walk.picture(), &a.out) else {
+    let (Some(picture), Some(out)) = (walk.picture().cloned(), &a.out) else {
         return Err(Failure::Interrupted("interrupted before there was a picture".into()));
     };
-    let bytes = screenshot::png(picture, &walk.facts()).map_err(Failure::Input)?;
+    let picture = if a.panel {
+        let [width, height] = [picture.width() + window::panel::WIDTH as usize + 20, picture.height()];
+        window::interface::paint(&walk, [width, height])
+    } else if a.overlay == OverlayName::All {
+        sheet(&mut walk)
+    } else {
+        picture
+    };
+    let bytes = screenshot::png(&picture, &walk.facts()).map_err(Failure::Input)?;
     write_atomic(out, &bytes)?;
     let converged = walk.status().converged;
     if a.json {
@@ -265,4 +299,25 @@ fn headless(a: &ViewArguments, progress: Progress) -> Result<(), Failure> {
         return Err(Failure::Interrupted("interrupted; what was done is kept".into()));
     }
     Ok(())
+}
+
+/// The picture and all overlays, three in a row.
+fn sheet(walk: &mut Walk) -> Map2d<[u8; 3]> {
+    const COLUMNS: usize = 3;
+    /// Pixels between two pictures.
+    const GAP: usize = 4;
+    let mut pictures = Vec::new();
+    for overlay in Overlay::ALL {
+        walk.set_controls(window::Controls { overlay, ..*walk.controls() });
+        pictures.extend(walk.picture().cloned());
+    }
+    let [width, height] = pictures.first().map_or([1, 1], |p| [p.width() + GAP, p.height() + GAP]);
+    let rows = pictures.len().div_ceil(COLUMNS);
+    Map2d::from_fn(COLUMNS * width - GAP, (rows * height).saturating_sub(GAP), |x, y| {
+        let (x_in, y_in) = (x % width, y % height);
+        match pictures.get(y / height * COLUMNS + x / width) {
+            Some(picture) if x_in < picture.width() && y_in < picture.height() => picture.at(x_in, y_in),
+            _ => [255; 3],
+        }
+    })
 }

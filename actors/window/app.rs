@@ -12,12 +12,13 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy}
 use winit::keyboard::{KeyCode, ModifiersState, PhysicalKey};
 use winit::window::{CursorGrabMode, Window, WindowId};
 
+use super::interface::{self, Interface};
 use super::navigation::{Motion, Pace};
-use super::panel::{self, Shown};
+use super::panel;
 use super::presenter::{Backend, Painted, Presented, Presenter};
 use super::screenshot;
 use super::source::{Build, Loader};
-use super::timeline::{self, Wish};
+use super::timeline::Wish;
 use super::walk::{Next, Walk};
 
 /// What a window is opened with.
@@ -32,6 +33,101 @@ pub struct Options {
     pub loader: Loader,
     /// Where screenshots go.
     pub screenshots: PathBuf,
+    /// Who measures instead of a user, if anybody.
+    pub probe: Option<Probe>,
+}
+
+/// Walks ahead, stands still, looks on, and closes the window.
+#[derive(Clone, Debug)]
+pub struct Probe {
+    walk: Duration,
+    idle: Duration,
+    stage: Stage,
+    measured: Measured,
+}
+
+/// What a probe does now; times in seconds since the start.
+#[derive(Clone, Copy, Debug)]
+enum Stage {
+    Opening,
+    Walking { until: f64 },
+    Settling,
+    Idle { until: f64, cpu: f64, frames: u32 },
+}
+
+/// What a probe measured.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Measured {
+    /// Seconds until the window showed anything.
+    pub visible: Option<f64>,
+    /// Seconds until it showed the lit scene.
+    pub lit: Option<f64>,
+    /// Median and 99th percentile of frame times while walking, seconds.
+    pub frames: Option<(f32, f32)>,
+    /// Share of a core that the still view took, all threads together.
+    pub idle_cpu: Option<f64>,
+    /// Pictures presented in that time.
+    pub idle_frames: Option<u32>,
+    /// Pictures presented.
+    presented: u32,
+}
+
+impl Probe {
+    /// One that walks and then looks on for so long.
+    pub fn new(walk: Duration, idle: Duration) -> Self {
+        Self { walk, idle, stage: Stage::Opening, measured: Measured::default() }
+    }
+
+    /// Something was presented.
+    fn on_presented(&mut self, now: f64, has_picture: bool) {
+        self.measured.presented += 1;
+        self.measured.visible.get_or_insert(now);
+        if has_picture {
+            self.measured.lit.get_or_insert(now);
+        }
+    }
+
+    /// Goes on. Returns when to be called again, unless it is over.
+    fn tick(&mut self, walk: &mut Walk, next: Next, now: f64) -> Option<Next> {
+        match self.stage {
+            Stage::Opening if self.measured.lit.is_some() => {
+                walk.navigator.press(Motion::Forward, now);
+                walk.times.clear();
+                self.stage = Stage::Walking { until: now + self.walk.as_secs_f64() };
+            }
+            Stage::Walking { until } if now >= until => {
+                self.measured.frames = walk.times.median_p99();
+                walk.navigator.release(Motion::Forward, now);
+                self.stage = Stage::Settling;
+            }
+            Stage::Settling if next == Next::Input => {
+                let until = now + self.idle.as_secs_f64();
+                self.stage = Stage::Idle { until, cpu: cpu_seconds(), frames: self.measured.presented };
+                return Some(Next::At(until));
+            }
+            Stage::Idle { until, .. } if now < until => return Some(Next::At(until)),
+            Stage::Idle { cpu, frames, .. } => {
+                self.measured.idle_cpu = Some((cpu_seconds() - cpu) / self.idle.as_secs_f64());
+                self.measured.idle_frames = Some(self.measured.presented - frames);
+                return None;
+            }
+            Stage::Opening | Stage::Walking { .. } | Stage::Settling => {}
+        }
+        Some(next)
+    }
+}
+
+/// Processor time of this process, seconds.
+#[cfg(unix)]
+pub fn cpu_seconds() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
+/// Unknown here.
+#[cfg(not(unix))]
+pub fn cpu_seconds() -> f64 {
+    f64::NAN
 }
 
 /// Why a window could not be opened, or had to close.
@@ -54,7 +150,7 @@ pub enum Wake {
 ///
 /// # Errors
 /// If there is no display, or the first scene cannot be loaded.
-pub fn run(options: Options) -> Result<(), WindowError> {
+pub fn run(options: Options) -> Result<Measured, WindowError> {
     // A missing libxkbcommon-x11 makes winit's keyboard library panic.
     let opened = catch_unwind(AssertUnwindSafe(|| EventLoop::<Wake>::with_user_event().build()));
     let event_loop = match opened {
@@ -66,7 +162,7 @@ pub fn run(options: Options) -> Result<(), WindowError> {
     event_loop.run_app(&mut app).map_err(|e| WindowError::Environment(no_display(&e.to_string())))?;
     match app.failure {
         Some(failure) => Err(failure),
-        None => Ok(()),
+        None => Ok(app.options.probe.map(|probe| probe.measured).unwrap_or_default()),
     }
 }
 
@@ -254,72 +350,28 @@ impl App {
         if self.picture_is_new
             && let Some(picture) = self.walk.as_ref().and_then(Walk::picture)
         {
-            let size = [picture.width(), picture.height()];
-            let image = egui::ColorImage::from_rgb(size, picture.data().as_flattened());
-            let options = egui::TextureOptions {
-                magnification: egui::TextureFilter::Nearest,
-                ..egui::TextureOptions::LINEAR
-            };
-            match &mut screen.picture {
-                Some(texture) => texture.set(image, options),
-                None => screen.picture = Some(context.load_texture("picture", image, options)),
-            }
+            let before = screen.picture.take();
+            screen.picture = Some(interface::texture(&context, before, picture));
             self.picture_is_new = false;
         }
         let input = screen.egui.take_egui_input(&screen.window);
-        let mut controls = self.walk.as_ref().map(|w| *w.controls());
         let presenter = screen
             .presenter
             .adapter()
             .map_or_else(|| "shown by the processor".to_owned(), |a| format!("shown by {a}"));
-        let (walk, picture, name) = (&self.walk, &screen.picture, &self.options.name);
-        let is_loading = self.loading.is_some();
-        let (help, mut picture_rect) = (&mut self.help, egui::Rect::NOTHING);
-        let (recording, mut wish) = (self.walk.as_ref().and_then(Walk::timeline), None);
+        let is_loading = self.loading.is_some() || screen.picture.is_none();
+        let shown = Interface {
+            walk: self.walk.as_ref(),
+            picture: screen.picture.as_ref(),
+            loading: is_loading.then_some(&*self.options.name),
+            presenter: &presenter,
+        };
+        let (help, mut answer) = (&mut self.help, None);
         let output = context.run_ui(input, |ui| {
-            if let (Some(walk), Some(controls)) = (walk, &mut controls) {
-                let status = walk.status();
-                let shown = Shown {
-                    status: &status,
-                    times: &walk.times,
-                    speed: walk.navigator.speed(),
-                    ranges: walk.ranges(),
-                    insight: walk.insight(),
-                    presenter: &presenter,
-                    notice: walk.notice.as_ref(),
-                };
-                egui::Panel::right("panel").resizable(false).exact_size(panel::WIDTH).show(ui, |ui| {
-                    panel::panel(ui, controls, &shown);
-                });
-            }
-            if let Some((shown, plays)) = &recording {
-                egui::Panel::bottom("timeline").resizable(false).exact_size(timeline::HEIGHT).show(
-                    ui,
-                    |ui| {
-                        wish = timeline::timeline(ui, shown, *plays);
-                    },
-                );
-            }
-            let space = ui.available_rect_before_wrap();
-            ui.painter().rect_filled(space, 0.0, egui::Color32::BLACK);
-            if let Some(texture) = picture {
-                picture_rect = fit(texture.size_vec2(), space);
-                let uv = egui::Rect::from_min_max(egui::Pos2::ZERO, egui::pos2(1.0, 1.0));
-                ui.painter().image(texture.id(), picture_rect, uv, egui::Color32::WHITE);
-            }
-            if is_loading || picture.is_none() {
-                let font = egui::FontId::proportional(20.0);
-                let text = format!("Loading {name} ...");
-                ui.painter().text(
-                    space.center(),
-                    egui::Align2::CENTER_CENTER,
-                    text,
-                    font,
-                    egui::Color32::GRAY,
-                );
-            }
-            panel::help(ui.ctx(), help);
+            answer = Some(interface::interface(ui, &shown, help));
         });
+        let (controls, wished, picture_rect) =
+            answer.map_or((None, None, egui::Rect::NOTHING), |a| (a.controls, a.wish, a.picture_rect));
         screen.picture_rect = picture_rect;
         if let (Some(walk), Some(controls)) = (&mut self.walk, controls) {
             let before = walk.controls().overlay;
@@ -327,7 +379,6 @@ impl App {
             walk.set_controls(controls);
             self.picture_is_new |= before != controls.overlay || tone != controls.set.tone;
         }
-        let wished = wish;
         screen.egui.handle_platform_output(&screen.window, output.platform_output);
         let delay = output.viewport_output.get(&egui::ViewportId::ROOT).map(|v| v.repaint_delay);
         screen.repaint_at = delay.and_then(|d| (d < Duration::from_secs(3600)).then(|| Instant::now() + d));
@@ -342,7 +393,12 @@ impl App {
         textures.set.clear();
         textures.free.clear();
         match presented {
-            Presented::Shown => {}
+            Presented::Shown => {
+                let now = self.start.elapsed().as_secs_f64();
+                if let Some(probe) = &mut self.options.probe {
+                    probe.on_presented(now, screen.picture.is_some());
+                }
+            }
             Presented::Again => screen.repaint_at = Some(Instant::now() + Duration::from_millis(50)),
             Presented::Lost => self.reopen_presenter(event_loop),
         }
@@ -529,19 +585,6 @@ impl App {
     }
 }
 
-/// The largest place of a picture of `size` within `space`, in the middle. Whole multiples where it is enlarged
-/// would leave black bars, so it fills.
-fn fit(size: egui::Vec2, space: egui::Rect) -> egui::Rect {
-    if size.x <= 0.0 || size.y <= 0.0 {
-        return egui::Rect::NOTHING;
-    }
-    let scale = (space.width() / size.x).min(space.height() / size.y).max(0.0);
-    // Unscaled pictures stay on whole pixels.
-    let shown = size * scale;
-    let corner = (space.center() - shown * 0.5).round();
-    egui::Rect::from_min_size(corner, shown)
-}
-
 fn motion(key: KeyCode) -> Option<Motion> {
     Some(match key {
         KeyCode::KeyW | KeyCode::ArrowUp => Motion::Forward,
@@ -646,6 +689,12 @@ impl ApplicationHandler<Wake> for App {
         if let (Some(walk), false) = (&mut self.walk, self.hidden) {
             let (is_new, then) = walk.tick(now);
             next = then;
+            if let Some(probe) = &mut self.options.probe {
+                match probe.tick(walk, next, now) {
+                    Some(then) => next = then,
+                    None => event_loop.exit(),
+                }
+            }
             if is_new {
                 self.picture_is_new = true;
                 self.request_redraw();
@@ -666,19 +715,5 @@ impl ApplicationHandler<Wake> for App {
             (Next::Input, Some(r)) => ControlFlow::WaitUntil(r),
             (Next::Input, None) => ControlFlow::Wait,
         });
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn pictures_fill_their_space_without_distortion() {
-        let space = egui::Rect::from_min_size(egui::pos2(10.0, 0.0), egui::vec2(400.0, 100.0));
-        let rect = fit(egui::vec2(64.0, 32.0), space);
-        assert_eq!((rect.width(), rect.height()), (200.0, 100.0));
-        assert_eq!(rect.center(), space.center());
-        assert_eq!(fit(egui::Vec2::ZERO, space), egui::Rect::NOTHING);
     }
 }

@@ -8,6 +8,7 @@
 
 pub mod app;
 pub mod decisions;
+pub mod interface;
 pub mod look;
 pub mod navigation;
 pub mod painter;

@@ -54,6 +54,11 @@ impl FrameTimes {
         self.times.push_back(time);
     }
 
+    /// Forgets all.
+    pub fn clear(&mut self) {
+        self.times.clear();
+    }
+
     /// Median and 99th percentile, seconds.
     pub fn median_p99(&self) -> Option<(f32, f32)> {
         let mut sorted: Vec<f32> = self.times.iter().map(Duration::as_secs_f32).collect();

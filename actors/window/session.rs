@@ -185,6 +185,18 @@ impl Session {
         }
     }
 
+    /// Everybody but the renderer stops where it is.
+    #[cfg(test)]
+    fn stall(&mut self) {
+        let (Some(runtime), actors) = (&self.runtime, &self.actors) else { return };
+        actors.tracers.iter().for_each(|tracer| runtime.control(*tracer, Control::Pause));
+        if let Some(others) = &actors.correction {
+            runtime.control(others.cache_ager, Control::Pause);
+            runtime.control(others.analyzer, Control::Pause);
+            runtime.control(others.allocator, Control::Pause);
+        }
+    }
+
     /// Takes the allocator's newest word, and drops reports that nobody collects here.
     fn listen(&mut self) {
         if let Some(insight) = self.slot.take() {
@@ -342,25 +354,32 @@ impl FrameSource for Session {
 mod tests {
     use super::*;
     use crate::renderer::gpu::test_scene;
+    use crate::window::navigation::Motion;
     use crate::window::walk::{Next, Walk};
     use foveal::allocation::policy::Policy;
     use foveal::illumination::Uniform;
     use foveal::splatting::AgeingRules;
+    use foveal::splatting::supersampling::Supersampling;
     use glam::Vec3;
     use std::time::Instant;
 
     fn walk() -> Walk {
+        walk_of(Settings::new(64, 48, 2), |_| ())
+    }
+
+    fn walk_of(settings: Settings, before: fn(&mut Session)) -> Walk {
         let world = World::new(Arc::new(test_scene::room(4)), Arc::new(Uniform(Vec3::ONE)));
-        let session = Session::start(Made {
+        let mut session = Session::start(Made {
             world,
             textures: None,
             refinement: None,
-            settings: Settings::new(64, 48, 2),
+            settings,
             fps: 30.0,
             facts: Vec::new(),
             recording: None,
         })
         .expect("actors");
+        before(&mut session);
         Walk::new(Box::new(session), 0.0)
     }
 
@@ -406,6 +425,73 @@ mod tests {
         let sum = |p: &Map2d<[u8; 3]>| p.data().iter().flatten().map(|b| u64::from(*b)).sum::<u64>();
         assert!(walk.picture().is_some_and(|p| sum(p) * 10 < sum(&plain) * 9), "darker");
         assert_eq!((walk.status().view, walk.status().traced), (view, 0));
+    }
+
+    #[test]
+    fn a_still_view_keeps_its_bits_and_then_nothing_is_done() {
+        let (mut walk, start) = (walk(), Instant::now());
+        settle(&mut walk, start);
+        let plain = walk.picture().cloned().expect("a picture");
+        let jobs = |walk: &Walk| -> u64 {
+            walk.status().actors.iter().filter(|a| a.name.starts_with("tracer")).map(|a| a.delivered).sum()
+        };
+        let before = jobs(&walk);
+        assert!(before > 0);
+        for frame in 0..20 {
+            // Something that is no work makes each frame be drawn.
+            let controls = *walk.controls();
+            walk.set_controls(Controls {
+                set: Adjustment { fps: 31.0 + frame as f32, ..controls.set },
+                ..controls
+            });
+            settle(&mut walk, start);
+            assert_eq!(walk.picture(), Some(&plain), "frame {frame}");
+            assert_eq!(walk.status().traced, 0, "frame {frame}");
+        }
+        assert_eq!(jobs(&walk), before, "no ray");
+        for _ in 0..100 {
+            let now = start.elapsed().as_secs_f64();
+            assert_eq!(walk.tick(now + 5.0), (false, Next::Input), "no frame");
+        }
+    }
+
+    #[test]
+    fn a_view_is_refined_and_comes_to_rest() {
+        let start = Instant::now();
+        let rules = Supersampling { noise: 0.02, max_samples: 8 };
+        let mut walk = walk_of(Settings { supersampling: Some(rules), ..Settings::new(64, 48, 2) }, |_| ());
+        settle(&mut walk, start);
+        assert!(walk.status().refined);
+        let refined = walk.picture().cloned().expect("a picture");
+        let controls = *walk.controls();
+        walk.set_controls(Controls { set: Adjustment { refine: None, ..controls.set }, ..controls });
+        settle(&mut walk, start);
+        let plain = walk.picture().cloned().expect("a picture");
+        assert!(!walk.status().refined && plain != refined, "edges are not smooth any more");
+        walk.set_controls(controls);
+        settle(&mut walk, start);
+        assert_eq!(walk.picture(), Some(&refined), "the same bits again");
+    }
+
+    #[test]
+    fn input_reaches_its_frame_whoever_stalls() {
+        let mut walk = walk_of(Settings::new(64, 48, 2), Session::stall);
+        let (mut now, mut frames, mut eyes) = (0.0, 0, Vec::new());
+        walk.navigator.press(Motion::Right, now);
+        while frames < 10 {
+            let (shown, next) = walk.tick(now);
+            if shown {
+                frames += 1;
+                eyes.extend(walk.camera().map(|c| c.eye));
+            }
+            now = match next {
+                Next::At(t) => t,
+                _ => now + 0.01,
+            };
+            assert!(now < 10.0, "{frames} frames");
+        }
+        assert!(eyes.windows(2).all(|w| w[1].x > w[0].x), "{eyes:?}");
+        assert_eq!(walk.status().traced, 0, "nobody else did anything");
     }
 
     #[test]

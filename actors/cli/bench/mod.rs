@@ -10,6 +10,8 @@ pub mod soak;
 pub mod stages;
 pub mod table;
 pub mod textures;
+#[cfg(feature = "window")]
+pub mod viewer;
 
 use std::time::Instant;
 
@@ -35,6 +37,9 @@ pub enum BenchCommand {
     Soak(soak::SoakArguments),
     /// What a limit on texture memory costs, beside what others do about it
     Textures(textures::TexturesArguments),
+    /// The window: how soon it shows something, how evenly frames come, what a still view costs; a frame on the adapter
+    #[cfg(feature = "window")]
+    Viewer(viewer::ViewerArguments),
     /// What a message costs, with and without recording; peers beside it where they are built in
     Messages(messages::MessagesArguments),
 }
@@ -49,6 +54,8 @@ pub fn run(command: &BenchCommand, progress: Progress) -> Result<(), Failure> {
         BenchCommand::Skips(a) => skips::run(a, progress),
         BenchCommand::Soak(a) => soak::run(a, progress),
         BenchCommand::Textures(a) => textures::run(a, progress),
+        #[cfg(feature = "window")]
+        BenchCommand::Viewer(a) => viewer::run(a, progress),
         BenchCommand::Messages(a) => messages::run(a, progress),
     }
 }

@@ -45,9 +45,15 @@ pub fn run(a: &ReplayArguments, file: PathBuf, workers: usize) -> Result<(), Fai
         });
         Ok(build)
     });
-    let options =
-        window::Options { name, size, backend: Backend::Auto, screenshots: a.screenshots.clone(), loader };
-    window::run(options).map_err(|e| match e {
+    let options = window::Options {
+        name,
+        size,
+        backend: Backend::Auto,
+        screenshots: a.screenshots.clone(),
+        loader,
+        probe: None,
+    };
+    window::run(options).map(drop).map_err(|e| match e {
         WindowError::Environment(m) => Failure::Environment(m),
         WindowError::Scene(m) => Failure::Input(m),
     })

@@ -1,0 +1,143 @@
+//! What the window shows: the picture with the panel beside it, and beneath it a recording's timeline. Painted onto a
+//! window by a presenter, or into a picture for whoever has no display.
+
+use egui::{Color32, Context, Rect, TextureHandle, Ui};
+use foveal::image::Map2d;
+
+use super::painter::SoftwarePainter;
+use super::panel::{self, Shown};
+use super::source::Controls;
+use super::timeline::{self, Wish};
+use super::walk::Walk;
+
+/// What is there to be shown.
+pub struct Interface<'a> {
+    /// The walk, once its scene is loaded.
+    pub walk: Option<&'a Walk>,
+    /// Its picture.
+    pub picture: Option<&'a TextureHandle>,
+    /// A scene is being loaded: its name.
+    pub loading: Option<&'a str>,
+    /// Who presents: an adapter or the processor.
+    pub presenter: &'a str,
+}
+
+/// What the user did, and where the picture is.
+#[derive(Clone, Copy, Debug)]
+pub struct Answer {
+    /// The controls, where there is a walk.
+    pub controls: Option<Controls>,
+    /// What is wanted of a recording.
+    pub wish: Option<Wish>,
+    /// Where the picture is, points.
+    pub picture_rect: Rect,
+}
+
+/// Draws everything. `help`: whether the keys are shown.
+pub fn interface(ui: &mut Ui, shown: &Interface<'_>, help: &mut bool) -> Answer {
+    let mut answer =
+        Answer { controls: shown.walk.map(|walk| *walk.controls()), wish: None, picture_rect: Rect::NOTHING };
+    if let (Some(walk), Some(controls)) = (shown.walk, &mut answer.controls) {
+        let status = walk.status();
+        let shown = Shown {
+            status: &status,
+            times: &walk.times,
+            speed: walk.navigator.speed(),
+            ranges: walk.ranges(),
+            insight: walk.insight(),
+            presenter: shown.presenter,
+            notice: walk.notice.as_ref(),
+        };
+        egui::Panel::right("panel").resizable(false).exact_size(panel::WIDTH).show(ui, |ui| {
+            panel::panel(ui, controls, &shown);
+        });
+    }
+    if let Some((recording, plays)) = shown.walk.and_then(Walk::timeline) {
+        egui::Panel::bottom("timeline").resizable(false).exact_size(timeline::HEIGHT).show(ui, |ui| {
+            answer.wish = timeline::timeline(ui, &recording, plays);
+        });
+    }
+    let space = ui.available_rect_before_wrap();
+    ui.painter().rect_filled(space, 0.0, Color32::BLACK);
+    if let Some(texture) = shown.picture {
+        answer.picture_rect = fit(texture.size_vec2(), space);
+        let uv = Rect::from_min_max(egui::Pos2::ZERO, egui::pos2(1.0, 1.0));
+        ui.painter().image(texture.id(), answer.picture_rect, uv, Color32::WHITE);
+    }
+    if let Some(name) = shown.loading {
+        let font = egui::FontId::proportional(20.0);
+        let text = format!("Loading {name} ...");
+        ui.painter().text(space.center(), egui::Align2::CENTER_CENTER, text, font, Color32::GRAY);
+    }
+    panel::help(ui.ctx(), help);
+    answer
+}
+
+/// A picture as the interface's texture.
+pub fn texture(context: &Context, texture: Option<TextureHandle>, picture: &Map2d<[u8; 3]>) -> TextureHandle {
+    let size = [picture.width(), picture.height()];
+    let image = egui::ColorImage::from_rgb(size, picture.data().as_flattened());
+    let options =
+        egui::TextureOptions { magnification: egui::TextureFilter::Nearest, ..egui::TextureOptions::LINEAR };
+    match texture {
+        Some(mut texture) => {
+            texture.set(image, options);
+            texture
+        }
+        None => context.load_texture("picture", image, options),
+    }
+}
+
+/// The whole window of a walk as a picture of `size`, without a window.
+pub fn paint(walk: &Walk, size: [usize; 2]) -> Map2d<[u8; 3]> {
+    let context = Context::default();
+    let mut painter = SoftwarePainter::default();
+    let picture = walk.picture().map(|picture| texture(&context, None, picture));
+    let shown = Interface { walk: Some(walk), picture: picture.as_ref(), loading: None, presenter: "" };
+    let area = Rect::from_min_size(egui::Pos2::ZERO, egui::vec2(size[0] as f32, size[1] as f32));
+    let mut pixels = vec![0; size[0] * size[1]];
+    // The second time everything knows its size.
+    for _ in 0..2 {
+        let input = egui::RawInput { screen_rect: Some(area), ..egui::RawInput::default() };
+        let output = context.run_ui(input, |ui| {
+            interface(ui, &shown, &mut false);
+        });
+        let primitives = context.tessellate(output.shapes, output.pixels_per_point);
+        let mut textures = output.textures_delta;
+        painter.set_textures(&textures);
+        pixels.fill(0);
+        painter.paint(&primitives, output.pixels_per_point, size, &mut pixels);
+        painter.free_textures(&textures);
+        textures.set.clear();
+        textures.free.clear();
+    }
+    let rgb = |word: u32| [(word >> 16) as u8, (word >> 8) as u8, word as u8];
+    Map2d::from_vec(size[0], size[1], pixels.into_iter().map(rgb).collect())
+}
+
+/// The largest place of a picture of `size` within `space`, in the middle. Whole multiples where it is enlarged
+/// would leave black bars, so it fills.
+fn fit(size: egui::Vec2, space: Rect) -> Rect {
+    if size.x <= 0.0 || size.y <= 0.0 {
+        return Rect::NOTHING;
+    }
+    let scale = (space.width() / size.x).min(space.height() / size.y).max(0.0);
+    // Unscaled pictures stay on whole pixels.
+    let shown = size * scale;
+    let corner = (space.center() - shown * 0.5).round();
+    Rect::from_min_size(corner, shown)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_fill_their_space_without_distortion() {
+        let space = Rect::from_min_size(egui::pos2(10.0, 0.0), egui::vec2(400.0, 100.0));
+        let rect = fit(egui::vec2(64.0, 32.0), space);
+        assert_eq!((rect.width(), rect.height()), (200.0, 100.0));
+        assert_eq!(rect.center(), space.center());
+        assert_eq!(fit(egui::Vec2::ZERO, space), Rect::NOTHING);
+    }
+}

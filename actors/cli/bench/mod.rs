@@ -3,6 +3,8 @@
 pub mod error;
 pub mod made;
 pub mod messages;
+#[cfg(feature = "window")]
+pub mod motion;
 pub mod rays;
 pub mod scaling;
 pub mod skips;

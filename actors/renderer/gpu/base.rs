@@ -96,6 +96,7 @@ pub struct BaseScene {
 #[derive(Debug)]
 pub struct BasePass {
     surfaces: wgpu::RenderPipeline,
+    masked_surfaces: wgpu::RenderPipeline,
     background: wgpu::RenderPipeline,
     scene_layout: wgpu::BindGroupLayout,
     textures_layout: wgpu::BindGroupLayout,
@@ -114,7 +115,7 @@ impl BasePass {
             ..Default::default()
         });
         let formats = [COLOR, DEPTH, WORD, WORD, WORD];
-        let pipeline = |vertex, fragment, buffers: &[_], is_surface: bool| {
+        let pipeline = |vertex, fragment, buffers: &[_], is_surface: bool, is_masked: bool| {
             let targets: Vec<_> = formats
                 .iter()
                 .enumerate()
@@ -154,7 +155,10 @@ impl BasePass {
                 fragment: Some(wgpu::FragmentState {
                     module: &module,
                     entry_point: Some(fragment),
-                    compilation_options: Default::default(),
+                    compilation_options: wgpu::PipelineCompilationOptions {
+                        constants: &[("MASKED", f64::from(u8::from(is_masked)))],
+                        ..Default::default()
+                    },
                     targets: &targets,
                 }),
                 multiview_mask: None,
@@ -167,8 +171,9 @@ impl BasePass {
             attributes: &wgpu::vertex_attr_array![0 => Float32x3],
         };
         Self {
-            surfaces: pipeline("vertex", "fragment", &[Some(corner)], true),
-            background: pipeline("background_vertex", "background_fragment", &[], false),
+            surfaces: pipeline("vertex", "fragment", &[Some(corner.clone())], true, false),
+            masked_surfaces: pipeline("vertex", "fragment", &[Some(corner)], true, true),
+            background: pipeline("background_vertex", "background_fragment", &[], false, false),
             scene_layout,
             textures_layout,
         }
@@ -303,12 +308,13 @@ impl BasePass {
             ..Default::default()
         });
         pass.set_bind_group(0, &base.bind_group, &[]);
-        pass.set_pipeline(&self.surfaces);
         pass.set_vertex_buffer(0, base.positions.slice(..));
         let mut drawn = 0;
         let mut bound = None;
         base.geometry.visible(frame, |run, range| {
             if bound != Some(run) {
+                let is_masked = base.geometry.runs[run].masked;
+                pass.set_pipeline(if is_masked { &self.masked_surfaces } else { &self.surfaces });
                 pass.set_bind_group(1, &base.runs[run], &[]);
                 bound = Some(run);
             }

@@ -64,6 +64,8 @@ const OPACITY_IS_ALPHA: u32 = 2u;
 const HAS_ALBEDO_MAP: u32 = 4u;
 const HAS_EMISSION_MAP: u32 = 8u;
 const HAS_OPACITY_MAP: u32 = 16u;
+// Whether pixels may be left out. Where none can be, depth is tested before they are computed.
+override MASKED: bool = true;
 const NO_TEXTURE: u32 = 0xffffffffu;
 const INVERSE_PI: f32 = 0.31830988618;
 
@@ -159,14 +161,14 @@ fn fragment(in: Corner, @builtin(front_facing) front: bool) -> Pixel {
     let m = triangles[t].material;
     let flags = materials[m].flags;
 
-    if (flags & HAS_OPACITY_MAP) != 0u {
+    if MASKED && (flags & HAS_OPACITY_MAP) != 0u {
         let p = texture_coordinates(uv, materials[m].scale_offset[2]);
         let texel = textureSampleLevel(opacity_map, opacity_sampler, p, 0.0);
         let grey = select((texel.r + texel.g + texel.b) / 3.0, texel.a, (flags & OPACITY_IS_ALPHA) != 0u);
         if materials[m].opacity * grey < 0.5 {
             discard;
         }
-    } else if materials[m].opacity < 0.5 {
+    } else if MASKED && materials[m].opacity < 0.5 {
         discard;
     }
 

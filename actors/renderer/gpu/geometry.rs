@@ -82,6 +82,8 @@ struct Node {
 pub struct Run {
     /// The textures.
     pub textures: TextureSet,
+    /// Whether pixels of it may be left out, which only the shader knows; then none can be tested by depth before.
+    pub masked: bool,
     nodes: Vec<Node>,
 }
 
@@ -154,7 +156,8 @@ impl BaseGeometry {
     /// The scene's triangles under `light`'s layout.
     pub fn new(scene: &Scene, light: &BaseLight) -> Self {
         let mesh = &scene.mesh;
-        let sets: Vec<TextureSet> = scene.materials.iter().map(texture_set).collect();
+        let sets: Vec<(bool, TextureSet)> =
+            scene.materials.iter().map(|m| (is_masked(m), texture_set(m))).collect();
         let mut distinct = sets.clone();
         distinct.sort();
         distinct.dedup();
@@ -169,12 +172,12 @@ impl BaseGeometry {
         let drawn: Vec<u32> = order.iter().map(|o| o.2).collect();
         let mut runs = Vec::new();
         let mut start = 0;
-        for (index, textures) in distinct.iter().enumerate() {
+        for (index, (masked, textures)) in distinct.iter().enumerate() {
             let end = order.partition_point(|o| o.0 <= index as u32);
             if end > start {
                 let mut nodes = Vec::new();
                 build_tree(mesh, &drawn, start, end, &mut nodes);
-                runs.push(Run { textures: *textures, nodes });
+                runs.push(Run { textures: *textures, masked: *masked, nodes });
             }
             start = end;
         }
@@ -284,6 +287,11 @@ fn morton(point: Vec3, bounds: [Vec3; 2]) -> u32 {
     };
     let p = (point - bounds[0]) / extent;
     spread(p.x) | (spread(p.y) << 1) | (spread(p.z) << 2)
+}
+
+/// Whether the shader leaves out pixels of a material: as it asks there.
+fn is_masked(material: &foveal::scene::Material) -> bool {
+    material.opacity_map.is_some() || material.opacity < 0.5
 }
 
 fn texture_set(material: &foveal::scene::Material) -> TextureSet {

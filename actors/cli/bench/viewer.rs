@@ -116,7 +116,6 @@ fn adapter(a: &ViewerArguments) -> Result<Vec<Row>, String> {
     let start = world.scene.cameras.first().ok_or("the hall has no camera")?.camera;
     let samples = splats(&world, &start, a.size);
     let (name, software) = (gpu.info.to_string(), gpu.info.software);
-    let device = gpu.device.clone();
     let size = [a.size.width, a.size.height];
     let mut display =
         GpuDisplay::new(gpu, world.scene.clone(), &*world.illumination, size, 6, Footprint::Tile);
@@ -131,7 +130,7 @@ fn adapter(a: &ViewerArguments) -> Result<Vec<Row>, String> {
             display.splat_warped(&samples);
         }
         display.draw(&ToneMap::default(), Overlay::None);
-        device.poll(wgpu::PollType::wait_indefinitely()).map_err(|e| e.to_string())?;
+        display.gpu().finish()?;
         let ms = begin.elapsed().as_secs_f64() * 1e3;
         // The first frames compile.
         if run >= 4 {

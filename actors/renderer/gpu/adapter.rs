@@ -155,6 +155,14 @@ impl Gpu {
         guarded(|| Ok(instance(None))).and_then(|i| Self::open(&i, None))
     }
 
+    /// Waits until all that was ordered is done.
+    ///
+    /// # Errors
+    /// If the adapter is lost.
+    pub fn finish(&self) -> Result<(), String> {
+        self.device.poll(wgpu::PollType::wait_indefinitely()).map(drop).map_err(|e| e.to_string())
+    }
+
     /// Whether it can no longer be drawn with.
     pub fn is_lost(&self) -> bool {
         self.lost.load(Ordering::Acquire)

@@ -4,6 +4,7 @@
 //! cheaply into a folder that the tests of one run share.
 
 mod approximation;
+mod bake;
 mod bundled;
 mod exits;
 mod faults;

@@ -163,6 +163,11 @@ impl Running {
         self.child.id()
     }
 
+    /// What it has said on standard error so far.
+    pub fn said(&self) -> String {
+        fs::read_to_string(self.folder.join("err")).unwrap_or_default()
+    }
+
     /// Whether it still runs.
     pub fn is_running(&mut self) -> bool {
         self.child.try_wait().expect("a child").is_none()

@@ -12,7 +12,7 @@ use super::Progress;
 /// Names of stages in reports, in the order in which they come.
 pub const STAGES: [&str; 6] = ["elements", "direct", "particles", "error", "estimate", "radiosity"];
 /// The last estimate gets at least one in so many parts of the time.
-const RESERVE: u32 = 8;
+const RESERVE: u32 = 6;
 /// What it takes, compared to an estimate of the error, about.
 const ESTIMATE_PER_ERROR: u64 = 3;
 /// Share of the time after which what remains is made coarsely.

@@ -25,6 +25,8 @@ const BATCH: u64 = 1 << 15;
 const FIRST_PASS: u64 = 1 << 17;
 /// Blocks of elements at which direct light is gathered between two questions whether to go on.
 const BLOCKS: usize = 256;
+/// Rounds that are waited for at most.
+const ROUNDS_MAX: u32 = 256;
 /// Samples of direct light per element where there is no time for more.
 const HURRIED_SAMPLES: u32 = 2;
 /// Elements that share the decision whether direct light can reach them.
@@ -225,6 +227,11 @@ impl<'a> Baker<'a> {
         self.emitted
     }
 
+    /// Surfaces that particles met.
+    pub fn bounces(&self) -> u64 {
+        self.bounces
+    }
+
     /// Rounds of direct light done.
     pub fn direct_rounds(&self) -> u32 {
         self.direct_rounds
@@ -409,13 +416,23 @@ impl Baker<'_> {
                 self.relative_error = Some(summary.relative_error);
                 let met = |limit: Option<f32>| limit.is_some_and(|limit| summary.relative_error <= limit);
                 let emitted_all = self.settings.particles.is_some_and(|n| self.emitted >= n);
-                if emitted_all || met(self.settings.error) || self.transport.power() <= 0.0 {
+                // Where direct light is by far the larger error, particles wait for it.
+                let others = summary.particle_error.hypot(summary.bias_error);
+                let waits = self.gathers_direct()
+                    && self.direct_rounds < ROUNDS_MAX
+                    && self
+                        .settings
+                        .error
+                        .is_some_and(|aim| summary.direct_error > (2.0 * others).max(0.7 * aim));
+                let ends = emitted_all && !waits;
+                if ends || met(self.settings.error) || self.transport.power() <= 0.0 {
                     return Step::Done(summary);
                 }
-                self.pass_end = pass_end_after(self.emitted, &self.settings);
+                if !waits {
+                    self.pass_end = pass_end_after(self.emitted, &self.settings);
+                }
                 // Direct light is cheap while it is the smaller error; then its samples double as well.
-                let others = summary.particle_error.hypot(summary.bias_error);
-                if summary.direct_error > 0.6 * others {
+                if waits || summary.direct_error > 0.6 * others {
                     self.direct_rounds_wanted = 2 * self.direct_rounds;
                 }
                 Step::Appraised(summary)

@@ -43,11 +43,17 @@ use crate::settings::Settings;
 /// Arguments of `foveal bench error`.
 #[derive(Args, Debug)]
 pub struct ErrorArguments {
+    /// Whose error
+    #[arg(long, value_enum, default_value_t = What::Corrections)]
+    what: What,
+    /// Seconds of all cores for each scene and method: --what illumination
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = crate::cli::arguments::duration)]
+    time: Duration,
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "400x300")]
     size: Size,
-    /// Bundled scenes
-    #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "box,duck,table,gallery,chess")]
+    /// Bundled scenes (default: box,duck,table,gallery,chess; of the illumination box,diffuse,table)
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     scenes: Vec<String>,
     /// Policies to compare; all: the first paper's, black mirrors and all; its attention on
     /// environment maps; attention as here, uniform, utility
@@ -64,6 +70,15 @@ pub struct ErrorArguments {
     coarse_maps: bool,
     #[command(flatten)]
     common: CommonArguments,
+}
+
+/// Whose error is measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum What {
+    /// That of the pixels that need correction
+    Corrections,
+    /// That of the baked irradiance, by both methods
+    Illumination,
 }
 
 /// Steps of the still view's curve.
@@ -114,13 +129,26 @@ struct Result {
 
 /// Runs the benchmark.
 pub fn run(a: &ErrorArguments, progress: Progress) -> std::result::Result<(), Failure> {
+    let names = |default: &str| match a.scenes.is_empty() {
+        true => default.split(',').map(str::to_owned).collect(),
+        false => a.scenes.clone(),
+    };
+    if a.what == What::Illumination {
+        return super::illumination::run(
+            &names("box,diffuse,table"),
+            a.time.as_secs_f64(),
+            &a.common,
+            progress,
+        );
+    }
+    let scenes: Vec<String> = names("box,duck,table,gallery,chess");
     let entrants = entrants(&a.policies)?;
-    let bar = progress.bar(a.scenes.len() as u64, "scenes");
+    let bar = progress.bar(scenes.len() as u64, "scenes");
     let mut rows = Vec::new();
     let mut sums = vec![[0.0f64; 2]; entrants.len()];
     let mut csv = String::from("scene,policy,seconds,flip\n");
     let (mut deciding, mut worst) = (Vec::new(), 0.0f64);
-    for name in &a.scenes {
+    for name in &scenes {
         let world = quick_world(MadeScene::bundled(name)?.path())?;
         let study = Study::new(a, world);
         let results: Vec<Result> = entrants.par_iter().map(|e| study.run(a, e)).collect();
@@ -155,7 +183,7 @@ pub fn run(a: &ErrorArguments, progress: Progress) -> std::result::Result<(), Fa
     }
     let total = |name: &str| {
         let i = entrants.iter().position(|e| e.name == name)?;
-        Some((sums[i][0] + sums[i][1]) / (2 * a.scenes.len()) as f64)
+        Some((sums[i][0] + sums[i][1]) / (2 * scenes.len()) as f64)
     };
     if let Some(utility) = total("utility") {
         for (peer, aim) in [("as published in 2001", 0.7), ("attention of 2001", 0.7), ("uniform", 0.8)] {

@@ -142,6 +142,9 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     .with_textures(textures);
     scene.mesh.objects = grouped.of_triangle;
     filters_to_absorption(&mut scene, &filters);
+    for message in clamp_albedo(&mut scene) {
+        warnings.push(Warning::new(Place::new(path, 0), message));
+    }
     for message in defaults::complete(&mut scene) {
         warnings.push(Warning::new(Place::new(path, 0), message));
     }
@@ -331,6 +334,37 @@ fn materials(
         materials.push(from_mtl::default_material("default"));
     }
     (materials, from_library)
+}
+
+/// Largest diffuse reflectance: at 1 light between walls would never end.
+const ALBEDO_MAX: f32 = 0.99;
+
+/// Keeps diffuse reflectances below 1; says of which materials.
+fn clamp_albedo(scene: &mut Scene) -> Vec<String> {
+    let textures = scene.textures.clone();
+    let mut messages = Vec::new();
+    for material in &mut scene.materials {
+        let (Model::Lambert { albedo: diffuse }
+        | Model::Plastic { albedo: diffuse, .. }
+        | Model::CookTorrance { diffuse, .. }
+        | Model::Ward { diffuse, .. }) = &mut material.model
+        else {
+            continue;
+        };
+        let mean = diffuse.map.map_or(1.0, |map| {
+            let [r, g, b, _] = textures[map.0 as usize].mean();
+            r.max(g).max(b)
+        });
+        let limit = ALBEDO_MAX / mean.max(1e-6);
+        if diffuse.color.max_element() > limit {
+            diffuse.color = diffuse.color.min(Vec3::splat(limit));
+            messages.push(format!(
+                "material \"{}\" reflects all light that falls on it; {ALBEDO_MAX} of it is used",
+                material.name
+            ));
+        }
+    }
+    messages
 }
 
 /// Replaces the ids of a material's pictures; a missing picture leaves the colour, and half of it

@@ -1,0 +1,146 @@
+//! Baking from the command line: going on after an interruption, limits, both methods, doubtful scenes.
+
+use std::fs;
+use std::path::PathBuf;
+use std::process::Command;
+
+use crate::support::{Foveal, folder, scene};
+
+/// A room of 4 × 3 × 4 with a square light of radiance `light` under its ceiling, walls of albedo `wall`.
+fn room(wall: &str, light: &str, more: &str) -> PathBuf {
+    let out = folder("room");
+    let materials = format!("newmtl wall\nKd {wall}\nnewmtl lamp\nKd 0.5 0.5 0.5\nKe {light}\n");
+    fs::write(out.join("room.mtl"), materials).expect("a file");
+    let mut obj = String::from("mtllib room.mtl\n");
+    for i in 0..8 {
+        obj += &format!("v {} {} {}\n", 4 * (i & 1), 3 * (i >> 1 & 1), 4 * (i >> 2));
+    }
+    obj += "v 1.5 2.9 1.5\nv 2.5 2.9 1.5\nv 2.5 2.9 2.5\nv 1.5 2.9 2.5\nusemtl wall\n";
+    // Inward: floor, ceiling, four walls.
+    obj += "f 1 5 6 2\nf 3 4 8 7\nf 1 2 4 3\nf 5 7 8 6\nf 1 3 7 5\nf 2 6 8 4\nusemtl lamp\nf 9 10 11 12\n";
+    fs::write(out.join("room.obj"), obj + more).expect("a file");
+    let camera = "format = 1\n[geometry]\nfiles = [\"room.obj\"]\n[[camera]]\nname = \"main\"\neye = [2.0, 1.5, 0.5]\n\
+                  target = [2.0, 1.4, 3.0]\nup = [0.0, 1.0, 0.0]\nfov_y = 50.0\n";
+    fs::write(out.join("room.toml"), camera).expect("a file");
+    out.join("room.toml")
+}
+
+fn grey_room() -> PathBuf {
+    room("0.5 0.5 0.5", "4 4 4", "")
+}
+
+#[test]
+fn a_bake_that_was_interrupted_goes_on_to_the_same_bits() {
+    let out = folder("resumed");
+    let bake = "bake --particles 400000 --error 0.01% --texels 4096 --json";
+    let keep = |name: &str| out.join(name);
+    Foveal::new(bake).arg("--out").arg(keep("whole")).arg(scene("box")).ok();
+    let mut parts = 0;
+    loop {
+        let line = format!("{bake} --resume --time {}ms", 300 + 200 * parts);
+        let d = Foveal::new(&line).arg("--out").arg(keep("parts")).arg(scene("box")).ok().json();
+        // From the second part on there is something to go on with, unless the first had no time for anything.
+        if d["complete"] == true {
+            break;
+        }
+        parts += 1;
+        assert!(parts < 100, "no progress: {d}");
+    }
+    let read = |name: &str| fs::read(keep(name)).expect("the bake");
+    assert!(read("whole") == read("parts"), "after {parts} interruptions");
+    assert!(!keep("parts").with_extension("fvstate").exists(), "nothing is left to go on with");
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_keeps_a_valid_bake_and_the_way_on() {
+    let out = folder("interrupted").join("box.fvbake");
+    let line = "bake --particles 1000000000 --error 0.0001% --texels 4096 --jsonl --out";
+    let mut running = Foveal::new(line).arg(&out).arg(scene("box")).start();
+    while !running.said().contains("\"particles\":131072") {
+        assert!(running.is_running(), "{}", running.said());
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let id = running.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &id]).status().expect("kill").success());
+    let ended = running.wait();
+    assert_eq!(ended.code, Some(130), "{}", ended.err);
+    assert!(ended.err.contains("--resume"), "{}", ended.err);
+    for line in ended.err.lines().filter(|l| l.starts_with('{')) {
+        let told: serde_json::Value = serde_json::from_str(line).expect("a line of JSON");
+        assert_eq!(told["schema"], "foveal.bake.progress/1");
+        assert!(told["stage"].is_string() && told["seconds"].is_number(), "{line}");
+    }
+    assert!(out.with_extension("fvstate").exists());
+    Foveal::new("walk --frames 1 --size 32x24 --texels 4096 --bake").arg(&out).arg(scene("box")).ok();
+    // A damaged state is not trusted: the bake begins anew.
+    let state = out.with_extension("fvstate");
+    let bytes = fs::read(&state).expect("the state");
+    fs::write(&state, &bytes[..bytes.len() - 9]).expect("a shorter file");
+    let again = "bake --particles 20000 --error 50% --texels 4096 --resume --json --out";
+    let ended = Foveal::new(again).arg(&out).arg(scene("box")).ok();
+    assert!(ended.err.contains("begins anew") && ended.json()["resumed"] == false, "{}", ended.err);
+}
+
+#[test]
+fn radiosity_is_simplified_to_so_many_elements() {
+    let room = grey_room();
+    let bake = |more: &str| {
+        let out = folder("radiosity").join("room.fvbake");
+        let line = format!("bake --texels 2048 --error 10% --method radiosity {more} --json --out");
+        let d = Foveal::new(&line).arg(&out).arg(&room).ok().json();
+        assert_eq!(d["method"], "radiosity");
+        assert!(d["triangles_after"].as_u64() < d["triangles_before"].as_u64(), "{d}");
+        let walk = "walk --frames 1 --size 32x24 --texels 2048 --bake";
+        Foveal::new(walk).arg(&out).arg(&room).ok();
+        (d, fs::read(&out).expect("the bake"))
+    };
+    let (whole, _) = bake("");
+    assert!(whole["error"].as_f64().expect("a number") <= 0.1 && whole["has_indirect"] == true);
+    // Particles find the same light.
+    let line = "bake --texels 2048 --error 3% --particles 300000 --out";
+    let by_particles = Foveal::new(line).arg(folder("p").join("p")).arg(&room).json();
+    let mean = |d: &serde_json::Value| d["mean_irradiance"][1].as_f64().expect("a number");
+    assert!((mean(&whole) / mean(&by_particles) - 1.0).abs() < 0.05, "{whole} {by_particles}");
+    let mut bytes = Vec::new();
+    for criterion in ["photometric", "perceptual", "optimal"] {
+        let (d, bake) = bake(&format!("--elements 200 --criterion {criterion}"));
+        // A cut takes four elements for one, so counts are three apart.
+        assert!((198..=200).contains(&d["elements"].as_u64().expect("a number")), "{criterion}: {d}");
+        assert!(d["elements_before"].as_u64() >= Some(200), "{d}");
+        bytes.push(bake);
+    }
+    assert!(bytes[0] != bytes[1] && bytes[1] != bytes[2], "criteria differ in what they keep");
+}
+
+#[test]
+fn a_memory_limit_makes_texels_coarser_and_says_so() {
+    let bake = |limit: &str| {
+        let line =
+            format!("bake --particles 20000 --error 50% --texels 65536 --max-memory {limit} --json --out");
+        Foveal::new(&line).arg(folder("small").join("box")).arg(scene("box"))
+    };
+    let d = bake("16MiB").ok().json();
+    let said = d["warnings"].to_string();
+    assert!(said.contains("coarser") && said.contains("16 MiB"), "{said}");
+    assert!(d["texels"].as_u64().expect("a number") < 65536 * 3 / 4, "{d}");
+    bake("64KiB").fails(4, &["--max-memory"]);
+}
+
+#[test]
+fn doubtful_scenes_are_baked_with_a_warning() {
+    let bake = |file: PathBuf| {
+        let line = "bake --texels 2048 --particles 50000 --error 5% --out";
+        Foveal::new(line).arg(folder("doubtful").join("bake")).arg(file).ok()
+    };
+    let white = bake(room("1 1 1", "4 4 4", ""));
+    assert!(white.err.contains("\"wall\"") && white.err.contains("0.99"), "{}", white.err);
+    // A light without area, one of negative power, an edge of three triangles, a sheet seen from both sides.
+    let more = "v 1 1 1\nv 3 1 1\nf 13 14 13\nv 2 1 2\nv 2 2 2\nv 1 2 2\nusemtl wall\nf 13 14 15\nf 13 14 16\nf 14 13 17\n";
+    let odd = bake(room("0.5 0.5 0.5", "4 4 4", more));
+    assert!(odd.err.contains("without area"), "{}", odd.err);
+    let negative = bake(room("0.5 0.5 0.5", "-4 -4 -4", ""));
+    assert!(negative.err.contains("negative; left out"), "{}", negative.err);
+    let black = bake(room("0 0 0", "4 4 4", ""));
+    assert!(black.out.contains("no indirect light"), "{}", black.out);
+}

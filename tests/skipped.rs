@@ -38,7 +38,7 @@ fn a_diffuse_scene_starts_one_actor() {
     }
     assert_eq!(
         d["samples"],
-        serde_json::json!({"traced": 0, "reused": 0, "expired": 0, "splatted": 0, "late": 0, "refined": 0})
+        serde_json::json!({"traced": 0, "reused": 0, "expired": 0, "splatted": 0, "late": 0, "refined": 0, "approximated": 0})
     );
     assert_eq!(d["messages"]["delivered"], 2 * 6);
     assert_eq!(d["converged"], true);
@@ -82,6 +82,7 @@ fn a_converged_still_view_costs_nothing() {
         let mut system = System::start(&world, Settings::new(40, 30, 2));
         let first = system.converge();
         let last = system.frame(|_| true);
+        system.rest();
         let (before, delivered) = (rays.count(), system.runtime.deliveries());
         system.stages.drain();
         for _ in 0..20 {

@@ -106,6 +106,12 @@ impl System {
         self.frame(|r| r.inspect(renderer, Renderer::is_converged) == Some(true))
     }
 
+    /// Until nobody has anything left to do: an analyzer may still rank what was shown last.
+    pub fn rest(&mut self) {
+        let idle = Limit::idle_within(Duration::from_secs(60));
+        assert_eq!(self.runtime.pump(idle), foveal_runtime::Exit::Idle);
+    }
+
     /// Ends it and looks at the allocator as it stopped.
     pub fn stop_and<R>(mut self, look: impl FnOnce(&Allocator) -> R) -> Option<R> {
         assert!(self.runtime.end(Duration::from_secs(10)).drained);

@@ -207,6 +207,8 @@ pub struct Walked {
     pub late: u64,
     /// Samples that refined the converged view.
     pub refined: u64,
+    /// Pixels shown under a first approximation.
+    pub approximated: u64,
     /// Textures after each frame, where they are limited.
     pub textures: Vec<TextureReport>,
 }
@@ -398,6 +400,7 @@ fn walk(
         expired: 0,
         late: 0,
         refined: 0,
+        approximated: 0,
         textures: Vec::new(),
     };
     forget_most_held();
@@ -449,6 +452,7 @@ fn walk(
         walked.expired += u64::from(shown.counts.expired);
         walked.late += u64::from(shown.counts.late);
         walked.refined += u64::from(shown.counts.refined);
+        walked.approximated += u64::from(shown.counts.approximated);
         let reports = store.map(|s| std::iter::from_fn(|| s.reports.pop()).collect::<Vec<_>>());
         if let Some(report) = reports.unwrap_or_default().pop().or_else(|| walked.textures.last().cloned()) {
             walked.textures.push(report);
@@ -527,6 +531,7 @@ fn document(
             "splatted": walked.traced + walked.reused,
             "late": walked.late,
             "refined": walked.refined,
+            "approximated": walked.approximated,
         },
         "messages": {"delivered": deliveries},
         "lost_jobs": lost_jobs,

@@ -72,6 +72,8 @@ pub struct FrameCounts {
     pub expired: u32,
     /// Fresh samples of an older view, which came too late to be shown.
     pub late: u32,
+    /// Pixels given a first approximation, because no sample had reached them when the frame was shown.
+    pub approximated: u32,
     /// Samples that refined the converged view.
     pub refined: u32,
 }
@@ -386,11 +388,7 @@ impl Renderer {
             twin::draw(&self.world, &frame, self.passes, &mut buffers);
         });
         if self.neighbours.is_some() {
-            let (layer, world, approximation) = (&mut self.layer, &self.world, &self.approximation);
-            self.stages.time(Stage::Display, || match approximation {
-                Some(first) => layer.restart(|out| first.draw(world, &frame, &buffers, out)),
-                None => layer.clear(),
-            });
+            self.layer.clear();
         }
         let drawn = Arc::new(DrawnView {
             view: self.view,
@@ -455,19 +453,24 @@ impl Renderer {
         self.stages.time(Stage::WarpSplat, || layer.splat_fresh(batch, &drawn.buffers.object, source));
     }
 
-    /// Pixels that no sample has reached yet show the new map at once.
+    /// Pixels that no sample has reached yet show the new map in the next frame.
     fn on_environment_changed(&mut self, object: u32, map: Option<Arc<EnvironmentMap>>) {
         let Some(approximation) = &mut self.approximation else { return };
         approximation.set(object, map);
         let (Some(drawn), false) = (&self.drawn, self.converged) else { return };
-        let (layer, world, buffers) = (&mut self.layer, &self.world, &drawn.buffers);
-        self.stages.time(Stage::WarpSplat, || {
-            layer.approximate(|x, y| {
-                (buffers.object.at(x, y) == object)
-                    .then(|| approximation.pixel(world, &drawn.frame, buffers, x, y))
-            });
-        });
+        let objects = &drawn.buffers.object;
+        self.layer.disapprove(|x, y| objects.at(x, y) == object);
         self.changed = true;
+    }
+
+    /// Fills in what no sample has reached by the time the frame is shown. Coarse samples come first and cover much, so
+    /// few pixels are left; a pixel is looked up once in a view.
+    fn approximate_the_rest(&mut self, drawn: &DrawnView) {
+        let (Some(first), false) = (&self.approximation, self.converged) else { return };
+        let (layer, world) = (&mut self.layer, &self.world);
+        self.counts.approximated += self.stages.time(Stage::Compose, || {
+            layer.approximate(|x, y| first.pixel(world, &drawn.frame, &drawn.buffers, x, y)) as u32
+        });
     }
 
     /// Tells the allocator how wrong what is shown was.
@@ -475,7 +478,13 @@ impl Renderer {
         let Some(neighbours) = &self.neighbours else { return };
         let base = &drawn.buffers.color;
         let residual = self.stages.time(Stage::Allocate, || {
-            residual_of_batch(batch, base, &self.layer, &self.tone, &self.viewing, &self.thresholds)
+            let would_show = |x, y| match &self.approximation {
+                Some(first) if self.layer.is_bare(x, y) => {
+                    first.pixel(&self.world, &drawn.frame, &drawn.buffers, x, y)
+                }
+                _ => self.layer.color(x, y),
+            };
+            residual_of_batch(batch, base, would_show, &self.tone, &self.viewing, &self.thresholds)
         });
         let measured = AllocatorMessage::ResidualsMeasured {
             view: self.view,
@@ -515,6 +524,7 @@ impl Renderer {
         let (rgb8, hash) = match (&self.shown, self.changed) {
             (Some(shown), false) => (None, shown.hash),
             _ => {
+                self.approximate_the_rest(&drawn);
                 let picture = self.stages.clone().time(Stage::Compose, || self.compose(&drawn.buffers));
                 let hash = xxhash_rust::xxh3::xxh3_64(picture.data().as_flattened());
                 (Some(picture), hash)

@@ -50,8 +50,9 @@ impl Renderer {
         }
         saver.put(adjustment);
         saver.put(&(camera, view, converged, changed, drawn.is_some(), shown.is_some()));
-        let FrameCounts { traced, reused, expired, late, refined: refined_now } = counts;
-        saver.put(&(traced, reused, expired, late, refined_now, refined, tiles.len() as u64));
+        let FrameCounts { traced, reused, expired, late, approximated, refined: refined_now } = counts;
+        saver.put(&(traced, reused, expired, late, approximated, refined_now));
+        saver.put(&(refined, tiles.len() as u64));
         for tile in tiles {
             saver.put(&tile.is_some());
             if let Some(sums) = tile {
@@ -83,10 +84,10 @@ impl Renderer {
         }
         let (camera, view, converged, changed, is_drawn, is_shown) = loader.take()?;
         (self.camera, self.view, self.converged, self.changed) = (camera, view, converged, changed);
-        let (traced, reused, expired, late, refined, is_refined, count) = loader.take()?;
-        self.counts = FrameCounts { traced, reused, expired, late, refined };
-        self.refined = is_refined;
-        let count: u64 = count;
+        let (traced, reused, expired, late, approximated, refined) = loader.take()?;
+        self.counts = FrameCounts { traced, reused, expired, late, approximated, refined };
+        let count: u64;
+        (self.refined, count) = loader.take()?;
         let tiles: Option<Vec<_>> =
             (0..count).map(|_| Some(if loader.take()? { Some(load_sums(loader)?) } else { None })).collect();
         let grid = Tiles::of_size(self.settings.width, self.settings.height);

@@ -9,7 +9,7 @@ use crate::perception::importance::ObjectStatistics;
 use crate::perception::tvi::TviTable;
 use crate::perception::viewing::Viewing;
 use crate::sampling::Lattice;
-use crate::splatting::{SampleBatch, SplatLayer};
+use crate::splatting::SampleBatch;
 use glam::Vec3;
 
 use super::jobs::{SampleJob, SampleJobs, Standing};
@@ -224,12 +224,12 @@ fn samples_of_level(pixels: u32, k: u32, k_max: u32) -> u32 {
     (pixels as f32 * share).ceil() as u32
 }
 
-/// How far the samples of a batch are from what their pixels show, in just noticeable differences of the displayed,
+/// How far the samples of a batch are from what their pixels show (`shown_on_it` on the `base`), in just noticeable differences of the displayed,
 /// tone-mapped light, seen by an eye adapted to the brighter of the two. To be asked before the batch is splatted.
 pub fn residual_of_batch(
     batch: &SampleBatch,
     base: &Map2d<Vec3>,
-    layer: &SplatLayer,
+    shown_on_it: impl Fn(usize, usize) -> Vec3,
     tone: &ToneMap,
     viewing: &Viewing,
     thresholds: &TviTable,
@@ -239,7 +239,7 @@ pub fn residual_of_batch(
     for (pixel, &color) in batch.pixels.iter().zip(&batch.colors) {
         let (x, y) = (usize::from(pixel[0]), usize::from(pixel[1]));
         let base = base.at(x, y);
-        let (shown, sampled) = (tone.to_linear(base + layer.color(x, y)), tone.to_linear(base + color));
+        let (shown, sampled) = (tone.to_linear(base + shown_on_it(x, y)), tone.to_linear(base + color));
         let adapted = viewing.luminance(shown).max(viewing.luminance(sampled));
         // Channel by channel, so that a wrong hue of the right luminance counts too.
         let difference = luminance((shown - sampled).abs()) * range;

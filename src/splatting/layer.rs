@@ -36,6 +36,8 @@ pub struct SplatLayer {
 
 /// A fresh sample paints over old ones up to this many levels finer.
 const FRESH_BONUS: u32 = 1;
+/// Rank of a first approximation, below all samples; 0 is nothing at all.
+const APPROXIMATED: u32 = 1;
 /// Rank of a fresh sample on its own pixel.
 const EXACT: u32 = u32::MAX;
 
@@ -97,16 +99,27 @@ impl SplatLayer {
         first(&mut self.color);
     }
 
-    /// Asks anew for the first approximation of pixels on which no splat lies; `None` leaves a pixel as it is.
-    pub fn approximate(&mut self, first: impl Fn(usize, usize) -> Option<Vec3> + Sync) {
+    /// Gives pixels on which nothing lies a first approximation of their view-dependent radiance, which stays until a
+    /// splat comes: for a picture that must be shown now. Returns how many pixels that were.
+    pub fn approximate(&mut self, first: impl Fn(usize, usize) -> Vec3 + Sync) -> usize {
         let width = self.color.width().max(1);
-        let rows = self.color.data_mut().par_chunks_mut(width).zip(self.rank.data().par_chunks(width));
-        rows.enumerate().for_each(|(y, (colors, ranks))| {
-            for (x, (color, _)) in
-                colors.iter_mut().zip(ranks).enumerate().filter(|(_, (_, rank))| **rank == 0)
-            {
-                if let Some(approximation) = first(x, y) {
-                    *color = approximation;
+        let rows =
+            self.color.data_mut().par_chunks_mut(width).zip(self.rank.data_mut().par_chunks_mut(width));
+        rows.enumerate()
+            .map(|(y, (colors, ranks))| {
+                let bare = colors.iter_mut().zip(ranks).enumerate().filter(|(_, (_, rank))| **rank == 0);
+                bare.map(|(x, (color, rank))| (*color, *rank) = (first(x, y), APPROXIMATED)).count()
+            })
+            .sum()
+    }
+
+    /// The first approximations of these pixels are no longer the best: they are made anew when next shown.
+    pub fn disapprove(&mut self, of: impl Fn(usize, usize) -> bool + Sync) {
+        let width = self.color.width().max(1);
+        self.rank.data_mut().par_chunks_mut(width).enumerate().for_each(|(y, ranks)| {
+            for (x, rank) in ranks.iter_mut().enumerate().filter(|(_, rank)| **rank == APPROXIMATED) {
+                if of(x, y) {
+                    *rank = 0;
                 }
             }
         });
@@ -126,13 +139,19 @@ impl SplatLayer {
     /// Whether a splat lies on the pixel.
     #[inline]
     pub fn is_covered(&self, x: usize, y: usize) -> bool {
-        self.rank.at(x, y) != 0
+        self.rank.at(x, y) > APPROXIMATED
     }
 
     /// Who traced the sample that the pixel shows: the `source` of `splat_fresh`, 0 for a warped one.
     #[inline]
     pub fn source(&self, x: usize, y: usize) -> u8 {
         self.source.at(x, y)
+    }
+
+    /// Whether neither a splat nor a first approximation lies on the pixel.
+    #[inline]
+    pub fn is_bare(&self, x: usize, y: usize) -> bool {
+        self.rank.at(x, y) == 0
     }
 
     /// Whether the pixel shows its own ray.
@@ -145,7 +164,7 @@ impl SplatLayer {
     pub fn shown_level(&self, x: usize, y: usize) -> Option<(u32, bool)> {
         let r = self.rank.at(x, y);
         match r {
-            0 => None,
+            0 | APPROXIMATED => None,
             EXACT => Some((0, true)),
             _ => {
                 let fresh = r & 0xffff == 0xffff;
@@ -158,7 +177,7 @@ impl SplatLayer {
     /// Views since the shown sample was traced, 0 for this view; `None` without splat.
     pub fn shown_age(&self, x: usize, y: usize) -> Option<u32> {
         match self.rank.at(x, y) {
-            0 => None,
+            0 | APPROXIMATED => None,
             EXACT => Some(0),
             r => Some(0xffff - (r & 0xffff)),
         }
@@ -322,6 +341,33 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn only_bare_pixels_are_approximated_and_only_once() {
+        let lattice = Lattice::new(2, [0, 0]);
+        let ids = Map2d::new(20, 10, 1);
+        let mut layer = SplatLayer::new(20, 10, 2, Footprint::Tile);
+        let left = Rect { x0: 0, y0: 0, x1: 10, y1: 10 };
+        layer.splat_fresh(&fresh(&lattice, 1, left, &ids), &ids, 1);
+        let covered = (0..200).filter(|i| layer.is_covered(i % 20, i / 20)).count();
+        assert!(covered > 60);
+        let asked = std::sync::atomic::AtomicUsize::new(0);
+        let first = |_: usize, _: usize| {
+            asked.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            Vec3::splat(0.5)
+        };
+        assert_eq!(layer.approximate(first), 200 - covered);
+        assert_eq!(layer.approximate(first), 0, "they stay");
+        assert_eq!(asked.load(std::sync::atomic::Ordering::Relaxed), 200 - covered);
+        assert!(!layer.is_covered(19, 9) && !layer.is_bare(19, 9) && layer.shown_level(19, 9).is_none());
+        assert_eq!((layer.color(19, 9), layer.shown_age(19, 9)), (Vec3::splat(0.5), None));
+        layer.disapprove(|x, _| x == 19);
+        assert!(layer.is_bare(19, 9) && !layer.is_bare(18, 9));
+        assert_eq!(layer.approximate(first), 10);
+        // Any splat lies above.
+        layer.splat_fresh(&fresh(&lattice, 1, Rect::of_size(20, 10), &ids), &ids, 1);
+        assert!((10..18).all(|x| layer.is_covered(x, 5)));
     }
 
     #[test]

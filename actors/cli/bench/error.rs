@@ -443,7 +443,7 @@ impl<'s> Walk<'s> {
                 let residual = residual_of_batch(
                     &batch,
                     base,
-                    &self.layer,
+                    |x, y| self.layer.color(x, y),
                     &self.study.tone,
                     &viewing,
                     &self.thresholds,

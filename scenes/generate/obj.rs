@@ -206,6 +206,12 @@ impl Obj {
         if area == DVec3::ZERO {
             return;
         }
+        // A sliver cut off a polygon that is not flat may face away from its own corners' normals.
+        let normals: DVec3 = corners.iter().map(|(_, c)| c.normal).sum();
+        if area.dot(normals) < 0.0 {
+            let turned: Vec<_> = corners.iter().rev().copied().collect();
+            return self.polygon(&turned);
+        }
         self.faces.push('f');
         for (p, corner) in corners {
             let v = self.positions.insert(*p);

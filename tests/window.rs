@@ -218,13 +218,15 @@ impl<'d> View<'d> {
         panic!("no screenshot {}", file(first).display());
     }
 
-    /// Presses F12 until the view has converged.
+    /// Presses F12 until the view stands still and has converged.
     fn converged(&mut self) -> Shot {
         let start = Instant::now();
+        let mut before = None;
         loop {
-            std::thread::sleep(Duration::from_millis(200));
+            std::thread::sleep(Duration::from_millis(300));
             let shot = self.shot();
-            if shot.fact("foveal view").ends_with("converged") {
+            let rests = before.replace(shot.clone()) == Some(shot.clone());
+            if rests && shot.fact("foveal view").ends_with("converged") {
                 return shot;
             }
             assert!(start.elapsed() < PATIENCE, "never converged");

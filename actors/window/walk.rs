@@ -47,6 +47,8 @@ pub struct Walk {
     /// Begin and camera of the frame that is worked on.
     frame: Option<f64>,
     camera: Option<Camera>,
+    /// Camera of the picture on show.
+    shown: Option<Camera>,
     last_begin: f64,
     /// Work or display changed, so that a frame must be drawn although nothing moves.
     stale: bool,
@@ -82,6 +84,7 @@ impl Walk {
             playing: None,
             frame: None,
             camera: None,
+            shown: None,
             last_begin: f64::NEG_INFINITY,
             stale: true,
             picture: None,
@@ -153,13 +156,18 @@ impl Walk {
 
     /// The camera of the picture on show.
     pub fn camera(&self) -> Option<&Camera> {
+        self.shown.as_ref()
+    }
+
+    /// The camera of the frame that began last.
+    pub fn begun(&self) -> Option<&Camera> {
         self.camera.as_ref()
     }
 
     /// Names and values that say how the picture came to be.
     pub fn facts(&self) -> Vec<(String, String)> {
         let mut facts = self.source.facts();
-        facts.extend(self.camera.as_ref().map(super::screenshot::camera_fact));
+        facts.extend(self.shown.as_ref().map(super::screenshot::camera_fact));
         facts
     }
 
@@ -308,6 +316,7 @@ impl Walk {
         // A session that hears of its end of frame on this thread shows it while it works.
         self.source.work(Duration::ZERO);
         self.picture = self.source.picture();
+        self.shown = self.camera;
         (true, Next::Now)
     }
 

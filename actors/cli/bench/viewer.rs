@@ -189,8 +189,8 @@ fn while_baking() -> Result<Vec<Row>, Failure> {
             }
         }
         let (_, next) = walk.tick(now);
-        if walk.camera().copied() != camera {
-            camera = walk.camera().copied();
+        if walk.begun().copied() != camera {
+            camera = walk.begun().copied();
             if let Some(at) = pressed.take() {
                 waits.push((start.elapsed().as_secs_f64() - at) * 1e3);
             }

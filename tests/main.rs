@@ -5,6 +5,7 @@
 
 mod approximation;
 mod bake;
+mod bench;
 mod bundled;
 mod exits;
 mod faults;

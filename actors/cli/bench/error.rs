@@ -51,14 +51,14 @@ pub struct ErrorArguments {
     time: Duration,
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "400x300")]
-    size: Size,
+    pub(super) size: Size,
     /// Bundled scenes (default: box,duck,table,gallery,chess; of the illumination box,diffuse,table)
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     scenes: Vec<String>,
     /// Policies to compare; all: the first paper's, black mirrors and all; its attention on
     /// environment maps; attention as here, uniform, utility
     #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "all")]
-    policies: Vec<String>,
+    pub(super) policies: Vec<String>,
     /// Frames of the walk, a tenth of a second apart
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(2..=1000))]
     frames: u32,
@@ -68,8 +68,18 @@ pub struct ErrorArguments {
     /// Show only the coarsest environment maps
     #[arg(long)]
     coarse_maps: bool,
+    /// The time until still views look right, beside scan order, √5 order and path tracing of full frames; best with a
+    /// small --size, since references take long
+    #[arg(long)]
+    pub(super) plain: bool,
+    /// With --plain: samples per pixel of the references
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    pub(super) reference_spp: u32,
+    /// With --plain: most samples per pixel of path tracing
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    pub(super) path_spp: u32,
     #[command(flatten)]
-    common: CommonArguments,
+    pub(super) common: CommonArguments,
 }
 
 /// Whose error is measured.
@@ -88,32 +98,32 @@ const MAP_SIDE: usize = 64;
 
 /// One of the orders that are compared.
 #[derive(Clone)]
-struct Entrant {
-    name: String,
-    policy: RayPolicy,
+pub(super) struct Entrant {
+    pub(super) name: String,
+    pub(super) policy: RayPolicy,
     /// Without any first approximation, as both papers draw what is not diffuse.
     black: bool,
 }
 
 /// A view with all of its samples.
-struct Traced {
+pub(super) struct Traced {
     frame: CameraFrame,
-    buffers: FrameBuffers,
+    pub(super) buffers: FrameBuffers,
     statistics: Vec<ObjectStatistics>,
     /// Index of each pixel's sample in its object's batch.
     index: Map2d<u32>,
     /// All samples, by object id.
     samples: Vec<SampleBatch>,
     /// Seconds per sample, by object id.
-    cost: Vec<f64>,
-    reference: Map2d<Vec3>,
+    pub(super) cost: Vec<f64>,
+    pub(super) reference: Map2d<Vec3>,
     /// What the splat layer begins with.
     first: Map2d<Vec3>,
 }
 
 impl Traced {
     /// Seconds that all samples take.
-    fn seconds(&self) -> f64 {
+    pub(super) fn seconds(&self) -> f64 {
         self.samples.iter().zip(&self.cost).map(|(s, c)| s.len() as f64 * c).sum()
     }
 }
@@ -142,7 +152,10 @@ pub fn run(a: &ErrorArguments, progress: Progress) -> std::result::Result<(), Fa
         );
     }
     let scenes: Vec<String> = names("box,duck,table,gallery,chess");
-    let entrants = entrants(&a.policies)?;
+    if a.plain {
+        return super::error_plain::run(a, &scenes, progress);
+    }
+    let entrants = policies(&a.policies)?;
     let bar = progress.bar(scenes.len() as u64, "scenes");
     let mut rows = Vec::new();
     let mut sums = vec![[0.0f64; 2]; entrants.len()];
@@ -207,7 +220,8 @@ pub fn run(a: &ErrorArguments, progress: Progress) -> std::result::Result<(), Fa
     finish("error", &rows, &notes, &a.common)
 }
 
-fn entrants(names: &[String]) -> std::result::Result<Vec<Entrant>, Failure> {
+/// The orders by their names.
+pub(super) fn policies(names: &[String]) -> std::result::Result<Vec<Entrant>, Failure> {
     let of = |name: &str, policy: RayPolicy| Entrant { name: name.to_owned(), policy, black: false };
     let paper = RayPolicy { reduction: RayPolicy::HABER_REDUCTION, ..RayPolicy::new(Policy::Attention, 0) };
     let published = Entrant { black: true, ..of("as published in 2001", paper) };
@@ -225,8 +239,15 @@ fn entrants(names: &[String]) -> std::result::Result<Vec<Entrant>, Failure> {
     names.iter().map(one).collect()
 }
 
+impl Entrant {
+    /// All pixels level by level over nothing, as a plain ray tracer would on this lattice.
+    pub(super) fn plain_lattice() -> Self {
+        Self { name: "√5 order".into(), policy: RayPolicy::new(Policy::Uniform, 0), black: true }
+    }
+}
+
 /// A scene with all views traced.
-struct Study {
+pub(super) struct Study {
     world: World,
     tone: ToneMap,
     views: Vec<Traced>,
@@ -236,11 +257,36 @@ struct Study {
 
 impl Study {
     fn new(a: &ErrorArguments, world: World) -> Self {
-        let settings = Settings::new(a.size.width, a.size.height, 1);
         let still = world.scene.cameras[0].camera;
+        let camera = |i: u32| match world.scene.paths.first() {
+            Some(path) => path.at(0.1 * i as f32, still.up, still.fov_y),
+            None => still,
+        };
+        let cameras = (0..a.frames).map(camera).collect();
+        Self::of_cameras(a, world, cameras, a.coarse_maps)
+    }
+
+    /// The start view, before environment maps are captured.
+    pub(super) fn of_view(a: &ErrorArguments, world: World) -> Self {
+        let still = world.scene.cameras[0].camera;
+        Self::of_cameras(a, world, vec![still], true)
+    }
+
+    /// Its first view.
+    pub(super) fn first_view(&self) -> &Traced {
+        &self.views[0]
+    }
+
+    fn of_cameras(
+        a: &ErrorArguments,
+        world: World,
+        cameras: Vec<foveal::scene::Camera>,
+        coarse_maps: bool,
+    ) -> Self {
+        let settings = Settings::new(a.size.width, a.size.height, 1);
         let probes = Arc::new(Probes::of_world(&world));
         let mut first = FirstApproximation::new(probes.clone());
-        if !a.coarse_maps {
+        if !coarse_maps {
             let map = |(id, object): (usize, &foveal::scene::Object)| {
                 let model = &world.scene.materials[object.material.0 as usize].model;
                 let (exponent, centre) = (phong_exponent(model.lobe_alpha()), probes.probes[id].centre);
@@ -254,11 +300,7 @@ impl Study {
                 first.set(i as u32 + 1, Some(map));
             }
         }
-        let camera = |i: u32| match world.scene.paths.first() {
-            Some(path) => path.at(0.1 * i as f32, still.up, still.fov_y),
-            None => still,
-        };
-        let views = (0..a.frames).map(|i| traced(&world, &first, camera(i), &settings)).collect();
+        let views = cameras.into_iter().map(|c| traced(&world, &first, c, &settings)).collect();
         let limits = world.scene.objects.iter().map(|o| angle_limit(&world, o.material)).collect();
         Self { tone: ToneMap::from(&world.scene.display), world, views, limits, settings }
     }
@@ -325,7 +367,7 @@ fn traced(world: &World, first: &FirstApproximation, camera: foveal::scene::Came
 }
 
 /// One policy on its way.
-struct Walk<'s> {
+pub(super) struct Walk<'s> {
     study: &'s Study,
     black: bool,
     order: RayOrder,
@@ -346,7 +388,7 @@ struct Walk<'s> {
 }
 
 impl<'s> Walk<'s> {
-    fn new(study: &'s Study, entrant: &Entrant) -> Self {
+    pub(super) fn new(study: &'s Study, entrant: &Entrant) -> Self {
         let s = &study.settings;
         let (width, height) = (s.width as usize, s.height as usize);
         let lattice = s.lattice();
@@ -369,7 +411,7 @@ impl<'s> Walk<'s> {
         }
     }
 
-    fn begin(&mut self, view: u32, traced: &Traced) {
+    pub(super) fn begin(&mut self, view: u32, traced: &Traced) {
         (self.view, self.time) = (view, 0.0);
         let limits = &self.study.limits;
         self.cache.age(view, traced.frame.eye, &AgeingRules::default(), |object| {
@@ -394,14 +436,14 @@ impl<'s> Walk<'s> {
         priorities(&statistics, w, h, &Weights::default(), &mut self.attention);
     }
 
-    fn picture(&self, traced: &Traced) -> Map2d<Vec3> {
+    pub(super) fn picture(&self, traced: &Traced) -> Map2d<Vec3> {
         let (base, layer) = (&traced.buffers.color, self.layer.colors());
         let sum = base.data().iter().zip(layer.data()).map(|(&b, &s)| b + s).collect();
         Map2d::from_vec(base.width(), base.height(), sum)
     }
 
     /// What the analyzer does after a frame.
-    fn attend(&mut self, traced: &Traced) {
+    pub(super) fn attend(&mut self, traced: &Traced) {
         let mut bytes = Vec::new();
         let picture = self.picture(traced);
         self.encoder.encode(&self.study.tone, &picture, &mut bytes);
@@ -415,7 +457,7 @@ impl<'s> Walk<'s> {
     }
 
     /// Traces what the policy asks for until the view has had so many seconds.
-    fn correct(&mut self, traced: &Traced, until: f64) {
+    pub(super) fn correct(&mut self, traced: &Traced, until: f64) {
         let display = &self.study.world.scene.display;
         let viewing = Viewing::from_centre_of_projection(display.white_cd_m2, traced.buffers.width(), 1.0);
         while self.time < until {

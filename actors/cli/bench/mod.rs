@@ -1,6 +1,7 @@
 //! `foveal bench WHAT`: medians of repeated runs, each beside its aim and its peer, the machine named.
 
 pub mod error;
+mod error_plain;
 pub mod illumination;
 pub mod made;
 pub mod messages;

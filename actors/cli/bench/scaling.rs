@@ -40,13 +40,8 @@ use crate::wiring::{Parts, wire};
 /// Arguments of `foveal bench scaling`.
 #[derive(Args, Debug)]
 pub struct ScalingArguments {
-    /// Numbers of triangles; ten million need about 4 GiB
-    #[arg(
-        long,
-        value_name = "N,…",
-        value_delimiter = ',',
-        default_value = "10000,30000,100000,300000,1000000"
-    )]
+    /// Numbers of triangles, about; the hall has no fewer than 35,000, and ten million need about 4 GiB
+    #[arg(long, value_name = "N,…", value_delimiter = ',', default_value = "35000,100000,300000,1000000")]
     triangles: Vec<usize>,
     /// Sides of square pictures
     #[arg(long, value_name = "N,…", value_delimiter = ',', default_value = "128,256,512,1024")]

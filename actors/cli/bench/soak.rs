@@ -73,7 +73,9 @@ pub fn run(a: &SoakArguments, progress: Progress) -> Result<(), Failure> {
         sink: Box::new(Unseen),
         world,
     };
-    let (mut runtime, actors) = Runtime::build(Config::simulate(Simulation::new(1)), |w| wire(w, parts))
+    // However long the walk, it comes to an end.
+    let simulation = Simulation { steps_max: u64::MAX, ..Simulation::new(1) };
+    let (mut runtime, actors) = Runtime::build(Config::simulate(simulation), |w| wire(w, parts))
         .map_err(|e| Failure::Environment(format!("the actors cannot be started: {e}")))?;
     let bar = progress.bar(u64::from(a.frames), "soak");
     let (mut frame_ms, mut memory) = (Vec::with_capacity(a.frames as usize), Vec::new());
@@ -90,7 +92,8 @@ pub fn run(a: &SoakArguments, progress: Progress) -> Result<(), Failure> {
         let start = cpu_ns();
         send(RendererInput::FrameBegan { frame: FrameIndex(number), camera })?;
         if runtime.pump(Limit::time(Duration::from_millis(a.frame_ms))) == Exit::Halted {
-            return Err(Failure::Check(format!("frame {number} ended the walk")));
+            let why = runtime.failure().map_or_else(String::new, |f| f.to_string());
+            return Err(Failure::Check(format!("frame {number} ended the walk: {why}")));
         }
         send(RendererInput::DeadlineReached { frame: FrameIndex(number) })?;
         runtime.pump(Limit::time(Duration::ZERO));

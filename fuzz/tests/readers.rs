@@ -1,0 +1,287 @@
+//! Our own files with random edits, given to their readers.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use bolero::{TypeGenerator, check};
+use foveal::geometry::{Accel, Ray};
+use foveal::illumination::bake::{BakeSettings, bake, cache_key};
+use foveal::illumination::cache::{encode, load_illumination};
+use foveal::scene::load::{LoadOptions, load, load_with};
+use foveal::transport::light::Lights;
+use foveal::transport::particle::SceneTransport;
+use foveal_runtime::Trace;
+use glam::Vec3;
+
+/// A change of a file. Places are parts of 2¹⁶ of its length.
+#[derive(Clone, Debug, TypeGenerator)]
+enum Edit {
+    Flip { at: u16, bit: u8 },
+    Set { at: u16, byte: u8 },
+    Insert { at: u16, bytes: Vec<u8> },
+    Word { at: u16, word: u8 },
+    Number { at: u16, word: u8 },
+    Remove { at: u16, count: u8 },
+    Copy { from: u16, to: u16, count: u8 },
+    Cut { at: u16 },
+    Length { at: u16, value: u32 },
+}
+
+/// What the formats are made of, and what numbers should not be.
+const WORDS: [&str; 40] = [
+    "nan", "inf", "-inf", "1e39", "-1e-46", "0", "-0", "-1", "1", "4294967296", "99999999999999999999", "1e", ".",
+    "\n", "\\\n", " ", "\t", "#", "f 1 2 3\n", "f 1/1/1 2//2 3/3\n", "f -1 -1 -1\n", "v 0 0 0\n", "vn nan 0 0\n",
+    "vt 1\n", "usemtl \n", "mtllib ..\n", "o \n", "g \n", "newmtl \n", "map_Kd /dev/zero\n", "Kd 1e38 -1 nan\n", "Ns \n",
+    "[[camera]]\n", "[geometry]\n", "= ", "\"", "[", "]", "\0", "\u{feff}",
+];
+
+/// The file with the edits.
+fn edited(file: &[u8], edits: &[Edit]) -> Vec<u8> {
+    let mut bytes = file.to_vec();
+    for edit in edits.iter().take(24) {
+        let place = |at: u16| (bytes.len() as u64 * u64::from(at) >> 16) as usize;
+        match edit {
+            Edit::Flip { at, bit } => {
+                let at = place(*at);
+                if let Some(byte) = bytes.get_mut(at) {
+                    *byte ^= 1 << (bit % 8);
+                }
+            }
+            Edit::Set { at, byte } => {
+                let at = place(*at);
+                if let Some(b) = bytes.get_mut(at) {
+                    *b = *byte;
+                }
+            }
+            Edit::Insert { at, bytes: new } => {
+                let at = place(*at);
+                bytes.splice(at..at, new.iter().copied());
+            }
+            Edit::Word { at, word } => {
+                let at = place(*at);
+                bytes.splice(at..at, WORDS[*word as usize % WORDS.len()].bytes());
+            }
+            Edit::Number { at, word } => {
+                // The number that stands next there becomes another.
+                let is_part = |b: &u8| b.is_ascii_digit() || b".-+e".contains(b);
+                let at = place(*at);
+                if let Some(from) = bytes[at..].iter().position(|b| b.is_ascii_digit()).map(|i| at + i) {
+                    let to = bytes[from..].iter().position(|b| !is_part(b)).map_or(bytes.len(), |i| from + i);
+                    bytes.splice(from..to, WORDS[*word as usize % 11].bytes());
+                }
+            }
+            Edit::Remove { at, count } => {
+                let at = place(*at);
+                let end = (at + usize::from(*count)).min(bytes.len());
+                bytes.drain(at..end);
+            }
+            Edit::Copy { from, to, count } => {
+                let (from, to) = (place(*from), place(*to));
+                let piece = bytes[from..(from + usize::from(*count)).min(bytes.len())].to_vec();
+                bytes.splice(to..to, piece);
+            }
+            Edit::Cut { at } => bytes.truncate(place(*at)),
+            Edit::Length { at, value } => {
+                let at = place(*at);
+                if let Some(word) = bytes.get_mut(at..at + 4) {
+                    word.copy_from_slice(&value.to_le_bytes());
+                }
+            }
+        }
+    }
+    bytes
+}
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// A file of one of our scenes, its beginning where it is long.
+fn of_scene(name: &str, file: &str, most: usize) -> Vec<u8> {
+    let path = root().join("scenes").join(name).join(file);
+    let mut bytes = fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    bytes.truncate(most);
+    bytes
+}
+
+const OBJ: &str = "mtllib a.mtl\no box\nv -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1\n\
+    vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\nvn 0 0 -1\nusemtl a\ns 1\nf 1/1/1 2/2/1 3/3/1 4/4/1\nf 5/1/2 8/4/2 7/3/2 6/2/2\n\
+    g side\nusemtl b\nf 1 5 6 2\nf -8//1 -5//1 -1//2 -4//2\nf 2 6 7 3\nusemtl c\nf 1 2 3\n";
+const MTL: &str = "newmtl a\nKa 0 0 0\nKd 0.5 0.5 0.5\nKs 0.1 0.1 0.1\nNs 100\nmap_Kd -s 2 2 1 a.png\nnewmtl b\nKd 0 0 0\nKe 4 4 4\n\
+    illum 2\nnewmtl c\nKd 0 0 0\nKs 1 1 1\nillum 7\nNi 1.5\nd 0.5\nTf 1 1 1\nPr 0.2\nbump -bm 0.5 a.png\n";
+const SIDECAR: &str = "format = 1\ntitle = \"t\"\n[geometry]\nfiles = [\"a.obj\"]\nmetres_per_unit = 1.0\nup = \"+y\"\n\
+    [[camera]]\nname = \"m\"\neye = [0.0, 0.0, 0.9]\ntarget = [0.0, 0.0, 0.0]\nup = [0.0, 1.0, 0.0]\nfov_y = 45.0\n\
+    [[path]]\nname = \"p\"\nkeys = [ { t = 0.0, eye = [0.0, 0.0, 0.9], target = [0.0, 0.0, 0.0] }, \
+    { t = 1.0, eye = [0.1, 0.0, 0.9], target = [0.0, 0.0, 0.0] } ]\n[environment]\nradiance = [1.0, 1.0, 1.0]\nmap = \"a.exr\"\n\
+    scale = 1.0\nrotate_up = 10.0\n[[light]]\nkind = \"spot\"\nposition = [0.0, 0.5, 0.0]\ndirection = [0.0, -1.0, 0.0]\n\
+    intensity = [1.0, 1.0, 1.0]\ninner = 10.0\nouter = 20.0\n[material.\"c\"]\nmodel = \"conductor\"\neta = [0.2, 0.9, 1.1]\n\
+    k = [3.9, 2.4, 2.1]\nalpha_x = 0.1\nalpha_y = 0.2\ndistribution = \"beckmann\"\n[material.\"a\"]\nmodel = \"plastic\"\n\
+    map_albedo = \"a.png\"\nior = 1.5\nalpha = 0.05\nmap_opacity = \"a.png\"\nmap_bump = \"a.png\"\n[display]\nexposure = 1.2\n\
+    white_cd_m2 = 100.0\n[budget]\ntextures = \"64MiB\"\nfps = 10.0\n";
+
+/// Small pictures in every format that is read.
+fn picture(format: image::ImageFormat) -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    let dynamic = match format {
+        image::ImageFormat::Hdr | image::ImageFormat::OpenExr => {
+            image::DynamicImage::ImageRgb32F(image::ImageBuffer::from_fn(19, 11, |x, y| {
+                image::Rgb([x as f32 * 0.1, y as f32, 1e3])
+            }))
+        }
+        _ => image::DynamicImage::ImageRgb8(image::ImageBuffer::from_fn(19, 11, |x, y| {
+            image::Rgb([(x * 13) as u8, (y * 21) as u8, (x * y) as u8])
+        })),
+    };
+    dynamic.write_to(&mut bytes, format).expect("a picture");
+    bytes.into_inner()
+}
+
+/// A scene in a folder of its own; one of its files is replaced.
+fn scene_with(file: &str, bytes: &[u8], start: &str) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let png = picture(image::ImageFormat::Png);
+    let exr = picture(image::ImageFormat::OpenExr);
+    let others: [(&str, &[u8]); 5] = [
+        ("a.obj", OBJ.as_bytes()),
+        ("a.mtl", MTL.as_bytes()),
+        ("a.toml", SIDECAR.as_bytes()),
+        ("a.png", &png),
+        ("a.exr", &exr),
+    ];
+    for (name, content) in others.iter().filter(|o| o.0 != file && (o.0 != "a.toml" || start == "a.toml")) {
+        fs::write(folder.path().join(name), content).expect("a file");
+    }
+    fs::write(folder.path().join(file), bytes).expect("a file");
+    let options = LoadOptions {
+        file_bytes_max: 1 << 20,
+        texture_side_max: 1024,
+        picture_bytes_max: 4 << 20,
+        texture_bytes_max: 16 << 20,
+    };
+    match load_with(&folder.path().join(start), &options) {
+        Ok(loaded) => {
+            let scene = &loaded.scene;
+            let mesh = &scene.mesh;
+            let sound = |v: &Vec3| v.is_finite();
+            assert!(mesh.positions.iter().all(sound) && mesh.normals.iter().all(sound));
+            assert!(mesh.triangles.iter().flatten().all(|&v| (v as usize) < mesh.positions.len()));
+            assert!(mesh.materials.iter().all(|m| (m.0 as usize) < scene.materials.len()));
+            assert!(!scene.cameras.is_empty());
+            let camera = scene.cameras[0].camera;
+            let frame = camera.frame(8, 8);
+            let accel = Accel::build(scene);
+            let direction = frame.direction(4.0, 4.0);
+            assert!(direction.is_finite(), "{camera:?}");
+            if let Some(hit) = accel.intersect(scene, &Ray::new(frame.eye, direction)) {
+                assert!(hit.t.is_finite() && (hit.triangle as usize) < mesh.triangles.len());
+            }
+            assert!(Lights::build(scene).total_power().is_finite());
+            loaded.warnings.iter().for_each(|w| assert!(!w.to_string().is_empty()));
+        }
+        Err(e) => assert!(!e.to_string().is_empty()),
+    }
+}
+
+/// Gives a file with random edits to `read`.
+fn fuzz(corpus: &[Vec<u8>], read: impl Fn(&[u8]) + std::panic::RefUnwindSafe) {
+    check!().with_type::<(u8, Vec<Edit>)>().for_each(|(which, edits)| {
+        read(&edited(&corpus[*which as usize % corpus.len()], edits));
+    });
+}
+
+#[test]
+fn obj() {
+    let corpus =
+        [OBJ.as_bytes().to_vec(), of_scene("box", "box.obj", 4000), of_scene("table", "table.obj", 3000)];
+    fuzz(&corpus, |bytes| scene_with("a.obj", bytes, "a.obj"));
+}
+
+#[test]
+fn mtl() {
+    let corpus = [MTL.as_bytes().to_vec(), of_scene("gallery", "gallery.mtl", 4000)];
+    fuzz(&corpus, |bytes| scene_with("a.mtl", bytes, "a.obj"));
+}
+
+#[test]
+fn sidecar() {
+    let corpus = [
+        SIDECAR.as_bytes().to_vec(),
+        of_scene("gallery", "gallery.toml", 20_000),
+        of_scene("box", "box.toml", 20_000),
+    ];
+    fuzz(&corpus, |bytes| scene_with("a.toml", bytes, "a.toml"));
+}
+
+fn pictures(formats: &[image::ImageFormat]) {
+    let corpus: Vec<Vec<u8>> = formats.iter().map(|f| picture(*f)).collect();
+    fuzz(&corpus, |bytes| scene_with("a.png", bytes, "a.obj"));
+}
+
+/// Formats are told by content, so one name will do.
+#[test]
+fn png_and_jpeg() {
+    pictures(&[image::ImageFormat::Png, image::ImageFormat::Jpeg]);
+}
+
+#[test]
+fn tga_and_bmp() {
+    let corpus: Vec<Vec<u8>> = [image::ImageFormat::Tga, image::ImageFormat::Bmp].map(picture).to_vec();
+    fuzz(&corpus, |bytes| {
+        scene_with("a.png", bytes, "a.obj");
+    });
+}
+
+#[test]
+fn hdr_and_exr() {
+    let corpus: Vec<Vec<u8>> = [image::ImageFormat::Hdr, image::ImageFormat::OpenExr].map(picture).to_vec();
+    fuzz(&corpus, |bytes| scene_with("a.exr", bytes, "a.toml"));
+}
+
+/// A kept bake with its key and the number of triangles.
+fn baked() -> &'static (Vec<u8>, [u8; 32], usize) {
+    static BAKED: OnceLock<(Vec<u8>, [u8; 32], usize)> = OnceLock::new();
+    BAKED.get_or_init(|| {
+        let scene = load(&root().join("scenes/diffuse/diffuse.toml")).expect("a scene").scene;
+        let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
+        let settings =
+            BakeSettings { texels: 256, particles: Some(1000), error: None, ..BakeSettings::default() };
+        let made = bake(&scene, &SceneTransport::new(&scene, &accel, &lights), &settings, &|_| true);
+        let key = cache_key(&scene, &settings);
+        let bytes = encode(&key, &made.illumination).expect("a bake in bytes");
+        (bytes, key, scene.mesh.triangles.len())
+    })
+}
+
+#[test]
+fn bakes() {
+    let (bytes, key, triangles) = baked();
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("bake");
+    fuzz(&[bytes.clone()], |bytes| {
+        fs::write(&file, bytes).expect("a file");
+        match load_illumination(&file, key, *triangles) {
+            Ok(illumination) => assert!(illumination.is_sound()),
+            Err(e) => assert!(!e.to_string().is_empty()),
+        }
+    });
+}
+
+#[test]
+fn recordings() {
+    let mut corpus = Vec::new();
+    for entry in fs::read_dir(root().join("traces")).expect("traces").flatten() {
+        if entry.path().extension().is_some_and(|e| e == "fvl") {
+            corpus.push(fs::read(entry.path()).expect("a recording"));
+        }
+    }
+    corpus.sort_by_key(Vec::len);
+    corpus.truncate(2);
+    assert!(!corpus.is_empty());
+    fuzz(&corpus, |bytes| {
+        match Trace::from_bytes(bytes) {
+            Ok(trace) => drop(trace),
+            Err(e) => assert!(!e.to_string().is_empty()),
+        }
+    });
+}

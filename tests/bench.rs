@@ -1,0 +1,84 @@
+//! Measurements on tiny input, so that they never rot; what they say of time is nobody's business here.
+
+use std::fs;
+
+use serde_json::Value;
+
+use crate::support::{Foveal, folder};
+
+fn row<'a>(document: &'a Value, what: &str) -> &'a Value {
+    let rows = document["rows"].as_array().expect("rows");
+    rows.iter().find(|r| r["what"].as_str().is_some_and(|w| w.contains(what))).unwrap_or_else(|| {
+        panic!("no {what} in {document}");
+    })
+}
+
+/// A thousand frames on a virtual clock: nothing grows, nothing is lost.
+#[test]
+fn a_thousand_frames_leave_nothing_behind() {
+    let d = Foveal::new("bench soak --frames 1000").json();
+    assert_eq!(d["schema"], "foveal.bench.soak/1");
+    assert_eq!((&row(&d, "lost jobs")["value"], &row(&d, "nobody got")["value"]), (&0.0.into(), &0.0.into()));
+    // Of 20 MiB: an allocator's pages come and go.
+    let growth = row(&d, "growth over the second half")["value"].as_f64().expect("a number");
+    assert!(growth < 5.0, "{d}");
+    let messages = d["rows"].as_array().and_then(|rows| rows.last()).expect("rows");
+    assert!(messages["what"] == "messages" && messages["value"].as_f64() > Some(10_000.0), "{d}");
+}
+
+/// Files of triangles and rays are traced, and broken ones refused.
+#[test]
+fn rays_of_files() {
+    let folder = folder("rays");
+    let mut soup = b"SOUP".to_vec();
+    let words = |values: &[u32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let floats = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    soup.extend(words(&[1, 4, 2]));
+    soup.extend(floats(&[0.0; 19]));
+    soup.extend(floats(&[-1.0, -1.0, 2.0, 1.0, -1.0, 2.0, 1.0, 1.0, 2.0, -1.0, 1.0, 2.0]));
+    soup.extend(words(&[0, 1, 2, 0, 2, 3]));
+    fs::write(folder.join("a.soup"), &soup).expect("a file");
+    let mut rays = Vec::new();
+    for i in 0..64 {
+        rays.extend(floats(&[0.0, 0.0, 0.0, 0.0, i as f32 / 64.0 - 0.5, 0.3, 1.0, f32::INFINITY]));
+    }
+    for kind in ["primary", "bounce", "shadow"] {
+        fs::write(folder.join(format!("a.{kind}.rays")), &rays).expect("a file");
+    }
+    fs::write(folder.join("beside.csv"), "other,label,a,bounce,1,64,0.1,0.1,1.0,2.0,64,1,1,1\n")
+        .expect("a file");
+    let bench = |soup: &str| {
+        Foveal::new("bench rays --runs 1 --threads 1 --soup")
+            .arg(folder.join(soup))
+            .arg("--rays")
+            .arg(folder.join("a"))
+            .arg("--beside")
+            .arg(folder.join("beside.csv"))
+    };
+    let d = bench("a.soup").json();
+    for what in ["a, primary, 1 thread", "a, bounce, 1 thread", "a, shadow, 1 thread"] {
+        assert!(row(&d, what)["peer"].as_str().is_some_and(|p| p.starts_with("obvhs")), "{d}");
+    }
+    let beside = d["rows"].as_array().expect("rows").iter().filter(|r| r["peer"] == "other, label").count();
+    assert_eq!(beside, 1, "{d}");
+    for (name, bytes) in [("cut", &soup[..soup.len() - 2]), ("none", &b"SOUR"[..])] {
+        fs::write(folder.join(name), bytes).expect("a file");
+        bench(name).fails(3, &[name]);
+    }
+}
+
+/// Curves and pictures at equal time, of orders and of plain alternatives.
+#[test]
+fn errors_beside_plain_alternatives() {
+    let out = folder("error");
+    let line = "bench error --plain --scenes box --size 24x18 --runs 2 --reference-spp 4 --path-spp 4 --out";
+    let d = Foveal::new(line).arg(&out).json();
+    for what in ["utility", "√5 order", "scan order", "path tracing, full frame"] {
+        assert!(row(&d, what)["unit"].is_string());
+    }
+    let csv = fs::read_to_string(out.join("error-plain.csv")).expect("a table");
+    assert!(csv.lines().count() > 100 && !csv.contains("NaN"), "{csv}");
+    let page = fs::read_to_string(out.join("report.html")).expect("a page");
+    assert!(page.contains("<svg") && page.matches("<img").count() >= 5);
+    assert!(out.join("error-box.svg").exists());
+}

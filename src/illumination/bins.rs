@@ -44,6 +44,8 @@ pub struct Arrived {
     pub square: f32,
     /// How many they are.
     pub count: f32,
+    /// Area on which they could arrive.
+    pub area: f32,
 }
 
 /// One bin for the front and one for the back of every element.
@@ -82,6 +84,7 @@ impl Bins {
             flux: Vec3::from_array(flux),
             square: square as f32,
             count: bin.count.load(Ordering::Relaxed) as f32,
+            area: 0.0,
         }
     }
 

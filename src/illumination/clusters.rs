@@ -221,12 +221,22 @@ impl ClusterTree {
 
     /// Takes the sums of `bins`.
     pub fn update(&mut self, bins: &Bins) {
-        self.update_with(&|e| [bins.arrived(e, false), bins.arrived(e, true)]);
+        self.update_with(&|e| [bins.arrived(e, false), bins.arrived(e, true)], &|_| true);
     }
 
-    /// Takes what `arrived` at the two sides of each element.
-    pub fn update_with(&mut self, arrived: &(dyn Fn(u32) -> [Arrived; 2] + Sync)) {
-        self.leaf_sums = self.order.par_iter().map(|&e| arrived(e)).collect();
+    /// Takes what `arrived` at the two sides of each element. Backs that are not `open` have no area: those of closed
+    /// bodies, which would darken whatever they touch.
+    pub fn update_with(
+        &mut self,
+        arrived: &(dyn Fn(u32) -> [Arrived; 2] + Sync),
+        open: &(dyn Fn(u32) -> bool + Sync),
+    ) {
+        let of = |(&e, leaf): (&u32, &(Vec3, Vec3, f32))| {
+            let [front, back] = arrived(e);
+            let back_area = if open(e) { leaf.2 } else { 0.0 };
+            [Arrived { area: leaf.2, ..front }, Arrived { area: back_area, ..back }]
+        };
+        self.leaf_sums = self.order.par_iter().zip(&self.leaves).map(of).collect();
         let mut sums = vec![[Arrived::default(); 2]; self.nodes.len()];
         // Children stand after their parent.
         for i in (0..self.nodes.len()).rev() {
@@ -240,6 +250,7 @@ impl ClusterTree {
                     sum.flux += p.flux;
                     sum.square += p.square;
                     sum.count += p.count;
+                    sum.area += p.area;
                 }
             }
         }

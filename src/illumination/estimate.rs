@@ -27,6 +27,8 @@ const SHARED_COARSELY: (f32, f32) = (0.25, 0.921);
 const TOGETHER: [(f32, f32); 2] = [(0.6, 0.921), (0.2, 0.54)];
 /// Direct light noisier than this share of itself is smoothed.
 const DIRECT_NOISE: f32 = 0.03;
+/// Width of a gap that counts as closed, as a share of the scene's size.
+const GAP: f32 = 0.01;
 /// Rays that decide whether an element lies inside a body.
 const BURIED_RAYS: u64 = 8;
 
@@ -83,14 +85,16 @@ pub(super) struct Estimating {
 }
 
 impl Baker<'_> {
-    /// Elements inside a body, such as the floor under a box: nothing ever arrives there, and from all
-    /// directions the inside of something is seen. What was once seen to lie open is not asked again.
+    /// Elements inside a body, such as the floor under a box, or in a gap, such as the cupboard behind its door: nothing
+    /// ever arrives there, and in all directions the inside of something or something near is seen. A kernel that held
+    /// them would darken what lies before them. What was once seen to lie open is not asked again.
     fn update_buried(&mut self) {
         if self.coarse {
             // A first picture has no time to ask.
             return self.open.fill(true);
         }
         let (atlas, bins, direct, transport) = (&self.atlas, &self.bins, &self.direct, &self.transport);
+        let near = GAP * self.diagonal;
         self.open.par_iter_mut().enumerate().filter(|(_, open)| !**open).for_each(|(i, open)| {
             let element = &atlas.elements[i];
             let buried = element.area > 0.0
@@ -98,7 +102,7 @@ impl Baker<'_> {
                 && !direct[i][0].is_lit()
                 && (0..BURIED_RAYS).all(|ray| {
                     let mut stream = Stream::new(0xb0d1, i as u64, ray);
-                    transport.sees_inside(element.triangle, element.b1, element.b2, false, &mut stream)
+                    transport.sees_inside(element.triangle, element.b1, element.b2, false, near, &mut stream)
                 });
             *open = !buried;
         });
@@ -117,9 +121,8 @@ impl Baker<'_> {
             Some(p) if p.open == count => p.tree,
             _ => ClusterTree::build_where(&self.atlas.elements, &|e| open[e as usize]),
         };
-        tree.update(&self.bins);
         let stored = self.bins.total_count();
-        let lit_back = (0..self.atlas.elements.len().div_ceil(BLOCK))
+        let lit_back: Vec<bool> = (0..self.atlas.elements.len().div_ceil(BLOCK))
             .into_par_iter()
             .map(|block| {
                 let elements = block * BLOCK..((block + 1) * BLOCK).min(self.atlas.elements.len());
@@ -130,6 +133,8 @@ impl Baker<'_> {
                 elements.clone().any(|e| self.direct[e][1].is_lit()) || count(true) > 1e-3 * count(false)
             })
             .collect();
+        let lit = |e: u32| lit_back[e as usize / BLOCK];
+        tree.update_with(&|e| [self.bins.arrived(e, false), self.bins.arrived(e, true)], &lit);
         let bandwidth = self.bandwidth(&tree, stored);
         let (emitted, direct_rounds) = (self.emitted, self.direct_rounds);
         Prepared { tree, open: count, emitted, direct_rounds, stored, bandwidth, lit_back }
@@ -255,14 +260,9 @@ impl Baker<'_> {
                 let with = self.prepare();
                 let smooth = (self.direct_rounds > 0 || self.direct_block > 0).then(|| {
                     let radius_max = 0.05 * self.diagonal;
-                    let tree = with.tree.clone();
-                    SmoothDirect::new(
-                        &self.atlas.elements,
-                        &self.direct,
-                        tree,
-                        radius_max,
-                        self.direct_target(),
-                    )
+                    let lit = |e: u32| with.lit_back[e as usize / BLOCK];
+                    let (tree, target) = (with.tree.clone(), self.direct_target());
+                    SmoothDirect::new(&self.atlas.elements, &self.direct, tree, &lit, radius_max, target)
                 });
                 let nodes = with.tree.subtrees(RUN);
                 Estimating { with, smooth, nodes, found: Vec::new() }

@@ -30,8 +30,8 @@ pub const REACH: f32 = 1.5;
 /// Rings of equal area in which particles are counted to find a radius.
 const RINGS: usize = 64;
 
-/// What arrived at a cluster: flux per band and the squared luminance, and the count.
-type Arrival = (Vec4, f32);
+/// What arrived at a cluster: flux per band and the squared luminance, the count, and the area for it.
+type Arrival = (Vec4, f32, f32);
 
 /// See above.
 #[derive(Debug, Default)]
@@ -43,7 +43,6 @@ pub struct Neighbourhood {
     found: Vec<ClusterIndex>,
     position: [Vec<f32>; 3],
     normal: [Vec<f32>; 3],
-    area: Vec<f32>,
     /// On the side that looks to where the run looks, and on the other one.
     arrivals: Vec<[Arrival; 2]>,
     /// Places in the tangent plane of the element in question, and the squared distance there; infinite for clusters
@@ -96,13 +95,12 @@ impl Neighbourhood {
             for (axis, lane) in self.normal.iter_mut().enumerate() {
                 lane.push(sign * cluster.normal[axis]);
             }
-            self.area.push(cluster.area);
-            let [front, back] = cluster.arrived.map(|a| (a.flux.extend(a.square), a.count));
+            let [front, back] = cluster.arrived.map(|a| (a.flux.extend(a.square), a.count, a.area));
             self.arrivals.push(if facing { [front, back] } else { [back, front] });
         }
         for lane in &mut self.placed {
             lane.clear();
-            lane.resize(self.area.len(), 0.0);
+            lane.resize(self.arrivals.len(), 0.0);
         }
     }
 
@@ -110,7 +108,6 @@ impl Neighbourhood {
         for lane in self.position.iter_mut().chain(&mut self.normal) {
             lane.clear();
         }
-        self.area.clear();
         self.arrivals.clear();
     }
 
@@ -121,12 +118,12 @@ impl Neighbourhood {
 
     /// Clusters in it.
     pub fn len(&self) -> usize {
-        self.area.len()
+        self.arrivals.len()
     }
 
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
-        self.area.is_empty()
+        self.arrivals.is_empty()
     }
 
     /// Turns to `element`: what follows is about kernels around it.
@@ -135,7 +132,7 @@ impl Neighbourhood {
         let (s, t) = n.any_orthonormal_pair();
         let p = element.position;
         let height = HEIGHT * self.nominal;
-        let count = self.area.len();
+        let count = self.arrivals.len();
         let [x, y, z] = self.position.each_ref().map(|lane| &lane[..count]);
         let [nx, ny, nz] = self.normal.each_ref().map(|lane| &lane[..count]);
         let [u, v, squared] = self.placed.each_mut().map(|lane| &mut lane[..count]);
@@ -181,8 +178,8 @@ impl Neighbourhood {
         for (i, &squared) in squares.iter().enumerate() {
             if squared < limit {
                 let u = Vec2::new(us[i], vs[i]) * inverse;
-                let (flux, count) = self.arrivals[i][usize::from(back)];
-                moments.add(u, self.area[i], flux, count);
+                let (flux, count, area) = self.arrivals[i][usize::from(back)];
+                moments.add(u, area, flux, count);
             }
         }
         moments.solve(emitted, radius)

@@ -38,16 +38,18 @@ impl SmoothDirect {
         elements: &[Element],
         direct: &[[DirectBin; 2]],
         mut tree: ClusterTree,
+        lit_back: &(dyn Fn(u32) -> bool + Sync),
         radius_max: f32,
         target: f32,
     ) -> Self {
-        tree.update_with(&|e| {
+        let arrived = |e: u32| {
             [0, 1].map(|side| {
                 let area = elements[e as usize].area;
                 let (mean, variance) = direct[e as usize][side].mean();
-                Arrived { flux: area * mean, square: area * area * variance, count: 1.0 }
+                Arrived { flux: area * mean, square: area * area * variance, count: 1.0, area }
             })
-        });
+        };
+        tree.update_with(&arrived, lit_back);
         Self { tree, radius_max, target }
     }
 
@@ -167,7 +169,7 @@ mod tests {
             let (elements, direct) = lit(p);
             let tree = ClusterTree::build(&elements);
             let order = tree.order().to_vec();
-            let smooth = SmoothDirect::new(&elements, &direct, tree, 0.2, 0.1);
+            let smooth = SmoothDirect::new(&elements, &direct, tree, &|_| true, 0.2, 0.1);
             let found = smooth.at_node(&elements, &direct, 0, &mut Neighbourhood::default());
             let mut error = 0.0f32;
             for (&e, sides) in order.iter().zip(&found) {

@@ -117,14 +117,22 @@ impl LightTransport for Lambertian<'_> {
             * (cosines / d.length_squared().powi(2) * area / probability)
     }
 
-    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, back: bool, stream: &mut Stream) -> bool {
+    fn sees_inside(
+        &self,
+        triangle: u32,
+        b1: f32,
+        b2: f32,
+        back: bool,
+        near: f32,
+        stream: &mut Stream,
+    ) -> bool {
         let [a, b, c] = self.scene.mesh.corners(triangle);
         let n = if back { -self.normal(triangle) } else { self.normal(triangle) };
         let p = self.lift(a * (1.0 - b1 - b2) + b * b1 + c * b2, n);
         let ray = Ray::new(p, cosine_direction(n, stream.next_2d()));
         self.accel
             .intersect(self.scene, &ray)
-            .is_some_and(|hit| self.normal(hit.triangle).dot(ray.direction) > 0.0)
+            .is_some_and(|hit| hit.t < near || self.normal(hit.triangle).dot(ray.direction) > 0.0)
     }
 
     fn sees(&self, ray: &Ray) -> Option<Hit> {

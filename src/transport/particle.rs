@@ -42,8 +42,16 @@ pub trait LightTransport: Sync {
     /// numbers in [0, 1): the first chooses the light, the others the point on it.
     fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Vec3;
 
-    /// Whether a random ray from one side of a point ends on the back of a triangle.
-    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, back: bool, stream: &mut Stream) -> bool;
+    /// Whether a random ray from one side of a point ends on the back of a triangle, or on anything within `near`.
+    fn sees_inside(
+        &self,
+        triangle: u32,
+        b1: f32,
+        b2: f32,
+        back: bool,
+        near: f32,
+        stream: &mut Stream,
+    ) -> bool;
 
     /// The first surface on a ray.
     fn sees(&self, ray: &Ray) -> Option<Hit>;
@@ -64,8 +72,16 @@ impl<T: LightTransport + ?Sized> LightTransport for &T {
         (**self).direct(triangle, b1, b2, back, u)
     }
 
-    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, back: bool, stream: &mut Stream) -> bool {
-        (**self).sees_inside(triangle, b1, b2, back, stream)
+    fn sees_inside(
+        &self,
+        triangle: u32,
+        b1: f32,
+        b2: f32,
+        back: bool,
+        near: f32,
+        stream: &mut Stream,
+    ) -> bool {
+        (**self).sees_inside(triangle, b1, b2, back, near, stream)
     }
 
     fn sees(&self, ray: &Ray) -> Option<Hit> {
@@ -109,8 +125,16 @@ impl LightTransport for SharedTransport {
         self.borrowed().direct(triangle, b1, b2, back, u)
     }
 
-    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, back: bool, stream: &mut Stream) -> bool {
-        self.borrowed().sees_inside(triangle, b1, b2, back, stream)
+    fn sees_inside(
+        &self,
+        triangle: u32,
+        b1: f32,
+        b2: f32,
+        back: bool,
+        near: f32,
+        stream: &mut Stream,
+    ) -> bool {
+        self.borrowed().sees_inside(triangle, b1, b2, back, near, stream)
     }
 
     fn sees(&self, ray: &Ray) -> Option<Hit> {
@@ -256,7 +280,15 @@ impl LightTransport for SceneTransport<'_> {
         self.accel.intersect(self.scene, ray)
     }
 
-    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, back: bool, stream: &mut Stream) -> bool {
+    fn sees_inside(
+        &self,
+        triangle: u32,
+        b1: f32,
+        b2: f32,
+        back: bool,
+        near: f32,
+        stream: &mut Stream,
+    ) -> bool {
         let at = self.seen_from(triangle, b1, b2, back);
         let out = at.facing_geometric();
         let (x, y) = out.any_orthonormal_pair();
@@ -265,7 +297,8 @@ impl LightTransport for SceneTransport<'_> {
         let Some(hit) = self.accel.intersect(self.scene, &ray) else { return false };
         let [a, b, c] = self.scene.mesh.corners(hit.triangle);
         let material = &self.scene.materials[self.scene.mesh.materials[hit.triangle as usize].0 as usize];
-        (b - a).cross(c - a).dot(ray.direction) > 0.0 && !material.is_transparent()
+        let closed = hit.t < near || (b - a).cross(c - a).dot(ray.direction) > 0.0;
+        closed && !material.is_transparent()
     }
 
     fn is_diffuse(&self, triangle: u32) -> bool {

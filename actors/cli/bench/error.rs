@@ -72,7 +72,11 @@ pub struct ErrorArguments {
     /// small --size, since references take long
     #[arg(long)]
     pub(super) plain: bool,
-    /// With --plain: samples per pixel of the references
+    /// With --plain: samples per pixel of what corrections are held against; 1 is what a still view converges to, more
+    /// have other random numbers
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    pub(super) traced_spp: u32,
+    /// With --plain: samples per pixel of what paths are held against
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     pub(super) reference_spp: u32,
     /// With --plain: most samples per pixel of path tracing

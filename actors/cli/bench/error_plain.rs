@@ -2,8 +2,8 @@
 //! its ideas: all non-diffuse pixels in scan order, in √5 order, and path tracing of the full frame.
 //!
 //! Time is processor time, from the first ray of the view on; what only the order differs in shares its samples. Every
-//! picture is held against a reference of its own kind, with other random numbers and many samples per pixel: corrections
-//! against corrections, paths against paths.
+//! picture is held against a reference of its own kind: corrections against what the view converges to (or against many
+//! samples per pixel with other random numbers), paths against many paths with other random numbers.
 
 use std::fmt::Write as _;
 
@@ -173,8 +173,8 @@ pub fn run(a: &ErrorArguments, scenes: &[String], progress: Progress) -> Result<
         write_atomic(&out.join("report.html"), page.as_bytes())?;
     }
     let notes = vec![format!(
-        "still views of {} × {}; references of {} samples per pixel of either kind; a correction is one sample per pixel",
-        a.size.width, a.size.height, a.reference_spp
+        "still views of {} × {}; corrections held against {} samples per pixel, paths against {}",
+        a.size.width, a.size.height, a.traced_spp, a.reference_spp
     )];
     finish("error", &rows, &notes, &a.common)
 }
@@ -185,7 +185,8 @@ fn study(a: &ErrorArguments, name: &str, done: impl Fn()) -> Result<Vec<Way>, Fa
     let mut buffers = FrameBuffers::new(a.size.width as usize, a.size.height as usize);
     twin::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
     let judge = Judge { objects: buffers.object.clone(), tone: ToneMap::from(&world.scene.display) };
-    let traced = traced_picture(&world, &frame, SEED, a.reference_spp, &|| true);
+    let seed = if a.traced_spp == 1 { 0 } else { SEED };
+    let traced = traced_picture(&world, &frame, seed, a.traced_spp, &|| true);
     let paths = path_picture(&world, &frame, SEED, a.reference_spp, &|| true);
     let entrants = policies(&a.policies)?;
     let ours = |e: &Entrant| matches!(e.policy.policy, Policy::Utility);

@@ -29,6 +29,8 @@ const TOGETHER: [(f32, f32); 2] = [(0.6, 0.921), (0.2, 0.54)];
 const DIRECT_NOISE: f32 = 0.03;
 /// Width of a gap that counts as closed, as a share of the scene's size.
 const GAP: f32 = 0.01;
+/// An element that gets less than this share of the mean irradiance may lie inside a body or a gap.
+const DIM: f32 = 0.1;
 /// Rays that decide whether an element lies inside a body.
 const BURIED_RAYS: u64 = 8;
 
@@ -64,8 +66,6 @@ struct ChosenBandwidth {
 /// Where estimates can be made, with the sums of what arrived.
 pub(super) struct Prepared {
     tree: ClusterTree,
-    /// Elements in it.
-    open: usize,
     /// How far the bake was.
     emitted: u64,
     direct_rounds: u32,
@@ -85,20 +85,24 @@ pub(super) struct Estimating {
 }
 
 impl Baker<'_> {
-    /// Elements inside a body, such as the floor under a box, or in a gap, such as the cupboard behind its door: nothing
-    /// ever arrives there, and in all directions the inside of something or something near is seen. A kernel that held
-    /// them would darken what lies before them. What was once seen to lie open is not asked again.
-    fn update_buried(&mut self) {
+    /// Elements inside a body, such as the floor under a box, or in a gap, such as the cupboard behind its door: next to
+    /// nothing arrives there, and in all directions the inside of something or something near is seen. A kernel that
+    /// held them would darken what lies before them. Returns whether another set of elements lies open than before.
+    fn update_buried(&mut self) -> bool {
+        let before = self.open.clone();
         if self.coarse {
             // A first picture has no time to ask.
-            return self.open.fill(true);
+            self.open.fill(true);
+            return self.open != before;
         }
+        let area: f32 = self.atlas.elements.iter().map(|e| e.area).sum();
+        let dim = DIM * self.bins.total_count() as f32 / area.max(f32::MIN_POSITIVE);
         let (atlas, bins, direct, transport) = (&self.atlas, &self.bins, &self.direct, &self.transport);
         let near = GAP * self.diagonal;
-        self.open.par_iter_mut().enumerate().filter(|(_, open)| !**open).for_each(|(i, open)| {
+        self.open.par_iter_mut().enumerate().for_each(|(i, open)| {
             let element = &atlas.elements[i];
             let buried = element.area > 0.0
-                && bins.arrived(i as u32, false).count == 0.0
+                && bins.arrived(i as u32, false).count <= dim * element.area
                 && !direct[i][0].is_lit()
                 && (0..BURIED_RAYS).all(|ray| {
                     let mut stream = Stream::new(0xb0d1, i as u64, ray);
@@ -106,19 +110,18 @@ impl Baker<'_> {
                 });
             *open = !buried;
         });
+        self.open != before
     }
 
     fn prepare(&mut self) -> Prepared {
-        // Geometry of the tree changes only while elements are found to lie open.
         let before = match self.prepared.take() {
             Some(p) if p.emitted == self.emitted && p.direct_rounds == self.direct_rounds => return p,
             before => before,
         };
-        self.update_buried();
+        let changed = self.update_buried();
         let open = &self.open;
-        let count = open.iter().filter(|&&o| o).count();
         let mut tree = match before {
-            Some(p) if p.open == count => p.tree,
+            Some(p) if !changed => p.tree,
             _ => ClusterTree::build_where(&self.atlas.elements, &|e| open[e as usize]),
         };
         let stored = self.bins.total_count();
@@ -137,7 +140,7 @@ impl Baker<'_> {
         tree.update_with(&|e| [self.bins.arrived(e, false), self.bins.arrived(e, true)], &lit);
         let bandwidth = self.bandwidth(&tree, stored);
         let (emitted, direct_rounds) = (self.emitted, self.direct_rounds);
-        Prepared { tree, open: count, emitted, direct_rounds, stored, bandwidth, lit_back }
+        Prepared { tree, emitted, direct_rounds, stored, bandwidth, lit_back }
     }
 
     /// Estimates of particles at the elements of a node of the tree, in its order, front and back.

@@ -47,14 +47,32 @@ fn on_sphere([u, v]: [f32; 2]) -> Vec3 {
     Vec3::new(r * cos, r * sin, z)
 }
 
-/// Per triangle whether one of about `rays` rays from where a walk may lead met it. All of them if the scene has
-/// no cameras.
-pub fn seen(scene: &Scene, transport: &dyn LightTransport, rays: u64) -> Vec<bool> {
+/// Where the scene is seen from: its cameras, and places along its paths.
+fn eyes(scene: &Scene) -> Vec<Vec3> {
     let mut eyes: Vec<Vec3> = scene.cameras.iter().map(|c| c.camera.eye).collect();
     let keys: Vec<Vec3> = scene.paths.iter().flat_map(|p| p.keys.iter().map(|k| k.eye)).collect();
     let step = keys.len().div_ceil(EYES_MAX.saturating_sub(eyes.len()).max(1)).max(1);
     eyes.extend(keys.iter().step_by(step));
     eyes.truncate(EYES_MAX);
+    eyes
+}
+
+/// Whether a camera or a place along a path sees the front of a surface at `point`; everything is in sight where there
+/// are none of these.
+pub fn in_sight(scene: &Scene, transport: &dyn LightTransport, point: Vec3, normal: Vec3) -> bool {
+    let eyes = eyes(scene);
+    eyes.is_empty()
+        || eyes.iter().any(|&eye| {
+            let way = point - eye;
+            let reached = || look(scene, transport, eye, way.normalize_or_zero(), |_| {});
+            way.dot(normal) < 0.0 && reached().is_some_and(|t| t >= 0.999 * way.length())
+        })
+}
+
+/// Per triangle whether one of about `rays` rays from where a walk may lead met it. All of them if the scene has
+/// no cameras.
+pub fn seen(scene: &Scene, transport: &dyn LightTransport, rays: u64) -> Vec<bool> {
+    let eyes = eyes(scene);
     let count = scene.mesh.triangles.len();
     if eyes.is_empty() {
         return vec![true; count];

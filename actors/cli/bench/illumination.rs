@@ -11,7 +11,7 @@ use std::time::Instant;
 use foveal::geometry::Accel;
 use foveal::illumination::bake::{BakeSettings, Baker, Step};
 use foveal::illumination::from_radiosity::SceneRadiosity;
-use foveal::illumination::seen::seen;
+use foveal::illumination::seen::{in_sight, seen};
 use foveal::illumination::truth::{Truth, relative_error, truth};
 use foveal::scene::{Model, Reflectance, Scene};
 use foveal::transport::light::Lights;
@@ -100,7 +100,12 @@ pub fn run(scenes: &[String], time: f64, a: &CommonArguments, progress: Progress
         let watched = seen(scene, &transport, 1 << 16);
         let atlas = Baker::new(scene, transport, &settings);
         let atlas = atlas.atlas();
-        let counts = |e: u32| watched[atlas.elements[e as usize].triangle as usize];
+        // Behind a lamp or under a ball nobody looks, and nobody's kernels may.
+        let counts = |e: u32| {
+            let element = &atlas.elements[e as usize];
+            watched[element.triangle as usize]
+                && in_sight(scene, &transport, element.position, element.normal)
+        };
         let known = truth((scene, &accel, &lights), atlas, &counts, POINTS, SAMPLES, 1);
         let noise = known.iter().map(|t| f64::from(t.variance)).sum::<f64>().sqrt()
             / known.iter().map(|t| f64::from(t.irradiance.y).powi(2)).sum::<f64>().sqrt().max(1e-30);

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crossbeam_queue::SegQueue;
+#[cfg(feature = "window")]
 use foveal::world::World;
 use foveal_runtime::{
     ActorId, Config, Delivery, Event, Exit, Hashing, Limit, Mode, Observer, Runtime, Snapshot, Trace, Until,
@@ -110,6 +111,7 @@ impl Source {
     }
 
     /// The world it was recorded in, as it began.
+    #[cfg(feature = "window")]
     pub fn world(&self) -> &World {
         &self.session.world
     }

@@ -16,7 +16,9 @@ use super::why;
 use crate::cli::failure::Failure;
 use crate::cli::output::print_line;
 use crate::cli::session::interrupted;
+#[cfg(feature = "window")]
 use crate::insight::Insight;
+#[cfg(feature = "window")]
 use crate::renderer::Renderer;
 use crate::wiring::Actors;
 
@@ -46,6 +48,7 @@ pub enum Teller {
     /// To the standard output.
     Printed,
     /// Into a list that is fetched.
+    #[cfg(feature = "window")]
     Kept(Vec<String>),
 }
 
@@ -94,11 +97,13 @@ impl Session {
     fn tell(&mut self, text: &str) {
         match &mut self.teller {
             Teller::Printed => print_line(text),
+            #[cfg(feature = "window")]
             Teller::Kept(lines) => lines.push(text.to_owned()),
         }
     }
 
     /// What was said since the last call, where it is kept.
+    #[cfg(feature = "window")]
     pub fn told(&mut self) -> Vec<String> {
         match &mut self.teller {
             Teller::Printed => Vec::new(),
@@ -107,17 +112,20 @@ impl Session {
     }
 
     /// Looks at the renderer.
+    #[cfg(feature = "window")]
     pub fn look<R>(&self, look: impl FnOnce(&Renderer) -> R) -> Option<R> {
         self.runtime.inspect(self.actors.renderer, look)
     }
 
     /// What the allocator thinks.
+    #[cfg(feature = "window")]
     pub fn insight(&self) -> Option<Insight> {
         let allocator = self.actors.correction.as_ref()?.allocator;
         self.runtime.inspect(allocator, |allocator| allocator.insight())
     }
 
     /// The runtime, to look at.
+    #[cfg(feature = "window")]
     pub fn runtime(&self) -> &Runtime {
         &self.runtime
     }

@@ -100,12 +100,14 @@ impl Foveal {
     }
 
     /// In another environment.
+    #[cfg(feature = "window")]
     pub fn env(mut self, name: &str, value: impl AsRef<OsStr>) -> Self {
         self.command.env(name, value);
         self
     }
 
     /// Without a variable of the environment.
+    #[cfg(feature = "window")]
     pub fn without(mut self, name: &str) -> Self {
         self.command.env_remove(name);
         self

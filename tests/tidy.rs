@@ -310,8 +310,10 @@ fn the_readme_is_true() {
         let name = line.split([' ', '`']).next().unwrap_or_default();
         assert!(names.contains(&name) || name == "view" && !cfg!(feature = "window"), "there is no {name}");
     }
+    let of_commands = names.iter().filter(|n| **n != "help").map(|n| (*n).to_owned());
+    let of_benches = ["stages", "error", "rays", "textures"].map(|what| format!("bench {what}"));
     let help: String =
-        names.iter().filter(|n| **n != "help").map(|n| Foveal::new(n).arg("--help").run().out).collect();
+        of_commands.chain(of_benches).map(|n| Foveal::new(&n).arg("--help").run().out).collect();
     let is_option = |w: &str| w.strip_prefix("--").is_some_and(|n| n.starts_with(char::is_alphabetic));
     let cargo = ["--release", "--example", "--no-default-features"];
     for option in readme.split(is_end).filter(|w| is_option(w) && !cargo.contains(w)) {

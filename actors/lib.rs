@@ -18,6 +18,7 @@ pub mod illuminator;
 pub mod insight;
 pub mod message;
 pub mod outbox;
+pub mod processor_time;
 pub mod renderer;
 pub mod settings;
 pub mod stages;

@@ -14,6 +14,7 @@ use std::sync::Arc;
 
 use foveal::display::first_approximation::{FirstApproximation, Probes};
 use foveal::display::twin::Passes;
+use foveal::scene::plan::{Part, ScenePlan};
 use foveal::world::World;
 use foveal_runtime::{Bounds, Declared, Handle, JobPool, OnPanic, Port, Wiring};
 
@@ -52,6 +53,24 @@ pub struct Parts {
     pub stages: StageTimes,
     /// Who sees the frames.
     pub sink: Box<dyn FrameSink>,
+}
+
+impl Parts {
+    /// What the scene needs, without a limit on textures, under light that is final, with nobody who looks on.
+    pub fn new(settings: Settings, world: World, sink: Box<dyn FrameSink>) -> Self {
+        let plan = ScenePlan::new(&world.scene, &world.scene.budget);
+        Self {
+            settings,
+            passes: Passes { texture_ids: plan.needs(Part::TextureIdPass) },
+            corrects: plan.needs(Part::Tracers),
+            world,
+            textures: None,
+            refinement: None,
+            insight: None,
+            stages: StageTimes::default(),
+            sink,
+        }
+    }
 }
 
 /// The actors of a running system, to be inspected, and its ingress.

@@ -6,11 +6,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
-use foveal::display::twin::Passes;
 use foveal::illumination::Irradiance;
 use foveal::scene::Camera;
 use foveal::scene::load::load;
-use foveal::scene::plan::{Part, ScenePlan};
+
 use foveal::world::World;
 use foveal_actors::allocator::Allocator;
 use foveal_actors::message::{FrameIndex, FrameSnapshot, RendererInput};
@@ -66,20 +65,10 @@ pub struct System {
 
 impl System {
     pub fn start(world: &World, settings: Settings) -> Self {
-        let plan = ScenePlan::new(&world.scene, &world.scene.budget);
         let (send, shown) = channel();
         let stages = StageTimes::default();
-        let parts = Parts {
-            settings,
-            world: world.clone(),
-            passes: Passes { texture_ids: plan.needs(Part::TextureIdPass) },
-            corrects: plan.needs(Part::Tracers),
-            textures: None,
-            refinement: None,
-            insight: None,
-            stages: stages.clone(),
-            sink: Box::new(Shown(send)),
-        };
+        let parts =
+            Parts { stages: stages.clone(), ..Parts::new(settings, world.clone(), Box::new(Shown(send))) };
         let threads = settings.tracers as usize + 1;
         let (runtime, actors) = Runtime::build(Config::live(threads), |w| wire(w, parts)).expect("actors");
         let camera = world.scene.cameras[0].camera;

@@ -315,7 +315,7 @@ fn the_readme_is_true() {
     let help: String =
         of_commands.chain(of_benches).map(|n| Foveal::new(&n).arg("--help").run().out).collect();
     let is_option = |w: &str| w.strip_prefix("--").is_some_and(|n| n.starts_with(char::is_alphabetic));
-    let cargo = ["--release", "--example", "--no-default-features"];
+    let cargo = ["--release", "--example", "--no-default-features", "--test", "--ignored"];
     for option in readme.split(is_end).filter(|w| is_option(w) && !cargo.contains(w)) {
         // Of the window only.
         let absent = option == "--view" && !cfg!(feature = "window");

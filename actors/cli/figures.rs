@@ -20,7 +20,7 @@ use foveal_runtime::Runtime;
 use super::failure::Failure;
 use super::output::png_bytes;
 use super::report::{Figure, Page, Table};
-use super::walk::{Walked, percentiles};
+use super::walk_report::{Walked, percentiles};
 use crate::analyzer::Analyzer;
 use crate::renderer::Renderer;
 use crate::settings::Settings;

@@ -23,6 +23,7 @@ pub mod texture_page;
 #[cfg(feature = "window")]
 pub mod view;
 pub mod walk;
+mod walk_report;
 
 use std::process::ExitCode;
 

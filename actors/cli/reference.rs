@@ -14,7 +14,7 @@ use foveal::display::twin::{self, Passes};
 use foveal::geometry::Ray;
 use foveal::image::Map2d;
 use foveal::scene::camera::CameraFrame;
-use foveal::splatting::supersampling::supersampled;
+use foveal::splatting::supersampling::{Tiles, supersampled};
 use foveal::splatting::trace::pixel_stream;
 use foveal::world::World;
 
@@ -70,7 +70,7 @@ pub fn traced_picture(
     frame: &CameraFrame,
     seed: u64,
     samples: u32,
-    row_done: &(dyn Fn() -> bool + Sync),
+    goes_on: &(dyn Fn() -> bool + Sync),
 ) -> Map2d<Vec3> {
     let [width, height] = frame.size.map(|s| s as usize);
     let mut buffers = FrameBuffers::new(width, height);
@@ -78,7 +78,7 @@ pub fn traced_picture(
     let tracer = world.tracer();
     let mut picture = buffers.color.clone();
     picture.data_mut().par_chunks_mut(width).enumerate().for_each(|(y, row)| {
-        if !row_done() {
+        if !goes_on() {
             return;
         }
         for (x, out) in row.iter_mut().enumerate() {
@@ -91,7 +91,7 @@ pub fn traced_picture(
             *out += tracer.view_dependent(&at, pixel_stream(seed, px, py, 0));
         }
     });
-    if samples > 1 { supersampled(world, frame, seed, samples, picture, &|| !interrupted()) } else { picture }
+    if samples > 1 { supersampled(world, frame, seed, samples, picture, goes_on) } else { picture }
 }
 
 /// Path-traced picture, box-filtered over each pixel.
@@ -100,12 +100,12 @@ pub fn path_picture(
     frame: &CameraFrame,
     seed: u64,
     samples: u32,
-    row_done: &(dyn Fn() -> bool + Sync),
+    goes_on: &(dyn Fn() -> bool + Sync),
 ) -> Map2d<Vec3> {
     let [width, height] = frame.size.map(|s| s as usize);
     let mut picture = Map2d::new(width, height, Vec3::ZERO);
     picture.data_mut().par_chunks_mut(width).enumerate().for_each(|(y, row)| {
-        if !row_done() {
+        if !goes_on() {
             return;
         }
         for (x, out) in row.iter_mut().enumerate() {
@@ -138,15 +138,17 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
     };
     let view = camera(&world.scene, a.camera.as_deref())?;
     let frame = view.camera.frame(a.size.width, a.size.height);
-    let bar = progress.bar(u64::from(a.size.height), "reference");
-    let row_done = || {
+    let refined = a.kind == Kind::Traced && a.spp > 1;
+    let tiles = if refined { Tiles::of_size(a.size.width, a.size.height).len() } else { 0 };
+    let bar = progress.bar(u64::from(a.size.height) + tiles as u64, "reference");
+    let goes_on = || {
         bar.inc(1);
         !interrupted()
     };
     let start = Instant::now();
     let picture = match a.kind {
-        Kind::Traced => traced_picture(&world, &frame, a.seed, a.spp, &row_done),
-        Kind::Path => path_picture(&world, &frame, a.seed, a.spp, &row_done),
+        Kind::Traced => traced_picture(&world, &frame, a.seed, a.spp, &goes_on),
+        Kind::Path => path_picture(&world, &frame, a.seed, a.spp, &goes_on),
     };
     let seconds = start.elapsed().as_secs_f64();
     bar.finish_and_clear();

@@ -8,6 +8,7 @@
 pub mod gpu;
 pub mod overlay;
 mod saved;
+mod show;
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
@@ -31,12 +32,11 @@ use foveal::splatting::{SampleBatch, SplatLayer, WarpedSample};
 use foveal::world::World;
 use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver};
 use glam::Vec3;
-use rayon::prelude::*;
 
 use crate::message::cache_ager::Forget;
 use crate::message::saved::hash_view;
 use crate::message::{
-    AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameIndex, FrameSnapshot, RendererInput,
+    AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameSnapshot, RendererInput,
     RendererMessage, View,
 };
 use crate::outbox::Outbox;
@@ -463,16 +463,6 @@ impl Renderer {
         self.changed = true;
     }
 
-    /// Fills in what no sample has reached by the time the frame is shown. Coarse samples come first and cover much, so
-    /// few pixels are left; a pixel is looked up once in a view.
-    fn approximate_the_rest(&mut self, drawn: &DrawnView) {
-        let (Some(first), false) = (&self.approximation, self.converged) else { return };
-        let (layer, world) = (&mut self.layer, &self.world);
-        self.counts.approximated += self.stages.time(Stage::Compose, || {
-            layer.approximate(|x, y| first.pixel(world, &drawn.frame, &drawn.buffers, x, y)) as u32
-        });
-    }
-
     /// Tells the allocator how wrong what is shown was.
     fn measure_residuals(&self, batch: &SampleBatch, drawn: &DrawnView, cx: &mut Cx<'_, RendererMessage>) {
         let Some(neighbours) = &self.neighbours else { return };
@@ -514,80 +504,6 @@ impl Renderer {
         *tile = Some(sums);
         self.changed = true;
     }
-
-    /// Shows the frame; while nothing changes the last picture stands, and nobody has work.
-    fn on_deadline_reached(&mut self, index: FrameIndex, cx: &mut Cx<'_, RendererMessage>) {
-        if let Some(since) = self.drawn_at.take() {
-            self.stages.add(Stage::Correct, since.elapsed());
-        }
-        let Some(drawn) = self.drawn.clone() else { return };
-        let (rgb8, hash) = match (&self.shown, self.changed) {
-            (Some(shown), false) => (None, shown.hash),
-            _ => {
-                self.approximate_the_rest(&drawn);
-                let picture = self.stages.clone().time(Stage::Compose, || self.compose(&drawn.buffers));
-                let hash = xxhash_rust::xxh3::xxh3_64(picture.data().as_flattened());
-                (Some(picture), hash)
-            }
-        };
-        let snapshot = match (rgb8, &self.shown) {
-            (None, Some(shown)) => {
-                Arc::new(FrameSnapshot { index, drawn: drawn.clone(), rgb8: shown.rgb8.clone(), hash })
-            }
-            (Some(rgb8), _) => {
-                let snapshot =
-                    Arc::new(FrameSnapshot { index, drawn: drawn.clone(), rgb8: Arc::new(rgb8), hash });
-                if let Some(neighbours) = &self.neighbours {
-                    // Newest only: where it comes back, the next frame serves as well.
-                    let shown = AnalyzerMessage::FrameShown { snapshot: snapshot.clone() };
-                    let _ = cx.tell(&neighbours.analyzer, shown);
-                }
-                snapshot
-            }
-            (None, None) => return,
-        };
-        cx.mark(MARK_FRAME, hash);
-        self.changed = false;
-        self.shown = Some(snapshot.clone());
-        // From here on they are the next frame's, whose beginning may lie behind samples in the mailbox.
-        let counts = std::mem::take(&mut self.counts);
-        if cx.effects() {
-            // The sink is lent to itself: it may look at the layers.
-            let mut sink = std::mem::replace(&mut self.sink, Box::new(NoSink));
-            sink.frame_shown(&snapshot, counts, self);
-            self.sink = sink;
-        }
-    }
-
-    fn compose(&self, buffers: &FrameBuffers) -> Map2d<[u8; 3]> {
-        let (width, height) = (buffers.width(), buffers.height());
-        let mut rgb8 = Map2d::new(width, height, [0u8; 3]);
-        let (encoder, tone) = (&self.encoder, &self.tone);
-        rgb8.data_mut()
-            .par_chunks_mut(width.max(1) * 16)
-            .zip(buffers.color.data().par_chunks(width.max(1) * 16))
-            .zip(self.layer.colors().data().par_chunks(width.max(1) * 16))
-            .for_each(|((out, base), splats)| {
-                for ((out, &base), &splat) in out.iter_mut().zip(base).zip(splats) {
-                    *out = encoder.rgb8(tone, base + splat);
-                }
-            });
-        let grid = Tiles::of_size(width as u32, height as u32);
-        for tile in self.tiles() {
-            for (i, (x, y)) in grid.pixels(tile.tile).enumerate() {
-                let first = buffers.color.at(x, y) + self.layer.color(x, y);
-                *rgb8.at_mut(x, y) = encoder.rgb8(tone, tile.mean(i, first));
-            }
-        }
-        rgb8
-    }
-}
-
-/// Shows nothing.
-struct NoSink;
-
-impl FrameSink for NoSink {
-    fn frame_shown(&mut self, _snapshot: &Arc<FrameSnapshot>, _counts: FrameCounts, _renderer: &Renderer) {}
 }
 
 impl Actor for Renderer {

@@ -16,6 +16,7 @@ use super::interface::{self, Interface};
 use super::navigation::{Motion, Pace};
 use super::panel;
 use super::presenter::{Backend, Painted, Presented, Presenter};
+use super::probe::{Measured, Probe};
 use super::screenshot;
 use super::source::{Build, Loader};
 use super::timeline::Wish;
@@ -35,99 +36,6 @@ pub struct Options {
     pub screenshots: PathBuf,
     /// Who measures instead of a user, if anybody.
     pub probe: Option<Probe>,
-}
-
-/// Walks ahead, stands still, looks on, and closes the window.
-#[derive(Clone, Debug)]
-pub struct Probe {
-    walk: Duration,
-    idle: Duration,
-    stage: Stage,
-    measured: Measured,
-}
-
-/// What a probe does now; times in seconds since the start.
-#[derive(Clone, Copy, Debug)]
-enum Stage {
-    Opening,
-    Walking { until: f64 },
-    Settling,
-    Idle { until: f64, cpu: f64, frames: u32 },
-}
-
-/// What a probe measured.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Measured {
-    /// Seconds until the window showed anything.
-    pub visible: Option<f64>,
-    /// Seconds until it showed the lit scene.
-    pub lit: Option<f64>,
-    /// Median and 99th percentile of frame times while walking, seconds.
-    pub frames: Option<(f32, f32)>,
-    /// Share of a core that the still view took, all threads together.
-    pub idle_cpu: Option<f64>,
-    /// Pictures presented in that time.
-    pub idle_frames: Option<u32>,
-    /// Pictures presented.
-    presented: u32,
-}
-
-impl Probe {
-    /// One that walks and then looks on for so long.
-    pub fn new(walk: Duration, idle: Duration) -> Self {
-        Self { walk, idle, stage: Stage::Opening, measured: Measured::default() }
-    }
-
-    /// Something was presented.
-    fn on_presented(&mut self, now: f64, has_picture: bool) {
-        self.measured.presented += 1;
-        self.measured.visible.get_or_insert(now);
-        if has_picture {
-            self.measured.lit.get_or_insert(now);
-        }
-    }
-
-    /// Goes on. Returns when to be called again, unless it is over.
-    fn tick(&mut self, walk: &mut Walk, next: Next, now: f64) -> Option<Next> {
-        match self.stage {
-            Stage::Opening if self.measured.lit.is_some() => {
-                walk.navigator.press(Motion::Forward, now);
-                walk.times.clear();
-                self.stage = Stage::Walking { until: now + self.walk.as_secs_f64() };
-            }
-            Stage::Walking { until } if now >= until => {
-                self.measured.frames = walk.times.median_p99();
-                walk.navigator.release(Motion::Forward, now);
-                self.stage = Stage::Settling;
-            }
-            Stage::Settling if next == Next::Input => {
-                let until = now + self.idle.as_secs_f64();
-                self.stage = Stage::Idle { until, cpu: cpu_seconds(), frames: self.measured.presented };
-                return Some(Next::At(until));
-            }
-            Stage::Idle { until, .. } if now < until => return Some(Next::At(until)),
-            Stage::Idle { cpu, frames, .. } => {
-                self.measured.idle_cpu = Some((cpu_seconds() - cpu) / self.idle.as_secs_f64());
-                self.measured.idle_frames = Some(self.measured.presented - frames);
-                return None;
-            }
-            Stage::Opening | Stage::Walking { .. } | Stage::Settling => {}
-        }
-        Some(next)
-    }
-}
-
-/// Processor time of this process, seconds.
-#[cfg(unix)]
-pub fn cpu_seconds() -> f64 {
-    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
-    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
-}
-
-/// Unknown here.
-#[cfg(not(unix))]
-pub fn cpu_seconds() -> f64 {
-    f64::NAN
 }
 
 /// Why a window could not be opened, or had to close.

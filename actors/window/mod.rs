@@ -14,6 +14,7 @@ pub mod navigation;
 pub mod painter;
 pub mod panel;
 pub mod presenter;
+pub mod probe;
 pub mod screenshot;
 pub mod session;
 pub mod source;

@@ -115,14 +115,6 @@ impl Supersampler {
         }
     }
 
-    /// Root mean square of the tiles' errors, where each has one.
-    pub fn error(&self, tone: &ToneMap) -> Option<f32> {
-        let errors: Option<Vec<f32>> =
-            self.sums.iter().map(|tile| tile.as_ref().map(|sums| sums.error(tone)[0])).collect();
-        let errors = errors.filter(|errors| !errors.is_empty())?;
-        Some((errors.iter().map(|e| e * e).sum::<f32>() / errors.len() as f32).sqrt())
-    }
-
     /// What the tiles have, for a snapshot.
     pub fn tiles(&self) -> &[Option<Arc<TileSums>>] {
         &self.sums

@@ -106,7 +106,7 @@ impl Baker<'_> {
                 && !direct[i][0].is_lit()
                 && (0..BURIED_RAYS).all(|ray| {
                     let mut stream = Stream::new(0xb0d1, i as u64, ray);
-                    transport.sees_inside(element.triangle, element.b1, element.b2, false, near, &mut stream)
+                    transport.sees_inside(element.triangle, element.b1, element.b2, near, &mut stream)
                 });
             *open = !buried;
         });

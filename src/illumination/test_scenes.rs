@@ -73,15 +73,11 @@ pub fn join(mesh: &mut Mesh, part: &Mesh, material: u32) {
 /// A two-sided Lambertian material that emits `radiance` from its front.
 pub fn lambert(albedo: f32, radiance: f32) -> Material {
     Material {
-        name: format!("albedo {albedo}, radiance {radiance}"),
-        model: Model::Lambert { albedo: Reflectance::constant(Vec3::splat(albedo)) },
         emission: Reflectance::constant(Vec3::splat(radiance)),
-        opacity: 1.0,
-        opacity_map: None,
-        bump_map: None,
-        bump_scale: 0.0,
-        normal_map: None,
-        two_sided: true,
+        ..Material::new(
+            format!("albedo {albedo}, radiance {radiance}"),
+            Model::Lambert { albedo: Reflectance::constant(Vec3::splat(albedo)) },
+        )
     }
 }
 

@@ -117,17 +117,9 @@ impl LightTransport for Lambertian<'_> {
             * (cosines / d.length_squared().powi(2) * area / probability)
     }
 
-    fn sees_inside(
-        &self,
-        triangle: u32,
-        b1: f32,
-        b2: f32,
-        back: bool,
-        near: f32,
-        stream: &mut Stream,
-    ) -> bool {
+    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool {
         let [a, b, c] = self.scene.mesh.corners(triangle);
-        let n = if back { -self.normal(triangle) } else { self.normal(triangle) };
+        let n = self.normal(triangle);
         let p = self.lift(a * (1.0 - b1 - b2) + b * b1 + c * b2, n);
         let ray = Ray::new(p, cosine_direction(n, stream.next_2d()));
         self.accel

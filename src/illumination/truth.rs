@@ -152,12 +152,14 @@ mod tests {
             in_sight(&scene, &transport, e.position, e.normal)
         };
         let known = truth((&scene, &accel, &lights), baker.atlas(), &counts, 200, 1024, 1);
+        // After the first pass, the fourth and the sixth: by then particles lie in every gap.
         let mut errors = Vec::new();
-        while errors.len() < 4 {
-            if let Step::Appraised(_) = baker.step() {
+        for pass in 0..6 {
+            while !matches!(baker.step(), Step::Appraised(_)) {}
+            if [0, 3, 5].contains(&pass) {
                 errors.push(relative_error(&baker.illumination(), &known));
             }
         }
-        assert!(errors[3] < 0.025 && errors[3] < 1.1 * errors[2] && errors[2] < errors[0], "{errors:?}");
+        assert!(errors[1] < 0.025 && errors[1] < errors[0] && errors[2] < errors[1], "{errors:?}");
     }
 }

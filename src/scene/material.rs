@@ -150,6 +150,23 @@ pub struct Material {
 }
 
 impl Material {
+    /// A model alone: opaque, without maps or light of its own, on both sides.
+    pub fn new(name: impl Into<String>, model: Model) -> Self {
+        Self {
+            name: name.into(),
+            model,
+            emission: Reflectance::constant(Vec3::ZERO),
+            opacity: 1.0,
+            opacity_map: None,
+            bump_map: None,
+            bump_scale: 1.0,
+            normal_map: None,
+            two_sided: true,
+        }
+    }
+}
+
+impl Material {
     /// The texture that shows most of it: the diffuse one, else the specular one, else that of its light.
     pub fn picture(&self) -> Option<TextureId> {
         let reflection = match &self.model {

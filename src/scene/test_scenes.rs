@@ -6,17 +6,7 @@ use super::*;
 
 /// White diffuse triangles without light.
 pub fn of_triangles(corners: &[[Vec3; 3]]) -> Scene {
-    let material = Material {
-        name: "white".into(),
-        model: Model::Lambert { albedo: Reflectance::constant(Vec3::splat(0.5)) },
-        emission: Reflectance::constant(Vec3::ZERO),
-        opacity: 1.0,
-        opacity_map: None,
-        bump_map: None,
-        bump_scale: 1.0,
-        normal_map: None,
-        two_sided: true,
-    };
+    let material = Material::new("white", Model::Lambert { albedo: Reflectance::constant(Vec3::splat(0.5)) });
     let positions: Vec<Vec3> = corners.iter().flatten().copied().collect();
     let (min, max) = positions
         .iter()
@@ -55,17 +45,7 @@ pub fn of_triangles(corners: &[[Vec3; 3]]) -> Scene {
 
 /// A material of this model.
 pub fn material(name: &str, model: Model) -> Material {
-    Material {
-        name: name.to_owned(),
-        model,
-        emission: Reflectance::constant(Vec3::ZERO),
-        opacity: 1.0,
-        opacity_map: None,
-        bump_map: None,
-        bump_scale: 1.0,
-        normal_map: None,
-        two_sided: true,
-    }
+    Material::new(name, model)
 }
 
 /// Grey.

@@ -205,19 +205,20 @@ pub fn show<'a>(tiles: impl Iterator<Item = &'a TileSums>, picture: &mut Map2d<V
     }
 }
 
-/// The picture that a view is refined to after `samples` of each pixel, from its `first` samples.
+/// The picture that a view is refined to after `samples` of each pixel, from its `first` samples. Before each tile it is
+/// asked whether it `goes_on`; tiles after that stay as they were.
 pub fn supersampled(
     world: &World,
     frame: &CameraFrame,
     seed: u64,
     samples: u32,
     mut first: Map2d<Vec3>,
-    tile_done: &(dyn Fn() -> bool + Sync),
+    goes_on: &(dyn Fn() -> bool + Sync),
 ) -> Map2d<Vec3> {
     let [width, height] = frame.size;
     let tiles: Vec<TileSums> = (0..Tiles::of_size(width, height).len() as u32)
         .into_par_iter()
-        .filter(|_| tile_done())
+        .filter(|_| goes_on())
         .map(|tile| supersample(world, frame, tile, None, samples.saturating_sub(1), seed))
         .collect();
     show(tiles.iter(), &mut first);

@@ -42,16 +42,8 @@ pub trait LightTransport: Sync {
     /// numbers in [0, 1): the first chooses the light, the others the point on it.
     fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Vec3;
 
-    /// Whether a random ray from one side of a point ends on the back of a triangle, or on anything within `near`.
-    fn sees_inside(
-        &self,
-        triangle: u32,
-        b1: f32,
-        b2: f32,
-        back: bool,
-        near: f32,
-        stream: &mut Stream,
-    ) -> bool;
+    /// Whether a random ray from the front of a point ends on the back of a triangle, or on anything within `near`.
+    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool;
 
     /// The first surface on a ray.
     fn sees(&self, ray: &Ray) -> Option<Hit>;
@@ -72,16 +64,8 @@ impl<T: LightTransport + ?Sized> LightTransport for &T {
         (**self).direct(triangle, b1, b2, back, u)
     }
 
-    fn sees_inside(
-        &self,
-        triangle: u32,
-        b1: f32,
-        b2: f32,
-        back: bool,
-        near: f32,
-        stream: &mut Stream,
-    ) -> bool {
-        (**self).sees_inside(triangle, b1, b2, back, near, stream)
+    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool {
+        (**self).sees_inside(triangle, b1, b2, near, stream)
     }
 
     fn sees(&self, ray: &Ray) -> Option<Hit> {
@@ -125,16 +109,8 @@ impl LightTransport for SharedTransport {
         self.borrowed().direct(triangle, b1, b2, back, u)
     }
 
-    fn sees_inside(
-        &self,
-        triangle: u32,
-        b1: f32,
-        b2: f32,
-        back: bool,
-        near: f32,
-        stream: &mut Stream,
-    ) -> bool {
-        self.borrowed().sees_inside(triangle, b1, b2, back, near, stream)
+    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool {
+        self.borrowed().sees_inside(triangle, b1, b2, near, stream)
     }
 
     fn sees(&self, ray: &Ray) -> Option<Hit> {
@@ -280,16 +256,8 @@ impl LightTransport for SceneTransport<'_> {
         self.accel.intersect(self.scene, ray)
     }
 
-    fn sees_inside(
-        &self,
-        triangle: u32,
-        b1: f32,
-        b2: f32,
-        back: bool,
-        near: f32,
-        stream: &mut Stream,
-    ) -> bool {
-        let at = self.seen_from(triangle, b1, b2, back);
+    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool {
+        let at = self.seen_from(triangle, b1, b2, false);
         let out = at.facing_geometric();
         let (x, y) = out.any_orthonormal_pair();
         let local = cosine_hemisphere(stream.next_2d());

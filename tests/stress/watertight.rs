@@ -85,7 +85,7 @@ fn a_million_rays_stay_inside() {
 
 /// `cargo test --release --test program -- --ignored a_hundred_million`
 #[test]
-#[ignore = "two minutes"]
+#[ignore = "half a minute, optimised"]
 fn a_hundred_million_rays_stay_inside() {
     check(100_000_000);
 }

@@ -19,13 +19,14 @@ use glam::Vec3;
 
 use super::error::{Entrant, ErrorArguments, Study, Walk, policies};
 use super::made::MadeScene;
-use super::messages::load::{cpu_ns, quantile};
+use super::messages::load::quantile;
 use super::stages::quick_world;
 use super::table::{Aim, Row, finish, median};
 use crate::cli::Progress;
 use crate::cli::failure::Failure;
 use crate::cli::output::{make_folder, png_bytes, write_atomic};
 use crate::cli::reference::{path_picture, traced_picture};
+use crate::processor_time::cpu_ns;
 
 /// Mean FLIP of the non-diffuse pixels from which on a picture counts as right.
 const RIGHT: f64 = 0.05;

@@ -25,6 +25,7 @@ use crate::cli::Progress;
 use crate::cli::failure::Failure;
 use crate::cli::output::{make_folder, write_atomic};
 use crate::cli::session::{BakeSettingsArguments, interrupted, load_scene};
+use crate::processor_time::cpu_ns;
 
 /// Points at which the truth is known.
 const POINTS: usize = 160;
@@ -71,13 +72,8 @@ impl Curve {
 /// Processor seconds of this program so far, over the cores; seconds on the wall where the system does not say.
 fn seconds(since: Instant) -> f64 {
     let cores = std::thread::available_parallelism().map_or(1, usize::from) as f64;
-    let ticks = || {
-        let line = std::fs::read_to_string("/proc/self/stat").ok()?;
-        // The name may hold anything; the fields after it are numbers.
-        let fields: Vec<&str> = line.rsplit_once(')')?.1.split_whitespace().collect();
-        Some(fields.get(11)?.parse::<f64>().ok()? + fields.get(12)?.parse::<f64>().ok()?)
-    };
-    ticks().map_or(since.elapsed().as_secs_f64(), |t| t / 100.0 / cores)
+    let busy = cpu_ns() * 1e-9 / cores;
+    if busy.is_nan() { since.elapsed().as_secs_f64() } else { busy }
 }
 
 /// Runs the benchmark: `time` seconds for each scene and method.

@@ -20,11 +20,11 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::made::MadeScene;
-use super::messages::load::cpu_ns;
 use super::table::{Aim, CommonArguments, Row, finish, median};
 use crate::cli::Progress;
 use crate::cli::failure::Failure;
 use crate::cli::session::load_scene;
+use crate::processor_time::cpu_ns;
 
 /// Arguments of `foveal bench rays`.
 #[derive(Args, Debug)]
@@ -271,17 +271,7 @@ fn read_soup(file: &Path) -> Result<Scene, Failure> {
 /// Opaque triangles of one material.
 fn plain_scene(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Scene {
     let count = triangles.len();
-    let material = Material {
-        name: "grey".into(),
-        model: Model::Lambert { albedo: Reflectance::constant(Vec3::splat(0.5)) },
-        emission: Reflectance::constant(Vec3::ZERO),
-        opacity: 1.0,
-        opacity_map: None,
-        bump_map: None,
-        bump_scale: 1.0,
-        normal_map: None,
-        two_sided: true,
-    };
+    let material = Material::new("grey", Model::Lambert { albedo: Reflectance::constant(Vec3::splat(0.5)) });
     let mesh = Mesh {
         normals: vec![Vec3::ZERO; positions.len()],
         uvs: vec![Vec2::ZERO; positions.len()],

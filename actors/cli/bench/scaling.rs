@@ -21,7 +21,6 @@ use foveal_runtime::{Config, Limit, Runtime};
 use glam::Vec3;
 
 use super::made::MadeScene;
-use super::messages::load::cpu_ns;
 use super::soak::resident_bytes;
 use super::stages::{quick_world, stepped, traced};
 use super::table::{Aim, CommonArguments, Row, finish, median};
@@ -32,9 +31,9 @@ use crate::cli::output::{make_folder, write_atomic};
 use crate::cli::replay::Unseen;
 use crate::cli::session::{camera, load_scene};
 use crate::message::{FrameIndex, RendererInput};
+use crate::processor_time::cpu_ns;
 use crate::renderer::Renderer;
 use crate::settings::Settings;
-use crate::stages::StageTimes;
 use crate::wiring::{Parts, wire};
 
 /// Arguments of `foveal bench scaling`.
@@ -317,15 +316,8 @@ fn convergence(world: &World, tracers: u32, runs: u32) -> Result<f64, Failure> {
     // Maps of the surroundings are work that is not repeated; without them every run has the same.
     let settings = Settings { environment_bytes: 0, ..Settings::new(384, 384, tracers) };
     let parts = Parts {
-        settings,
-        world: world.clone(),
         passes: Passes { texture_ids: false },
-        corrects: true,
-        textures: None,
-        refinement: None,
-        insight: None,
-        stages: StageTimes::default(),
-        sink: Box::new(Unseen),
+        ..Parts::new(settings, world.clone(), Box::new(Unseen))
     };
     let (mut runtime, actors) = Runtime::build(Config::live(tracers as usize + 1), |w| wire(w, parts))
         .map_err(|e| Failure::Environment(format!("the actors cannot be started: {e}")))?;

@@ -19,7 +19,6 @@ use foveal::world::World;
 use foveal_runtime::{Config, Limit, Runtime};
 
 use super::made::MadeScene;
-use super::messages::load::cpu_ns;
 use super::stages::{quick_world, stepped};
 use super::table::{Aim, CommonArguments, Row, finish};
 use crate::cli::Progress;
@@ -28,9 +27,9 @@ use crate::cli::failure::Failure;
 use crate::cli::replay::Unseen;
 use crate::cli::session::camera;
 use crate::message::{FrameIndex, RendererInput};
+use crate::processor_time::cpu_ns;
 use crate::renderer::Renderer;
 use crate::settings::Settings;
-use crate::stages::StageTimes;
 use crate::wiring::{Parts, wire};
 
 /// Arguments of `foveal bench skips`.
@@ -76,15 +75,9 @@ struct System {
 impl System {
     fn start(a: &SkipsArguments, world: &World, corrects: bool) -> Result<Self, Failure> {
         let parts = Parts {
-            settings: Settings::new(a.size.width, a.size.height, 1),
-            world: world.clone(),
             passes: Passes { texture_ids: false },
             corrects,
-            textures: None,
-            refinement: None,
-            insight: None,
-            stages: StageTimes::default(),
-            sink: Box::new(Unseen),
+            ..Parts::new(Settings::new(a.size.width, a.size.height, 1), world.clone(), Box::new(Unseen))
         };
         let (runtime, actors) =
             Runtime::build(Config::live(if corrects { 2 } else { 0 }), |w| wire(w, parts))

@@ -6,13 +6,11 @@
 use std::time::Duration;
 
 use clap::Args;
-use foveal::display::twin::Passes;
-use foveal::scene::plan::{Part, ScenePlan};
 use foveal_runtime::simulate::Simulation;
 use foveal_runtime::{Config, Exit, Limit, Runtime};
 
 use super::made::MadeScene;
-use super::messages::load::{cpu_ns, quantile};
+use super::messages::load::quantile;
 use super::scaling::slope;
 use super::stages::quick_world;
 use super::table::{Aim, CommonArguments, Row, finish, median};
@@ -23,6 +21,7 @@ use crate::cli::failure::Failure;
 use crate::cli::replay::Unseen;
 use crate::cli::session::camera;
 use crate::message::{FrameIndex, RendererInput};
+use crate::processor_time::cpu_ns;
 use crate::settings::Settings;
 use crate::stages::StageTimes;
 use crate::wiring::{Parts, wire};
@@ -58,20 +57,16 @@ pub fn resident_bytes() -> Option<f64> {
 /// Runs the benchmark.
 pub fn run(a: &SoakArguments, progress: Progress) -> Result<(), Failure> {
     let world = quick_world(MadeScene::bundled(&a.scene)?.path())?;
-    let plan = ScenePlan::new(&world.scene, &world.scene.budget);
     let still = camera(&world.scene, None)?.camera;
     let path = world.scene.paths.first().cloned();
     let stages = StageTimes::default();
     let parts = Parts {
-        settings: Settings { samples_per_job: 64, ..Settings::new(a.size.width, a.size.height, 2) },
-        passes: Passes { texture_ids: plan.needs(Part::TextureIdPass) },
-        corrects: plan.needs(Part::Tracers),
-        textures: None,
-        refinement: None,
-        insight: None,
         stages: stages.clone(),
-        sink: Box::new(Unseen),
-        world,
+        ..Parts::new(
+            Settings { samples_per_job: 64, ..Settings::new(a.size.width, a.size.height, 2) },
+            world,
+            Box::new(Unseen),
+        )
     };
     // However long the walk, it comes to an end.
     let simulation = Simulation { steps_max: u64::MAX, ..Simulation::new(1) };

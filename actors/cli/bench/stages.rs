@@ -35,7 +35,6 @@ use crate::cli::session::{BakeSettingsArguments, load_scene};
 use crate::message::{FrameIndex, FrameSnapshot, RendererInput};
 use crate::renderer::{FrameCounts, FrameSink, Renderer};
 use crate::settings::Settings;
-use crate::stages::StageTimes;
 use crate::wiring::{Parts, wire};
 
 /// Arguments of `foveal bench stages`.
@@ -263,15 +262,8 @@ fn correction(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
     let settings = Settings::new(a.size.width, a.size.height, cores);
     let shown = Arc::new(SegQueue::new());
     let parts = Parts {
-        settings,
-        world: world.clone(),
         passes: Passes { texture_ids: false },
-        corrects: true,
-        textures: None,
-        refinement: None,
-        insight: None,
-        stages: StageTimes::default(),
-        sink: Box::new(Counts(shown.clone())),
+        ..Parts::new(settings, world.clone(), Box::new(Counts(shown.clone())))
     };
     let (mut runtime, actors) = Runtime::build(Config::live(cores as usize + 1), |w| wire(w, parts))
         .map_err(|e| Failure::Environment(format!("the actors cannot be started: {e}")))?;

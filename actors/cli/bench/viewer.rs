@@ -19,10 +19,11 @@ use crate::cli::arguments::Size;
 use crate::cli::failure::Failure;
 use crate::cli::session::{self, IlluminationArguments};
 use crate::cli::view::{self, ViewArguments};
+use crate::processor_time::cpu_ns;
 use crate::renderer::gpu::{Gpu, GpuDisplay};
 use crate::renderer::overlay::Overlay;
-use crate::window::app::{Probe, cpu_seconds};
 use crate::window::navigation::Motion;
+use crate::window::probe::Probe;
 use crate::window::walk::{Next, Walk};
 use crate::window::{self, Session};
 
@@ -124,7 +125,7 @@ fn adapter(a: &ViewerArguments) -> Result<Vec<Row>, String> {
         let with_splats = run % 2 == 0;
         let aside = (start.target - start.eye).cross(start.up).normalize_or_zero() * 1e-4 * run as f32;
         let camera = Camera { eye: start.eye + aside, ..start };
-        let (begin, busy) = (Instant::now(), cpu_seconds());
+        let (begin, busy) = (Instant::now(), cpu_ns());
         display.begin_view(&camera.frame(a.size.width, a.size.height));
         if with_splats {
             display.splat_warped(&samples);
@@ -136,7 +137,7 @@ fn adapter(a: &ViewerArguments) -> Result<Vec<Row>, String> {
         if run >= 4 {
             if with_splats {
                 wall.push(ms);
-                cpu.push((cpu_seconds() - busy) * 1e3);
+                cpu.push((cpu_ns() - busy) * 1e-6);
             } else {
                 plain.push(ms);
             }

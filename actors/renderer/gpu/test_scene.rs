@@ -17,17 +17,7 @@ const SCREEN: u32 = 4;
 const PLASTIC: u32 = 5;
 
 fn material(name: &str, model: Model) -> Material {
-    Material {
-        name: name.into(),
-        model,
-        emission: Reflectance::constant(Vec3::ZERO),
-        opacity: 1.0,
-        opacity_map: None,
-        bump_map: None,
-        bump_scale: 1.0,
-        normal_map: None,
-        two_sided: true,
-    }
+    Material::new(name, model)
 }
 
 fn lambert(color: Vec3, map: Option<TextureId>) -> Model {

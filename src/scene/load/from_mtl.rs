@@ -36,17 +36,7 @@ pub(super) struct Doubts {
 
 /// A material that OBJ faces without one get.
 pub(super) fn default_material(name: &str) -> Material {
-    Material {
-        name: name.to_owned(),
-        model: Model::Lambert { albedo: Reflectance::constant(Vec3::splat(0.5)) },
-        emission: Reflectance::constant(Vec3::ZERO),
-        opacity: 1.0,
-        opacity_map: None,
-        bump_map: None,
-        bump_scale: 1.0,
-        normal_map: None,
-        two_sided: true,
-    }
+    Material::new(name, Model::Lambert { albedo: Reflectance::constant(Vec3::splat(0.5)) })
 }
 
 fn roughness(m: &MtlMaterial) -> Roughness {

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use crate::processor_time::cpu_ns;
 use crossbeam_queue::ArrayQueue;
 
 /// Messages on their way at once.
@@ -82,19 +83,6 @@ pub fn cost(work: impl FnOnce()) -> Cost {
     let (start, cpu) = (Instant::now(), cpu_ns());
     work();
     Cost { seconds: start.elapsed().as_secs_f64(), cpu_ns: cpu_ns() - cpu }
-}
-
-/// Processor time of this process so far.
-#[cfg(unix)]
-pub fn cpu_ns() -> f64 {
-    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
-    time.tv_sec as f64 * 1e9 + time.tv_nsec as f64
-}
-
-/// Unknown here.
-#[cfg(not(unix))]
-pub fn cpu_ns() -> f64 {
-    f64::NAN
 }
 
 /// A share of sorted values, 0.5 for the median.

@@ -1,0 +1,97 @@
+//! The allocator's state in a snapshot of a replay.
+
+use std::sync::Arc;
+
+use foveal_runtime::{Loader, Saver};
+
+use super::Allocator;
+use crate::message::saved::{load_drawn, load_sums, save_drawn, save_sums};
+
+impl Allocator {
+    /// Puts down everything that a replay goes on from; refuses where textures are limited.
+    pub(super) fn save_state(&self, saver: &mut Saver) {
+        let Self {
+            settings: _,
+            renderer: _,
+            pool: _,
+            tracers: _,
+            stages: _,
+            scan: _,
+            since_insight: _,
+            insight: _,
+            adjustment,
+            outbox,
+            order,
+            drawn,
+            statistics,
+            saliency,
+            attention,
+            in_flight,
+            environments,
+            textures,
+            since_map,
+            told_converged,
+            supersampler,
+            told_refined,
+            lost_jobs,
+            incidents,
+        } = self;
+        // What textures hold is large, and on disk anyway: such walks replay from their beginning.
+        if !outbox.is_empty() || textures.is_some() {
+            return saver.refuse();
+        }
+        saver.put(adjustment);
+        saver.put(&(order, statistics, saliency.as_slice(), attention));
+        saver.put(&(
+            in_flight,
+            since_map,
+            told_converged,
+            told_refined,
+            lost_jobs,
+            incidents,
+            drawn.is_some(),
+        ));
+        if let Some(drawn) = drawn {
+            save_drawn(saver, drawn);
+        }
+        if let Some(supersampler) = supersampler {
+            saver.put(&(supersampler.open(), supersampler.tiles().len() as u64));
+            for tile in supersampler.tiles() {
+                saver.put(&tile.is_some());
+                if let Some(sums) = tile {
+                    save_sums(saver, sums);
+                }
+            }
+        }
+        environments.save(saver);
+    }
+
+    /// Takes it up again; `None` if the snapshot holds something else.
+    pub(super) fn restore_state(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        if let Some(adjustment) = loader.take()? {
+            self.adjust(&adjustment);
+        }
+        let saliency: Vec<f32>;
+        (self.order, self.statistics, saliency, self.attention) = loader.take()?;
+        self.saliency = Arc::new(saliency);
+        let is_drawn: bool;
+        (
+            self.in_flight,
+            self.since_map,
+            self.told_converged,
+            self.told_refined,
+            self.lost_jobs,
+            self.incidents,
+            is_drawn,
+        ) = loader.take()?;
+        self.drawn = if is_drawn { Some(load_drawn(loader)?) } else { None };
+        if let Some(supersampler) = &mut self.supersampler {
+            let (open, count): (_, u64) = loader.take()?;
+            let tiles: Option<Vec<_>> = (0..count)
+                .map(|_| Some(if loader.take()? { Some(load_sums(loader)?) } else { None }))
+                .collect();
+            supersampler.restore(tiles?, open)?;
+        }
+        self.environments.restore(loader)
+    }
+}

@@ -1,0 +1,99 @@
+//! A frame is due: what is there is put together, shown and marked.
+
+use std::sync::Arc;
+
+use foveal::display::FrameBuffers;
+use foveal::image::Map2d;
+use foveal::splatting::supersampling::Tiles;
+use foveal_runtime::Cx;
+use rayon::prelude::*;
+
+use super::{FrameCounts, FrameSink, MARK_FRAME, Renderer};
+use crate::message::{AnalyzerMessage, DrawnView, FrameIndex, FrameSnapshot, RendererMessage};
+use crate::stages::Stage;
+
+impl Renderer {
+    /// Shows the frame; while nothing changes the last picture stands, and nobody has work.
+    pub(super) fn on_deadline_reached(&mut self, index: FrameIndex, cx: &mut Cx<'_, RendererMessage>) {
+        if let Some(since) = self.drawn_at.take() {
+            self.stages.add(Stage::Correct, since.elapsed());
+        }
+        let Some(drawn) = self.drawn.clone() else { return };
+        let (rgb8, hash) = match (&self.shown, self.changed) {
+            (Some(shown), false) => (None, shown.hash),
+            _ => {
+                self.approximate_the_rest(&drawn);
+                let picture = self.stages.clone().time(Stage::Compose, || self.compose(&drawn.buffers));
+                let hash = xxhash_rust::xxh3::xxh3_64(picture.data().as_flattened());
+                (Some(picture), hash)
+            }
+        };
+        let snapshot = match (rgb8, &self.shown) {
+            (None, Some(shown)) => {
+                Arc::new(FrameSnapshot { index, drawn: drawn.clone(), rgb8: shown.rgb8.clone(), hash })
+            }
+            (Some(rgb8), _) => {
+                let snapshot =
+                    Arc::new(FrameSnapshot { index, drawn: drawn.clone(), rgb8: Arc::new(rgb8), hash });
+                if let Some(neighbours) = &self.neighbours {
+                    // Newest only: where it comes back, the next frame serves as well.
+                    let shown = AnalyzerMessage::FrameShown { snapshot: snapshot.clone() };
+                    let _ = cx.tell(&neighbours.analyzer, shown);
+                }
+                snapshot
+            }
+            (None, None) => return,
+        };
+        cx.mark(MARK_FRAME, hash);
+        self.changed = false;
+        self.shown = Some(snapshot.clone());
+        // From here on they are the next frame's, whose beginning may lie behind samples in the mailbox.
+        let counts = std::mem::take(&mut self.counts);
+        if cx.effects() {
+            // The sink is lent to itself: it may look at the layers.
+            let mut sink = std::mem::replace(&mut self.sink, Box::new(NoSink));
+            sink.frame_shown(&snapshot, counts, self);
+            self.sink = sink;
+        }
+    }
+
+    /// Fills in what no sample has reached by the time the frame is shown. Coarse samples come first and cover much, so
+    /// few pixels are left; a pixel is looked up once in a view.
+    fn approximate_the_rest(&mut self, drawn: &DrawnView) {
+        let (Some(first), false) = (&self.approximation, self.converged) else { return };
+        let (layer, world) = (&mut self.layer, &self.world);
+        self.counts.approximated += self.stages.time(Stage::Compose, || {
+            layer.approximate(|x, y| first.pixel(world, &drawn.frame, &drawn.buffers, x, y)) as u32
+        });
+    }
+
+    fn compose(&self, buffers: &FrameBuffers) -> Map2d<[u8; 3]> {
+        let (width, height) = (buffers.width(), buffers.height());
+        let mut rgb8 = Map2d::new(width, height, [0u8; 3]);
+        let (encoder, tone) = (&self.encoder, &self.tone);
+        rgb8.data_mut()
+            .par_chunks_mut(width.max(1) * 16)
+            .zip(buffers.color.data().par_chunks(width.max(1) * 16))
+            .zip(self.layer.colors().data().par_chunks(width.max(1) * 16))
+            .for_each(|((out, base), splats)| {
+                for ((out, &base), &splat) in out.iter_mut().zip(base).zip(splats) {
+                    *out = encoder.rgb8(tone, base + splat);
+                }
+            });
+        let grid = Tiles::of_size(width as u32, height as u32);
+        for tile in self.tiles() {
+            for (i, (x, y)) in grid.pixels(tile.tile).enumerate() {
+                let first = buffers.color.at(x, y) + self.layer.color(x, y);
+                *rgb8.at_mut(x, y) = encoder.rgb8(tone, tile.mean(i, first));
+            }
+        }
+        rgb8
+    }
+}
+
+/// Shows nothing.
+struct NoSink;
+
+impl FrameSink for NoSink {
+    fn frame_shown(&mut self, _snapshot: &Arc<FrameSnapshot>, _counts: FrameCounts, _renderer: &Renderer) {}
+}

@@ -1,0 +1,87 @@
+//! Who measures a window in a user's place: `foveal bench viewer`.
+
+use std::time::Duration;
+
+use super::navigation::Motion;
+use super::walk::{Next, Walk};
+use crate::processor_time::cpu_ns;
+
+/// Walks ahead, stands still, looks on, and closes the window.
+#[derive(Clone, Debug)]
+pub struct Probe {
+    walk: Duration,
+    idle: Duration,
+    stage: Stage,
+    pub(super) measured: Measured,
+}
+
+/// What a probe does now; times in seconds since the start.
+#[derive(Clone, Copy, Debug)]
+enum Stage {
+    Opening,
+    Walking { until: f64 },
+    Settling,
+    Idle { until: f64, cpu: f64, frames: u32 },
+}
+
+/// What a probe measured.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Measured {
+    /// Seconds until the window showed anything.
+    pub visible: Option<f64>,
+    /// Seconds until it showed the lit scene.
+    pub lit: Option<f64>,
+    /// Median and 99th percentile of frame times while walking, seconds.
+    pub frames: Option<(f32, f32)>,
+    /// Share of a core that the still view took, all threads together.
+    pub idle_cpu: Option<f64>,
+    /// Pictures presented in that time.
+    pub idle_frames: Option<u32>,
+    /// Pictures presented.
+    presented: u32,
+}
+
+impl Probe {
+    /// One that walks and then looks on for so long.
+    pub fn new(walk: Duration, idle: Duration) -> Self {
+        Self { walk, idle, stage: Stage::Opening, measured: Measured::default() }
+    }
+
+    /// Something was presented.
+    pub(super) fn on_presented(&mut self, now: f64, has_picture: bool) {
+        self.measured.presented += 1;
+        self.measured.visible.get_or_insert(now);
+        if has_picture {
+            self.measured.lit.get_or_insert(now);
+        }
+    }
+
+    /// Goes on. Returns when to be called again, unless it is over.
+    pub(super) fn tick(&mut self, walk: &mut Walk, next: Next, now: f64) -> Option<Next> {
+        match self.stage {
+            Stage::Opening if self.measured.lit.is_some() => {
+                walk.navigator.press(Motion::Forward, now);
+                walk.times.clear();
+                self.stage = Stage::Walking { until: now + self.walk.as_secs_f64() };
+            }
+            Stage::Walking { until } if now >= until => {
+                self.measured.frames = walk.times.median_p99();
+                walk.navigator.release(Motion::Forward, now);
+                self.stage = Stage::Settling;
+            }
+            Stage::Settling if next == Next::Input => {
+                let until = now + self.idle.as_secs_f64();
+                self.stage = Stage::Idle { until, cpu: 1e-9 * cpu_ns(), frames: self.measured.presented };
+                return Some(Next::At(until));
+            }
+            Stage::Idle { until, .. } if now < until => return Some(Next::At(until)),
+            Stage::Idle { cpu, frames, .. } => {
+                self.measured.idle_cpu = Some((1e-9 * cpu_ns() - cpu) / self.idle.as_secs_f64());
+                self.measured.idle_frames = Some(self.measured.presented - frames);
+                return None;
+            }
+            Stage::Opening | Stage::Walking { .. } | Stage::Settling => {}
+        }
+        Some(next)
+    }
+}

@@ -126,6 +126,21 @@ pub enum Model {
     },
 }
 
+impl Model {
+    /// Roughness of the view-dependent lobes; `None` where there is none to be rough.
+    pub fn roughness(&self) -> Option<Roughness> {
+        match self {
+            Self::Lambert { .. } | Self::Mirror { .. } | Self::Dielectric { thin: true, .. } => None,
+            Self::Conductor { roughness, .. }
+            | Self::Metal { roughness, .. }
+            | Self::Dielectric { roughness, .. }
+            | Self::Plastic { roughness, .. }
+            | Self::CookTorrance { roughness, .. }
+            | Self::Ward { roughness, .. } => Some(*roughness),
+        }
+    }
+}
+
 /// A material.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Material {
@@ -197,6 +212,13 @@ impl Material {
     /// Whether it emits light.
     pub fn is_emissive(&self) -> bool {
         self.emission.color.max_element() > 0.0
+    }
+
+    /// Whether its looks depend on the direction of its texture coordinates: grain, or bumps.
+    pub fn has_direction(&self) -> bool {
+        self.normal_map.is_some()
+            || self.bump_map.is_some()
+            || self.model.roughness().is_some_and(|r| r.alpha_x != r.alpha_y)
     }
 
     /// Whether light passes through it.

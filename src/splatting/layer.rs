@@ -220,8 +220,8 @@ impl SplatLayer {
         (residual, compared)
     }
 
-    /// Splats warped samples onto pixels of their object at their depth. Returns how many of them
-    /// painted at least one pixel.
+    /// Splats warped samples onto pixels of their object at their depth, from the last, the finest, to the first, so
+    /// that what would be painted over is not painted. Returns how many of them painted at least one pixel.
     ///
     /// A sample is rejected where no pixel of the 3 × 3 around it has its object at its depth
     /// (within 1 % or two pixel slopes, REFERENCE §11): it is hidden now.
@@ -235,7 +235,7 @@ impl SplatLayer {
         let (ids, depths) = (objects.data(), depths.data());
         let (ranks, colors, sources) = (self.rank.data_mut(), self.color.data_mut(), self.source.data_mut());
         let mut painted = 0;
-        for s in samples {
+        for s in samples.iter().rev() {
             let (cx, cy) = (i32::from(s.x), i32::from(s.y));
             let matches = |x: i32, y: i32| {
                 let i = (y * width + x) as usize;
@@ -258,7 +258,7 @@ impl SplatLayer {
                 let pixels = ids[row.clone()].iter().zip(&mut ranks[row.clone()]);
                 let shown = colors[row.clone()].iter_mut().zip(&mut sources[row]);
                 for ((&id, rank), (color, source)) in pixels.zip(shown) {
-                    if id == s.object && *rank <= own {
+                    if id == s.object && *rank < own {
                         *rank = own;
                         *color = s.color;
                         *source = 0;
@@ -394,5 +394,44 @@ mod tests {
             9
         );
         assert_eq!(layer.shown_level(4, 4), Some((1, false)));
+    }
+
+    /// Each pixel shows the last of the finest, newest samples that reach it, whatever order they come in, and
+    /// samples that none of it shows are not counted.
+    #[test]
+    fn warped_samples_show_by_rank() {
+        let (w, h) = (40, 30);
+        let ids = Map2d::new(w, h, 1);
+        let depths = Map2d::new(w, h, 1.0);
+        let random = |i: u64, n: u64| rng::hash(1, i, n);
+        let samples: Vec<WarpedSample> = (0..300)
+            .map(|i| WarpedSample {
+                x: (random(i, 0) % w as u64) as u16,
+                y: (random(i, 1) % h as u64) as u16,
+                depth: 1.0,
+                depth_tolerance: 0.1,
+                color: Vec3::splat(i as f32),
+                object: 1,
+                age: 1 + (random(i, 2) % 3) as u16,
+                half_side: (random(i, 3) % 4) as u8,
+                k: (random(i, 3) % 4) as u8,
+            })
+            .collect();
+        let mut layer = SplatLayer::new(w, h, 3, Footprint::Tile);
+        let counted = layer.splat_warped(&samples, &ids, &depths);
+        let mut shown = std::collections::BTreeSet::new();
+        for (x, y) in (0..h).flat_map(|y| (0..w).map(move |x| (x, y))) {
+            let reaches = |s: &&WarpedSample| {
+                let r = usize::from(s.half_side);
+                usize::from(s.x).abs_diff(x) <= r && usize::from(s.y).abs_diff(y) <= r
+            };
+            let best = samples.iter().filter(reaches).max_by_key(|s| rank(u32::from(s.k), u32::from(s.age)));
+            assert_eq!(layer.is_covered(x, y), best.is_some());
+            if let Some(best) = best {
+                assert_eq!(layer.color(x, y), best.color);
+                shown.insert(best.color.x as u32);
+            }
+        }
+        assert!(shown.len() <= counted && counted < samples.len(), "{} {counted}", shown.len());
     }
 }

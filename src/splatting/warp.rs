@@ -50,6 +50,7 @@ fn warp_batch(batch: &SampleBatch, view: u32, frame: &CameraFrame, warped: &mut 
     let up = frame.up / frame.up.length_squared();
     let (half_width, half_height) = (width as f32 * 0.5, height as f32 * 0.5);
     let pixel_angle = frame.pixel_angle();
+    let per_angle = 1.0 / pixel_angle;
     let side = Lattice::square_side(batch.k) as f32;
     let age = view.wrapping_sub(batch.view).clamp(1, u32::from(u16::MAX)) as u16;
     for ((&position, &color), (&pixel_width, &normal)) in
@@ -67,16 +68,16 @@ fn warp_batch(batch: &SampleBatch, view: u32, frame: &CameraFrame, warped: &mut 
         if !(x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32) {
             continue;
         }
-        let zoom = (pixel_width / (depth * pixel_angle)).min(2.0);
+        let zoom = (pixel_width * inverse * per_angle).min(2.0);
         // A twentieth of a pixel of slack: an unmoved camera must not grow footprints by rounding.
         let half_side = ((side * zoom - 1.0) * 0.5 - 0.05).ceil().clamp(0.0, 255.0) as u8;
-        // Two pixel slopes: how much depth changes across two pixels of the surface.
-        let cosine = (normal.dot(d) / d.length()).abs().max(0.05);
+        // Two pixel slopes: how much depth changes across two pixels of the surface. `min` also drops NaN.
+        let per_cosine = (d.length() / normal.dot(d).abs()).min(20.0);
         warped.push(WarpedSample {
             x: x as u16,
             y: y as u16,
             depth,
-            depth_tolerance: (2.0 * depth * pixel_angle / cosine).max(0.01 * depth),
+            depth_tolerance: depth * (2.0 * pixel_angle * per_cosine).max(0.01),
             color,
             object: batch.object,
             age,

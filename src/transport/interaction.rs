@@ -17,7 +17,8 @@ pub struct Interaction {
     pub geometric_normal: Vec3,
     /// Unit shading normal, with bumps, in the hemisphere of `geometric_normal`.
     pub shading_normal: Vec3,
-    /// Unit tangent along ∂p/∂u, perpendicular to the shading normal.
+    /// Unit tangent, perpendicular to the shading normal; along ∂p/∂u where the material has a direction or bumps, any
+    /// that changes smoothly with the normal elsewhere.
     pub tangent: Vec3,
     /// shading_normal × tangent.
     pub bitangent: Vec3,
@@ -65,8 +66,9 @@ impl Interaction {
         let error = ((a * b0).abs() + (b * b1).abs() + (c * b2).abs()) * gamma(7);
         let (e1, e2) = (b - a, c - a);
         // Hit triangles have an area, but its square may underflow.
-        let geometric_normal =
-            area_normal(e1, e2).try_normalize().unwrap_or_else(|| -ray.direction.normalize());
+        let area_normal = area_normal(e1, e2);
+        let wo = -ray.direction.normalize();
+        let geometric_normal = area_normal.try_normalize().unwrap_or(wo);
         let [na, nb, nc] = vertices.map(|v| mesh.normals[v]);
         let mut shading_normal = (na * b0 + nb * b1 + nc * b2).try_normalize().unwrap_or(geometric_normal);
         if !shading_normal.is_finite() {
@@ -75,12 +77,8 @@ impl Interaction {
         if shading_normal.dot(geometric_normal) < 0.0 {
             shading_normal = -shading_normal;
         }
-        let [ta, tb, tc] = vertices.map(|v| mesh.uvs[v]);
-        let (uv, uv_density) = texture_coordinates([ta, tb, tc], b1, b2, e1.cross(e2).length());
-        let (d1, d2) = (tb - ta, tc - ta);
-        let determinant = d1.perp_dot(d2);
-        let along_u = if determinant != 0.0 { (e1 * d2.y - e2 * d1.y) / determinant } else { e1 };
-        let wo = -ray.direction.normalize();
+        let uvs = vertices.map(|v| mesh.uvs[v]);
+        let (uv, uv_density) = texture_coordinates(uvs, b1, b2, e1.cross(e2).length());
         let material = mesh.materials[hit.triangle as usize];
         let mut at = Self {
             position,
@@ -96,17 +94,24 @@ impl Interaction {
             b2,
             material,
             object: mesh.objects[hit.triangle as usize],
-            back: area_normal(e1, e2).dot(ray.direction) > 0.0,
+            back: area_normal.dot(ray.direction) > 0.0,
             wo,
             t: hit.t,
             footprint: 0.0,
         };
-        at.set_frame(along_u);
         let m = at.material(scene);
-        if m.normal_map.is_some() || m.bump_map.is_some() {
+        if m.has_direction() {
+            let [ta, tb, tc] = uvs;
+            let (d1, d2) = (tb - ta, tc - ta);
+            let determinant = d1.perp_dot(d2);
+            let along_u = if determinant != 0.0 { (e1 * d2.y - e2 * d1.y) / determinant } else { e1 };
+            at.set_frame(along_u);
             at.perturb(scene, along_u);
+            at.keep_visible();
+        } else {
+            at.keep_visible();
+            (at.tangent, at.bitangent) = at.shading_normal.any_orthonormal_pair();
         }
-        at.keep_visible();
         at
     }
 

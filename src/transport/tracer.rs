@@ -29,9 +29,10 @@ use crate::scene::Scene;
 /// How much is traced for one sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Distributed rays of a glossy lobe on the surface that is looked at; 1 on what it reflects.
+    /// Distributed rays of a glossy lobe on the surface that is looked at, fewer where it returns less than half of the
+    /// light; 1 on what it reflects.
     pub glossy_samples: u32,
-    /// Light samples of a glossy lobe there; 1 on what it reflects. 0: none anywhere.
+    /// Light samples of a glossy lobe there, fewer likewise; 1 on what it reflects. 0: none anywhere.
     pub light_samples: u32,
     /// Surfaces along a ray at which both reflection and refraction are followed; later ones choose one.
     pub split_depth: u32,
@@ -265,13 +266,13 @@ impl<'a> Tracer<'a> {
         // dark, as under any bound, but what a second look finds again is let through.
         let added = branch.contribution * self.scene.display.exposure;
         let mut estimates = 1.0;
+        let (n, m) = self.sample_counts(at, bsdf, true);
+        let most = self.settings.repeats_max as f32
+            * ((self.settings.glossy_samples + self.settings.light_samples) as f32 / (n + m) as f32).max(1.0);
         let is_unconfirmed = |largest: f32, sum: Vec3, estimates: f32| {
             largest * added > self.settings.outlier * estimates && 2.0 * largest > sum.max_element()
         };
-        while !branch.repeats
-            && estimates < self.settings.repeats_max as f32
-            && is_unconfirmed(largest, sum, estimates)
-        {
+        while !branch.repeats && estimates < most && is_unconfirmed(largest, sum, estimates) {
             let again = stream.split(u64::MAX - estimates as u64).independent();
             let (more, brightest) = self.glossy(at, bsdf, next, again);
             sum += more;
@@ -289,18 +290,14 @@ impl<'a> Tracer<'a> {
             sum += light;
             largest = largest.max(light.max_element());
         };
-        let first = branch.depth == 0;
-        let n = if first { self.settings.glossy_samples.max(1) } else { 1 };
-        let m = match (bsdf.is_delta() || self.lights.is_empty(), first) {
-            (true, _) => 0,
-            (false, true) => self.settings.light_samples,
-            (false, false) => self.settings.light_samples.min(1),
-        };
+        let (n, m) = self.sample_counts(at, bsdf, branch.depth == 0);
         for i in 0..n {
             let mut s = stream.sample_of(i, n);
             let [u, v] = s.next_2d();
             let u = if s.is_shared_out() { u } else { ((i as f32 + u) / n as f32).min(1.0 - f32::EPSILON) };
-            let Some(sample) = bsdf.sample(at.wo, [u, v], s.next_f32()) else { continue };
+            // One lobe needs no choice.
+            let u_lobe = if bsdf.is_delta() { s.next_f32() } else { 0.0 };
+            let Some(sample) = bsdf.sample(at.wo, [u, v], u_lobe) else { continue };
             let found = (!sample.delta).then_some(Found { point: at.position, pdf: sample.pdf, n, m });
             let share = 1.0 / n as f32;
             let sample = BsdfSample { weight: sample.weight * share, ..sample };
@@ -314,18 +311,29 @@ impl<'a> Tracer<'a> {
             let Some(light) = self.lights.sample_direct(self.scene, at.position, choice, s.next_2d()) else {
                 continue;
             };
-            let f = bsdf.evaluate(at.wo, light.wi) * light.wi.dot(at.facing_shading()).max(0.0);
+            let (f, pdf) = bsdf.evaluate_and_pdf(at.wo, light.wi);
+            let f = f * light.wi.dot(at.facing_shading()).max(0.0);
             if f.max_element() <= 0.0 {
                 continue;
             }
-            let weight =
-                if light.delta { 1.0 } else { mis_weight(m, light.pdf, n, bsdf.pdf(at.wo, light.wi)) };
+            let weight = if light.delta { 1.0 } else { mis_weight(m, light.pdf, n, pdf) };
             let Some(arriving) = arriving(self.scene, self.accel, at, &branch.media, &light) else {
                 continue;
             };
             add(f * arriving * (weight / (light.pdf * m as f32)));
         }
         (sum, largest)
+    }
+
+    /// Distributed rays and light samples of a glossy lobe. A lobe that returns little of the light adds as little
+    /// noise, so that a coat is sampled less than a metal.
+    fn sample_counts(&self, at: &Interaction, bsdf: &Bsdf, first: bool) -> (u32, u32) {
+        /// The share of light from which on all are taken.
+        const ALL: f32 = 0.5;
+        let share = if first { bsdf.view_dependent_albedo(at.wo).max_element() / ALL } else { 0.0 };
+        let of = |all: u32| ((all as f32 * share).ceil() as u32).clamp(1, all.max(1));
+        let lights = if bsdf.is_delta() || self.lights.is_empty() { 0 } else { self.settings.light_samples };
+        (of(self.settings.glossy_samples), of(lights).min(lights))
     }
 
     /// Radiance that arrives along a sampled direction, times its weight.

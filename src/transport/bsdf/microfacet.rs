@@ -17,6 +17,17 @@ pub struct Microfacet {
     pub v_groove: bool,
 }
 
+/// What a distribution says of one pair of directions, see [`Microfacet::reflection`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reflection {
+    /// D G / (4 co ci), 1/sr.
+    pub value: f32,
+    /// Density of the sampled direction, 1/sr.
+    pub pdf: f32,
+    /// Cosine between either direction and the facet's normal.
+    pub oh: f32,
+}
+
 impl Microfacet {
     /// D(h): ∫ D h_z dω = 1.
     pub fn d(&self, h: Vec3) -> f32 {
@@ -53,19 +64,29 @@ impl Microfacet {
         1.0 / (1.0 + self.lambda(w))
     }
 
-    /// D G / (4 co ci), never dividing by the small cosine alone.
-    pub fn reflection(&self, wo: Vec3, wi: Vec3, h: Vec3) -> f32 {
-        let (co, ci, oh) = (wo.z, wi.z, wo.dot(h));
+    /// D G / (4 co ci), never dividing by the small cosine alone, and the density of `wi` over solid angle when the
+    /// facet normal comes from [`Self::sample`]; with them ⟨wo, h⟩. That is half the length of wo + wi: where both
+    /// graze, the scalar product loses its sign to rounding.
+    pub fn reflection(&self, wo: Vec3, wi: Vec3) -> Reflection {
+        let (co, ci) = (wo.z, wi.z);
+        let sum = wo + wi;
+        let oh = 0.5 * sum.length();
         if !(co > 0.0 && ci > 0.0 && oh > 0.0) {
-            return 0.0;
+            return Reflection { value: 0.0, pdf: 0.0, oh: 0.0 };
         }
-        let d = self.d(h);
+        let h = sum * (0.5 / oh);
+        let (d, lambda) = (self.d(h), self.lambda(wo));
         let value = if self.v_groove {
             d * (0.25 / (co * ci)).min(0.5 * h.z / (oh * ci)).min(0.5 * h.z / (oh * co))
         } else {
-            d / (4.0 * co * ci * (1.0 + self.lambda(wo) + self.lambda(wi)))
+            d / (4.0 * co * ci * (1.0 + lambda + self.lambda(wi)))
         };
-        if value.is_finite() { value } else { 0.0 }
+        let pdf = match self.distribution {
+            Distribution::Ggx => d / ((1.0 + lambda) * 4.0 * co),
+            Distribution::Beckmann => d * h.z / (4.0 * oh),
+        };
+        let finite = |v: f32| if v.is_finite() { v } else { 0.0 };
+        Reflection { value: finite(value), pdf: finite(pdf), oh }
     }
 
     /// A facet normal and nothing else, distributed as visible from `wo` for GGX (Heitz 2018), as D h_z for
@@ -96,20 +117,5 @@ impl Microfacet {
                 Vec3::new(r * c, r * s, z)
             }
         }
-    }
-
-    /// Density of wi over solid angle when the facet normal comes from `sample`; `sum` = wo + wi. ⟨wo, h⟩ is half
-    /// the sum's length: where both graze, the scalar product loses its sign to rounding.
-    pub fn pdf(&self, wo: Vec3, sum: Vec3) -> f32 {
-        let oh = 0.5 * sum.length();
-        let h = sum.normalize_or_zero();
-        if !(wo.z > 0.0 && oh > 0.0) {
-            return 0.0;
-        }
-        let pdf = match self.distribution {
-            Distribution::Ggx => self.g1(wo) * self.d(h) / (4.0 * wo.z),
-            Distribution::Beckmann => self.d(h) * h.z / (4.0 * oh),
-        };
-        if pdf.is_finite() { pdf } else { 0.0 }
     }
 }

@@ -317,8 +317,8 @@ impl Bsdf {
                 if i.z <= 0.0 || wi.dot(self.geometric) <= 0.0 || o.dot(h) <= 0.0 {
                     return None;
                 }
-                let pdf = microfacet.pdf(o, o + i);
-                let weight = self.evaluate(wo, wi) * (i.z / pdf);
+                let (f, pdf) = self.glossy(o, i);
+                let weight = f * (i.z / pdf);
                 (pdf > 0.0 && weight.is_finite()).then_some(BsdfSample {
                     wi,
                     weight,
@@ -373,59 +373,65 @@ impl Bsdf {
 
     /// f of the glossy view-dependent lobes (delta lobes are 0), without cosine.
     pub fn evaluate(&self, wo: Vec3, wi: Vec3) -> Vec3 {
-        let (o, i) = (self.local(wo), self.local(wi));
-        if o.z <= 0.0 || i.z <= 0.0 || wi.dot(self.geometric) <= 0.0 {
-            return Vec3::ZERO;
-        }
-        let value = match self.lobe {
-            Lobe::Glossy { facet, microfacet } => {
-                let h = (o + i).normalize_or(Vec3::Z);
-                facet.reflectance(o.dot(h)) * microfacet.reflection(o, i, h)
-            }
-            Lobe::Ward { specular, microfacet } => {
-                let h = o + i;
-                let z2 = h.z * h.z;
-                if h.z < 1e-6 {
-                    return Vec3::ZERO;
-                }
-                let e = ((h.x / microfacet.ax).powi(2) + (h.y / microfacet.ay).powi(2)) / z2;
-                specular * (h.length_squared() * (-e).exp() / (PI * microfacet.ax * microfacet.ay * z2 * z2))
-            }
-            Lobe::None
-            | Lobe::Mirror { .. }
-            | Lobe::Smooth { .. }
-            | Lobe::Glass { .. }
-            | Lobe::Pane { .. } => Vec3::ZERO,
-        };
-        if value.is_finite() { value } else { Vec3::ZERO }
+        self.evaluate_and_pdf(wo, wi).0
     }
 
     /// Density with which `sample` gives `wi`; 0 for delta lobes.
     pub fn pdf(&self, wo: Vec3, wi: Vec3) -> f32 {
-        let (o, i) = (self.local(wo), self.local(wi));
-        if o.z <= 0.0 || i.z <= 0.0 || wi.dot(self.geometric) <= 0.0 {
-            return 0.0;
+        self.evaluate_and_pdf(wo, wi).1
+    }
+
+    /// Both at once, which costs little more than one.
+    pub fn evaluate_and_pdf(&self, wo: Vec3, wi: Vec3) -> (Vec3, f32) {
+        if self.is_delta() || wi.dot(self.geometric) <= 0.0 {
+            return (Vec3::ZERO, 0.0);
         }
-        match self.lobe {
-            Lobe::Glossy { microfacet, .. } | Lobe::Ward { microfacet, .. } => microfacet.pdf(o, o + i),
+        self.glossy(self.local(wo), self.local(wi))
+    }
+
+    /// f and the sampled density in the local frame.
+    #[inline]
+    fn glossy(&self, o: Vec3, i: Vec3) -> (Vec3, f32) {
+        if o.z <= 0.0 || i.z <= 0.0 {
+            return (Vec3::ZERO, 0.0);
+        }
+        let (value, pdf) = match self.lobe {
+            Lobe::Glossy { facet, microfacet } => {
+                let r = microfacet.reflection(o, i);
+                (facet.reflectance(r.oh) * r.value, r.pdf)
+            }
+            Lobe::Ward { specular, microfacet } => {
+                let h = o + i;
+                let z2 = h.z * h.z;
+                let e = ((h.x / microfacet.ax).powi(2) + (h.y / microfacet.ay).powi(2)) / z2;
+                let f = h.length_squared() * (-e).exp() / (PI * microfacet.ax * microfacet.ay * z2 * z2);
+                let value = if h.z < 1e-6 { Vec3::ZERO } else { specular * f };
+                (value, microfacet.reflection(o, i).pdf)
+            }
             Lobe::None
             | Lobe::Mirror { .. }
             | Lobe::Smooth { .. }
             | Lobe::Glass { .. }
-            | Lobe::Pane { .. } => 0.0,
+            | Lobe::Pane { .. } => (Vec3::ZERO, 0.0),
+        };
+        (if value.is_finite() { value } else { Vec3::ZERO }, pdf)
+    }
+
+    /// About the share of light that the view-dependent lobes return towards `wo`.
+    pub fn view_dependent_albedo(&self, wo: Vec3) -> Vec3 {
+        let cosine = wo.dot(self.normal).max(0.0);
+        match self.lobe {
+            Lobe::None => Vec3::ZERO,
+            Lobe::Mirror { reflectance } => reflectance,
+            Lobe::Smooth { facet } | Lobe::Glossy { facet, .. } => facet.reflectance(cosine),
+            Lobe::Ward { specular, .. } => specular,
+            Lobe::Glass { .. } | Lobe::Pane { .. } => Vec3::ONE,
         }
     }
 
     /// Probability of choosing the view-dependent lobes in the `_all` functions.
     fn specular_share(&self, wo: Vec3) -> f32 {
-        let cosine = wo.dot(self.normal).max(0.0);
-        let specular = match self.lobe {
-            Lobe::None => 0.0,
-            Lobe::Mirror { reflectance } => luminance(reflectance),
-            Lobe::Smooth { facet } | Lobe::Glossy { facet, .. } => luminance(facet.reflectance(cosine)),
-            Lobe::Ward { specular, .. } => luminance(specular),
-            Lobe::Glass { .. } | Lobe::Pane { .. } => 1.0,
-        };
+        let specular = luminance(self.view_dependent_albedo(wo));
         let diffuse = luminance(self.diffuse);
         match (specular > 0.0, diffuse > 0.0) {
             (false, _) => 0.0,

@@ -77,20 +77,9 @@ impl SplitSum {
 impl Model {
     /// α of the view-dependent lobe, the larger of the two; 0 for smooth and diffuse surfaces.
     pub fn lobe_alpha(&self) -> f32 {
-        match self {
-            Self::Lambert { .. } | Self::Mirror { .. } | Self::Dielectric { thin: true, .. } => 0.0,
-            Self::Conductor { roughness, .. }
-            | Self::Metal { roughness, .. }
-            | Self::Dielectric { roughness, .. }
-            | Self::Plastic { roughness, .. }
-            | Self::CookTorrance { roughness, .. }
-            | Self::Ward { roughness, .. } => {
-                if roughness.is_smooth() {
-                    0.0
-                } else {
-                    roughness.alpha_x.max(roughness.alpha_y).clamp(0.0, 1.0)
-                }
-            }
+        match self.roughness() {
+            Some(r) if !r.is_smooth() => r.alpha_x.max(r.alpha_y).clamp(0.0, 1.0),
+            _ => 0.0,
         }
     }
 }

@@ -89,6 +89,11 @@ fn cut(path: &Path, out: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
+/// To hundredths.
+fn round(value: f64) -> f64 {
+    (value * 100.0).round() / 100.0
+}
+
 fn frames(trace: &Trace) -> usize {
     let actors = 0..trace.header().nodes.len() as u32;
     let marks = |actor| {
@@ -106,6 +111,9 @@ fn stat(path: &Path, as_json: bool) -> Result<(), Failure> {
         .zip(&trace.header().nodes)
         .map(|(id, node)| json!({"actor": node.name, "deliveries": trace.deliveries(id)}))
         .collect();
+    // What came from outside could not be left out; the rest is what recording itself costs.
+    let own = stat.order_bytes + stat.pop_bytes + stat.hash_bytes + stat.rejected_bytes;
+    let per_delivery = own as f64 / stat.deliveries.max(1) as f64;
     let document = json!({
         "schema": "foveal.log/1",
         "program": run.program,
@@ -122,10 +130,12 @@ fn stat(path: &Path, as_json: bool) -> Result<(), Failure> {
             "file": stat.file_bytes,
             "order": stat.order_bytes,
             "external": stat.external_bytes,
+            "pops": stat.pop_bytes,
             "values": stat.value_bytes,
             "hashes": stat.hash_bytes,
             "rejected": stat.rejected_bytes,
         },
+        "bytes_per_delivery": round(per_delivery),
         "actors": actors,
     });
     if as_json {
@@ -145,8 +155,14 @@ fn stat(path: &Path, as_json: bool) -> Result<(), Failure> {
         if trace.complete() { "" } else { ", cut short" }
     ));
     print_line(&format!(
-        "unpacked: order {}, input {}, values {}, hashes {}, rejections {} bytes",
-        stat.order_bytes, stat.external_bytes, stat.value_bytes, stat.hash_bytes, stat.rejected_bytes
+        "unpacked: order {}, job pops {}, hashes {}, rejections {} bytes ({per_delivery:.2} a delivery); input {}, \
+         values {} bytes",
+        stat.order_bytes,
+        stat.pop_bytes,
+        stat.hash_bytes,
+        stat.rejected_bytes,
+        stat.external_bytes - stat.pop_bytes,
+        stat.value_bytes
     ));
     for actor in &actors {
         print_line(&format!("{:>10}  {}", actor["deliveries"], actor["actor"].as_str().unwrap_or_default()));

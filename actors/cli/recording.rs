@@ -6,7 +6,7 @@ use foveal::display::twin::Passes;
 use foveal::illumination::Irradiance;
 use foveal::illumination::cache::encode;
 use foveal::scene::Scene;
-use foveal_runtime::{Trace, TraceError};
+use foveal_runtime::{Hashing, Trace, TraceError};
 use serde::{Deserialize, Serialize};
 
 use super::Progress;
@@ -16,6 +16,28 @@ use crate::settings::Settings;
 
 /// Most tracers of a session: with the thread of the light actors, as many as the runtime's threads.
 pub const TRACERS_MAX: u32 = 63;
+
+/// How densely a recording holds hashes of what was delivered.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Hashes {
+    /// One for each message, 2 bytes: a divergence is named at its message
+    #[default]
+    Each,
+    /// One for 256 messages: a divergence is named to within these
+    Sparse,
+    /// None: only a stall or another frame is a divergence
+    None,
+}
+
+impl From<Hashes> for Hashing {
+    fn from(hashes: Hashes) -> Self {
+        match hashes {
+            Hashes::Each => Self::Exact,
+            Hashes::Sparse => Self::Every(256),
+            Hashes::None => Self::Off,
+        }
+    }
+}
 
 /// The application's part of a recording's header.
 #[derive(Clone, Debug, Serialize, Deserialize)]

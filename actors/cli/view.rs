@@ -12,7 +12,7 @@ use super::Progress;
 use super::arguments::{Size, bytes, positive};
 use super::failure::Failure;
 use super::output::{print_json, print_line, write_atomic};
-use super::recording::{RecordedRun, TRACERS_MAX};
+use super::recording::{Hashes, RecordedRun, TRACERS_MAX};
 use super::session::{self, IlluminationArguments};
 use foveal::image::Map2d;
 use foveal::splatting::supersampling::Supersampling;
@@ -54,6 +54,9 @@ pub struct ViewArguments {
     /// Record the walk, so that `foveal replay` can run it again; another scene, or the same read again, begins FILE-2
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+    /// How densely hashes are recorded
+    #[arg(long, value_name = "WHICH", value_enum, default_value_t = Hashes::Each, requires = "record")]
+    hashes: Hashes,
     /// Folder for screenshots (F12)
     #[arg(long, value_name = "DIR", default_value = ".")]
     screenshots: PathBuf,
@@ -225,7 +228,8 @@ pub fn load(
         let run = RecordedRun::new("view", path, &opened, &illumination, &settings, passes, corrects);
         let header = run.and_then(|run| run.to_bytes());
         let header = header.map_err(|e| tracing::warn!("the walk is not recorded: {e}")).ok()?;
-        Some(Recording { file: numbered(file, sessions.fetch_add(1, Ordering::Relaxed) + 1), header })
+        let file = numbered(file, sessions.fetch_add(1, Ordering::Relaxed) + 1);
+        Some(Recording { file, header, hashing: a.hashes.into() })
     });
     let session::Session { world, textures, refinement, warnings: _ } = opened;
     Ok(Made { world, textures, refinement, settings, fps, facts, recording })

@@ -21,7 +21,7 @@ use super::arguments::{Size, bytes, positive, unit};
 use super::failure::Failure;
 use super::output::{make_folder, print_json, write_atomic};
 use super::pictures::PictureWriter;
-use super::recording::{RecordedRun, TRACERS_MAX};
+use super::recording::{Hashes, RecordedRun, TRACERS_MAX};
 use super::report::FramePoint;
 use super::session::{self, IlluminationArguments, Session, camera, interrupted};
 use super::walk_report::{Walked, document, summary, textures_json};
@@ -81,6 +81,9 @@ pub struct WalkArguments {
     /// Record the walk, so that `foveal replay` can run it again
     #[arg(long, value_name = "FILE")]
     pub(super) record: Option<PathBuf>,
+    /// How densely hashes are recorded
+    #[arg(long, value_name = "WHICH", value_enum, default_value_t = Hashes::Each, requires = "record")]
+    hashes: Hashes,
     /// Write when each actor ran on which thread, for chrome://tracing; as .pftrace in Perfetto's own format
     #[arg(long, value_name = "FILE")]
     profile: Option<PathBuf>,
@@ -269,7 +272,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
     }
     if let Some(file) = &a.record {
         let run = RecordedRun::new("walk", &a.scene, &session, &a.illumination, &settings, passes, corrects)?;
-        config.application = run.to_bytes()?;
+        (config.application, config.hashing) = (run.to_bytes()?, a.hashes.into());
         config = config.record(file);
     }
     let built = match Runtime::build(config, |w| wire(w, parts())) {

@@ -122,6 +122,7 @@ pub struct Cx<'a, M: Message> {
 impl<M: Message> Cx<'_, M> {
     /// Tells another actor (or this one). A message that is not accepted comes back; that it did is recorded, so
     /// replay takes the same branch.
+    #[inline(always)]
     pub fn tell<N: Message>(&mut self, to: &Address<N>, message: N) -> Result<(), Rejected<N>> {
         post(self.journal, self.thread, to, message)
     }
@@ -220,6 +221,7 @@ impl<M: Message> Cx<'_, M> {
 }
 
 /// Sends `message` on behalf of the actor whose journal this is.
+#[inline(always)]
 pub(crate) fn post<N: Message>(
     journal: &mut Journal,
     thread: &ThreadCx,
@@ -258,6 +260,7 @@ pub(crate) fn post<N: Message>(
 }
 
 /// The code of a way in the order stream.
+#[inline]
 pub(crate) fn lane_code(way: Lane) -> u8 {
     match way {
         Lane::Data => lane::DATA,

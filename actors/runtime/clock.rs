@@ -35,14 +35,22 @@ pub(crate) fn nanoseconds(duration: Duration) -> u64 {
 /// The one place where the runtime reads a clock.
 #[derive(Debug)]
 pub(crate) enum Clock {
-    Real(Instant),
+    Real {
+        start: Instant,
+        /// The processor's counter, where it has one that runs evenly: a third of the cost of asking the system. A
+        /// machine that slept may set it back, so nothing waits by it.
+        counter: quanta::Clock,
+        counter_start: u64,
+    },
     /// Moved only by the simulator.
     Virtual(AtomicU64),
 }
 
 impl Clock {
     pub(crate) fn real() -> Self {
-        Self::Real(Instant::now())
+        let counter = quanta::Clock::new();
+        let counter_start = counter.raw();
+        Self::Real { start: Instant::now(), counter, counter_start }
     }
 
     pub(crate) fn starting_at_zero() -> Self {
@@ -52,7 +60,18 @@ impl Clock {
     #[inline]
     pub(crate) fn now(&self) -> u64 {
         match self {
-            Self::Real(start) => nanoseconds(start.elapsed()),
+            Self::Real { start, .. } => nanoseconds(start.elapsed()),
+            Self::Virtual(now) => now.load(Ordering::Relaxed),
+        }
+    }
+
+    /// The time for begin, length and budget of turns: read for each of them, so it must cost next to nothing.
+    #[inline]
+    pub(crate) fn turn_time(&self) -> u64 {
+        match self {
+            Self::Real { counter, counter_start, .. } => {
+                counter.delta_as_nanos(*counter_start, counter.raw())
+            }
             Self::Virtual(now) => now.load(Ordering::Relaxed),
         }
     }

@@ -160,6 +160,7 @@ impl Env {
             .map_or_else(|| id.to_string(), |node| node.name.clone())
     }
 
+    #[inline]
     pub(crate) fn replaying(&self) -> bool {
         self.driven == Driven::Replay
     }
@@ -186,6 +187,7 @@ impl Env {
         self.closed.load(Ordering::Acquire)
     }
 
+    #[inline]
     pub(crate) fn halted(&self) -> bool {
         self.halted.load(Ordering::Relaxed)
     }

@@ -2,18 +2,22 @@
 //!
 //! Here deliveries are counted, hashed, recorded, compared with a recording, shown to an observer, and faulted.
 
+mod recorder;
+
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use crate::actor::Delivery;
 use crate::env::Env;
-use crate::log::format::{Hashing, Symbol, lane, put, put_bytes, put_signed, value};
+use crate::log::format::{Hashing, Symbol, lane, put, put_signed, value};
 use crate::log::writer::BACKLOG_BYTES_MAX;
 use crate::mailbox::Link;
 use crate::message::{ActorId, Digest};
 use crate::replay::{Divergence, Script, Turn};
 use crate::snapshot::JournalState;
+
+use recorder::Recorder;
 
 /// Deliveries kept for a report of a divergence.
 const HISTORY: usize = 20;
@@ -42,105 +46,6 @@ pub(crate) enum Payload<'a> {
 /// Why a turn cannot go on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Halted;
-
-/// The log of one actor that is not yet with the writer.
-#[derive(Default)]
-struct Recorder {
-    first: u64,
-    order: Vec<u8>,
-    /// The run at hand: whose messages, that sender's number, how many.
-    run: Option<(Symbol, u32, u64)>,
-    symbols: Vec<Symbol>,
-    external: Vec<u8>,
-    last_job: u64,
-    last_timer: u64,
-    values: Vec<u8>,
-    last_value: u64,
-    last_now: u64,
-    hashes: Vec<u8>,
-    rejected: Vec<u8>,
-    last_rejected: u64,
-}
-
-impl Recorder {
-    #[inline]
-    fn delivery(&mut self, symbol: Symbol, payload: Payload<'_>) {
-        match &mut self.run {
-            Some((of, _, length)) if *of == symbol => *length += 1,
-            _ => self.next_run(symbol),
-        }
-        match payload {
-            Payload::None => {}
-            Payload::External(bytes) => put_bytes(&mut self.external, bytes),
-            Payload::Skipped(count) => put(&mut self.external, u64::from(count)),
-            Payload::Timer { timer, time } => {
-                put(&mut self.external, u64::from(timer));
-                put_signed(&mut self.external, time.wrapping_sub(self.last_timer) as i64);
-                self.last_timer = time;
-            }
-            Payload::Order(bits) => put(&mut self.external, u64::from(bits)),
-            Payload::Job { id, attempt } => {
-                put_signed(&mut self.external, id.wrapping_sub(self.last_job) as i64);
-                put(&mut self.external, u64::from(attempt));
-                self.last_job = id;
-            }
-        }
-    }
-
-    fn next_run(&mut self, symbol: Symbol) {
-        self.end_run();
-        let known = self.symbols.iter().position(|known| *known == symbol);
-        let number = known.unwrap_or(self.symbols.len());
-        if known.is_none() {
-            self.symbols.push(symbol);
-        }
-        self.run = Some((symbol, number as u32, 1));
-    }
-
-    /// Writes the run at hand: its symbol with one bit for "more than one", then the length. A symbol that is new is
-    /// written out behind its number.
-    fn end_run(&mut self) {
-        let Some((_, number, length)) = self.run.take() else { return };
-        put(&mut self.order, u64::from(number) << 1 | u64::from(length > 1));
-        if length > 1 {
-            put(&mut self.order, length - 2);
-        }
-    }
-
-    fn value(&mut self, index: u64, tag: u8) {
-        put(&mut self.values, index - self.last_value);
-        self.last_value = index;
-        self.values.push(tag);
-    }
-
-    fn len(&self) -> usize {
-        self.order.len() + self.external.len() + self.values.len() + self.hashes.len() + self.rejected.len()
-    }
-
-    /// Everything since the last chunk, as the bytes of one.
-    fn chunk(&mut self, id: ActorId, index: u64, chain: u64, declared: usize) -> Vec<u8> {
-        self.end_run();
-        let mut bytes = Vec::with_capacity(self.len() + 32);
-        put(&mut bytes, u64::from(id.0));
-        put(&mut bytes, self.first);
-        put(&mut bytes, index - self.first);
-        bytes.extend_from_slice(&chain.to_le_bytes());
-        let new = &self.symbols[declared..];
-        put(&mut bytes, new.len() as u64);
-        for symbol in new {
-            put(&mut bytes, u64::from(symbol.from.0));
-            bytes.push(symbol.lane);
-        }
-        for stream in
-            [&mut self.order, &mut self.external, &mut self.values, &mut self.hashes, &mut self.rejected]
-        {
-            put_bytes(&mut bytes, stream);
-            stream.clear();
-        }
-        self.first = index;
-        bytes
-    }
-}
 
 /// One actor's side of counting, hashing, recording and replay.
 pub(crate) struct Journal {
@@ -225,7 +130,7 @@ impl Journal {
         if let Some(recorder) = &mut self.recorder {
             recorder.delivery(symbol, payload);
             match self.hashing {
-                Hashing::Exact => recorder.hashes.extend_from_slice(&short(self.chain).to_le_bytes()[..3]),
+                Hashing::Exact => recorder.hashes.extend_from_slice(&short(self.chain).to_le_bytes()),
                 Hashing::Every(_) if self.to_hash == 1 => {
                     recorder.hashes.extend_from_slice(&self.chain.to_le_bytes());
                 }
@@ -257,15 +162,15 @@ impl Journal {
         chain.u64(state);
         self.chain = chain.finish();
         if let Some(recorder) = &mut self.recorder {
-            recorder.hashes.extend_from_slice(&short(self.chain).to_le_bytes()[..3]);
+            recorder.hashes.extend_from_slice(&short(self.chain).to_le_bytes());
         }
         if let Some(script) = &mut self.script
-            && let Some(expected) = script.hash24()
+            && let Some(expected) = script.hash16()
             && expected != short(self.chain)
         {
-            let found = format!("state hash {:06x}", short(self.chain));
+            let found = format!("state hash {:04x}", short(self.chain));
             self.env
-                .diverged(self.divergence(self.index - 1, format!("state hash {expected:06x}"), found), true);
+                .diverged(self.divergence(self.index - 1, format!("state hash {expected:04x}"), found), true);
             return Err(Halted);
         }
         Ok(())
@@ -283,7 +188,7 @@ impl Journal {
             return self.diverge(index.saturating_sub(1), value::name(tag).to_owned(), found);
         }
         let (expected, found) = match script.hashing {
-            Hashing::Exact => match script.hash24() {
+            Hashing::Exact => match script.hash16() {
                 Some(expected) => (u64::from(expected), u64::from(short(self.chain))),
                 None => return self.stop_here(),
             },
@@ -294,7 +199,14 @@ impl Journal {
             _ => return self.stop_here(),
         };
         if expected != found {
-            return self.diverge(self.index, format!("hash {expected:x}"), format!("hash {found:x}"));
+            let since = match self.hashing {
+                Hashing::Every(_) => {
+                    format!(" of deliveries {} to {}", self.index + 1 - self.since_hash(), self.index)
+                }
+                _ => String::new(),
+            };
+            let (expected, found) = (format!("hash {expected:x}{since}"), format!("hash {found:x}"));
+            return self.diverge(self.index, expected, found);
         }
         self.stop_here()
     }
@@ -334,6 +246,11 @@ impl Journal {
         if let Hashing::Every(period) = self.hashing { period.max(1) } else { u32::MAX }
     }
 
+    /// Deliveries that the sparse hash at hand covers and the one before does not.
+    fn since_hash(&self) -> u64 {
+        u64::from(self.period_of_hashes()).min(self.index + 1)
+    }
+
     /// What a snapshot keeps of it.
     pub(crate) fn state(&self) -> Option<JournalState> {
         let script = self.script.as_ref()?;
@@ -360,6 +277,7 @@ impl Journal {
         Some(())
     }
 
+    #[inline]
     pub(crate) fn replaying(&self) -> bool {
         self.script.is_some()
     }
@@ -460,11 +378,13 @@ impl Journal {
 
     // --- sends ------------------------------------------------------------------------------------------------------
 
+    #[inline]
     pub(crate) fn next_send(&mut self) -> u64 {
         self.sends += 1;
         self.sends - 1
     }
 
+    #[inline]
     pub(crate) fn rejects_by_fault(&mut self, number: u64) -> bool {
         let rejects = self.fulls.front().is_some_and(|at| *at <= number);
         if rejects {
@@ -553,9 +473,9 @@ impl Journal {
     }
 }
 
-/// The 24 bits of a chained hash that are recorded. Every bit of the hash reaches them.
-fn short(chain: u64) -> u32 {
-    (chain.wrapping_mul(0xff51_afd7_ed55_8ccd) >> 40) as u32
+/// The 16 bits of a chained hash that are recorded. Every bit of the hash reaches them.
+fn short(chain: u64) -> u16 {
+    (chain.wrapping_mul(0xff51_afd7_ed55_8ccd) >> 48) as u16
 }
 
 fn count_of(counts: &[(ActorId, u8, u32)], id: ActorId, key: u8) -> u32 {

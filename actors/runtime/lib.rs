@@ -210,6 +210,7 @@ mod replay;
 mod runtime;
 mod scheduler;
 mod shutdown;
+mod signals;
 pub mod simulate;
 mod snapshot;
 mod supervise;

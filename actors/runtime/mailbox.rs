@@ -5,7 +5,7 @@ use crossbeam_queue::{ArrayQueue, SegQueue};
 use crossbeam_utils::CachePadded;
 use std::fmt;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 
 use crate::activation::Activation;
 use crate::actor::{Class, Control};
@@ -13,6 +13,7 @@ use crate::env::Env;
 use crate::message::{ActorId, LATEST_KEYS, Lane, Message, Reason, Rejected};
 use crate::profile::Counters;
 use crate::scheduler::ThreadCx;
+use crate::signals::{Signals, signal};
 use crate::timer::{Alarm, TIMERS_PER_ACTOR};
 
 /// Bounds of a mailbox.
@@ -64,30 +65,12 @@ pub(crate) struct Inbound<M> {
 /// Turns a recorded payload of a port back into a message.
 pub(crate) type Decoder<M> = fn(&[u8]) -> Option<M>;
 
-/// Signals: one bit of work each.
-pub(crate) mod signal {
-    pub(crate) const START: u32 = 1;
-    pub(crate) const STOP: u32 = 1 << 1;
-    pub(crate) const PAUSE: u32 = 1 << 2;
-    pub(crate) const RESUME: u32 = 1 << 3;
-    pub(crate) const TIMER: u32 = 1 << 4;
-    pub(crate) const URGENT: u32 = 1 << 5;
-    pub(crate) const JOBS: u32 = 1 << 6;
-    pub(crate) const FLUSH: u32 = 1 << 7;
-    /// First of the newest-only slots.
-    pub(crate) const LATEST: u32 = 1 << 8;
-    /// What gets through to a paused actor.
-    pub(crate) const CONTROL: u32 = STOP | PAUSE | RESUME;
-}
-
 /// What the scheduler needs to know of an actor, whatever its messages are.
 pub(crate) struct Link {
     pub(crate) id: ActorId,
     pub(crate) class: Class,
     pub(crate) activation: CachePadded<Activation>,
-    pub(crate) signals: AtomicU32,
-    /// Paused, and nobody runs it although work waits.
-    pub(crate) parked: AtomicBool,
+    pub(crate) signals: Signals,
     /// Stopped: accepts nothing more.
     pub(crate) closed: AtomicBool,
     /// Has log bytes that are not yet with the writer.
@@ -109,11 +92,9 @@ impl Link {
 
     /// Sets a signal; a signal that is already up says it all.
     pub(crate) fn raise(&self, bit: u32, thread: &ThreadCx) {
-        // Sequentially consistent together with the look at `parked`: a runner that parks the actor does both in the
-        // other order.
-        if self.signals.fetch_or(bit, Ordering::SeqCst) & bit == 0 {
+        if self.signals.raise(bit) {
             self.wake(thread);
-            if bit & (signal::CONTROL | signal::START) != 0 && self.parked.swap(false, Ordering::SeqCst) {
+            if bit & (signal::CONTROL | signal::START) != 0 && self.signals.unpark() {
                 self.env.scheduler.activate(self.class, self.id.0, thread);
             }
         }
@@ -126,7 +107,7 @@ impl Link {
             Control::Resume => signal::RESUME,
         };
         if bit == signal::PAUSE {
-            self.signals.fetch_and(!signal::RESUME, Ordering::AcqRel);
+            self.signals.withdraw(signal::RESUME);
         }
         self.raise(bit, thread);
     }
@@ -161,6 +142,7 @@ impl<M: Message> Mailbox<M> {
     }
 
     /// Accepts a message, or gives it back.
+    #[inline(always)]
     pub(crate) fn accept(&self, envelope: Envelope<M>, thread: &ThreadCx) -> Result<(), Rejected<M>> {
         let back = |envelope: Envelope<M>, reason| Err(Rejected { message: envelope.message, reason });
         if self.link.closed.load(Ordering::Acquire) {
@@ -195,6 +177,7 @@ impl<M: Message> Mailbox<M> {
         Ok(())
     }
 
+    #[inline]
     fn reserve(&self, bytes: usize) -> bool {
         let before = self.bytes.fetch_add(bytes, Ordering::Relaxed);
         // One message larger than the whole bound may pass when it is alone: it could never be sent otherwise.

@@ -13,6 +13,7 @@ use std::collections::VecDeque;
 use crate::activation::Activation;
 use crate::eventcount::EventCount;
 use crate::pool::Bitmap;
+use crate::signals::{Signals, signal};
 
 /// A linearisable queue.
 #[expect(clippy::disallowed_types, reason = "a stand-in for a lock-free queue inside the model checker")]
@@ -124,12 +125,33 @@ fn model_eventcount_loses_no_wake_up() {
     });
 }
 
+/// A bucket that promises as little as a queue may: what nothing else orders, a look at it may miss.
+struct Bucket(AtomicUsize);
+
+impl Bucket {
+    fn new() -> Self {
+        Self(AtomicUsize::new(0))
+    }
+
+    fn push(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn pop(&self) -> Option<usize> {
+        self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |jobs| jobs.checked_sub(1)).ok()
+    }
+
+    fn is_empty(&self) -> bool {
+        self.0.load(Ordering::Relaxed) == 0
+    }
+}
+
 #[test]
 fn model_pool_gives_every_job_once() {
     loom::model(|| {
-        let shared = Arc::new((Bitmap::new(), [Queue::new(), Queue::new()]));
+        let shared = Arc::new((Bitmap::new(), [Bucket::new(), Bucket::new()]));
         let taken = Arc::new(AtomicUsize::new(0));
-        let take = |shared: &(Bitmap, [Queue; 2])| {
+        let take = |shared: &(Bitmap, [Bucket; 2])| {
             let (bitmap, buckets) = shared;
             bitmap.take(
                 0,
@@ -142,7 +164,7 @@ fn model_pool_gives_every_job_once() {
             thread::spawn(move || {
                 // Twice the same bucket: a worker may find it empty between the two and clear its bit.
                 for bucket in [0, 0] {
-                    shared.1[bucket].push(bucket as u32);
+                    shared.1[bucket].push();
                     shared.0.raise(bucket as u32);
                 }
             })
@@ -165,7 +187,7 @@ fn model_pool_gives_every_job_once() {
             taken.fetch_add(1, Ordering::Relaxed);
         }
         assert_eq!(taken.load(Ordering::Relaxed), 2);
-        assert!(shared.1.iter().all(Queue::is_empty));
+        assert!(shared.1.iter().all(Bucket::is_empty));
     });
 }
 
@@ -196,5 +218,92 @@ fn model_idle_worker_and_pushed_job_find_each_other() {
             worker.thread().unpark();
         }
         worker.join().unwrap();
+    });
+}
+
+/// An actor's mailbox with its signals, run as [`Actor`] is.
+struct Mailbox {
+    data: Queue,
+    signals: Signals,
+    activation: Activation,
+    in_turn: AtomicBool,
+    /// Written with plain stores by whoever runs the turn.
+    paused: AtomicBool,
+    got: AtomicUsize,
+}
+
+impl Mailbox {
+    fn wake(&self) {
+        if self.activation.add() {
+            while self.turn() {}
+        }
+    }
+
+    fn tell(&self, message: u32) {
+        self.data.push(message);
+        self.wake();
+    }
+
+    fn order(&self, bit: u32) {
+        if bit == signal::PAUSE {
+            self.signals.withdraw(signal::RESUME);
+        }
+        if self.signals.raise(bit) {
+            self.wake();
+            if self.signals.unpark() {
+                while self.turn() {}
+            }
+        }
+    }
+
+    fn turn(&self) -> bool {
+        assert!(!self.in_turn.swap(true, Ordering::Relaxed), "two turns at once");
+        let mut consumed = self.activation.owed();
+        let mut paused = self.paused.load(Ordering::Relaxed);
+        let mut got = self.got.load(Ordering::Relaxed);
+        loop {
+            let mask = if paused { signal::CONTROL } else { u32::MAX };
+            if self.signals.any(mask) {
+                let bits = self.signals.take(mask);
+                consumed += bits.count_ones() as usize;
+                paused = bits & signal::PAUSE != 0 && bits & signal::RESUME == 0
+                    || paused && bits & signal::RESUME == 0;
+            }
+            if paused || self.data.pop().is_none() {
+                break;
+            }
+            consumed += 1;
+            got += 1;
+        }
+        self.paused.store(paused, Ordering::Relaxed);
+        self.got.store(got, Ordering::Relaxed);
+        self.in_turn.store(false, Ordering::Relaxed);
+        let active = self.activation.finish(consumed);
+        if active && paused { self.signals.park() } else { active }
+    }
+}
+
+#[test]
+fn model_mailbox_of_a_paused_actor_keeps_all_and_hears_its_orders() {
+    let mut model = loom::model::Builder::new();
+    model.preemption_bound = Some(3);
+    model.check(|| {
+        let mailbox = Arc::new(Mailbox {
+            data: Queue::new(),
+            signals: Signals::new(),
+            activation: Activation::new(),
+            in_turn: AtomicBool::new(false),
+            paused: AtomicBool::new(false),
+            got: AtomicUsize::new(0),
+        });
+        mailbox.order(signal::PAUSE);
+        let sender = {
+            let mailbox = Arc::clone(&mailbox);
+            thread::spawn(move || mailbox.tell(1))
+        };
+        mailbox.order(signal::RESUME);
+        sender.join().unwrap();
+        assert_eq!(mailbox.got.load(Ordering::Relaxed), 1, "the message waits for ever");
+        assert!(!mailbox.paused.load(Ordering::Relaxed) && mailbox.activation.pending() == 0);
     });
 }

@@ -1,22 +1,25 @@
 //! One actor with everything that belongs to it, and its turn: take what waits, deliver it in order, write all state
 //! back, and only then let others see that it is done.
 
+mod deliver;
+
 use crossbeam_utils::atomic::AtomicCell;
 use std::any::Any;
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use crate::actor::{Actor, Cx, OwnTimer, OwnTimers, lane_code};
+use crate::actor::{Actor, OwnTimers};
 use crate::journal::{Halted, Journal, Payload};
-use crate::log::format::{Symbol, lane};
-use crate::mailbox::{Address, Decoder, Envelope, Inbound, Link, Mailbox, signal};
-use crate::message::{ActorId, LATEST_KEYS, Lane, Message};
-use crate::pool::{Killed, Popped, Seat, job_symbol};
+use crate::log::format::lane;
+use crate::mailbox::{Address, Decoder, Inbound, Link, Mailbox};
+use crate::message::{ActorId, LATEST_KEYS, Message};
+use crate::pool::{Popped, Seat};
 use crate::replay::{Next, Script, Stash};
 use crate::scheduler::ThreadCx;
+use crate::signals::signal;
 use crate::snapshot::{Loader, Saver, load_messages, load_timers, save_messages, save_timers};
-use crate::supervise::{Circuit, Incident, Injected, OnPanic, message_of, verdict};
+use crate::supervise::{Circuit, OnPanic};
 
 /// An actor as the scheduler sees it.
 pub(crate) trait Runnable: Send + Sync {
@@ -116,172 +119,6 @@ impl<A: Actor> Node<A> {
         &self.address.mailbox
     }
 
-    /// Runs code of the actor; what it panics with comes back.
-    #[inline]
-    fn guarded(
-        &self,
-        core: &mut Core<A>,
-        thread: &ThreadCx,
-        body: impl FnOnce(&mut A, &mut Option<Box<dyn Seat<A>>>, &mut Cx<'_, A::Msg>),
-    ) -> Result<(), Box<dyn Any + Send>> {
-        let injected = core.journal.panics_by_fault();
-        let Core { actor, journal, timers, seat, stopping, .. } = core;
-        let mut cx =
-            Cx { address: &self.address, journal, timers, thread, env: &self.link.env, stop: stopping };
-        catch_unwind(AssertUnwindSafe(|| {
-            if injected {
-                resume_unwind(Box::new(Injected));
-            }
-            body(actor, seat, &mut cx);
-        }))
-    }
-
-    /// The one way a message gets to the actor.
-    #[inline]
-    fn deliver(
-        &self,
-        core: &mut Core<A>,
-        thread: &ThreadCx,
-        symbol: Symbol,
-        payload: Payload<'_>,
-        message: A::Msg,
-    ) -> Result<(), Halted> {
-        let kind = message.kind();
-        core.journal.deliver(symbol, payload, kind, &message, |digest| message.digest(digest))?;
-        if let Err(panic) = self.guarded(core, thread, |actor, _, cx| actor.handle(message, cx)) {
-            self.link.counters.dead_letters(1);
-            self.panicked(core, thread, kind, panic);
-        }
-        core.journal.handled(|| core.actor.digest())
-    }
-
-    /// The one way a job gets to the worker; its seat holds it.
-    fn deliver_job(&self, core: &mut Core<A>, thread: &ThreadCx, popped: Popped) -> Result<(), Halted> {
-        let Some(seat) = &core.seat else { return Ok(()) };
-        let kind = seat.kind();
-        let symbol = job_symbol(&core.journal, popped.stale);
-        let payload = Payload::Job { id: popped.id, attempt: popped.attempt };
-        // A job's identity begins with who made it.
-        core.journal.comes_of(ActorId((popped.id >> 40) as u32), popped.pushed_in);
-        core.journal.deliver(symbol, payload, kind, seat.content(), |digest| seat.digest(digest))?;
-        let _span = tracing::trace_span!("job", actor = A::NAME, job = popped.id).entered();
-        let done = self.guarded(core, thread, |actor, seat, cx| {
-            if let Some(seat) = seat {
-                if popped.stale { seat.stale(actor, cx) } else { seat.run(actor, cx) }
-            }
-        });
-        match done {
-            Ok(()) => {
-                if let Some(seat) = &mut core.seat {
-                    seat.completed();
-                }
-            }
-            Err(panic) => self.panicked(core, thread, kind, panic),
-        }
-        core.journal.handled(|| core.actor.digest())
-    }
-
-    fn panicked(
-        &self,
-        core: &mut Core<A>,
-        thread: &ThreadCx,
-        kind: &'static str,
-        panic: Box<dyn Any + Send>,
-    ) {
-        let env = &self.link.env;
-        let (actor, name) = (self.link.id, env.name(self.link.id));
-        self.link.counters.panicked();
-        let message = message_of(panic.as_ref());
-        tracing::warn!("{name} panicked over {kind}: {message}");
-        let tripped = core.circuit.panicked(core.journal.index);
-        let Core { seat, on_panic, journal, .. } = core;
-        let verdict = journal.verdict(|| match (on_panic, seat.as_deref()) {
-            (OnPanic::Stop, _) => verdict::STOP,
-            (_, Some(seat)) if tripped && seat.leave(thread) => verdict::OPEN,
-            (_, None) if tripped => verdict::OPEN,
-            _ => verdict::GO_ON,
-        });
-        let dead = match core.seat.as_mut().map(|seat| seat.killed(thread)) {
-            Some(Killed::Dead { id, description }) => Some(Incident::JobDead { actor, job: id, description }),
-            _ => None,
-        };
-        let open = (verdict == verdict::OPEN).then(|| Incident::CircuitOpen { actor, name: name.clone() });
-        let first = Incident::Panicked { actor, name, kind: kind.to_owned(), message };
-        for incident in [Some(first), dead, open].into_iter().flatten() {
-            env.report(&mut core.journal, thread, incident);
-        }
-        if verdict != verdict::GO_ON {
-            core.stopping = true;
-        } else if let OnPanic::Restart(make) = &mut core.on_panic {
-            core.actor = make();
-        }
-    }
-
-    fn start(&self, core: &mut Core<A>, thread: &ThreadCx) {
-        while let Some(decoder) = self.mailbox().decoders.pop() {
-            core.decoders.push(decoder);
-        }
-        // One that was put where a snapshot was taken has started before.
-        if std::mem::replace(&mut core.started, true) {
-            return;
-        }
-        if let Err(panic) = self.guarded(core, thread, |actor, _, cx| actor.started(cx)) {
-            self.panicked(core, thread, "start", panic);
-        }
-    }
-
-    fn order(&self, core: &mut Core<A>, thread: &ThreadCx, bits: u32) -> Result<(), Halted> {
-        let symbol = Symbol { from: self.link.id, lane: lane::ORDER };
-        core.journal.deliver(symbol, Payload::Order(bits), "order", &(), |digest| digest.u32(bits))?;
-        if bits & signal::STOP != 0 {
-            core.stopping = true;
-        }
-        if bits & signal::PAUSE != 0 && bits & signal::RESUME == 0 {
-            core.paused = !core.journal.replaying();
-            if let Some(seat) = &core.seat {
-                seat.decline(thread);
-            }
-        } else if bits & signal::RESUME != 0 {
-            core.paused = false;
-        }
-        core.journal.handled(|| core.actor.digest())
-    }
-
-    fn envelope(
-        &self,
-        core: &mut Core<A>,
-        thread: &ThreadCx,
-        envelope: Envelope<A::Msg>,
-    ) -> Result<(), Halted> {
-        let Envelope { from, sequence, external, message } = envelope;
-        let way = message.lane();
-        let symbol = Symbol { from, lane: lane_code(way) };
-        let payload = match (way, &external) {
-            (_, Some(encoded)) => Payload::External(&encoded.0),
-            (Lane::Latest(key), None) => {
-                Payload::Skipped(core.journal.skipped(from, key % LATEST_KEYS, sequence))
-            }
-            _ => Payload::None,
-        };
-        self.deliver(core, thread, symbol, payload, message)
-    }
-
-    fn timer(&self, core: &mut Core<A>, thread: &ThreadCx, timer: u32, time: u64) -> Result<(), Halted> {
-        let symbol = Symbol { from: self.link.id, lane: lane::TIMER };
-        let payload = Payload::Timer { timer, time };
-        match core.timers.take(timer) {
-            Some(OwnTimer { message: Some(message), started_in }) => {
-                core.journal.comes_of(self.link.id, started_in);
-                self.deliver(core, thread, symbol, payload, message)
-            }
-            // It was cancelled after it fired: a delivery all the same, since it made room for another timer.
-            _ => {
-                core.journal.deliver(symbol, payload, "cancelled timer", &(), |digest| digest.u32(timer))?;
-                core.journal.handled(|| core.actor.digest())
-            }
-        }
-    }
-
     fn signals(
         &self,
         core: &mut Core<A>,
@@ -342,8 +179,8 @@ impl<A: Actor> Node<A> {
                 return Err(Halted);
             }
             let mask = if core.paused { signal::CONTROL | signal::FLUSH | signal::START } else { u32::MAX };
-            if self.link.signals.load(Ordering::Acquire) & mask != 0 {
-                let bits = self.link.signals.fetch_and(!mask, Ordering::AcqRel) & mask;
+            if self.link.signals.any(mask) {
+                let bits = self.link.signals.take(mask);
                 turn.consumed += bits.count_ones() as usize;
                 self.signals(core, thread, bits, turn)?;
             }
@@ -355,7 +192,7 @@ impl<A: Actor> Node<A> {
                 return Ok(());
             }
             if turn.messages >= next_look {
-                let elapsed = env.clock.now() - start;
+                let elapsed = env.clock.turn_time().saturating_sub(start);
                 if elapsed >= env.budget.nanoseconds {
                     turn.again = true;
                     return Ok(());
@@ -384,7 +221,7 @@ impl<A: Actor> Node<A> {
 
     fn replay_turn(&self, core: &mut Core<A>, thread: &ThreadCx, turn: &mut Turn) -> Result<(), Halted> {
         let env = &self.link.env;
-        let bits = self.link.signals.swap(0, Ordering::AcqRel);
+        let bits = self.link.signals.take(u32::MAX);
         turn.consumed += bits.count_ones() as usize;
         turn.flush = bits & signal::FLUSH != 0;
         while let Some(inbound) = self.mailbox().inbound.pop() {
@@ -453,11 +290,8 @@ impl<A: Actor> Node<A> {
                     return Ok(false);
                 };
                 pass(core);
-                self.deliver_job(
-                    core,
-                    thread,
-                    Popped { id, attempt, pushed_in, stale: symbol.lane == lane::STALE },
-                )?;
+                let stale = matches!(symbol.lane, lane::STALE | lane::STALE_AGAIN);
+                self.deliver_job(core, thread, Popped { id, attempt, pushed_in, stale })?;
             }
             (payload, None) => {
                 let skipped = if let Payload::Skipped(count) = payload { count } else { 0 };
@@ -495,7 +329,7 @@ impl<A: Actor> Node<A> {
         while mailbox.inbound.pop().is_some() {
             turn.consumed += 1;
         }
-        turn.consumed += self.link.signals.swap(0, Ordering::AcqRel).count_ones() as usize;
+        turn.consumed += self.link.signals.take(u32::MAX).count_ones() as usize;
         self.link.counters.dead_letters(dead);
     }
 
@@ -518,7 +352,7 @@ impl<A: Actor> Runnable for Node<A> {
         let Some(mut core) = self.core.take() else { unreachable!("two turns of {} at once", link.id) };
         let _span = tracing::trace_span!("turn", actor = A::NAME, id = link.id.0).entered();
         let start = match thread.last_end.get() {
-            0 => env.clock.now(),
+            0 => env.clock.turn_time(),
             end => end,
         };
         let depth = link.activation.pending() as u64;
@@ -538,7 +372,7 @@ impl<A: Actor> Runnable for Node<A> {
             self.close(&mut core, thread, &mut turn);
         }
         core.journal.end_turn(turn.flush);
-        let end = env.clock.now();
+        let end = env.clock.turn_time();
         thread.last_end.set(end);
         link.counters.turn(start, end, turn.messages, depth, thread.lane);
         let paused = core.paused && !core.stopped;
@@ -551,9 +385,7 @@ impl<A: Actor> Runnable for Node<A> {
         let active = link.activation.finish(turn.consumed);
         if active && paused {
             // Work waits, but not for a paused actor: an order wakes it. One that came just now is seen here.
-            link.parked.store(true, Ordering::SeqCst);
-            return link.signals.load(Ordering::SeqCst) & signal::CONTROL != 0
-                && link.parked.swap(false, Ordering::SeqCst);
+            return link.signals.park();
         }
         active
     }

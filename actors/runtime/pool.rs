@@ -3,20 +3,25 @@
 //! The pool decides nothing: whoever pushes chooses bucket (0 is popped first), epoch and size. Each pop is a delivery
 //! of the worker that made it, so a recording knows who did what, and replay hands each job to the same worker.
 
+mod bitmap;
+mod seat;
+
 use crossbeam_queue::SegQueue;
-use std::any::Any;
-use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use crate::actor::{Actor, Cx};
 use crate::env::Env;
 use crate::eventcount::EventCount;
-use crate::journal::Journal;
-use crate::mailbox::{Link, signal};
+use crate::mailbox::Link;
 use crate::message::{Digest, Message, Reason, Rejected};
 use crate::scheduler::ThreadCx;
+use crate::signals::signal;
 use crate::snapshot::{Loader, Saver};
+
+pub(crate) use bitmap::Bitmap;
+use seat::SeatOf;
+pub(crate) use seat::{Killed, Popped, Seat, job_symbol};
 
 /// Priority buckets of a pool.
 pub const BUCKETS: u8 = 64;
@@ -81,51 +86,6 @@ pub struct PoolStats {
     pub workers: u64,
     /// Simulation: jobs that were popped while a better one waited.
     pub disorder: u64,
-}
-
-/// Which buckets have jobs.
-#[derive(Debug)]
-pub(crate) struct Bitmap {
-    bits: crate::sync::AtomicU64,
-}
-
-impl Bitmap {
-    pub(crate) fn new() -> Self {
-        Self { bits: crate::sync::AtomicU64::new(0) }
-    }
-
-    /// A job is in place in this bucket.
-    pub(crate) fn raise(&self, bucket: u32) {
-        self.bits.fetch_or(1 << bucket, crate::sync::Ordering::SeqCst);
-    }
-
-    pub(crate) fn is_empty(&self) -> bool {
-        self.bits.load(crate::sync::Ordering::SeqCst) == 0
-    }
-
-    /// Takes from the first bucket at or after `base` (cyclically) that has something. A bucket found empty loses its
-    /// bit and is looked at once more: a job that came in between had its bit cleared with the old one.
-    pub(crate) fn take<T>(
-        &self,
-        base: u32,
-        pop: impl Fn(u32) -> Option<T>,
-        is_empty: impl Fn(u32) -> bool,
-    ) -> Option<T> {
-        loop {
-            let bits = self.bits.load(crate::sync::Ordering::SeqCst);
-            if bits == 0 {
-                return None;
-            }
-            let bucket = (bits.rotate_right(base).trailing_zeros() + base) % 64;
-            if let Some(taken) = pop(bucket) {
-                return Some(taken);
-            }
-            self.bits.fetch_and(!(1 << bucket), crate::sync::Ordering::SeqCst);
-            if !is_empty(bucket) {
-                self.raise(bucket);
-            }
-        }
-    }
 }
 
 struct Entry<J> {
@@ -310,7 +270,7 @@ impl<J: Job> JobPool<J> {
             pool: self.clone(),
             left: AtomicBool::new(false),
             current: None,
-            early: BTreeMap::new(),
+            early: std::collections::BTreeMap::new(),
         })
     }
 
@@ -377,198 +337,6 @@ impl<M: Message> Cx<'_, M> {
     }
 }
 
-/// What a seat popped.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Popped {
-    pub(crate) id: u64,
-    pub(crate) attempt: u32,
-    pub(crate) pushed_in: u64,
-    pub(crate) stale: bool,
-}
-
-/// What became of a job that killed its worker.
-pub(crate) enum Killed {
-    Requeued,
-    Dead { id: u64, description: String },
-}
-
-/// A worker's side of its pool, whatever the jobs are.
-pub(crate) trait Seat<A: Actor>: Send {
-    /// Pops the best job and holds it.
-    fn pop(&mut self, thread: &ThreadCx) -> Option<Popped>;
-    /// Replay: holds this job and tells when it was pushed; none if it was not yet.
-    fn hold(&mut self, id: u64, attempt: u32) -> Option<u64>;
-    fn digest(&self, digest: &mut Digest);
-    fn kind(&self) -> &'static str;
-    fn content(&self) -> &dyn Any;
-    fn run(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>);
-    fn stale(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>);
-    fn completed(&mut self);
-    fn killed(&mut self, thread: &ThreadCx) -> Killed;
-    /// Waits for jobs; false if one is there already.
-    fn rest(&self) -> bool;
-    /// Takes no jobs for now; somebody else is told of one that waits.
-    fn decline(&self, thread: &ThreadCx);
-    /// Leaves for good unless nobody else is left.
-    fn leave(&self, thread: &ThreadCx) -> bool;
-    fn leave_regardless(&self, thread: &ThreadCx);
-    /// Writes the jobs that wait for the script of a replay to call for them.
-    fn save(&mut self, saver: &mut Saver);
-    fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()>;
-}
-
-struct SeatOf<J> {
-    number: usize,
-    place: Arc<Place<J>>,
-    pool: JobPool<J>,
-    left: AtomicBool,
-    current: Option<Entry<J>>,
-    early: BTreeMap<(u64, u32), Entry<J>>,
-}
-
-impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
-    fn pop(&mut self, thread: &ThreadCx) -> Option<Popped> {
-        let shared = &self.pool.shared;
-        self.place.away.store(false, Ordering::SeqCst);
-        let entry = self.place.inbound.pop().or_else(|| shared.take())?;
-        shared.waiting.fetch_sub(1, Ordering::Relaxed);
-        shared.idle.cancel(self.number);
-        if !shared.bitmap.is_empty() {
-            // The one who was woken for what is left may be this busy worker.
-            shared.wake(thread);
-        }
-        let stale = entry.epoch < shared.epoch.load(Ordering::Relaxed);
-        let popped = Popped { id: entry.id, attempt: entry.attempt, pushed_in: entry.pushed_in, stale };
-        self.current = Some(entry);
-        Some(popped)
-    }
-
-    fn hold(&mut self, id: u64, attempt: u32) -> Option<u64> {
-        while let Some(entry) = self.place.inbound.pop() {
-            self.early.insert((entry.id, entry.attempt), entry);
-        }
-        self.current = self.early.remove(&(id, attempt));
-        self.current.as_ref().map(|entry| entry.pushed_in)
-    }
-
-    fn digest(&self, digest: &mut Digest) {
-        if let Some(entry) = &self.current {
-            digest.u64(entry.id);
-            digest.u32(entry.attempt);
-            entry.job.digest(digest);
-        }
-    }
-
-    fn kind(&self) -> &'static str {
-        self.current.as_ref().map_or("job", |entry| entry.job.kind())
-    }
-
-    fn content(&self) -> &dyn Any {
-        match &self.current {
-            Some(entry) => &entry.job,
-            None => &(),
-        }
-    }
-
-    fn run(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>) {
-        if let Some(entry) = &self.current {
-            actor.run(&entry.job, cx);
-        }
-    }
-
-    fn stale(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>) {
-        if let Some(entry) = self.current.take() {
-            self.pool.shared.stale.fetch_add(1, Ordering::Relaxed);
-            actor.stale(entry.job, cx);
-        }
-    }
-
-    fn completed(&mut self) {
-        if self.current.take().is_some() {
-            self.pool.shared.completed.fetch_add(1, Ordering::Relaxed);
-        }
-    }
-
-    fn killed(&mut self, thread: &ThreadCx) -> Killed {
-        let shared = &self.pool.shared;
-        let Some(entry) = self.current.take() else { return Killed::Requeued };
-        let attempt = entry.attempt + 1;
-        if attempt >= KILLS_MAX {
-            shared.dead.fetch_add(1, Ordering::Relaxed);
-            return Killed::Dead { id: entry.id, description: entry.job.describe() };
-        }
-        shared.requeued.fetch_add(1, Ordering::Relaxed);
-        if !shared.env.replaying() {
-            shared.waiting.fetch_add(1, Ordering::Relaxed);
-        }
-        shared.hand_on(Entry { attempt, ..entry }, self.number, thread);
-        Killed::Requeued
-    }
-
-    fn rest(&self) -> bool {
-        let shared = &self.pool.shared;
-        shared.idle.prepare(self.number);
-        let rests = shared.bitmap.is_empty() && self.place.inbound.is_empty();
-        if !rests {
-            shared.idle.cancel(self.number);
-        }
-        rests
-    }
-
-    fn decline(&self, thread: &ThreadCx) {
-        let shared = &self.pool.shared;
-        if shared.env.replaying() {
-            return;
-        }
-        self.place.away.store(true, Ordering::SeqCst);
-        shared.idle.cancel(self.number);
-        shared.give_back(&self.place, thread);
-        if !shared.bitmap.is_empty() {
-            shared.wake(thread);
-        }
-    }
-
-    fn leave(&self, thread: &ThreadCx) -> bool {
-        let others = |workers: usize| (workers > 1).then(|| workers - 1);
-        let left = self.pool.shared.workers.fetch_update(Ordering::SeqCst, Ordering::SeqCst, others).is_ok();
-        if left {
-            self.left.store(true, Ordering::Relaxed);
-            Seat::<A>::decline(self, thread);
-        }
-        left
-    }
-
-    fn leave_regardless(&self, thread: &ThreadCx) {
-        if self.left.swap(true, Ordering::Relaxed) {
-            return;
-        }
-        let fewer = |workers: usize| workers.checked_sub(1);
-        let _ = self.pool.shared.workers.fetch_update(Ordering::SeqCst, Ordering::SeqCst, fewer);
-        Seat::<A>::decline(self, thread);
-    }
-
-    fn save(&mut self, saver: &mut Saver) {
-        while let Some(entry) = self.place.inbound.pop() {
-            self.early.insert((entry.id, entry.attempt), entry);
-        }
-        saver.put(&(self.early.len() as u64));
-        for Entry { id, attempt, epoch, bucket, pushed_in, job } in self.early.values() {
-            saver.put(&(*id, *attempt, *epoch, *bucket, *pushed_in));
-            job.save(saver);
-        }
-    }
-
-    fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
-        let count: u64 = loader.take()?;
-        for _ in 0..count {
-            let (id, attempt, epoch, bucket, pushed_in) = loader.take()?;
-            let job = J::restore(loader)?;
-            self.early.insert((id, attempt), Entry { id, attempt, epoch, bucket, pushed_in, job });
-        }
-        Some(())
-    }
-}
-
 /// Tells whether jobs wait, for the runtime's own checks.
 pub(crate) trait AnyPool: Send + Sync {
     fn seal(&self);
@@ -599,10 +367,4 @@ impl<J: Job> AnyPool for JobPool<J> {
             .for_each(|(number, saved)| number.store(saved, Ordering::Relaxed));
         Some(())
     }
-}
-
-/// The journal's part in a pop, kept here so that the pool's file tells the whole story of a job.
-pub(crate) fn job_symbol(journal: &Journal, stale: bool) -> crate::log::format::Symbol {
-    use crate::log::format::{Symbol, lane};
-    Symbol { from: journal.id, lane: if stale { lane::STALE } else { lane::JOB } }
 }

@@ -10,10 +10,11 @@ use crate::journal::Payload;
 use crate::log::format::{Hashing, Symbol, value};
 use crate::log::reader::Trace;
 use crate::log::walk::{ActorLog, Walk};
-use crate::mailbox::{Inbound, signal};
+use crate::mailbox::Inbound;
 use crate::message::ActorId;
 use crate::node::ScriptState;
 use crate::runtime::{Limit, Runtime};
+use crate::signals::signal;
 
 /// One delivery in a report.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -178,8 +179,8 @@ impl Script {
         Some(taken.content)
     }
 
-    pub(crate) fn hash24(&mut self) -> Option<u32> {
-        self.walk.hash24(&self.log)
+    pub(crate) fn hash16(&mut self) -> Option<u16> {
+        self.walk.hash16(&self.log)
     }
 
     pub(crate) fn hash64(&mut self) -> Option<u64> {

@@ -11,11 +11,12 @@ use crate::config::{BuildError, Config, Record};
 use crate::env::Env;
 use crate::log::format::{Header, NodeInfo};
 use crate::log::writer::Writer;
-use crate::mailbox::{Link, signal};
+use crate::mailbox::Link;
 use crate::message::ActorId;
 use crate::node::Runnable;
 use crate::pool::AnyPool;
 use crate::scheduler::{ThreadCx, Threads};
+use crate::signals::signal;
 use crate::simulate::{Driver, Failure};
 use crate::wiring::{PortNode, Wiring};
 

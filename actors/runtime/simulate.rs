@@ -453,7 +453,7 @@ impl Runtime {
     fn hears(&self, driver: &mut Driver, actor: u32) -> Result<(), String> {
         let node = &self.nodes[actor as usize];
         let link = node.link();
-        let deaf = link.closed.load(Ordering::Relaxed) || link.parked.load(Ordering::Relaxed);
+        let deaf = link.closed.load(Ordering::Relaxed) || link.signals.is_parked();
         let turns = &mut driver.unheard[actor as usize];
         // One that came in the turn itself waits for the next.
         *turns = if node.urgent() > 0 && !deaf { *turns + 1 } else { 0 };

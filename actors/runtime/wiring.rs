@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::marker::PhantomData;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64};
+use std::sync::atomic::{AtomicBool, AtomicU64};
 
 use crate::activation::Activation;
 use crate::actor::{Actor, Class, post};
@@ -17,6 +17,7 @@ use crate::port::{External, Port};
 use crate::profile::Counters;
 use crate::replay::Script;
 use crate::scheduler::ThreadCx;
+use crate::signals::Signals;
 use crate::snapshot::{Loader, Saver};
 use crate::supervise::{Incident, OnPanic};
 
@@ -87,8 +88,7 @@ impl Wiring {
             id,
             class: A::CLASS,
             activation: crossbeam_utils::CachePadded::new(Activation::new()),
-            signals: AtomicU32::new(0),
-            parked: AtomicBool::new(false),
+            signals: Signals::new(),
             closed: AtomicBool::new(false),
             unflushed: AtomicBool::new(false),
             limit: AtomicU64::new(u64::MAX),
@@ -189,8 +189,7 @@ impl PortNode {
             id: ActorId(u32::MAX),
             class: Class::Light,
             activation: crossbeam_utils::CachePadded::new(Activation::new()),
-            signals: AtomicU32::new(0),
-            parked: AtomicBool::new(false),
+            signals: Signals::new(),
             closed: AtomicBool::new(true),
             unflushed: AtomicBool::new(false),
             limit: AtomicU64::new(u64::MAX),

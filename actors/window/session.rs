@@ -11,7 +11,7 @@ use foveal::display::twin::Passes;
 use foveal::image::Map2d;
 use foveal::scene::{Camera, Scene};
 use foveal::world::World;
-use foveal_runtime::{BuildError, Config, Control, Limit, Runtime};
+use foveal_runtime::{BuildError, Config, Control, Hashing, Limit, Runtime};
 
 use super::look;
 use super::source::{Controls, FrameSource, Names, Place, Ranges, Status};
@@ -37,6 +37,8 @@ pub struct Recording {
     pub file: PathBuf,
     /// The application's part of the header.
     pub header: Vec<u8>,
+    /// How densely hashes are recorded.
+    pub hashing: Hashing,
 }
 
 /// Whether there is anything to correct, as there always is where any view can be refined; and what the display pass must fill.
@@ -134,7 +136,7 @@ impl Session {
         };
         let mut config = Config::live(threads);
         if let Some(recording) = recording {
-            config.application = recording.header;
+            (config.application, config.hashing) = (recording.header, recording.hashing);
             config = config.record(recording.file);
         }
         let built = match Runtime::build(config, |w| wire(w, parts())) {

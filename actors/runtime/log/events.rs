@@ -135,8 +135,8 @@ impl Trace {
 /// The first delivery whose recorded hash differs.
 fn first_hash_difference(left: &ActorLog, right: &ActorLog) -> Option<u64> {
     // One hash for each delivery, or two where the actor's state is hashed as well.
-    let each = (left.hashes.len() as u64 / 3).checked_div(left.deliveries)?.max(1);
-    let pairs = left.hashes.chunks_exact(3).zip(right.hashes.chunks_exact(3));
+    let each = (left.hashes.len() as u64 / 2).checked_div(left.deliveries)?.max(1);
+    let pairs = left.hashes.chunks_exact(2).zip(right.hashes.chunks_exact(2));
     pairs.into_iter().position(|(a, b)| a != b).map(|position| position as u64 / each)
 }
 

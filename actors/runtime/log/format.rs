@@ -10,8 +10,11 @@
 //! | order | runs of deliveries from one (sender, lane), numbered by first appearance |
 //! | external | payloads of what comes from outside: port payloads, timers, controls, job pops, skipped older values |
 //! | values | what the actor asked for or said while handling: time, durations, marks, verdicts on panics |
-//! | hashes | the chained hash: 24 bits for each delivery, or 64 bits for each K deliveries |
+//! | hashes | the chained hash: 16 bits for each delivery, or 64 bits for each K deliveries |
 //! | rejected | which of the actor's own sends came back |
+//!
+//! Order costs at most a byte a delivery as long as an actor has fewer than 248 senders: one for a sender, the same
+//! again for the second delivery of a run, and a mark with a length for all further ones.
 
 use serde::{Deserialize, Serialize};
 
@@ -21,7 +24,7 @@ use crate::message::ActorId;
 /// First bytes of every recording.
 pub const MAGIC: [u8; 6] = *b"FVLOG\0";
 /// Version of this format; a reader accepts exactly its own.
-pub const VERSION: u16 = 1;
+pub const VERSION: u16 = 2;
 /// Largest segment before compression, in bytes.
 pub const SEGMENT_BYTES_MAX: usize = 32 << 20;
 /// Bytes of a segment's lengths and checksum.
@@ -38,7 +41,7 @@ pub enum Hashing {
     Off,
     /// 64 bits for each so many deliveries of an actor: 8/K bytes a message, a divergence is known to within K.
     Every(u32),
-    /// 24 bits for each delivery: 3 bytes a message, a divergence is named at its exact message.
+    /// 16 bits for each delivery: 2 bytes a message, a divergence is named at its exact message.
     Exact,
 }
 
@@ -88,6 +91,9 @@ pub(crate) mod lane {
     pub(crate) const ORDER: u8 = 3;
     pub(crate) const JOB: u8 = 4;
     pub(crate) const STALE: u8 = 5;
+    /// A job that killed workers before: how many is its payload.
+    pub(crate) const JOB_AGAIN: u8 = 6;
+    pub(crate) const STALE_AGAIN: u8 = 7;
     pub(crate) const LATEST: u8 = 8;
     /// One past the last code.
     pub(crate) const END: u8 = LATEST + crate::message::LATEST_KEYS;
@@ -99,8 +105,8 @@ pub(crate) mod lane {
             CONTROL => "control",
             TIMER => "timer",
             ORDER => "order to stop, pause or resume",
-            JOB => "job",
-            STALE => "stale job",
+            JOB | JOB_AGAIN => "job",
+            STALE | STALE_AGAIN => "stale job",
             _ => "newest only",
         }
     }
@@ -113,6 +119,8 @@ pub(crate) mod value {
     pub(crate) const MARK: u8 = 2;
     pub(crate) const VERDICT: u8 = 3;
     pub(crate) const FAULT: u8 = 4;
+    /// Bits of a tag; the deliveries since the last value stand above them.
+    pub(crate) const TAG_BITS: u32 = 3;
 
     pub(crate) fn name(tag: u8) -> &'static str {
         match tag {
@@ -133,6 +141,39 @@ pub(crate) fn put(bytes: &mut Vec<u8>, mut number: u64) {
         number >>= 7;
     }
     bytes.push(number as u8);
+}
+
+/// Codes of the order stream: 0 says that the run before it goes on, then come the numbers of symbols in one byte,
+/// in two, and in as many as they need.
+const RUN: u8 = 0;
+const TWO_BYTES: u8 = 248;
+const LONG: u8 = 255;
+const SHORT_MAX: u32 = TWO_BYTES as u32 - 1;
+
+/// Appends a run of deliveries of one symbol.
+pub(crate) fn put_run(bytes: &mut Vec<u8>, symbol: u32, length: u64) {
+    put_symbol(bytes, symbol);
+    match length {
+        0 | 1 => {}
+        2 => put_symbol(bytes, symbol),
+        _ => {
+            bytes.push(RUN);
+            put(bytes, length - 3);
+        }
+    }
+}
+
+fn put_symbol(bytes: &mut Vec<u8>, symbol: u32) {
+    let behind = symbol.saturating_sub(SHORT_MAX);
+    if symbol < SHORT_MAX {
+        bytes.push(symbol as u8 + 1);
+    } else if behind < u32::from(LONG - TWO_BYTES) << 8 {
+        bytes.push(TWO_BYTES + (behind >> 8) as u8);
+        bytes.push(behind as u8);
+    } else {
+        bytes.push(LONG);
+        put(bytes, u64::from(symbol));
+    }
 }
 
 /// Appends a signed difference.
@@ -192,13 +233,31 @@ impl<'a> Cursor<'a> {
         Some(slice)
     }
 
+    /// A symbol's number and how often it comes: what [`put_run`] wrote, or the half of a run of two.
+    pub(crate) fn run(&mut self) -> Option<(u32, u64)> {
+        let symbol = match self.byte()? {
+            RUN => return None,
+            code @ ..TWO_BYTES => u32::from(code) - 1,
+            code @ ..LONG => {
+                let high = u32::from(code - TWO_BYTES) << 8;
+                SHORT_MAX + (high | u32::from(self.byte()?))
+            }
+            LONG => u32::try_from(self.number()?).ok()?,
+        };
+        if self.bytes.get(self.at) != Some(&RUN) {
+            return Some((symbol, 1));
+        }
+        self.at += 1;
+        Some((symbol, self.number()?.checked_add(3)?))
+    }
+
     pub(crate) fn bytes(&mut self) -> Option<&'a [u8]> {
         let length = usize::try_from(self.number()?).ok()?;
         self.slice(length)
     }
 
-    pub(crate) fn u24(&mut self) -> Option<u32> {
-        self.slice(3).map(|bytes| u32::from_le_bytes([bytes[0], bytes[1], bytes[2], 0]))
+    pub(crate) fn u16(&mut self) -> Option<u16> {
+        self.slice(2)?.try_into().ok().map(u16::from_le_bytes)
     }
 
     pub(crate) fn u64(&mut self) -> Option<u64> {
@@ -237,10 +296,40 @@ mod tests {
         }
 
         #[test]
+        fn runs_come_back(runs: Vec<(u32, u64)>) {
+            let mut bytes = Vec::new();
+            let length = |raw: u64| raw % 5 + 1;
+            let near = |raw: u32| if raw.is_multiple_of(3) { raw } else { raw % 3000 };
+            runs.iter().for_each(|(symbol, raw)| put_run(&mut bytes, near(*symbol), length(*raw)));
+            let mut cursor = Cursor::new(&bytes, 0);
+            for (symbol, raw) in runs {
+                let mut left = length(raw);
+                while left > 0 {
+                    let (found, count) = cursor.run().expect("a run");
+                    prop_assert_eq!(found, near(symbol));
+                    prop_assert!(count <= left);
+                    left -= count;
+                }
+            }
+            prop_assert!(cursor.is_empty());
+        }
+
+        #[test]
         fn durations_lose_less_than_a_percent(nanoseconds: u64) {
             let (rounded, code) = quantise(nanoseconds);
             prop_assert_eq!(unquantise(code), rounded);
             prop_assert!(rounded <= nanoseconds && nanoseconds - rounded <= nanoseconds / 128);
+        }
+    }
+
+    #[test]
+    fn order_costs_a_byte_a_delivery_at_most() {
+        for symbol in [0, 1, 246] {
+            for length in [1, 2, 3, 130, 131, 1 << 40] {
+                let mut bytes = Vec::new();
+                put_run(&mut bytes, symbol, length);
+                assert!(bytes.len() as u64 <= length, "{length} of {symbol}: {bytes:?}");
+            }
         }
     }
 
@@ -250,5 +339,8 @@ mod tests {
         let mut bytes = Vec::new();
         put(&mut bytes, u64::MAX);
         assert_eq!(Cursor::new(&bytes, 0).bytes(), None);
+        assert_eq!(Cursor::new(&[RUN, 1], 0).run(), None);
+        bytes.splice(0..0, [1, RUN]);
+        assert_eq!(Cursor::new(&bytes, 0).run(), None);
     }
 }

@@ -10,6 +10,7 @@ use super::format::{
     VERSION, lane,
 };
 use super::walk::{ActorLog, Walk};
+use crate::journal::Payload;
 use crate::message::ActorId;
 
 /// Decompressed bytes a recording may hold.
@@ -93,6 +94,8 @@ pub struct TraceStat {
     pub order_bytes: u64,
     /// Bytes of payloads from outside, job pops and timers.
     pub external_bytes: u64,
+    /// Of these, bytes of job pops.
+    pub pop_bytes: u64,
     /// Bytes of clock readings, durations and marks.
     pub value_bytes: u64,
     /// Bytes of hashes.
@@ -254,11 +257,27 @@ impl Trace {
             stat.deliveries += log.deliveries;
             stat.order_bytes += log.order.len() as u64;
             stat.external_bytes += log.external.len() as u64;
+            stat.pop_bytes += self.pop_bytes(log);
             stat.value_bytes += log.values.len() as u64;
             stat.hash_bytes += log.hashes.len() as u64;
             stat.rejected_bytes += log.rejected.len() as u64;
         }
         stat
+    }
+
+    fn pop_bytes(&self, log: &ActorLog) -> u64 {
+        let (mut walk, mut bytes, mut before) = (Walk::default(), 0, 0);
+        while let Some(symbol) = walk.peek(log) {
+            let Some((payload, external)) = walk.payload(log, symbol, self.is_port(symbol.from)) else {
+                break;
+            };
+            walk.pass(payload, external);
+            if let Payload::Job { .. } = payload {
+                bytes += external - before;
+            }
+            before = external;
+        }
+        bytes as u64
     }
 
     pub(crate) fn is_port(&self, id: ActorId) -> bool {
@@ -290,11 +309,7 @@ fn append(
     let Some((log, walk)) = index.and_then(|index| logs.get_mut(index)) else {
         return Err(format!("a chunk of actor {actor}, which the header does not name"));
     };
-    let first = cursor.number().ok_or_else(short)?;
     let count = cursor.number().ok_or_else(short)?;
-    if first != log.deliveries {
-        return Err(format!("deliveries {}..{first} of actor {actor} are missing", log.deliveries));
-    }
     let lengths = [
         log.symbols.len(),
         log.order.len(),
@@ -313,13 +328,15 @@ fn append(
         }
         log.symbols.push(Symbol { from: ActorId(from as u32), lane });
     }
-    for stream in [&mut log.order, &mut log.external, &mut log.values, &mut log.hashes, &mut log.rejected] {
+    let there = cursor.byte().ok_or_else(short)?;
+    let streams = [&mut log.order, &mut log.external, &mut log.values, &mut log.hashes, &mut log.rejected];
+    for (_, stream) in streams.into_iter().enumerate().filter(|(bit, _)| there >> bit & 1 == 1) {
         stream.extend_from_slice(cursor.bytes().ok_or_else(short)?);
     }
     if !cursor.is_empty() {
         return Err("a chunk is longer than its content".into());
     }
-    log.deliveries = first.checked_add(count).ok_or_else(|| "too many deliveries".to_owned())?;
+    log.deliveries = log.deliveries.checked_add(count).ok_or_else(|| "too many deliveries".to_owned())?;
     let valid = walk.validate(log, header, count);
     valid.ok_or_else(|| format!("the log of actor {actor} cannot be decoded"))
 }

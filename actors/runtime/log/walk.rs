@@ -51,10 +51,9 @@ impl Walk {
     pub(crate) fn peek(&mut self, log: &ActorLog) -> Option<Symbol> {
         if self.run.is_none() {
             let mut cursor = Cursor::new(&log.order, self.order);
-            let code = cursor.number()?;
-            let length = if code & 1 == 1 { cursor.number()?.checked_add(2)? } else { 1 };
+            let run = cursor.run()?;
             self.order = cursor.at;
-            self.run = Some((u32::try_from(code >> 1).ok()?, length));
+            self.run = Some(run);
         }
         let (number, _) = self.run?;
         log.symbols.get(number as usize).copied()
@@ -75,9 +74,10 @@ impl Walk {
                 Payload::Timer { timer, time: self.last_timer.wrapping_add(cursor.signed()? as u64) }
             }
             lane::ORDER => Payload::Order(u32::try_from(cursor.number()?).ok()?),
-            lane::JOB | lane::STALE => {
+            lane::JOB | lane::STALE | lane::JOB_AGAIN | lane::STALE_AGAIN => {
                 let id = self.last_job.wrapping_add(cursor.signed()? as u64);
-                Payload::Job { id, attempt: u32::try_from(cursor.number()?).ok()? }
+                let again = matches!(symbol.lane, lane::JOB_AGAIN | lane::STALE_AGAIN);
+                Payload::Job { id, attempt: if again { u32::try_from(cursor.number()?).ok()? } else { 0 } }
             }
             lane::DATA | lane::CONTROL => Payload::None,
             lane::LATEST..lane::END => Payload::Skipped(u32::try_from(cursor.number()?).ok()?),
@@ -104,16 +104,20 @@ impl Walk {
 
     /// Delivery and tag of the next value.
     pub(crate) fn peek_value(&self, log: &ActorLog) -> Option<(u64, u8)> {
-        let mut cursor = Cursor::new(&log.values, self.values);
-        let index = self.last_value.checked_add(cursor.number()?)?;
-        Some((index, cursor.byte()?))
+        let code = Cursor::new(&log.values, self.values).number()?;
+        self.value_code(code)
+    }
+
+    fn value_code(&self, code: u64) -> Option<(u64, u8)> {
+        let tag = code as u8 & ((1 << value::TAG_BITS) - 1);
+        Some((self.last_value.checked_add(code >> value::TAG_BITS)?, tag))
     }
 
     /// Takes the next value.
     pub(crate) fn value(&mut self, log: &ActorLog) -> Option<Value> {
         let mut cursor = Cursor::new(&log.values, self.values);
-        let index = self.last_value.checked_add(cursor.number()?)?;
-        let tag = cursor.byte()?;
+        let code = cursor.number()?;
+        let (index, tag) = self.value_code(code)?;
         let mut kind = 0;
         let content = match tag {
             value::NOW => {
@@ -133,9 +137,9 @@ impl Walk {
         Some(Value { index, tag, content, kind })
     }
 
-    pub(crate) fn hash24(&mut self, log: &ActorLog) -> Option<u32> {
+    pub(crate) fn hash16(&mut self, log: &ActorLog) -> Option<u16> {
         let mut cursor = Cursor::new(&log.hashes, self.hashes);
-        let hash = cursor.u24()?;
+        let hash = cursor.u16()?;
         self.hashes = cursor.at;
         Some(hash)
     }

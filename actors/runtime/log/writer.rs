@@ -13,15 +13,16 @@ use super::format::{
     End, Header, KIND_CHUNKS, KIND_END, KIND_HEADER, MAGIC, SEGMENT_BYTES_MAX, SEGMENT_HEAD, VERSION,
     put_bytes,
 };
-use crate::mailbox::{Link, signal};
+use crate::mailbox::Link;
 use crate::scheduler::ThreadCx;
+use crate::signals::signal;
 
 /// Chunks that may wait for the writer.
 const CHUNKS_MAX: usize = 4096;
 /// A segment is closed at this size…
 const SEGMENT_BYTES: usize = 256 << 10;
 /// …or after so long, which bounds what a killed process loses.
-const PERIOD: Duration = Duration::from_millis(50);
+const PERIOD: Duration = Duration::from_millis(100);
 /// Bytes one actor may hold back while the writer is behind.
 pub(crate) const BACKLOG_BYTES_MAX: usize = 16 << 20;
 

@@ -219,6 +219,11 @@ fn the_log_of_messages_is_small() {
     let stat = read(&record_ring(2, 7, 2000, Hashing::Every(64))).stat();
     assert!(stat.order_bytes + stat.hash_bytes <= stat.deliveries * 9 / 8 + 64, "{stat:?}");
     assert!(stat.file_bytes <= stat.deliveries + 2000, "{stat:?}");
+    // Many senders at random, each message from another one.
+    let stat = many_senders();
+    assert!(stat.order_bytes <= stat.deliveries, "{stat:?}");
+    // Each has to be told once who its 200 senders are.
+    assert!(stat.file_bytes <= stat.deliveries * 21 / 20 + 3 * 200 * 200, "{stat:?}");
     // A pipeline: nothing but runs.
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("pair.fvlog");
@@ -228,6 +233,18 @@ fn the_log_of_messages_is_small() {
     runtime.shutdown(WAIT);
     let stat = Trace::open(&path).expect("reads").stat();
     assert!(stat.file_bytes < stat.deliveries / 20, "{stat:?}");
+}
+
+/// 200 players, more than have a byte of their own in the order of what they get.
+fn many_senders() -> TraceStat {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("many.fvlog");
+    let config = Config { hashing: Hashing::Off, ..Config::live(2).record(&path) };
+    let (mut runtime, _) =
+        Runtime::build(config, |wiring| ring::wire(wiring, 200, 400, 300)).expect("builds");
+    assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
+    runtime.shutdown(WAIT);
+    Trace::open(&path).expect("reads").stat()
 }
 
 /// A disk with so much room.

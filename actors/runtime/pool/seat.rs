@@ -1,0 +1,217 @@
+//! A worker's side of its pool: the job it holds, what it does with it, and how it leaves.
+
+use std::any::Any;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::{Entry, Job, JobPool, KILLS_MAX, Place, Worker};
+use crate::actor::{Actor, Cx};
+use crate::journal::Journal;
+use crate::log::format::{Symbol, lane};
+use crate::message::Digest;
+use crate::scheduler::ThreadCx;
+use crate::snapshot::{Loader, Saver};
+
+/// What a seat popped.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Popped {
+    pub(crate) id: u64,
+    pub(crate) attempt: u32,
+    pub(crate) pushed_in: u64,
+    pub(crate) stale: bool,
+}
+
+/// What became of a job that killed its worker.
+pub(crate) enum Killed {
+    Requeued,
+    Dead { id: u64, description: String },
+}
+
+/// A worker's side of its pool, whatever the jobs are.
+pub(crate) trait Seat<A: Actor>: Send {
+    /// Pops the best job and holds it.
+    fn pop(&mut self, thread: &ThreadCx) -> Option<Popped>;
+    /// Replay: holds this job and tells when it was pushed; none if it was not yet.
+    fn hold(&mut self, id: u64, attempt: u32) -> Option<u64>;
+    fn digest(&self, digest: &mut Digest);
+    fn kind(&self) -> &'static str;
+    fn content(&self) -> &dyn Any;
+    fn run(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>);
+    fn stale(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>);
+    fn completed(&mut self);
+    fn killed(&mut self, thread: &ThreadCx) -> Killed;
+    /// Waits for jobs; false if one is there already.
+    fn rest(&self) -> bool;
+    /// Takes no jobs for now; somebody else is told of one that waits.
+    fn decline(&self, thread: &ThreadCx);
+    /// Leaves for good unless nobody else is left.
+    fn leave(&self, thread: &ThreadCx) -> bool;
+    fn leave_regardless(&self, thread: &ThreadCx);
+    /// Writes the jobs that wait for the script of a replay to call for them.
+    fn save(&mut self, saver: &mut Saver);
+    fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()>;
+}
+
+pub(super) struct SeatOf<J> {
+    pub(super) number: usize,
+    pub(super) place: Arc<Place<J>>,
+    pub(super) pool: JobPool<J>,
+    pub(super) left: AtomicBool,
+    pub(super) current: Option<Entry<J>>,
+    pub(super) early: BTreeMap<(u64, u32), Entry<J>>,
+}
+
+impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
+    fn pop(&mut self, thread: &ThreadCx) -> Option<Popped> {
+        let shared = &self.pool.shared;
+        self.place.away.store(false, Ordering::SeqCst);
+        let entry = self.place.inbound.pop().or_else(|| shared.take())?;
+        shared.waiting.fetch_sub(1, Ordering::Relaxed);
+        shared.idle.cancel(self.number);
+        if !shared.bitmap.is_empty() {
+            // The one who was woken for what is left may be this busy worker.
+            shared.wake(thread);
+        }
+        let stale = entry.epoch < shared.epoch.load(Ordering::Relaxed);
+        let popped = Popped { id: entry.id, attempt: entry.attempt, pushed_in: entry.pushed_in, stale };
+        self.current = Some(entry);
+        Some(popped)
+    }
+
+    fn hold(&mut self, id: u64, attempt: u32) -> Option<u64> {
+        while let Some(entry) = self.place.inbound.pop() {
+            self.early.insert((entry.id, entry.attempt), entry);
+        }
+        self.current = self.early.remove(&(id, attempt));
+        self.current.as_ref().map(|entry| entry.pushed_in)
+    }
+
+    fn digest(&self, digest: &mut Digest) {
+        if let Some(entry) = &self.current {
+            digest.u64(entry.id);
+            digest.u32(entry.attempt);
+            entry.job.digest(digest);
+        }
+    }
+
+    fn kind(&self) -> &'static str {
+        self.current.as_ref().map_or("job", |entry| entry.job.kind())
+    }
+
+    fn content(&self) -> &dyn Any {
+        match &self.current {
+            Some(entry) => &entry.job,
+            None => &(),
+        }
+    }
+
+    fn run(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>) {
+        if let Some(entry) = &self.current {
+            actor.run(&entry.job, cx);
+        }
+    }
+
+    fn stale(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>) {
+        if let Some(entry) = self.current.take() {
+            self.pool.shared.stale.fetch_add(1, Ordering::Relaxed);
+            actor.stale(entry.job, cx);
+        }
+    }
+
+    fn completed(&mut self) {
+        if self.current.take().is_some() {
+            self.pool.shared.completed.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    fn killed(&mut self, thread: &ThreadCx) -> Killed {
+        let shared = &self.pool.shared;
+        let Some(entry) = self.current.take() else { return Killed::Requeued };
+        let attempt = entry.attempt + 1;
+        if attempt >= KILLS_MAX {
+            shared.dead.fetch_add(1, Ordering::Relaxed);
+            return Killed::Dead { id: entry.id, description: entry.job.describe() };
+        }
+        shared.requeued.fetch_add(1, Ordering::Relaxed);
+        if !shared.env.replaying() {
+            shared.waiting.fetch_add(1, Ordering::Relaxed);
+        }
+        shared.hand_on(Entry { attempt, ..entry }, self.number, thread);
+        Killed::Requeued
+    }
+
+    fn rest(&self) -> bool {
+        let shared = &self.pool.shared;
+        shared.idle.prepare(self.number);
+        let rests = shared.bitmap.is_empty() && self.place.inbound.is_empty();
+        if !rests {
+            shared.idle.cancel(self.number);
+        }
+        rests
+    }
+
+    fn decline(&self, thread: &ThreadCx) {
+        let shared = &self.pool.shared;
+        if shared.env.replaying() {
+            return;
+        }
+        self.place.away.store(true, Ordering::SeqCst);
+        shared.idle.cancel(self.number);
+        shared.give_back(&self.place, thread);
+        if !shared.bitmap.is_empty() {
+            shared.wake(thread);
+        }
+    }
+
+    fn leave(&self, thread: &ThreadCx) -> bool {
+        let others = |workers: usize| (workers > 1).then(|| workers - 1);
+        let left = self.pool.shared.workers.fetch_update(Ordering::SeqCst, Ordering::SeqCst, others).is_ok();
+        if left {
+            self.left.store(true, Ordering::Relaxed);
+            Seat::<A>::decline(self, thread);
+        }
+        left
+    }
+
+    fn leave_regardless(&self, thread: &ThreadCx) {
+        if self.left.swap(true, Ordering::Relaxed) {
+            return;
+        }
+        let fewer = |workers: usize| workers.checked_sub(1);
+        let _ = self.pool.shared.workers.fetch_update(Ordering::SeqCst, Ordering::SeqCst, fewer);
+        Seat::<A>::decline(self, thread);
+    }
+
+    fn save(&mut self, saver: &mut Saver) {
+        while let Some(entry) = self.place.inbound.pop() {
+            self.early.insert((entry.id, entry.attempt), entry);
+        }
+        saver.put(&(self.early.len() as u64));
+        for Entry { id, attempt, epoch, bucket, pushed_in, job } in self.early.values() {
+            saver.put(&(*id, *attempt, *epoch, *bucket, *pushed_in));
+            job.save(saver);
+        }
+    }
+
+    fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        let count: u64 = loader.take()?;
+        for _ in 0..count {
+            let (id, attempt, epoch, bucket, pushed_in) = loader.take()?;
+            let job = J::restore(loader)?;
+            self.early.insert((id, attempt), Entry { id, attempt, epoch, bucket, pushed_in, job });
+        }
+        Some(())
+    }
+}
+
+/// The journal's part in a pop.
+pub(crate) fn job_symbol(journal: &Journal, popped: &Popped) -> Symbol {
+    let lane = match (popped.stale, popped.attempt) {
+        (false, 0) => lane::JOB,
+        (false, _) => lane::JOB_AGAIN,
+        (true, 0) => lane::STALE,
+        (true, _) => lane::STALE_AGAIN,
+    };
+    Symbol { from: journal.id, lane }
+}

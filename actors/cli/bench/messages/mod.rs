@@ -5,6 +5,7 @@ mod ours;
 #[cfg(feature = "peers")]
 mod peers;
 mod replayed;
+mod walked;
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -127,7 +128,7 @@ fn span_ns() -> f64 {
 /// Runs the command.
 pub fn run(a: &MessagesArguments, progress: Progress) -> Result<(), Failure> {
     let jobs = a.thousands * 1000;
-    let bar = progress.bar(u64::from(a.common.runs) + 4, "messages");
+    let bar = progress.bar(u64::from(a.common.runs) + 5, "messages");
     let mut rounds = Rounds::default();
     for _ in 0..a.common.runs {
         rounds.round(jobs);
@@ -155,6 +156,8 @@ pub fn run(a: &MessagesArguments, progress: Progress) -> Result<(), Failure> {
         rows.push(
             Row::new("200 flipped bits: named at their delivery", "", &[named]).aim(Aim::AtLeast(200.0)),
         );
+        bar.inc(1);
+        rows.extend(of_a_walk(a)?);
         bar.inc(1);
         let seconds = simulated(&a.scene);
         let what = "1,000 simulated walks of the box, 64 × 64";
@@ -216,6 +219,34 @@ fn rows(r: &Rounds) -> Vec<Row> {
     rows.push(Row::new("ring of turns on, its clock reading too", "ns/turn", &r.ring).aim(Aim::AtMost(25.0)));
     rows.push(Row::new("ring of turns on, without", "ns/turn", &r.ring_alone));
     rows
+}
+
+/// What recording adds to a walk.
+fn of_a_walk(a: &MessagesArguments) -> Result<Vec<Row>, Failure> {
+    let world = super::stages::quick_world(&a.scene)?;
+    let hashings = [None, Some(Hashing::Off), Some(Hashing::Every(256)), Some(Hashing::Exact)];
+    let mut cpu = hashings.map(|_| Vec::new());
+    for _ in 0..a.common.runs {
+        for (hashing, cpu) in hashings.into_iter().zip(&mut cpu) {
+            cpu.extend(walked::cpu_ms(&world, hashing));
+        }
+    }
+    let [off, order, sparse, each] = cpu;
+    let without = super::table::median(&off);
+    let row = |what: &str, cpu: &[f64]| Row::new(what, "CPU ms", cpu).against("not recorded", without);
+    let mut rows = vec![
+        row("a walk recorded: order", &order).aim(Aim::RatioAtMost(1.01)),
+        row("a walk recorded: order, hash every 256", &sparse).aim(Aim::RatioAtMost(1.02)),
+        row("a walk recorded: order, every hash", &each).aim(Aim::RatioAtMost(1.02)),
+    ];
+    for (what, hashes, aim) in [("a hash every 256", "sparse", Some(1.0)), ("every hash", "each", None)] {
+        let (bytes, rate) = walked::log(&a.scene, hashes).unzip();
+        let row = Row::new(format!("log of a walk, {what}"), "B/message", bytes.as_slice());
+        rows.push(aim.into_iter().fold(row, |row, aim| row.aim(Aim::AtMost(aim))));
+        let row = Row::new(format!("log of a walk, {what}"), "kB/s", rate.as_slice());
+        rows.push(row.aim(Aim::AtMost(20.0)));
+    }
+    Ok(rows)
 }
 
 /// Seconds of 1,000 simulated walks: this program, run anew.

@@ -131,7 +131,7 @@ impl<P: Payload> Actor for Collector<P> {
 }
 
 /// A writer that keeps nothing.
-struct Nowhere;
+pub struct Nowhere;
 
 impl Write for Nowhere {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {

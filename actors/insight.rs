@@ -1,8 +1,10 @@
-//! What the allocator thinks, for whoever looks on: overlays, panels, replays. Nobody decides by it.
+//! What the allocator thinks, for whoever looks on: overlays, panels, replays. No actor decides by it. A clock outside may,
+//! where quality is to be kept: what it decides is an input, recorded like all others.
 
 use std::sync::Arc;
 
 use crossbeam_queue::ArrayQueue;
+use foveal::display::environment_map::texel_count;
 
 use crate::message::View;
 use crate::textures::TextureReport;
@@ -41,6 +43,31 @@ pub struct MapRank {
     pub kept: bool,
 }
 
+impl MapRank {
+    /// Bytes of the map that is wanted.
+    pub fn asked_bytes(&self) -> u64 {
+        map_bytes(self.wanted as usize)
+    }
+
+    /// Bytes of the map that is there.
+    pub fn given_bytes(&self) -> u64 {
+        map_bytes(self.side as usize)
+    }
+
+    /// Visible error for want of a map, in the unit of [`MapRank::worth`].
+    pub fn visible_loss(&self) -> f32 {
+        if self.side == 0 { self.worth } else { 0.0 }
+    }
+}
+
+/// Bytes of a texel of a map: radiance and distance.
+const TEXEL_BYTES: usize = 16;
+
+/// Bytes of a map of this side.
+pub fn map_bytes(side: usize) -> u64 {
+    (texel_count(side) * TEXEL_BYTES) as u64
+}
+
 /// Everything at a moment.
 #[derive(Clone, Debug, Default)]
 pub struct Insight {
@@ -52,8 +79,13 @@ pub struct Insight {
     pub maps: Vec<MapRank>,
     /// Bytes of the maps that are there, and most bytes.
     pub map_bytes: [u64; 2],
+    /// Visible error that one more MiB of maps would take away, in the unit of [`MapRank::worth`].
+    pub map_price_per_mib: f64,
     /// Textures, where they are limited, and the limit in bytes.
     pub textures: Option<(TextureReport, u64)>,
+    /// Q per pixel (Dumont 2003, Eq. (1)): −1 × the mean visible error of rays that are still to come and of texture levels
+    /// that are missing, just noticeable differences. 0 is the gold standard; −∞ while nothing is known.
+    pub quality: f32,
 }
 
 /// Holds the newest.

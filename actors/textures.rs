@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use crossbeam_queue::SegQueue;
 use foveal::allocation::residency::{TextureFacts, smallest};
-use foveal::allocation::spatial_error::{SpatialErrors, SpatialSettings};
-use foveal::perception::viewing::pixels_per_degree_of_camera;
+use foveal::allocation::spatial_error::{SpatialErrors, SpatialSettings, TexelDifference};
+use foveal::perception::viewing::{pixels_per_degree_of_camera, pixels_per_degree_of_screen};
 use foveal::scene::{Scene, Texture, mip_cache};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -79,8 +79,15 @@ impl TextureStore {
     pub fn new(scene: &Scene, limit: u64, folder: &Path) -> Result<(Self, Vec<Texture>), BelowSmallest> {
         let pinned = decisive(scene);
         let picture = scene.cameras.first().map_or(1.0, |c| c.camera.fov_y);
-        let pixels_per_degree = pixels_per_degree_of_camera(512, picture);
-        let settings = SpatialSettings::new(pixels_per_degree, scene.display.white_cd_m2);
+        let pixels_per_degree = match scene.display.screen {
+            Some(s) => pixels_per_degree_of_screen(s.pixels as usize, s.width, s.distance),
+            None => pixels_per_degree_of_camera(512, picture),
+        };
+        let difference = if scene.display.lab { TexelDifference::Lab } else { TexelDifference::Luminance };
+        let settings = SpatialSettings {
+            difference,
+            ..SpatialSettings::new(pixels_per_degree, scene.display.white_cd_m2)
+        };
         let measured: Vec<(TextureFacts, [u8; 32], Option<String>)> = scene
             .textures
             .par_iter()

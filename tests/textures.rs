@@ -1,6 +1,10 @@
 //! Textures under a limit: it holds at every moment, what is approached comes while other things shrink, and all of it
 //! replays.
 
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use image::{DynamicImage, ImageBuffer, Luma, Rgb, Rgba};
 use serde_json::Value;
 
 use crate::support::{Foveal, folder, scene};
@@ -88,4 +92,124 @@ fn a_still_view_under_pressure_converges() {
     let d = Foveal::new(words).arg(scene("gallery")).json();
     assert_eq!(d["converged"], true);
     assert!(d["textures"]["peak_held_bytes"].as_u64() <= Some(400_000));
+}
+
+/// A wall of squares, each with a picture that readers and mip chains have trouble with.
+fn odd_pictures() -> PathBuf {
+    let folder = folder("odd");
+    let grain = |x: u32, y: u32| (37 * x + 101 * y) % 251;
+    let save = |name: &str, picture: DynamicImage| picture.save(folder.join(name)).expect("a picture");
+    save("one.png", ImageBuffer::from_pixel(1, 1, Rgb([200u8, 60, 60])).into());
+    save("wide.png", ImageBuffer::from_fn(16384, 1, |x, y| Luma([grain(x, y) as u8])).into());
+    save("primes.png", ImageBuffer::from_fn(97, 211, |x, y| Rgb([grain(x, y) as u8, 120, 80])).into());
+    save(
+        "deep.png",
+        ImageBuffer::from_fn(256, 128, |x, y| Rgb([257 * grain(x, y) as u16, 9999, 60000])).into(),
+    );
+    let holes = |x, y| Rgba([90, grain(x, y) as u8, 160, if (x / 8 + y / 8) % 2 == 0 { 255 } else { 0 }]);
+    save("alpha.png", ImageBuffer::from_fn(256, 256, holes).into());
+    save("plain.png", ImageBuffer::from_fn(256, 256, |x, y| Rgb([grain(x, y) as u8; 3])).into());
+    let whole = std::fs::read(folder.join("plain.png")).expect("a picture");
+    std::fs::write(folder.join("corrupt.png"), &whole[..whole.len() / 3]).expect("a file");
+    let pictures = ["one", "wide", "primes", "deep", "alpha", "plain", "corrupt", "missing"];
+    let mut mtl = String::from("newmtl Light\nKd 0 0 0\nKe 6 6 6\n");
+    let mut obj = String::from("mtllib odd.mtl\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n");
+    let mut quad = |name: &str, corners: [[f32; 3]; 4]| {
+        for [x, y, z] in corners {
+            let _ = writeln!(obj, "v {x} {y} {z}");
+        }
+        let _ = writeln!(obj, "o {name}\nusemtl {name}\nf -4/1 -3/2 -2/3 -1/4");
+    };
+    for (i, name) in pictures.into_iter().enumerate() {
+        let _ = writeln!(mtl, "newmtl {name}\nKd 1 1 1\nmap_Kd {name}.png");
+        let (x, y) = ((i % 4) as f32 - 2.0, (i / 4) as f32);
+        quad(name, [[x, y, 0.0], [x + 0.95, y, 0.0], [x + 0.95, y + 0.95, 0.0], [x, y + 0.95, 0.0]]);
+    }
+    quad("Light", [[-3.0, 4.0, 1.0], [3.0, 4.0, 1.0], [3.0, 4.0, 5.0], [-3.0, 4.0, 5.0]]);
+    std::fs::write(folder.join("odd.obj"), obj).expect("a file");
+    std::fs::write(folder.join("odd.mtl"), mtl).expect("a file");
+    let sidecar = "format = 1\ntitle = \"Odd\"\n[geometry]\nfiles = [\"odd.obj\"]\nup = \"+y\"\n[[camera]]\nname = \"main\"\n\
+        eye = [0.0, 1.0, 3.4]\ntarget = [0.0, 1.0, 0.0]\nup = [0.0, 1.0, 0.0]\nfov_y = 45.0\n";
+    let file = folder.join("odd.toml");
+    std::fs::write(&file, sidecar).expect("a file");
+    file
+}
+
+#[test]
+fn odd_pictures_obey_the_limit_and_bad_ones_are_named() {
+    let scene = odd_pictures();
+    // The smallest limit is said by the refusal of one that is too small.
+    let refused = Foveal::new("walk --frames 1 --quick --texture-budget 1").arg(&scene).run();
+    assert_eq!(refused.code, Some(4), "{}", refused.err);
+    let walk = |bytes: u64| {
+        let out = folder("odd-walk");
+        let words = format!(
+            "walk --frames 1 --until-converged --fps 20 --size 160x120 --quick --texture-budget {bytes} --out"
+        );
+        let d = Foveal::new(&words).arg(&out).arg(&scene).json();
+        let picture = image::open(out.join("frame-0000.png")).expect("a frame").to_rgb8();
+        (d, picture)
+    };
+    let limit = 300_000;
+    let (d, limited) = walk(limit);
+    for count in ["peak_used_bytes", "peak_held_bytes"] {
+        assert!(d["textures"][count].as_u64() <= Some(limit), "{count}: {}", d["textures"][count]);
+    }
+    assert!(d["textures"]["levels_loaded"].as_u64() > Some(10), "{}", d["textures"]);
+    for name in ["corrupt.png", "missing.png"] {
+        let told = list(&d, "warnings").iter().filter(|w| w.as_str().is_some_and(|w| w.contains(name)));
+        assert_eq!(told.count(), 1, "{name} in {}", d["warnings"]);
+    }
+    // Nothing is black, and what is missing is a checker that nobody overlooks.
+    let (all, full) = walk(1 << 30);
+    assert!(all["textures"].is_null());
+    let of_square = |picture: &image::RgbImage, column: u32, row: u32| {
+        let at = |x: u32, y: u32| picture.get_pixel(28 + 27 * column + x, 91 - 27 * row - y).0;
+        (0..16).flat_map(|y| (0..16).map(move |x| (x, y))).map(|(x, y)| at(x, y)).collect::<Vec<_>>()
+    };
+    for (row, column) in (0..2).flat_map(|row| (0..4).map(move |column| (row, column))) {
+        // Where the picture with holes is, one looks through.
+        if (row, column) != (1, 0) {
+            let lit = of_square(&limited, column, row).iter().filter(|p| p.iter().any(|c| *c > 10)).count();
+            assert!(lit > 100, "square {column}, {row}: {lit} pixels");
+        }
+    }
+    for column in [2, 3] {
+        let mut colours = of_square(&full, column, 1);
+        colours.sort_unstable();
+        let (first, last) = (colours[0], colours[colours.len() - 1]);
+        assert!(first.iter().zip(&last).any(|(a, b)| a.abs_diff(*b) > 40), "{first:?} {last:?}");
+    }
+}
+
+/// Figure 17's other mode: frames wait until they are good enough.
+#[test]
+fn quality_is_kept_where_that_is_asked_for() {
+    let walk = |mode: &str| {
+        let words = format!("walk --frames 5 --fps 200 --size 128x96 --workers 2 --quick {mode}");
+        Foveal::new(&words).arg(scene("duck")).json()
+    };
+    let qualities = |d: &Value| -> Vec<f64> {
+        let all = list(&d["over_time"], "quality").iter();
+        all.map(|q| q.as_f64().unwrap_or(f64::NEG_INFINITY)).collect()
+    };
+    let kept = walk("--mode fixed-quality --quality -0.05");
+    assert_eq!(kept["mode"], "fixed-quality");
+    assert!(qualities(&kept).iter().all(|q| *q >= -0.05), "{:?}", qualities(&kept));
+    assert_eq!(qualities(&walk("--mode fixed-rate")).len(), 5);
+    let usage = Foveal::new("walk --quick --mode fixed-quality --quality 1").arg(scene("duck")).run();
+    assert_eq!(usage.code, Some(2), "{}", usage.err);
+}
+
+/// The bill names every texture and environment map.
+#[test]
+fn the_bill_has_maps_too() {
+    let words = "walk --camera main --frames 1 --until-converged --fps 20 --size 160x120 --quick --environment-budget 200kB";
+    let d = Foveal::new(words).arg(scene("chess")).json();
+    let maps = &d["environment_maps"];
+    assert!(maps["used_bytes"].as_u64() <= maps["limit_bytes"].as_u64(), "{maps}");
+    let lines = list(maps, "bill");
+    assert!(!lines.is_empty() && maps["one_more_mib_buys"].as_f64() > Some(0.0), "{maps}");
+    let given: u64 = lines.iter().filter_map(|l| l["given_bytes"].as_u64()).sum();
+    assert!(given <= 200_000 && lines.iter().any(|l| l["visible_loss"].as_f64() > Some(0.0)), "{maps}");
 }

@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use foveal::allocation::decision::{Constraint, decide};
+use foveal::allocation::decision::{Constraint, Decision};
 use foveal::allocation::environment::{COVERAGE_MIN, MapCandidate, MapChoices, MapContrast};
 use foveal::display::environment_map::{
     PROBE_SIDE, Seen, phong_exponent, side_of_lobe, solid_angle, texel_count,
@@ -17,14 +17,12 @@ use foveal::world::World;
 
 use foveal_runtime::{Loader, Saver};
 
-use crate::insight::MapRank;
+use crate::insight::{MapRank, map_bytes};
 use crate::message::DrawnView;
 use crate::message::tracer::{EnvironmentOrder, EnvironmentWork};
 
 /// Rays of one capture job: about a millisecond.
 const RAYS_PER_JOB: usize = 512;
-/// Bytes of a texel of a map: radiance and distance.
-const TEXEL_BYTES: usize = 16;
 /// Nanoseconds of a capture ray before any was measured.
 const RAY_NS_PRIOR: f32 = 2500.0;
 /// Time that captures may look ahead, nanoseconds of one core: what a second's share of the tracers gives.
@@ -51,6 +49,19 @@ struct Capture {
     seen: Vec<Seen>,
 }
 
+/// The objects of a view that may have a map, and how far the decision about them is.
+#[derive(Debug, serde::Serialize, serde::Deserialize)]
+struct Ranking {
+    /// Objects and the sides of the maps they would have.
+    objects: Vec<(u32, usize)>,
+    /// At the cost of bytes, and of the time that captures take.
+    by_memory: Vec<MapCandidate>,
+    by_time: Vec<MapCandidate>,
+    decision: Decision,
+    /// Which are kept, once that is decided.
+    kept: Option<Vec<usize>>,
+}
+
 /// Maps of all objects.
 #[derive(Debug)]
 pub struct Environments {
@@ -59,6 +70,9 @@ pub struct Environments {
     /// Most bytes of all maps.
     budget: u64,
     states: Vec<MapState>,
+    /// What is being decided, and what the newest view shows, where that is another.
+    deciding: Option<Ranking>,
+    newer: Option<Ranking>,
     /// Objects to capture, the most useful first, with the side wanted.
     wanted: Vec<(u32, usize)>,
     current: Option<Capture>,
@@ -70,6 +84,8 @@ pub struct Environments {
     shown: Vec<f64>,
     /// Maps that were captured.
     captured: u32,
+    /// What one more byte of maps would buy.
+    price: f64,
     /// The last ranking, for whoever looks on.
     ranking: Vec<MapRank>,
 }
@@ -93,12 +109,15 @@ impl Environments {
             world,
             probes,
             budget,
+            deciding: None,
+            newer: None,
             wanted: Vec::new(),
             current: None,
             in_flight: false,
             ray_ns: RAY_NS_PRIOR,
             shown: Vec::new(),
             captured: 0,
+            price: 0.0,
             ranking: Vec::new(),
         }
     }
@@ -110,6 +129,8 @@ impl Environments {
             probes: _,
             budget: _,
             states,
+            deciding,
+            newer,
             wanted,
             current,
             in_flight,
@@ -117,14 +138,24 @@ impl Environments {
             shown: _,
             ranking: _,
             captured,
+            price: _,
         } = self;
-        saver.put(&(states, wanted, current, in_flight, ray_ns, captured));
+        saver.put(&(states, deciding, newer, wanted, current, in_flight, ray_ns, captured));
     }
 
     /// Reads what was saved.
     pub fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
         let states: Vec<MapState>;
-        (states, self.wanted, self.current, self.in_flight, self.ray_ns, self.captured) = loader.take()?;
+        (
+            states,
+            self.deciding,
+            self.newer,
+            self.wanted,
+            self.current,
+            self.in_flight,
+            self.ray_ns,
+            self.captured,
+        ) = loader.take()?;
         let same = states.len() == self.states.len();
         self.states = states;
         same.then_some(())
@@ -154,28 +185,18 @@ impl Environments {
         self.captured
     }
 
-    /// Bytes of the maps that are there.
-    pub fn bytes(&self) -> u64 {
-        self.states.iter().map(|s| bytes_of(s.side)).sum()
+    /// Visible error that one more MiB would take away, saliency × pixels × just noticeable differences.
+    pub fn price_per_mib(&self) -> f64 {
+        self.price * f64::from(1 << 20)
     }
 
-    /// Ranks anew for a view. Returns the objects whose maps are given up.
-    pub fn on_view(
-        &mut self,
-        drawn: &DrawnView,
-        statistics: &[ObjectStatistics],
-        attention: &[f32],
-    ) -> Vec<u32> {
-        if self.budget == 0 {
-            self.wanted.clear();
-            self.ranking.clear();
-            let mut dropped = Vec::new();
-            for (id, state) in self.states.iter_mut().enumerate().filter(|(_, state)| state.side > 0) {
-                state.side = 0;
-                dropped.push(id as u32);
-            }
-            return dropped;
-        }
+    /// Bytes of the maps that are there.
+    pub fn bytes(&self) -> u64 {
+        self.states.iter().map(|s| map_bytes(s.side)).sum()
+    }
+
+    /// A view to rank by, as soon as [`Environments::go_on`] has the time; of several the newest counts.
+    pub fn on_view(&mut self, drawn: &DrawnView, statistics: &[ObjectStatistics], attention: &[f32]) {
         let display = self.world.scene.display;
         let to_cd = display.exposure * display.white_cd_m2;
         let pixels = drawn.buffers.object.data().len().max(1) as f32;
@@ -186,7 +207,7 @@ impl Environments {
                 *sum += f64::from(luminance(color));
             }
         }
-        let (mut ids, mut sides) = (Vec::new(), Vec::new());
+        let mut objects = Vec::new();
         let (mut by_time, mut by_memory) = (Vec::new(), Vec::new());
         for (id, state) in self.states.iter().enumerate().skip(1) {
             let shown = statistics.get(id).map_or(0, |s| s.pixels);
@@ -205,37 +226,84 @@ impl Environments {
                 relative_difference: state.contrast.relative_difference.max(1e-3),
                 mean_elevation: 1.0,
                 saliency: 0.1 + attention.get(id).copied().unwrap_or(0.0),
-                cost: bytes_of(side),
+                cost: map_bytes(side),
             };
             by_memory.push(candidate);
             let rays = if side >= 2 * state.side { texel_count(side) } else { 0 };
             by_time.push(MapCandidate { cost: (rays as f32 * self.ray_ns) as u64, ..candidate });
-            ids.push(id as u32);
-            sides.push(side);
+            objects.push((id as u32, side));
         }
-        let kept = decide(&MapChoices(&by_memory), Constraint::Bytes(self.budget), None);
-        let soon = decide(&MapChoices(&by_time), Constraint::Nanoseconds(TIME_LIMIT_NS), None);
-        // Without any map the cost is 0, so both limits can be met.
-        let (Ok(kept), Ok(soon)) = (kept, soon) else { return Vec::new() };
+        let decision = Decision::new(Constraint::Bytes(self.budget));
+        self.newer = Some(Ranking { objects, by_memory, by_time, decision, kept: None });
+    }
+
+    /// Gives up all maps; which objects had one.
+    fn give_up_all(&mut self) -> Vec<u32> {
+        self.wanted.clear();
         self.ranking.clear();
-        for (i, (&object, &wanted)) in ids.iter().zip(&sides).enumerate() {
+        (self.deciding, self.newer) = (None, None);
+        let mut dropped = Vec::new();
+        for (id, state) in self.states.iter_mut().enumerate().filter(|(_, state)| state.side > 0) {
+            state.side = 0;
+            dropped.push(id as u32);
+        }
+        dropped
+    }
+
+    /// Whether there is something to decide.
+    pub fn is_deciding(&self) -> bool {
+        self.deciding.is_some() || self.newer.is_some()
+    }
+
+    /// Goes on deciding for as long as there is `work`. Returns the objects whose maps are given up.
+    pub fn go_on(&mut self, work: &mut u64) -> Vec<u32> {
+        if self.budget == 0 {
+            return self.give_up_all();
+        }
+        let mut dropped = Vec::new();
+        while *work > 0 {
+            let Some(mut ranking) = self.deciding.take().or_else(|| self.newer.take()) else { break };
+            let candidates = if ranking.kept.is_none() { &ranking.by_memory } else { &ranking.by_time };
+            // Without any map the cost is 0, so both limits can be met.
+            let decided = ranking.decision.go_on(&MapChoices(candidates), None, work).map(|d| d.ok());
+            match (decided, ranking.kept.take()) {
+                (None, kept) => self.deciding = Some(Ranking { kept, ..ranking }),
+                (Some(None), _) => {}
+                (Some(Some(kept)), None) => {
+                    self.price = kept.price;
+                    let decision = Decision::new(Constraint::Nanoseconds(TIME_LIMIT_NS));
+                    self.deciding = Some(Ranking { kept: Some(kept.states), decision, ..ranking });
+                }
+                (Some(Some(soon)), Some(kept)) => {
+                    *work = work.saturating_sub(2 * kept.len() as u64);
+                    dropped.extend(self.carry_out(&ranking, &kept, &soon.states));
+                }
+            }
+        }
+        dropped
+    }
+
+    fn carry_out(&mut self, ranking: &Ranking, kept: &[usize], soon: &[usize]) -> Vec<u32> {
+        let Ranking { objects, by_memory, by_time, .. } = ranking;
+        self.ranking.clear();
+        for (i, &(object, wanted)) in objects.iter().enumerate() {
             let c = &by_memory[i];
             let worth = c.saliency * c.pixels * c.visible_error();
             let side = self.states[object as usize].side as u32;
-            let kept = kept.states[i] != 0;
+            let kept = kept[i] != 0;
             self.ranking.push(MapRank { object, worth, side, wanted: wanted as u32, kept });
         }
         self.ranking.sort_by(|a, b| b.worth.total_cmp(&a.worth).then(a.object.cmp(&b.object)));
         let mut dropped = Vec::new();
         let mut ranked: Vec<(f32, u32, usize)> = Vec::new();
-        for (i, (&id, &side)) in ids.iter().zip(&sides).enumerate() {
+        for (i, &(id, side)) in objects.iter().enumerate() {
             let state = &mut self.states[id as usize];
-            if kept.states[i] == 0 {
+            if kept[i] == 0 {
                 if state.side > 0 {
                     state.side = 0;
                     dropped.push(id);
                 }
-            } else if soon.states[i] == 1 && side >= 2 * state.side.max(1) {
+            } else if soon[i] == 1 && side >= 2 * state.side.max(1) {
                 let c = &by_time[i];
                 let gain = c.saliency * c.pixels * c.visible_error() / (c.cost as f32).max(1.0);
                 ranked.push((gain, id, side));
@@ -308,11 +376,6 @@ impl Environments {
         self.in_flight = false;
         self.current = None;
     }
-}
-
-/// Bytes of a map of this side.
-fn bytes_of(side: usize) -> u64 {
-    (texel_count(side) * TEXEL_BYTES) as u64
 }
 
 /// Texels along an edge that an object of so many pixels can show, and its lobe keep apart.

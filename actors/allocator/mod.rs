@@ -9,10 +9,11 @@ mod saved;
 pub mod textures;
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use foveal::allocation::environment::MapContrast;
 use foveal::allocation::policy::bucket_of;
-use foveal::allocation::ray_order::RayOrder;
+use foveal::allocation::ray_order::{RayOrder, Standing};
 use foveal::allocation::supersampling::Supersampler;
 use foveal::allocation::texture_demand::TextureUse;
 use foveal::display::environment_map::Seen;
@@ -35,6 +36,10 @@ use textures::{TextureWork, Textures};
 
 /// Jobs of samples that are done until whoever looks on is told anew.
 const JOBS_BETWEEN_INSIGHTS: u32 = 32;
+/// Work of one portion of a decision about maps and textures ([`foveal::allocation::search`]): some 50 µs.
+pub const WORK_AT_ONCE: u64 = 1500;
+/// Time between two portions: a frame of a fast display.
+const BETWEEN_PORTIONS: Duration = Duration::from_millis(16);
 /// Jobs of samples that are done between two jobs of environment maps, per tracer.
 const SAMPLES_BETWEEN_MAPS: u32 = 3;
 
@@ -66,6 +71,8 @@ pub struct Allocator {
     environments: Environments,
     /// Textures, where they do not all fit into memory.
     textures: Option<Textures>,
+    /// Whether the next portion of a decision waits for its timer.
+    portion_waits: bool,
     /// Jobs of samples done since a job of an environment map was handed out.
     since_map: u32,
     /// Whether the renderer knows that the view has converged.
@@ -118,6 +125,7 @@ impl Allocator {
             in_flight: 0,
             environments,
             textures,
+            portion_waits: false,
             since_map: u32::MAX,
             told_converged: false,
             supersampler: settings
@@ -153,9 +161,9 @@ impl Allocator {
                 ..ObjectInsight::default()
             })
             .collect();
-        for (standing, error) in self.order.standings() {
-            if let Some(object) = objects.get_mut(standing.object as usize) {
-                (object.level, object.priority, object.error) = (standing.level, standing.priority, error);
+        for Standing { object, level, priority, error } in self.order.standings() {
+            if let Some(object) = objects.get_mut(object as usize) {
+                (object.level, object.priority, object.error) = (level, priority, error);
             }
         }
         Insight {
@@ -163,8 +171,20 @@ impl Allocator {
             objects,
             maps: self.environments.ranking(),
             map_bytes: [self.environments.bytes(), self.settings.environment_bytes],
+            map_price_per_mib: self.environments.price_per_mib(),
             textures: self.textures.as_ref().map(|t| (t.current(), t.residency().limit())),
+            quality: self.quality(),
         }
+    }
+
+    /// Q per pixel.
+    fn quality(&self) -> f32 {
+        if self.drawn.is_none() {
+            return f32::NEG_INFINITY;
+        }
+        let textures = self.textures.as_ref().map_or(0.0, Textures::visible_error);
+        let pixels = f64::from(self.settings.width) * f64::from(self.settings.height);
+        -((self.order.visible_error() + textures) / pixels.max(1.0)) as f32
     }
 
     fn tell_insight(&mut self) {
@@ -225,11 +245,11 @@ impl Allocator {
             let view = self.drawn.as_ref().map_or(0, |d| u64::from(d.view.0));
             self.order.start_view(view, &self.statistics, &self.attention);
         });
-        self.rank_maps(cx);
+        self.rank_maps();
         if let (Some(textures), Some(drawn)) = (&mut self.textures, &self.drawn) {
             textures.on_view(drawn);
         }
-        self.change_textures(cx);
+        self.decide(cx);
         self.fill_pool(cx);
         self.tell_insight();
     }
@@ -254,16 +274,14 @@ impl Allocator {
                 }
             }
         }
-        if changed || textures.is_quiet() {
-            textures.report();
-        }
+        textures.report(changed);
     }
 
     fn on_textures_seen(&mut self, uses: &[TextureUse], cx: &mut Cx<'_, AllocatorMessage>) {
         if let Some(textures) = &mut self.textures {
-            self.stages.time(Stage::Allocate, || textures.on_seen(uses));
+            textures.on_seen(uses);
         }
-        self.change_textures(cx);
+        self.decide(cx);
         self.fill_pool(cx);
     }
 
@@ -292,16 +310,53 @@ impl Allocator {
         self.fill_pool(cx);
     }
 
-    fn rank_maps(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {
+    fn rank_maps(&mut self) {
         let Some(drawn) = self.drawn.clone() else { return };
-        let dropped = self
-            .stages
-            .clone()
-            .time(Stage::Allocate, || self.environments.on_view(&drawn, &self.statistics, &self.attention));
+        let stages = self.stages.clone();
+        stages.time(Stage::Allocate, || {
+            self.environments.on_view(&drawn, &self.statistics, &self.attention);
+        });
+    }
+
+    /// Goes on with decisions about maps and textures: one portion, the next after a while.
+    fn decide(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {
+        if !self.portion_waits {
+            self.decide_for(WORK_AT_ONCE, cx);
+            if self.is_deciding() {
+                self.portion_waits = cx.after(BETWEEN_PORTIONS, AllocatorMessage::DecideOn).is_ok();
+                if !self.portion_waits {
+                    // Nobody will say when to go on.
+                    self.decide_for(u64::MAX, cx);
+                }
+            }
+        }
+        self.change_textures(cx);
+    }
+
+    fn is_deciding(&self) -> bool {
+        let textures = self.textures.as_ref().is_some_and(|t| t.residency().is_deciding());
+        textures || self.environments.is_deciding()
+    }
+
+    fn decide_for(&mut self, mut work: u64, cx: &mut Cx<'_, AllocatorMessage>) {
+        let stages = self.stages.clone();
+        let dropped = stages.time(Stage::Allocate, || {
+            let dropped = self.environments.go_on(&mut work);
+            if let Some(textures) = &mut self.textures {
+                textures.go_on(&mut work);
+            }
+            dropped
+        });
         for object in dropped {
             let changed = RendererMessage::EnvironmentChanged { object, map: None, hash: 0 };
             self.outbox.tell(cx, &self.renderer, changed);
         }
+    }
+
+    fn on_decide_on(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {
+        self.portion_waits = false;
+        self.decide(cx);
+        self.fill_pool(cx);
     }
 
     /// Hands out a job of an environment map, if it is time for one.
@@ -430,9 +485,9 @@ impl Allocator {
         self.update_attention();
         self.order.attend(&self.attention);
         if before != self.settings.environment_bytes {
-            self.rank_maps(cx);
+            self.rank_maps();
         }
-        self.change_textures(cx);
+        self.decide(cx);
         self.fill_pool(cx);
     }
 
@@ -482,10 +537,11 @@ impl Allocator {
         self.capture_maps(cx);
         let textures_settled = self.textures.as_ref().is_none_or(Textures::is_quiet);
         if self.in_flight == 0 && self.order.is_exhausted() && textures_settled && !self.told_converged {
+            self.told_converged = true;
+            // Before anybody can know.
+            self.tell_insight();
             let message = RendererMessage::ViewConverged { view: drawn.view };
             self.outbox.tell(cx, &self.renderer, message);
-            self.told_converged = true;
-            self.tell_insight();
         }
         if self.told_converged {
             self.refine(&drawn, cx);
@@ -513,8 +569,8 @@ impl Actor for Allocator {
                 self.on_job_done(cx);
             }
             AllocatorMessage::TileSampled { view, sums, hash: _ } => self.on_tile_sampled(view, sums, cx),
-            AllocatorMessage::ResidualsMeasured { view, object, level, residual } => {
-                self.order.record(u64::from(view.0), object, level, &residual);
+            AllocatorMessage::ResidualsMeasured { view, object, level, pixel, residual } => {
+                self.order.record(u64::from(view.0), object, level, pixel, &residual);
             }
             AllocatorMessage::EnvironmentCaptured { object, seen, hash: _, seconds } => {
                 self.on_environment_captured(object, &seen, seconds, cx);
@@ -529,6 +585,7 @@ impl Actor for Allocator {
             AllocatorMessage::TexturesReleased => self.on_textures_released(cx),
             AllocatorMessage::Adjusted(adjustment) => self.on_adjusted(&adjustment, cx),
             AllocatorMessage::Incident(incident) => self.on_incident(incident, cx),
+            AllocatorMessage::DecideOn => self.on_decide_on(cx),
             AllocatorMessage::SendAgain => self.outbox.send(cx),
         }
     }

@@ -29,6 +29,7 @@ impl Allocator {
             in_flight,
             environments,
             textures,
+            portion_waits,
             since_map,
             told_converged,
             supersampler,
@@ -44,6 +45,7 @@ impl Allocator {
         saver.put(&(order, statistics, saliency.as_slice(), attention));
         saver.put(&(
             in_flight,
+            portion_waits,
             since_map,
             told_converged,
             told_refined,
@@ -77,6 +79,7 @@ impl Allocator {
         let is_drawn: bool;
         (
             self.in_flight,
+            self.portion_waits,
             self.since_map,
             self.told_converged,
             self.told_refined,

@@ -42,6 +42,10 @@ pub struct Textures {
     waiting: Option<Arc<DrawnView>>,
     /// Whether a view is being seen ahead.
     predicting: bool,
+    /// Whether any view was seen ahead.
+    has_seen: bool,
+    /// Whether there was nothing left to do when this was looked at last.
+    was_quiet: bool,
     /// Levels loaded and dropped.
     counts: [u32; 2],
 }
@@ -52,7 +56,16 @@ impl Textures {
         let residency = Residency::new(store.limit, store.facts.clone()).ok()?;
         let coarsest = |t: &foveal::scene::Texture| t.mips.level(t.level_count() - 1).cloned();
         let like = world.scene.textures.iter().map(coarsest).collect();
-        Some(Self { store, residency, like, waiting: None, predicting: false, counts: [0; 2] })
+        Some(Self {
+            store,
+            residency,
+            like,
+            waiting: None,
+            predicting: false,
+            has_seen: false,
+            was_quiet: false,
+            counts: [0; 2],
+        })
     }
 
     /// What is in memory, and why.
@@ -65,6 +78,11 @@ impl Textures {
         if self.residency.limit() != bytes && self.residency.set_limit(bytes).is_err() {
             tracing::warn!("textures cannot be kept within {bytes} bytes");
         }
+    }
+
+    /// −Q of the last view that was seen ahead, just noticeable differences × pixels; infinite before the first.
+    pub fn visible_error(&self) -> f64 {
+        if self.has_seen { self.residency.visible_error() } else { f64::INFINITY }
     }
 
     /// What is known of the textures.
@@ -105,7 +123,13 @@ impl Textures {
     /// A view was seen ahead.
     pub fn on_seen(&mut self, uses: &[TextureUse]) {
         self.predicting = false;
-        self.residency.decide(uses.to_vec());
+        self.has_seen = true;
+        self.residency.see(uses.to_vec());
+    }
+
+    /// Goes on deciding for as long as there is `work`.
+    pub fn go_on(&mut self, work: &mut u64) {
+        self.residency.go_on(work);
     }
 
     /// The next step towards what is wanted.
@@ -127,9 +151,13 @@ impl Textures {
         })
     }
 
-    /// Says how things stand.
-    pub fn report(&self) {
-        self.store.reports.push(self.current());
+    /// Says how things stand, where orders were given or nothing is left to do since.
+    pub fn report(&mut self, orders_given: bool) {
+        let is_quiet = self.is_quiet();
+        if orders_given || is_quiet != self.was_quiet {
+            self.store.reports.push(self.current());
+        }
+        self.was_quiet = is_quiet;
     }
 
     /// How things stand.

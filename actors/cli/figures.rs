@@ -323,9 +323,11 @@ pub fn page(
         figures,
         tables: super::texture_page::bill(document)
             .into_iter()
+            .chain(super::texture_page::map_bill(document))
             .chain([stages, levels, counters, plan])
             .collect(),
-        plots: super::texture_page::plots(document),
+        plots: [super::texture_page::rate_and_quality(document), super::texture_page::plots(document)]
+            .concat(),
         frames: walked.points.clone(),
         deadline_ms: 1e3 / fps,
     })

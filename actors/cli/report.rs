@@ -37,6 +37,8 @@ pub struct FramePoint {
     pub display_ms: f32,
     /// Samples that were traced for it.
     pub samples: u32,
+    /// Its quality as estimated, −1 × mean visible error of its pixels, just noticeable differences.
+    pub quality: f32,
 }
 
 /// Numbers over the frames of a walk.
@@ -109,18 +111,69 @@ fn frame_plot(frames: &[FramePoint], deadline_ms: f32) -> Option<String> {
     Some(svg)
 }
 
+/// Colours of lines.
+const COLORS: [RGBColor; 8] = [
+    RGBColor(31, 119, 180),
+    RGBColor(255, 127, 14),
+    RGBColor(44, 160, 44),
+    RGBColor(148, 103, 189),
+    RGBColor(140, 86, 75),
+    RGBColor(227, 119, 194),
+    RGBColor(127, 127, 127),
+    RGBColor(23, 190, 207),
+];
+
+/// Numbers at times.
+#[derive(Clone, Debug)]
+pub struct Curve {
+    /// What they are of.
+    pub name: String,
+    /// Seconds and numbers; those that are none are left out.
+    pub points: Vec<(f32, f32)>,
+}
+
+/// Curves over time, as SVG; `None` where there are too few numbers for a plot.
+pub fn time_plot(title: &str, unit: &str, curves: &[Curve]) -> Option<String> {
+    let all = || curves.iter().flat_map(|c| &c.points).filter(|p| p.1.is_finite());
+    let end = all().map(|p| p.0).fold(0.0, f32::max);
+    if all().count() < 2 || end <= 0.0 {
+        return None;
+    }
+    let (low, high) = all().fold((0f32, 1e-3f32), |(low, high), p| (low.min(p.1), high.max(p.1)));
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, (860, 300)).into_drawing_area();
+        root.fill(&WHITE).ok()?;
+        let mut chart = ChartBuilder::on(&root)
+            .caption(title, ("sans-serif", 16))
+            .margin(8)
+            .x_label_area_size(34)
+            .y_label_area_size(60)
+            .build_cartesian_2d(0f32..end, 1.05 * low..1.05 * high)
+            .ok()?;
+        let mut mesh = chart.configure_mesh();
+        mesh.x_desc("s").y_desc(unit).light_line_style(TRANSPARENT).draw().ok()?;
+        for (curve, color) in curves.iter().zip(COLORS.into_iter().cycle()) {
+            let points = curve.points.iter().copied().filter(|p| p.1.is_finite());
+            chart
+                .draw_series(LineSeries::new(points, color.stroke_width(2)))
+                .ok()?
+                .label(curve.name.as_str())
+                .legend(move |(x, y)| PathElement::new(vec![(x, y), (x + 14, y)], color.stroke_width(2)));
+        }
+        chart
+            .configure_series_labels()
+            .background_style(WHITE.mix(0.8))
+            .position(SeriesLabelPosition::UpperRight)
+            .draw()
+            .ok()?;
+        root.present().ok()?;
+    }
+    Some(svg)
+}
+
 /// Lines over frames, as SVG; `None` where there are too few frames for a plot.
 fn line_plot(plot: &Plot) -> Option<String> {
-    const COLORS: [RGBColor; 8] = [
-        RGBColor(31, 119, 180),
-        RGBColor(255, 127, 14),
-        RGBColor(44, 160, 44),
-        RGBColor(148, 103, 189),
-        RGBColor(140, 86, 75),
-        RGBColor(227, 119, 194),
-        RGBColor(127, 127, 127),
-        RGBColor(23, 190, 207),
-    ];
     let frames = plot.lines.iter().map(|(_, values)| values.len()).max().filter(|n| *n > 1)?;
     let values = plot.lines.iter().flat_map(|(_, values)| values).chain(&plot.limit);
     let top = 1.1 * values.copied().filter(|v| v.is_finite()).fold(1e-3f32, f32::max);
@@ -231,7 +284,7 @@ mod tests {
     fn the_page_stands_alone_and_escapes_names() {
         let page = Page {
             title: "a<b>".into(),
-            frames: vec![FramePoint { total_ms: 10.0, display_ms: 4.0, samples: 3 }; 5],
+            frames: vec![FramePoint { total_ms: 10.0, display_ms: 4.0, samples: 3, quality: -0.1 }; 5],
             deadline_ms: 12.5,
             figures: vec![Figure { title: "x".into(), caption: "y".into(), png: vec![1, 2, 3] }],
             tables: vec![Table {

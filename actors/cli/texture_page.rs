@@ -1,4 +1,4 @@
-//! Textures in a walk's report: memory, quality and levels over time (Dumont 2003, figure 13), and the bill.
+//! Decisions in a walk's report: frame rate, quality, memory and levels over time (Dumont 2003, figure 13), and the bill.
 
 use serde_json::Value;
 
@@ -9,6 +9,36 @@ const LINES: usize = 8;
 
 fn numbers(points: &[Value], of: impl Fn(&Value) -> f64) -> Vec<f32> {
     points.iter().map(|p| of(p) as f32).collect()
+}
+
+/// Frame rate and quality over the frames of a walk (Dumont 2003, figure 17).
+pub fn rate_and_quality(document: &Value) -> Vec<Plot> {
+    let (Some(ms), Some(quality)) =
+        (document["over_time"]["frame_ms"].as_array(), document["over_time"]["quality"].as_array())
+    else {
+        return Vec::new();
+    };
+    let rate = numbers(ms, |ms| 1e3 / ms.as_f64().unwrap_or(f64::NAN));
+    let loss = numbers(quality, |q| -q.as_f64().unwrap_or(f64::NAN));
+    vec![
+        Plot {
+            title: "Frame rate".into(),
+            caption: format!("Frames per second, {}.", document["mode"].as_str().unwrap_or_default()),
+            unit: "1/s",
+            lines: vec![("frame rate".into(), rate)],
+            limit: document["fps"].as_f64().map(|fps| fps as f32),
+        },
+        Plot {
+            title: "Quality".into(),
+            caption:
+                "−Q: the visible error that was left when a frame was shown, mean over its pixels, as the \
+                      allocator estimates it."
+                    .into(),
+            unit: "JND",
+            lines: vec![("−Q".into(), loss)],
+            limit: None,
+        },
+    ]
 }
 
 /// Plots over the frames of a walk with limited textures; none of another walk.
@@ -84,6 +114,28 @@ pub fn bill(document: &Value) -> Option<Table> {
     })
 }
 
+/// What each environment map asked for and was given, the most worth first.
+pub fn map_bill(document: &Value) -> Option<Table> {
+    let maps = &document["environment_maps"];
+    let kib = |v: &Value| format!("{:.1}", v.as_f64().unwrap_or(0.0) / 1024.0);
+    let row = |line: &Value| {
+        vec![
+            format!("{} {}", line["object"], line["name"].as_str().unwrap_or_default()),
+            kib(&line["asked_bytes"]),
+            kib(&line["given_bytes"]),
+            format!("{:.1}", line["visible_loss"].as_f64().unwrap_or(0.0)),
+        ]
+    };
+    let price = maps["one_more_mib_buys"].as_f64()?;
+    Some(Table {
+        title: format!(
+            "The bill of environment maps: one more MiB would buy {price:.3} JND · pixels · attention"
+        ),
+        header: ["object", "KiB asked", "KiB given", "visible loss"].map(String::from).to_vec(),
+        rows: maps["bill"].as_array()?.iter().map(row).collect(),
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -91,5 +143,6 @@ mod tests {
     #[test]
     fn a_walk_without_limit_has_no_bill() {
         assert!(plots(&Value::Null).is_empty() && bill(&Value::Null).is_none());
+        assert!(map_bill(&Value::Null).is_none() && rate_and_quality(&Value::Null).is_empty());
     }
 }

@@ -19,7 +19,7 @@ use foveal_runtime::{BuildError, Config, Control, Limit, RecordingStatus, Runtim
 
 use super::arguments::{Size, bytes, positive, unit};
 use super::failure::Failure;
-use super::output::{make_folder, print_json, write_atomic};
+use super::output::{make_folder, memory_bytes, print_json, write_atomic};
 use super::pictures::PictureWriter;
 use super::recording::{Hashes, RecordedRun, TRACERS_MAX};
 use super::report::FramePoint;
@@ -27,7 +27,8 @@ use super::session::{self, IlluminationArguments, Session, camera, interrupted};
 use super::walk_report::{Walked, document, summary, textures_json};
 use super::{Progress, figures, replay};
 use crate::allocator::Allocator;
-use crate::message::{FrameIndex, FrameSnapshot, RendererInput};
+use crate::insight::InsightSlot;
+use crate::message::{FrameIndex, FrameSnapshot, RendererInput, View};
 use crate::renderer::{FrameCounts, FrameSink, Renderer};
 use crate::settings::Settings;
 use crate::stages::{Stage, StageTimes};
@@ -54,6 +55,14 @@ pub struct WalkArguments {
     /// Frames per second to keep (default: the scene's, else 10)
     #[arg(long, value_parser = positive)]
     fps: Option<f32>,
+    /// What is kept where time is short: the frame rate, whatever the picture looks like, or the quality, while the frame
+    /// rate falls
+    #[arg(long, value_enum, default_value_t = Mode::FixedRate)]
+    mode: Mode,
+    /// With --mode fixed-quality: the least quality of a frame that is shown: 0 less the mean visible error of its pixels, just
+    /// noticeable differences
+    #[arg(long, value_name = "Q", default_value = "-0.25", allow_negative_numbers = true, value_parser = quality)]
+    quality: f32,
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "512x512")]
     size: Size,
@@ -126,6 +135,34 @@ pub struct WalkArguments {
     #[arg(long)]
     json: bool,
 }
+
+impl WalkArguments {
+    /// The name of the mode.
+    pub(super) fn mode_name(&self) -> &'static str {
+        match self.mode {
+            Mode::FixedRate => "fixed-rate",
+            Mode::FixedQuality => "fixed-quality",
+        }
+    }
+}
+
+/// What is kept where time is short (Dumont 2003, figure 17).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Mode {
+    /// Frames come at their rate, as good as they are
+    FixedRate,
+    /// Frames wait until they are good enough
+    FixedQuality,
+}
+
+/// A quality, at most 0.
+fn quality(text: &str) -> Result<f32, String> {
+    let value: f32 = text.parse().map_err(|_| format!("{text} is no number"))?;
+    if value <= 0.0 { Ok(value) } else { Err("no picture is better than 0, the one without errors".into()) }
+}
+
+/// Longest that a frame waits to become good enough.
+const LONGEST_FRAME: Duration = Duration::from_secs(10);
 
 /// Names of policies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -247,6 +284,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         plan.needs(Part::Tracers) || session.textures.is_some() || settings.supersampling.is_some();
     let stages = StageTimes::default();
     let handover = Arc::new(SegQueue::new());
+    let insight = InsightSlot::default();
     let passes = Passes { texture_ids: plan.needs(Part::TextureIdPass) };
     let world = session.world.clone();
     let session_textures = session.textures.clone();
@@ -258,7 +296,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         corrects,
         textures: session_textures.clone(),
         refinement: refinement.clone(),
-        insight: None,
+        insight: Some(insight.clone()),
         stages: stages.clone(),
         sink: Box::new(Handover(handover.clone())),
     };
@@ -295,6 +333,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         fps,
         &stages,
         session.textures.as_deref(),
+        corrects.then_some(&insight),
         &handover,
         pictures.as_ref(),
         progress,
@@ -366,6 +405,7 @@ fn walk(
     fps: f32,
     stages: &StageTimes,
     store: Option<&TextureStore>,
+    insight: Option<&InsightSlot>,
     handover: &SegQueue<Shown>,
     pictures: Option<&PictureWriter>,
     progress: Progress,
@@ -381,6 +421,8 @@ fn walk(
         refined: 0,
         approximated: 0,
         textures: Vec::new(),
+        insight: None,
+        memory: None,
     };
     forget_most_held();
     let bar = progress.bar(u64::from(frames), "walk");
@@ -404,6 +446,27 @@ fn walk(
             interrupted() || (staying && r.inspect(renderer, Renderer::is_refined) == Some(true))
         };
         runtime.pump_until(Limit::time(budget.saturating_sub(began.elapsed())), done_early);
+        let mut is_enough = |r: &Runtime| {
+            let Some(slot) = insight else { return true };
+            if let Some(newest) = slot.take() {
+                walked.insight = Some(newest);
+            }
+            let now = walked.insight.as_ref().map_or((View(0), 0.0), |i| (i.view, i.quality));
+            let view = r.inspect(renderer, |r| r.drawn().map(|d| d.view)).flatten();
+            // Where it has converged nothing more can be done.
+            let converged = r.inspect(renderer, Renderer::is_converged) == Some(true);
+            interrupted() || converged || (Some(now.0) == view && now.1 >= a.quality)
+        };
+        match a.mode {
+            Mode::FixedQuality if !staying => {
+                runtime.pump_until(Limit::time(LONGEST_FRAME.saturating_sub(began.elapsed())), is_enough);
+            }
+            _ => {
+                is_enough(runtime);
+            }
+        }
+        let quality = walked.insight.as_ref().map_or(0.0, |i| i.quality);
+        walked.memory = walked.memory.max(memory_bytes());
         send(actors, RendererInput::DeadlineReached { frame: FrameIndex(frame) })?;
         runtime.pump_until(Limit::time(Duration::from_secs(60)), |_| !handover.is_empty());
         let Some(shown) = handover.pop() else {
@@ -425,6 +488,7 @@ fn walk(
             total_ms,
             display_ms: of(Stage::Display),
             samples: shown.counts.traced,
+            quality,
         });
         walked.traced += u64::from(shown.counts.traced);
         walked.reused += u64::from(shown.counts.reused);

@@ -10,6 +10,7 @@ use super::output::{peak_memory_bytes, print_line};
 use super::report::FramePoint;
 use super::session::Session;
 use super::walk::WalkArguments;
+use crate::insight::{Insight, MapRank};
 use crate::settings::Settings;
 use crate::stages::Stage;
 use crate::textures::{Charge, TextureReport, TextureStore};
@@ -36,6 +37,10 @@ pub struct Walked {
     pub approximated: u64,
     /// Textures after each frame, where they are limited.
     pub textures: Vec<TextureReport>,
+    /// What the allocator thought last.
+    pub insight: Option<Insight>,
+    /// Most memory of the process while it walked, bytes.
+    pub memory: Option<u64>,
 }
 
 /// Median, 95th and 99th percentile.
@@ -86,6 +91,11 @@ pub fn document(
         "seed": settings.seed,
         "frame_ms": {"median": round(median), "p95": round(p95), "p99": round(p99)},
         "stage_ms": stage_ms,
+        "mode": a.mode_name(),
+        "over_time": {
+            "frame_ms": walked.points.iter().map(|p| round(p.total_ms)).collect::<Vec<_>>(),
+            "quality": walked.points.iter().map(|p| round(p.quality)).collect::<Vec<_>>(),
+        },
         "samples": {
             "traced": walked.traced + walked.late,
             "reused": walked.reused,
@@ -99,7 +109,9 @@ pub fn document(
         "lost_jobs": lost_jobs,
         "converged": converged,
         "plan": super::explain::plan_json(plan),
+        "environment_maps": walked.insight.as_ref().map(|i| maps_json(i, &session.world.scene)),
         "peak_memory_bytes": peak_memory_bytes(),
+        "walk_memory_bytes": walked.memory,
         "machine": super::doctor::machine(),
         "recording": a.record.as_ref().map(|f| f.display().to_string()),
         "out": a.out.as_ref().map(|o| o.display().to_string()),
@@ -147,6 +159,27 @@ pub fn textures_json(store: &TextureStore, reports: &[TextureReport], scene: &Sc
         "bill": bill,
         "over_time": over_time,
     }))
+}
+
+/// The bill of environment maps.
+fn maps_json(insight: &Insight, scene: &Scene) -> Value {
+    let line = |rank: &MapRank| {
+        json!({
+            "object": rank.object,
+            "name": scene.objects.get(rank.object as usize).map_or("", |o| o.name.as_str()),
+            "asked_bytes": rank.asked_bytes(),
+            "given_bytes": rank.given_bytes(),
+            "visible_loss": rank.visible_loss(),
+            "worth": rank.worth,
+        })
+    };
+    let [used, limit] = insight.map_bytes;
+    json!({
+        "limit_bytes": limit,
+        "used_bytes": used,
+        "one_more_mib_buys": insight.map_price_per_mib,
+        "bill": insight.maps.iter().map(line).collect::<Vec<_>>(),
+    })
 }
 
 /// The lines for somebody who asked for no document.

@@ -56,6 +56,8 @@ pub enum AllocatorMessage {
         object: u32,
         /// Level.
         level: u32,
+        /// Where the first of them is.
+        pixel: [u16; 2],
         /// The differences.
         residual: Residual,
     },
@@ -108,6 +110,8 @@ pub enum AllocatorMessage {
     Adjusted(Adjustment),
     /// From the runtime: an actor panicked, a job was given up, or a tracer was stopped.
     Incident(Incident),
+    /// From its own timer: the next portion of a decision.
+    DecideOn,
     /// From its own timer: send what was not accepted.
     SendAgain,
 }
@@ -130,8 +134,8 @@ impl Message for AllocatorMessage {
                 }
                 digest.f32(*seconds);
             }
-            Self::ResidualsMeasured { view, object, level, residual } => {
-                for word in [view.0, *object, *level, residual.count()] {
+            Self::ResidualsMeasured { view, object, level, pixel: [x, y], residual } => {
+                for word in [view.0, *object, *level, u32::from(*x), u32::from(*y), residual.count()] {
                     digest.u32(word);
                 }
                 digest.f32(residual.mean().unwrap_or(0.0));
@@ -159,7 +163,7 @@ impl Message for AllocatorMessage {
             Self::TexturesReleased => {}
             Self::Adjusted(adjustment) => digest.bytes(&adjustment.to_bytes()),
             Self::Incident(incident) => digest.bytes(format!("{incident:?}").as_bytes()),
-            Self::SendAgain => {}
+            Self::DecideOn | Self::SendAgain => {}
         }
     }
 
@@ -178,6 +182,7 @@ impl Message for AllocatorMessage {
             Self::TexturesReleased => "TexturesReleased",
             Self::Adjusted(_) => "Adjusted",
             Self::Incident(_) => "Incident",
+            Self::DecideOn => "DecideOn",
             Self::SendAgain => "SendAgain",
         }
     }
@@ -197,6 +202,7 @@ impl Message for AllocatorMessage {
             | Self::LevelLoaded { .. }
             | Self::TexturesReleased
             | Self::Adjusted(_)
+            | Self::DecideOn
             | Self::SendAgain => Lane::Data,
         }
     }
@@ -212,8 +218,8 @@ impl Message for AllocatorMessage {
             Self::JobDone { view, object, level, samples, seconds } => {
                 saver.put(&(3_u8, view, object, level, samples, seconds));
             }
-            Self::ResidualsMeasured { view, object, level, residual } => {
-                saver.put(&(4_u8, view, object, level, residual));
+            Self::ResidualsMeasured { view, object, level, pixel, residual } => {
+                saver.put(&(4_u8, view, object, level, pixel, residual));
             }
             Self::EnvironmentCaptured { object, seen, hash, seconds } => {
                 saver.put(&(5_u8, object, hash, seconds, seen.as_slice()));
@@ -230,6 +236,7 @@ impl Message for AllocatorMessage {
                 }
             }
             Self::Adjusted(adjustment) => saver.put(&(10_u8, adjustment)),
+            Self::DecideOn => saver.put(&11_u8),
         }
     }
 
@@ -246,8 +253,8 @@ impl Message for AllocatorMessage {
                 Self::JobDone { view, object, level, samples, seconds }
             }
             4 => {
-                let (view, object, level, residual) = loader.take()?;
-                Self::ResidualsMeasured { view, object, level, residual }
+                let (view, object, level, pixel, residual) = loader.take()?;
+                Self::ResidualsMeasured { view, object, level, pixel, residual }
             }
             5 => {
                 let (object, hash, seconds, seen): (_, _, _, Vec<Seen>) = loader.take()?;
@@ -265,6 +272,7 @@ impl Message for AllocatorMessage {
                 Self::TileSampled { view, sums, hash }
             }
             10 => Self::Adjusted(loader.take()?),
+            11 => Self::DecideOn,
             _ => return None,
         })
     }

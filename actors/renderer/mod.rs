@@ -480,6 +480,7 @@ impl Renderer {
             view: self.view,
             object: batch.object,
             level: self.settings.k_max + 1 - batch.k.min(self.settings.k_max),
+            pixel: batch.pixels.first().copied().unwrap_or_default(),
             residual,
         };
         // Where the allocator is that far behind, it learns from the next batch as well.

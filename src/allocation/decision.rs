@@ -3,7 +3,7 @@
 //!
 //! A new kind of resource is one impl of [`Resource`]. The optimiser is [`super::knapsack`].
 
-use super::knapsack::{self, Allocation, Candidate, LimitTooSmall};
+use super::knapsack::{Allocation, Candidate, LimitTooSmall, Search};
 
 /// A limit that total cost may not exceed. Its unit is that of the candidates' costs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,7 +26,7 @@ impl Constraint {
 }
 
 /// One way to carry out an action.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Approximation {
     /// What it costs, in the constraint's unit.
     pub cost: u64,
@@ -60,23 +60,100 @@ pub trait Resource {
     fn approximations(&self, action: usize, out: &mut Vec<Approximation>);
 }
 
-/// The approximation of each action that gives the best total quality Q = Σ q (Dumont 2003 Eq. (1)) under
-/// `constraint`. `now` is the present choice, which is preferred a little ([`knapsack::HYSTERESIS`]).
+/// A decision on its way: a little work in each frame.
+///
+/// The resource must be the same whenever it goes on; what has changed since counts in the next decision.
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
+pub struct Decision {
+    search: Search,
+    /// Actions that are asked for their approximations.
+    asked: usize,
+    approximations: Vec<Approximation>,
+    candidates: Vec<Candidate>,
+}
+
+impl Decision {
+    /// Work of one approximation: what it is estimated by, its place on the hull.
+    const WORK: u64 = 4;
+
+    /// Nothing is decided yet.
+    pub fn new(constraint: Constraint) -> Self {
+        Self {
+            search: Search::new(constraint.limit()),
+            asked: 0,
+            approximations: Vec::new(),
+            candidates: Vec::new(),
+        }
+    }
+
+    /// Goes on for as long as there is `work` ([`Search::go_on`]): the approximation of each action that gives the best
+    /// total quality Q = Σ q (Dumont 2003 Eq. (1)), once that is found. `now` is the present choice, which is preferred a
+    /// little ([`super::knapsack::HYSTERESIS`]).
+    ///
+    /// # Errors
+    /// Where not even the cheapest approximations fit.
+    pub fn go_on(
+        &mut self,
+        resource: &impl Resource,
+        now: Option<&[usize]>,
+        work: &mut u64,
+    ) -> Option<Result<Allocation, LimitTooSmall>> {
+        while self.asked < resource.action_count() {
+            if *work == 0 {
+                return None;
+            }
+            let action = self.asked;
+            candidates_of(resource, action, &mut self.approximations, &mut self.candidates);
+            self.search.add(&self.candidates, now.and_then(|now| now.get(action).copied()));
+            *work = work.saturating_sub(1 + Self::WORK * self.candidates.len() as u64);
+            self.asked += 1;
+        }
+        self.search.go_on(work)
+    }
+}
+
+fn candidates_of(
+    resource: &impl Resource,
+    action: usize,
+    room: &mut Vec<Approximation>,
+    out: &mut Vec<Candidate>,
+) {
+    room.clear();
+    resource.approximations(action, room);
+    let saliency = resource.saliency(action);
+    out.clear();
+    out.extend(room.iter().map(|a| Candidate { cost: a.cost, quality: a.quality(saliency) }));
+}
+
+/// What [`Decision`] comes to, at once.
+///
+/// # Errors
+/// Where not even the cheapest approximations fit.
 pub fn decide(
     resource: &impl Resource,
     constraint: Constraint,
     now: Option<&[usize]>,
 ) -> Result<Allocation, LimitTooSmall> {
+    let mut decision = Decision::new(constraint);
+    loop {
+        if let Some(result) = decision.go_on(resource, now, &mut u64::MAX.clone()) {
+            return result;
+        }
+    }
+}
+
+/// Quality per cost of the best step that an action can take from its approximation `from`, the first of the hull above
+/// it; 0 where none is better. The order of resources that are spent one by one, as rays are.
+pub fn best_step(resource: &impl Resource, action: usize, from: usize) -> f64 {
     let mut approximations = Vec::new();
-    let items: Vec<Vec<Candidate>> = (0..resource.action_count())
-        .map(|action| {
-            approximations.clear();
-            resource.approximations(action, &mut approximations);
-            let saliency = resource.saliency(action);
-            approximations.iter().map(|a| Candidate { cost: a.cost, quality: a.quality(saliency) }).collect()
-        })
-        .collect();
-    knapsack::allocate(&items, constraint.limit(), now)
+    resource.approximations(action, &mut approximations);
+    let Some(now) = approximations.get(from) else { return 0.0 };
+    let (cost, quality) = (now.cost, now.quality(resource.saliency(action)));
+    let per_cost = |a: &Approximation| {
+        let gain = a.quality(resource.saliency(action)) - quality;
+        gain / a.cost.saturating_sub(cost).max(1) as f64
+    };
+    approximations.iter().filter(|a| a.cost > cost).map(per_cost).fold(0.0, f64::max)
 }
 
 #[cfg(test)]

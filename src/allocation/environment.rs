@@ -42,7 +42,7 @@ impl MapContrast {
 }
 
 /// An object whose map may be left out.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct MapCandidate {
     /// A_i, pixels that show it.
     pub pixels: f32,

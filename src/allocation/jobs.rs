@@ -4,6 +4,8 @@
 //! Each visible object goes through its levels from coarse to fine. Taking a job cuts `n_job`
 //! samples from the level at its cursor (the paper's iterator position); the rest of the level stays
 //! with the object. A finished level goes back one level finer, at the priority the policy gives that.
+//! From some level on an object may go on in parts, tiles of the picture, each with a priority of its own (the papers know
+//! whole objects alone).
 
 use crate::image::Map2d;
 use crate::perception::importance::ObjectStatistics;
@@ -16,7 +18,7 @@ pub struct SampleJob {
     pub object: u32,
     /// Level, 1 … l_max.
     pub level: u32,
-    /// The object's bounds in the picture.
+    /// The object's bounds in the picture, or those of a part of it.
     pub rect: Rect,
     /// Where in the level to begin.
     pub start: Cursor,
@@ -24,30 +26,32 @@ pub struct SampleJob {
     pub count: u32,
 }
 
-/// How far one object has come.
-#[derive(Clone, Copy, Debug, serde::Serialize, serde::Deserialize)]
-struct Progress {
-    object: u32,
-    rect: Rect,
-    level: u32,
-    /// `None` once every level is handed out.
-    cursor: Option<Cursor>,
-    /// Samples of this level that are handed out.
-    handed: u32,
-    priority: f32,
-}
-
-/// Where an object stands.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Standing {
+/// An object or a part of one, and how far it has come.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Part {
+    /// Its number: a whole object's is the object's id, parts follow behind the last object.
+    pub id: u32,
     /// Object id.
     pub object: u32,
-    /// Level of its next job; 0 where every sample is handed out.
+    /// Bounds in the picture.
+    pub rect: Rect,
+    /// Pixels of the object in there.
+    pub pixels: u32,
+    /// Level of its next job, 1 … l_max.
     pub level: u32,
     /// Samples of that level that are handed out.
     pub handed: u32,
     /// Priority of its next job.
     pub priority: f32,
+    /// Where in the level the next job begins; `None` once every level is handed out.
+    cursor: Option<Cursor>,
+}
+
+impl Part {
+    /// Whether every sample of it is handed out, or it goes on in parts.
+    pub fn is_done(&self) -> bool {
+        self.cursor.is_none()
+    }
 }
 
 /// The objects of one view and what is left to trace of them.
@@ -55,13 +59,15 @@ pub struct Standing {
 pub struct SampleJobs {
     lattice: Lattice,
     samples_per_job: u32,
-    objects: Vec<Progress>,
+    parts: Vec<Part>,
+    /// Number of the next part.
+    next_id: u32,
 }
 
 impl SampleJobs {
     /// No object yet. `samples_per_job` is the paper's n_job, at least 1.
     pub fn new(lattice: Lattice, samples_per_job: u32) -> Self {
-        Self { lattice, samples_per_job: samples_per_job.max(1), objects: Vec::new() }
+        Self { lattice, samples_per_job: samples_per_job.max(1), parts: Vec::new(), next_id: 0 }
     }
 
     /// Jobs of so many samples from now on.
@@ -75,81 +81,140 @@ impl SampleJobs {
     }
 
     /// Starts a view: `statistics[id]` of every object; id 0 (diffuse) and invisible ones are left out.
-    /// `priority(object, level)` is asked whenever an object enters a level.
-    pub fn start_view(&mut self, statistics: &[ObjectStatistics], priority: impl Fn(u32, u32) -> f32) {
-        self.objects.clear();
+    /// `priority` is asked whenever an object enters a level.
+    pub fn start_view(&mut self, statistics: &[ObjectStatistics], priority: impl Fn(&Part) -> f32) {
+        self.parts.clear();
+        self.next_id = statistics.len() as u32;
         for (id, s) in statistics.iter().enumerate().skip(1).filter(|(_, s)| s.pixels > 0) {
             let rect = Rect { x0: s.x0 as i32, y0: s.y0 as i32, x1: s.x1 as i32, y1: s.y1 as i32 };
-            let object = id as u32;
-            self.objects.push(Progress {
-                object,
-                rect,
-                level: 1,
-                cursor: Some(Cursor { x: rect.x0, y: rect.y0 }),
-                handed: 0,
-                priority: priority(object, 1),
-            });
+            let mut whole = part(id as u32, id as u32, rect, s.pixels, 1);
+            whole.priority = priority(&whole);
+            self.parts.push(whole);
         }
     }
 
     /// Forgets the view.
     pub fn clear(&mut self) {
-        self.objects.clear();
+        self.parts.clear();
     }
 
-    /// Asks for priorities anew, of all objects or one: `priority(object, level, samples of it handed out)`.
-    pub fn reprioritise(&mut self, only: Option<u32>, priority: impl Fn(u32, u32, u32) -> f32) {
-        for o in self.objects.iter_mut().filter(|o| only.is_none_or(|only| only == o.object)) {
-            o.priority = priority(o.object, o.level, o.handed);
+    /// Asks for priorities anew, of all objects or one.
+    pub fn reprioritise(&mut self, only: Option<u32>, priority: impl Fn(&Part) -> f32) {
+        for part in self.parts.iter_mut().filter(|p| only.is_none_or(|only| only == p.object)) {
+            part.priority = priority(part);
+        }
+    }
+
+    /// Asks for the priority of one part anew.
+    pub fn reprioritise_part(&mut self, id: u32, priority: impl Fn(&Part) -> f32) {
+        if let Some(part) = self.parts.iter_mut().find(|p| p.id == id) {
+            part.priority = priority(part);
         }
     }
 
     /// Whether every sample of the view is handed out.
     pub fn is_exhausted(&self) -> bool {
-        self.objects.iter().all(|o| o.cursor.is_none())
+        self.parts.iter().all(Part::is_done)
     }
 
-    /// Where each visible object stands, for whoever looks on.
-    pub fn standings(&self) -> impl Iterator<Item = Standing> {
-        self.objects.iter().map(|o| match o.cursor {
-            Some(_) => Standing { object: o.object, level: o.level, handed: o.handed, priority: o.priority },
-            None => Standing { object: o.object, level: 0, handed: 0, priority: 0.0 },
-        })
+    /// Objects and their parts.
+    pub fn parts(&self) -> &[Part] {
+        &self.parts
     }
 
-    /// The next job and its priority: the object of highest priority (the lowest id among equals).
-    /// Levels of which the object shows no pixel cost nothing.
-    pub fn next(&mut self, ids: &Map2d<u32>, priority: impl Fn(u32, u32) -> f32) -> Option<(SampleJob, f32)> {
+    /// The part that a sample of `level` of an object at a pixel belongs to: the object itself where it was whole then.
+    pub fn part_at(&self, object: u32, level: u32, split_level: u32, pixel: [u16; 2]) -> Option<u32> {
+        let (x, y) = (i32::from(pixel[0]), i32::from(pixel[1]));
+        let mut found = None;
+        for part in self.parts.iter().filter(|p| p.object == object && p.rect.contains(x, y)) {
+            match part.id == object {
+                true if level <= split_level => return Some(part.id),
+                true => found = found.or(Some(part.id)),
+                false if level > split_level => return Some(part.id),
+                false => {}
+            }
+        }
+        found
+    }
+
+    /// Which object or part is next: that of highest priority (the first among equals).
+    pub fn best(&self) -> Option<usize> {
+        let mut best: Option<usize> = None;
+        for (i, part) in self.parts.iter().enumerate().filter(|(_, p)| !p.is_done()) {
+            if best.is_none_or(|b| part.priority.total_cmp(&self.parts[b].priority).is_gt()) {
+                best = Some(i);
+            }
+        }
+        best
+    }
+
+    /// Has a whole object that is about to begin a level go on in tiles of `side` pixels from there on. Returns how many
+    /// there are; they are the last of [`SampleJobs::parts`], at no priority yet.
+    pub fn split(&mut self, index: usize, side: i32, ids: &Map2d<u32>) -> usize {
+        let whole = self.parts[index];
+        self.parts[index].cursor = None;
+        let before = self.parts.len();
+        let Rect { x0, y0, x1, y1 } = whole.rect;
+        let tiles = (y0.div_euclid(side)..=(y1 - 1).div_euclid(side)).flat_map(|y| {
+            (x0.div_euclid(side)..=(x1 - 1).div_euclid(side)).map(move |x| (x * side, y * side))
+        });
+        for (x, y) in tiles {
+            let rect = whole.rect.intersection(Rect { x0: x, y0: y, x1: x + side, y1: y + side });
+            let of_row = |y: i32| {
+                let row = (rect.x0..rect.x1).filter(|&x| ids.at(x as usize, y as usize) == whole.object);
+                row.count() as u32
+            };
+            let pixels: u32 = (rect.y0..rect.y1).map(of_row).sum();
+            if pixels > 0 {
+                self.parts.push(part(self.next_id, whole.object, rect, pixels, whole.level));
+                self.next_id += 1;
+            }
+        }
+        self.parts.len() - before
+    }
+
+    /// The next job and its priority. Levels of which there is no pixel cost nothing.
+    pub fn next(&mut self, ids: &Map2d<u32>, priority: impl Fn(&Part) -> f32) -> Option<(SampleJob, f32)> {
         loop {
-            let mut best: Option<usize> = None;
-            for (i, o) in self.objects.iter().enumerate().filter(|(_, o)| o.cursor.is_some()) {
-                if best.is_none_or(|b| o.priority.total_cmp(&self.objects[b].priority).is_gt()) {
-                    best = Some(i);
-                }
-            }
-            let o = &mut self.objects[best?];
-            let Some(start) = o.cursor else { continue };
-            let mut samples = self.lattice.samples(o.level, o.rect, start);
-            let mut count = 0;
-            while count < self.samples_per_job {
-                let Some((x, y)) = samples.next() else { break };
-                count += u32::from(ids.at(x as usize, y as usize) == o.object);
-            }
-            let job = SampleJob { object: o.object, level: o.level, rect: o.rect, start, count };
-            let job_priority = o.priority;
-            o.cursor = samples.cursor();
-            o.handed += count;
-            if o.cursor.is_none() && o.level < self.lattice.levels() {
-                o.level += 1;
-                o.handed = 0;
-                o.cursor = Some(Cursor { x: o.rect.x0, y: o.rect.y0 });
-                o.priority = priority(o.object, o.level);
-            }
-            if count > 0 {
-                return Some((job, job_priority));
+            let best = self.best()?;
+            if let Some(job) = self.cut(best, ids, &priority) {
+                return Some(job);
             }
         }
     }
+
+    /// The next job of one part; none where its level has no pixel left, and it is at the next one then.
+    pub fn cut(
+        &mut self,
+        index: usize,
+        ids: &Map2d<u32>,
+        priority: impl Fn(&Part) -> f32,
+    ) -> Option<(SampleJob, f32)> {
+        let o = &mut self.parts[index];
+        let start = o.cursor?;
+        let mut samples = self.lattice.samples(o.level, o.rect, start);
+        let mut count = 0;
+        while count < self.samples_per_job {
+            let Some((x, y)) = samples.next() else { break };
+            count += u32::from(ids.at(x as usize, y as usize) == o.object);
+        }
+        let job = SampleJob { object: o.object, level: o.level, rect: o.rect, start, count };
+        let job_priority = o.priority;
+        o.cursor = samples.cursor();
+        o.handed += count;
+        if o.cursor.is_none() && o.level < self.lattice.levels() {
+            o.level += 1;
+            o.handed = 0;
+            o.cursor = Some(Cursor { x: o.rect.x0, y: o.rect.y0 });
+            o.priority = priority(o);
+        }
+        (count > 0).then_some((job, job_priority))
+    }
+}
+
+fn part(id: u32, object: u32, rect: Rect, pixels: u32, level: u32) -> Part {
+    let cursor = Some(Cursor { x: rect.x0, y: rect.y0 });
+    Part { id, object, rect, pixels, level, handed: 0, priority: 0.0, cursor }
 }
 
 /// The pixels of a job.
@@ -196,17 +261,30 @@ mod tests {
             let statistics = object_statistics(&ids, None, 4);
             let lattice = Lattice::new(5, [w as i32 / 2, h as i32 / 2]);
             let mut jobs = SampleJobs::new(lattice, n_job);
-            let random = |round: u64| move |o: u32, l: u32| crate::rng::unit_f32(crate::rng::hash(seed, round << 32 | u64::from(o), u64::from(l)));
+            let random = |round: u64| move |p: &Part| crate::rng::unit_f32(crate::rng::hash(seed, round << 32 | u64::from(p.id), u64::from(p.level)));
             jobs.start_view(&statistics, random(0));
             let mut traced = Map2d::new(w, h, 0u32);
             let mut last = [0; 4];
             let mut round = 0;
-            while let Some((job, _)) = jobs.next(&ids, random(round)) {
+            let split_level = 3;
+            while let Some(best) = jobs.best() {
+                let whole = jobs.parts()[best];
+                // Some objects go on in parts.
+                if whole.id == whole.object && whole.object != 3 && whole.level == split_level + 1 && whole.handed == 0 {
+                    let count = jobs.split(best, 16, &ids);
+                    prop_assert!(count > 0);
+                    jobs.reprioritise(Some(whole.object), random(round));
+                    continue;
+                }
+                let Some((job, _)) = jobs.cut(best, &ids, random(round)) else { continue };
                 round += 1;
-                if round % 7 == 0 { let random = random(round); jobs.reprioritise(None, |o, l, _| random(o, l)); }
+                if round % 7 == 0 { jobs.reprioritise(None, random(round)); }
                 prop_assert!(job.count > 0 && job.count <= n_job);
-                prop_assert!(job.level >= last[job.object as usize]);
+                prop_assert!(job.level >= last[job.object as usize] || job.level > split_level);
                 last[job.object as usize] = job.level;
+                let at = job_pixels(&lattice, &job, &ids).next().map(|(x, y)| [x as u16, y as u16]);
+                let part = jobs.part_at(job.object, job.level, split_level, at.unwrap());
+                prop_assert_eq!(part, Some(whole.id));
                 let mut found = 0;
                 for (x, y) in job_pixels(&lattice, &job, &ids) {
                     prop_assert_eq!(lattice.level(x, y), job.level);
@@ -226,7 +304,7 @@ mod tests {
     fn the_highest_priority_goes_first() {
         let ids = ids(80, 60);
         let mut jobs = SampleJobs::new(Lattice::new(3, [0, 0]), 16);
-        let priority = |o: u32, l: u32| if o == 2 { 1.0 } else { 0.5 * 0.25f32.powi(l as i32 - 1) };
+        let priority = |p: &Part| if p.object == 2 { 1.0 } else { 0.5 * 0.25f32.powi(p.level as i32 - 1) };
         jobs.start_view(&object_statistics(&ids, None, 4), priority);
         let mut first = Vec::new();
         while let Some((job, _)) = jobs.next(&ids, priority) {

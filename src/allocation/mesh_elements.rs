@@ -1,15 +1,17 @@
 //! Which elements of a radiosity mesh a picture can do without: the criteria of Dumont et al. 2003 §5.4 with the
-//! scene's textures and display.
+//! scene's textures and display, and the allocation of elements to polygons by the same code that allocates everything else.
 
 use glam::Vec3;
 
 use crate::illumination::from_radiosity::SceneRadiosity;
-use crate::illumination::simplify::{Criterion, Simplified};
+use crate::illumination::simplify::{Criterion, Rung, Simplified};
 use crate::image::{Map2d, luminance};
 use crate::perception::elevation::{ElevationSettings, elevation};
 use crate::perception::tvi::tvi;
 use crate::rng::Stream;
 use crate::scene::Scene;
+
+use super::decision::{Approximation, Constraint, Resource, decide};
 
 /// Texels per degree that elevation maps assume: 512 pixels over 45° (REFERENCE §8.6).
 const TEXELS_PER_DEGREE: f32 = 10.787;
@@ -24,8 +26,35 @@ pub enum ElementCriterion {
     /// Least visible change (Dumont et al. 2003 eq 12).
     #[default]
     Perceptual,
-    /// Least squared error, whole subtrees at once.
+    /// Least squared error: each polygon's tree offers its ways of being cut back, and [`decide`] allocates the elements.
     Optimal,
+}
+
+/// The trees of a mesh under a limit of elements: approximation i of a tree is rung i of its ladder.
+#[derive(Clone, Copy, Debug)]
+pub struct MeshChoices<'a>(pub &'a [Vec<Rung>]);
+
+impl Resource for MeshChoices<'_> {
+    fn action_count(&self) -> usize {
+        self.0.len()
+    }
+
+    fn saliency(&self, _tree: usize) -> f64 {
+        1.0
+    }
+
+    fn approximations(&self, tree: usize, out: &mut Vec<Approximation>) {
+        let of = |rung: &Rung| Approximation { cost: rung.elements as u64, error: rung.squared_error };
+        out.extend(self.0[tree].iter().map(of));
+    }
+}
+
+/// The rung of each tree that gives the least squared error with `k` elements; where not even one each is allowed, one each.
+pub fn choose_rungs(ladders: &[Vec<Rung>], k: usize) -> Vec<usize> {
+    match decide(&MeshChoices(ladders), Constraint::Count(k as u64), None) {
+        Ok(chosen) => chosen.states,
+        Err(_) => ladders.iter().map(|ladder| ladder.len().saturating_sub(1)).collect(),
+    }
 }
 
 /// Cuts the mesh of a solution for `scene` back to `k` elements.
@@ -37,7 +66,7 @@ pub fn simplify_mesh(
 ) -> Simplified {
     match criterion {
         ElementCriterion::Photometric => solution.simplify(k, &Criterion::Photometric, &|_, _| 1.0),
-        ElementCriterion::Optimal => solution.simplify(k, &Criterion::Optimal, &|_, _| 1.0),
+        ElementCriterion::Optimal => solution.cut_to(|ladders| choose_rungs(ladders, k)),
         ElementCriterion::Perceptual => {
             let maps = elevation_maps(scene);
             let criterion = Criterion::Perceptual {
@@ -95,4 +124,69 @@ fn mean_elevation(scene: &Scene, maps: &[Option<Map2d<f32>>], triangle: u32, pie
         sum += map.at(texel(at.x, map.width()), texel(1.0 - at.y, map.height()));
     }
     sum / ELEVATION_POINTS as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::illumination::simplify::{Deviation, Forest, QuadNode, cut_below, simplify};
+    use crate::rng;
+
+    /// Full quadtrees of three levels, each rougher than the one before.
+    fn forest(trees: u64) -> Forest {
+        let mut forest = Forest::default();
+        for tree in 0..trees {
+            let mut level = vec![forest.nodes.len()];
+            forest.nodes.push(QuadNode {
+                parent: None,
+                children: None,
+                area: 64.0,
+                value: 0.0,
+                elevation: 1.0,
+            });
+            for _ in 0..3 {
+                let parents = std::mem::take(&mut level);
+                for parent in parents {
+                    forest.nodes[parent].children = Some(forest.nodes.len() as u32);
+                    for child in 0..4 {
+                        let noise = rng::unit_f32(rng::hash(tree, forest.nodes.len() as u64, child));
+                        let area = forest.nodes[parent].area / 4.0;
+                        let value = 1.0 + f64::from(noise) * (1 << tree) as f64;
+                        level.push(forest.nodes.len());
+                        let parent = Some(parent as u32);
+                        forest.nodes.push(QuadNode { parent, children: None, area, value, elevation: 1.0 });
+                    }
+                }
+            }
+        }
+        for i in (0..forest.nodes.len()).rev() {
+            if let Some(first) = forest.nodes[i].children {
+                let children = &forest.nodes[first as usize..first as usize + 4];
+                forest.nodes[i].value = children.iter().map(|c| c.value).sum::<f64>() / 4.0;
+            }
+        }
+        forest
+    }
+
+    #[test]
+    fn elements_go_where_they_are_missed_most() {
+        let forest = forest(4);
+        let ladders = forest.ladders();
+        assert_eq!(ladders.iter().map(|l| l[0].elements).sum::<usize>(), forest.leaf_count());
+        assert!(ladders.iter().all(|l| l.last().is_some_and(|r| r.elements == 1)));
+        for k in [4, 5, 17, 40, 100, 200, 256] {
+            let chosen = choose_rungs(&ladders, k);
+            let nodes =
+                ladders.iter().zip(&chosen).flat_map(|(l, &c)| l[1..=c].iter().filter_map(|r| r.node));
+            let cut = cut_below(&forest, nodes);
+            let promised: f64 = ladders.iter().zip(&chosen).map(|(l, &c)| l[c].squared_error).sum();
+            assert!(cut.elements <= k && (cut.squared_error - promised).abs() < 1e-9 * (1.0 + promised));
+            // As good as the one walk over all trees at once, up to the step that does not fit any more.
+            let before = simplify(&forest, k, &Criterion::Optimal, Deviation::Leaves);
+            let step = forest.ladders().iter().flatten().map(|r| r.squared_error).fold(0.0, f64::max);
+            assert!(cut.squared_error <= before.squared_error + 0.05 * step, "{k}: {cut:?} {before:?}");
+        }
+        assert_eq!(choose_rungs(&ladders, 256), [0; 4]);
+        assert!(choose_rungs(&ladders, 1).iter().zip(&ladders).all(|(&c, l)| c + 1 == l.len()));
+    }
 }

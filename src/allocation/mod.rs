@@ -15,6 +15,7 @@ pub mod policy;
 pub mod ray_order;
 pub mod rays;
 pub mod residency;
+pub mod search;
 pub mod spatial_error;
 pub mod supersampling;
 pub mod texture_baselines;

@@ -12,12 +12,33 @@ use crate::sampling::Lattice;
 use crate::splatting::SampleBatch;
 use glam::Vec3;
 
-use super::jobs::{SampleJob, SampleJobs, Standing};
+use super::jobs::{Part, SampleJob, SampleJobs};
 use super::policy::{Demand, Policy, RayPolicy};
 use super::rays::{LEVELS_MAX, RayDemand, RayLedger, RaySettings, Residual};
 
 /// What of an object's utility counts once its error cannot be seen: its rays go elsewhere while anything else is left.
 const INVISIBLE: f32 = 1e-6;
+
+/// The levels that objects may go through in parts: the finest ones, where nearly all samples are.
+const LEVELS_IN_PARTS: u32 = 3;
+/// Parts along an edge of a square picture, about.
+const PARTS_ALONG: f32 = 16.0;
+
+/// Most samples of a batch whose difference is measured; they stand for the others.
+const MEASURED: usize = 64;
+
+/// Where an object stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Standing {
+    /// Object id.
+    pub object: u32,
+    /// Level of its next job, or of that of its coarsest part; 0 where every sample is handed out.
+    pub level: u32,
+    /// Priority of its next job, or of that of its first part.
+    pub priority: f32,
+    /// The error it shows, mean over its pixels, just noticeable differences; none where that is not known.
+    pub error: Option<f32>,
+}
 
 /// Orders the samples of one view after another.
 #[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
@@ -84,21 +105,50 @@ impl RayOrder {
         &self.ledger
     }
 
-    /// Where each visible object stands, and the error it shows, in just noticeable differences, where that is known.
-    pub fn standings(&self) -> impl Iterator<Item = (Standing, Option<f32>)> {
-        self.jobs.standings().map(|standing| {
-            let pixels = self.statistics.get(standing.object as usize).map_or(0, |s| s.pixels);
-            let levels = self.lattice.levels();
-            let error = match standing.level {
-                0 => Some(0.0),
-                level => {
-                    let all = samples_of_level(pixels, self.lattice.k_of(level), levels - 1);
-                    let left = all.saturating_sub(standing.handed);
-                    self.ledger.displayed_error(standing.object, level, left)
+    /// The error that a part shows, just noticeable differences; none before anything is known.
+    fn shown_error(&self, part: &Part) -> Option<f32> {
+        if part.is_done() {
+            return Some(0.0);
+        }
+        let levels = self.lattice.levels();
+        let all = samples_of_level(part.pixels, self.lattice.k_of(part.level), levels - 1);
+        self.ledger.displayed_error(part.id, part.level, all.saturating_sub(part.handed))
+    }
+
+    /// Where each visible object stands.
+    pub fn standings(&self) -> Vec<Standing> {
+        let mut all: Vec<Standing> = Vec::new();
+        for part in self.jobs.parts() {
+            // A whole object comes before its parts, which then speak for it.
+            let is_whole = part.id == part.object;
+            if is_whole {
+                let level = if part.is_done() { 0 } else { part.level };
+                let priority = if part.is_done() { 0.0 } else { part.priority };
+                let error = self.shown_error(part);
+                all.push(Standing { object: part.object, level, priority, error });
+            } else if let Some(of) = all.iter_mut().find(|s| s.object == part.object) {
+                let pixels = self.statistics.get(part.object as usize).map_or(1, |s| s.pixels.max(1));
+                let share = part.pixels as f32 / pixels as f32;
+                let before = of.error.unwrap_or(0.0);
+                of.error = self.shown_error(part).map(|error| before + share * error);
+                if !part.is_done() {
+                    of.level = if of.level == 0 { part.level } else { of.level.min(part.level) };
+                    of.priority = of.priority.max(part.priority);
                 }
-            };
-            (standing, error)
-        })
+            }
+        }
+        all
+    }
+
+    /// −Q of the rays: the visible error of all objects, just noticeable differences × pixels. Where nothing is known yet
+    /// the usual error is assumed.
+    pub fn visible_error(&self) -> f64 {
+        let usual = RaySettings::default().error_prior;
+        let of = |part: &Part| {
+            let error = self.shown_error(part).unwrap_or(usual);
+            f64::from(error) * f64::from(part.pixels)
+        };
+        self.jobs.parts().iter().filter(|part| !part.is_done()).map(of).sum()
     }
 
     /// Whether every sample of the view is handed out.
@@ -115,7 +165,7 @@ impl RayOrder {
         self.largest = 0.0;
         self.set_attention(attention);
         let mut jobs = std::mem::replace(&mut self.jobs, SampleJobs::new(self.lattice, 1));
-        jobs.start_view(statistics, |object, level| self.priority(object, level, 0));
+        jobs.start_view(statistics, |part| self.priority(part));
         self.jobs = jobs;
     }
 
@@ -138,11 +188,19 @@ impl RayOrder {
         self.mean_attention = if sum > 0.0 { sum / count } else { 1.0 };
     }
 
-    /// A batch of samples of `level` is shown; its residual and how long it took on one core.
-    pub fn record(&mut self, view: u64, object: u32, level: u32, residual: &Residual) {
+    /// A batch of samples of `level` is shown, the first of them at `pixel`; its residual.
+    pub fn record(&mut self, view: u64, object: u32, level: u32, pixel: [u16; 2], residual: &Residual) {
         if view == self.view && self.learns() {
-            self.ledger.record(object, level, residual, 0, 0.0);
-            self.reprioritise(Some(object));
+            let part = self.jobs.part_at(object, level, self.split_level(), pixel).unwrap_or(object);
+            self.ledger.record(part, level, residual, 0, 0.0);
+            // Parts of which nothing is known yet go by the object.
+            let all = (part == object).then_some(object);
+            let mut jobs = std::mem::replace(&mut self.jobs, SampleJobs::new(self.lattice, 1));
+            match all {
+                Some(object) => jobs.reprioritise(Some(object), |part| self.priority(part)),
+                None => jobs.reprioritise_part(part, |part| self.priority(part)),
+            }
+            self.jobs = jobs;
         }
     }
 
@@ -155,14 +213,39 @@ impl RayOrder {
 
     fn reprioritise(&mut self, only: Option<u32>) {
         let mut jobs = std::mem::replace(&mut self.jobs, SampleJobs::new(self.lattice, 1));
-        jobs.reprioritise(only, |object, level, handed| self.priority(object, level, handed));
+        jobs.reprioritise(only, |part| self.priority(part));
         self.jobs = jobs;
+    }
+
+    /// The last level that objects go through as a whole.
+    fn split_level(&self) -> u32 {
+        self.lattice.levels().saturating_sub(LEVELS_IN_PARTS)
+    }
+
+    /// Pixels along an edge of a part.
+    fn part_side(&self) -> i32 {
+        ((self.picture.sqrt() / PARTS_ALONG) as i32).clamp(24, 96)
     }
 
     /// The next job, its priority in [0, 1].
     pub fn next(&mut self, ids: &Map2d<u32>) -> Option<(SampleJob, f32)> {
         let mut jobs = std::mem::replace(&mut self.jobs, SampleJobs::new(self.lattice, 1));
-        let next = jobs.next(ids, |object, level| self.priority(object, level, 0));
+        let next = loop {
+            let Some(best) = jobs.best() else { break None };
+            let part = jobs.parts()[best];
+            let side = self.part_side();
+            let is_large = (part.rect.x1 - part.rect.x0).max(part.rect.y1 - part.rect.y0) > side;
+            let begins = part.level == self.split_level() + 1 && part.handed == 0;
+            if self.learns() && part.id == part.object && begins && is_large {
+                let count = jobs.split(best, side, ids);
+                (0..count).for_each(|_| self.ledger.add_part(part.object));
+                jobs.reprioritise(Some(part.object), |part| self.priority(part));
+                continue;
+            }
+            if let Some(job) = jobs.cut(best, ids, |part| self.priority(part)) {
+                break Some(job);
+            }
+        };
         self.jobs = jobs;
         let (job, priority) = next?;
         if !self.learns() {
@@ -176,16 +259,17 @@ impl RayOrder {
     }
 
     /// Within one policy and view larger is earlier.
-    fn priority(&self, object: u32, level: u32, handed: u32) -> f32 {
-        let pixels = self.statistics.get(object as usize).map_or(0, |s| s.pixels);
-        let attention = self.attention.get(object as usize).copied().unwrap_or(0.0);
-        if self.winner_takes_all && self.winner() == Some(object) {
+    fn priority(&self, part: &Part) -> f32 {
+        let pixels = self.statistics.get(part.object as usize).map_or(0, |s| s.pixels);
+        let attention = self.attention.get(part.object as usize).copied().unwrap_or(0.0);
+        if self.winner_takes_all && self.winner() == Some(part.object) {
             return if self.learns() { f32::INFINITY } else { 1.0 };
         }
         if self.learns() {
-            return self.utility(object, pixels, attention, level, handed);
+            return self.utility(part, attention);
         }
         let coverage = pixels as f32 / self.picture;
+        let (object, level) = (part.object, part.level);
         self.policy.priority(&Demand { object, level, attention, coverage, utility: 0.0, frame: self.view })
     }
 
@@ -195,26 +279,26 @@ impl RayOrder {
         (*best.1 > 0.0).then_some(best.0 as u32)
     }
 
-    fn utility(&self, object: u32, pixels: u32, attention: f32, level: u32, handed: u32) -> f32 {
+    fn utility(&self, part: &Part, attention: f32) -> f32 {
         let mut left = [0; LEVELS_MAX];
         let levels = self.lattice.levels();
-        let (first, last) = (level.max(1), levels.max(1));
+        let (first, last) = (part.level.max(1), levels.max(1));
         let mut count = 0;
         for l in first..=last {
-            left[count] = samples_of_level(pixels, self.lattice.k_of(l), levels - 1);
+            left[count] = samples_of_level(part.pixels, self.lattice.k_of(l), levels - 1);
             count += 1;
         }
-        left[0] = left[0].saturating_sub(handed).max(1);
+        left[0] = left[0].saturating_sub(part.handed).max(1);
         let demand = RayDemand {
-            object,
-            pixels,
+            object: part.id,
+            pixels: part.pixels,
             weight: 0.5 + 0.5 * attention / self.mean_attention,
-            level,
+            level: part.level,
             left: &left[..count],
             life_frames: self.life_frames,
         };
         let utility = self.ledger.utility(&demand);
-        if self.ledger.is_good_enough(object) { utility * INVISIBLE } else { utility }
+        if self.ledger.is_good_enough(part.id) { utility * INVISIBLE } else { utility }
     }
 }
 
@@ -236,7 +320,8 @@ pub fn residual_of_batch(
 ) -> Residual {
     let mut residual = Residual::default();
     let range = viewing.white_cd_m2 - viewing.black_cd_m2;
-    for (pixel, &color) in batch.pixels.iter().zip(&batch.colors) {
+    let step = batch.len().div_ceil(MEASURED).max(1);
+    for (pixel, &color) in batch.pixels.iter().zip(&batch.colors).step_by(step) {
         let (x, y) = (usize::from(pixel[0]), usize::from(pixel[1]));
         let base = base.at(x, y);
         let (shown, sampled) = (tone.to_linear(base + shown_on_it(x, y)), tone.to_linear(base + color));
@@ -245,6 +330,7 @@ pub fn residual_of_batch(
         let difference = luminance((shown - sampled).abs()) * range;
         residual.add_difference(difference / thresholds.threshold(adapted));
     }
+    residual.add_unmeasured(batch.len() as u32 - residual.count());
     residual
 }
 
@@ -276,8 +362,8 @@ mod tests {
         // Both objects get their first level before anything is known.
         let first: Vec<u32> = (0..2).map(|_| order.next(&ids).unwrap().0.object).collect();
         assert_eq!(first, [1, 2]);
-        order.record(1, 1, 1, &differing(0.01, 20));
-        order.record(1, 2, 1, &differing(9.0, 20));
+        order.record(1, 1, 1, [10, 10], &differing(0.01, 20));
+        order.record(1, 2, 1, [60, 10], &differing(9.0, 20));
         let mut visited = Vec::new();
         while let Some((job, priority)) = order.next(&ids) {
             assert!((0.0..=1.0).contains(&priority));
@@ -297,11 +383,11 @@ mod tests {
         order.record_time(1, 100, 100e-6);
         order.record_time(2, 100, 1000e-6);
         assert_eq!([0; 2].map(|_| order.next(&ids).unwrap().0.object), [1, 2]);
-        order.record(1, 1, 1, &differing(5.0, 20));
-        order.record(1, 2, 1, &differing(6.0, 20));
+        order.record(1, 1, 1, [10, 10], &differing(5.0, 20));
+        order.record(1, 2, 1, [60, 10], &differing(6.0, 20));
         assert_eq!(order.next(&ids).unwrap().0.object, 1);
         // A residual of another view says nothing.
-        order.record(7, 1, 2, &differing(0.0, 100));
+        order.record(7, 1, 2, [10, 10], &differing(0.0, 100));
         assert_eq!(order.next(&ids).unwrap().0.object, 1);
     }
 
@@ -311,7 +397,7 @@ mod tests {
         let statistics = object_statistics(&ids, None, 3);
         let mut order = order(Policy::Attention);
         order.start_view(1, &statistics, &[0.0, 0.2, 1.0]);
-        order.record(1, 2, 1, &differing(0.0, 100));
+        order.record(1, 2, 1, [60, 10], &differing(0.0, 100));
         assert_eq!(order.next(&ids).unwrap().0.object, 2);
         order.attend(&[0.0, 1.0, 0.2]);
         assert_eq!(order.next(&ids).unwrap().0.object, 1);

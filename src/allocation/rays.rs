@@ -9,6 +9,8 @@
 
 use crate::perception::tvi::TviTable;
 
+use super::decision::{Approximation, Resource, best_step};
+
 /// Most levels of the hierarchy.
 pub const LEVELS_MAX: usize = crate::sampling::Lattice::K_LIMIT as usize + 1;
 
@@ -18,6 +20,8 @@ pub struct Residual {
     sum: f64,
     sum_of_squares: f64,
     count: u32,
+    /// Samples that these stand for: some may not have been measured.
+    of: u32,
 }
 
 impl Residual {
@@ -34,6 +38,12 @@ impl Residual {
         self.sum += difference;
         self.sum_of_squares += difference * difference;
         self.count += 1;
+        self.of += 1;
+    }
+
+    /// So many further samples were like those measured.
+    pub fn add_unmeasured(&mut self, count: u32) {
+        self.of += count;
     }
 
     /// Adds a batch of which only the sum of differences and their number are known.
@@ -44,6 +54,7 @@ impl Residual {
             // As if all were equal; the spread between batches still counts.
             self.sum_of_squares += sum * sum / f64::from(count);
             self.count += count;
+            self.of += count;
         }
     }
 
@@ -52,6 +63,7 @@ impl Residual {
         self.sum += other.sum;
         self.sum_of_squares += other.sum_of_squares;
         self.count += other.count;
+        self.of += other.of;
     }
 
     /// Number of samples.
@@ -92,6 +104,8 @@ pub struct RaySettings {
     pub seconds_share: f32,
     /// Error of an object of which a level is handed out but no sample has come back, just noticeable differences.
     pub error_prior: f32,
+    /// As how many samples an expectation counts.
+    pub prior_samples: f32,
     /// An object whose error is below this many just noticeable differences gives its rays away.
     pub visible_jnd: f32,
 }
@@ -112,6 +126,7 @@ impl Default for RaySettings {
             seconds_per_ray_prior: 2e-6,
             seconds_share: 0.2,
             error_prior: 3.0,
+            prior_samples: 4.0,
             visible_jnd: 0.5,
         }
     }
@@ -121,14 +136,16 @@ impl Default for RaySettings {
 struct ObjectRays {
     /// Residual of each level, index level − 1.
     residuals: [Residual; LEVELS_MAX],
-    /// Moving average; 0 before any measurement.
+    /// Moving average; 0 before any measurement. Of whole objects only.
     seconds_per_ray: f32,
+    /// The object of a part; none of a whole object.
+    whole: Option<u32>,
 }
 
 /// What an object still wants, for [`RayLedger::utility`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RayDemand<'a> {
-    /// Object id.
+    /// Object id, or that of a part of one.
     pub object: u32,
     /// A_o, pixels that show it.
     pub pixels: u32,
@@ -142,10 +159,51 @@ pub struct RayDemand<'a> {
     pub life_frames: f32,
 }
 
+/// Rays under a limit of time, which each frame has anew: approximation 0 is what an object shows, the others what it
+/// would show after its next levels, the last of them exact. Of all of them the frame takes best steps
+/// ([`best_step`]) until its time is up.
+#[derive(Clone, Copy, Debug)]
+pub struct RayChoices<'a> {
+    /// What is known.
+    pub ledger: &'a RayLedger,
+    /// What each object or part wants.
+    pub demands: &'a [RayDemand<'a>],
+}
+
+impl Resource for RayChoices<'_> {
+    fn action_count(&self) -> usize {
+        self.demands.len()
+    }
+
+    fn saliency(&self, action: usize) -> f64 {
+        let demand = &self.demands[action];
+        // The share of a sample's worth that is still there in the next frames; 1 for a still view.
+        let life = if demand.life_frames.is_nan() { 1.0 } else { 1.0 - (-demand.life_frames.max(0.0)).exp() };
+        f64::from(demand.weight * life)
+    }
+
+    fn approximations(&self, action: usize, out: &mut Vec<Approximation>) {
+        let demand = &self.demands[action];
+        let first = demand.left.first().copied().unwrap_or(0);
+        let shown = self.ledger.displayed_error(demand.object, demand.level, first);
+        let error = f64::from(demand.pixels as f32 * shown.unwrap_or(self.ledger.settings.error_prior));
+        let (seconds, ratio) = (self.ledger.seconds_per_ray(demand.object), self.ledger.ratio(demand.object));
+        out.push(Approximation { cost: 0, error });
+        let (mut remaining, mut cost) = (1.0f32, 0u64);
+        for (step, &samples) in demand.left.iter().enumerate() {
+            // Nanoseconds; the cast saturates and sends NaN to 0.
+            cost = cost.saturating_add(((1e9 * seconds * samples as f32) as u64).max(1));
+            remaining = if step + 1 == demand.left.len() { 0.0 } else { remaining * ratio };
+            out.push(Approximation { cost, error: error * f64::from(remaining) });
+        }
+    }
+}
+
 /// The estimates of all objects of a view.
 #[derive(Clone, Debug, Default, serde::Serialize, serde::Deserialize)]
 pub struct RayLedger {
     settings: RaySettings,
+    /// Whole objects by id, their parts behind them.
     objects: Vec<ObjectRays>,
 }
 
@@ -159,7 +217,20 @@ impl RayLedger {
     /// `count`: number of object ids.
     pub fn start_view(&mut self, count: usize) {
         self.objects.resize(count, ObjectRays::default());
-        self.objects.iter_mut().for_each(|object| object.residuals = Default::default());
+        self.objects.iter_mut().for_each(|object| {
+            object.residuals = Default::default();
+            object.whole = None;
+        });
+    }
+
+    /// Adds a part of an object, which from now on has an estimate of its own, beginning with the object's. Parts have the
+    /// numbers behind those of the objects and earlier parts.
+    pub fn add_part(&mut self, object: u32) {
+        self.objects.push(ObjectRays { whole: Some(object), ..ObjectRays::default() });
+    }
+
+    fn whole(&self, part: u32) -> u32 {
+        self.objects.get(part as usize).and_then(|entry| entry.whole).unwrap_or(part)
     }
 
     /// Records a batch: `rays` samples of `level` of `object` that took `seconds` of one core, and their residual. Ids and
@@ -180,7 +251,8 @@ impl RayLedger {
 
     /// c_o: the moving average of the object's seconds per ray; the mean over measured objects where it has none.
     pub fn seconds_per_ray(&self, object: u32) -> f32 {
-        let own = self.objects.get(object as usize).map_or(0.0, |entry| entry.seconds_per_ray);
+        let whole = self.whole(object) as usize;
+        let own = self.objects.get(whole).map_or(0.0, |entry| entry.seconds_per_ray);
         if own > 0.0 {
             return own;
         }
@@ -190,68 +262,75 @@ impl RayLedger {
         if count > 0.0 { sum / count } else { self.settings.seconds_per_ray_prior }
     }
 
+    /// What is known of a level of an object or part: a part takes its object's word where it has none of its own.
+    fn residual(&self, object: u32, level: usize) -> Residual {
+        let own = self.objects.get(object as usize).map_or(Residual::default(), |e| e.residuals[level]);
+        match self.whole(object) {
+            whole if whole != object && own.count == 0 => self.residual(whole, level),
+            _ => own,
+        }
+    }
+
     /// ρ_o: by how much a further level reduces the object's error, from the ratios of consecutive levels.
     pub fn ratio(&self, object: u32) -> f32 {
         let settings = &self.settings;
         let (mut sum, mut count) =
             (settings.ratio_prior * settings.ratio_prior_weight, settings.ratio_prior_weight);
         let [low, high] = settings.ratio_bounds;
-        if let Some(entry) = self.objects.get(object as usize) {
-            for pair in entry.residuals.windows(2) {
-                let enough = pair.iter().all(|residual| residual.count >= settings.ratio_samples_min.max(1));
-                if let (true, Some(before), Some(after)) = (enough, pair[0].mean(), pair[1].mean())
-                    && before > 0.0
-                {
-                    sum += (after / before).clamp(low, high);
-                    count += 1.0;
-                }
+        let mut coarser = Residual::default();
+        for level in 0..LEVELS_MAX {
+            let finer = self.residual(object, level);
+            let enough = coarser.count.min(finer.count) >= settings.ratio_samples_min.max(1);
+            if let (true, Some(before), Some(after)) = (enough, coarser.mean(), finer.mean())
+                && before > 0.0
+            {
+                sum += (after / before).clamp(low, high);
+                count += 1.0;
             }
+            coarser = finer;
         }
         if count > 0.0 { (sum / count).clamp(low, high) } else { high }
     }
 
     /// e_o: the error the object shows now, mean over its pixels, in just noticeable differences; none before its first
     /// level. `level` and `left` as in [`RayDemand`].
+    ///
+    /// A level of few samples says little: each is weighed against what the levels before it led to expect, which counts as
+    /// [`RaySettings::prior_samples`].
     pub fn displayed_error(&self, object: u32, level: u32, left_in_level: u32) -> Option<f32> {
-        let entry = self.objects.get(object as usize)?;
-        let finest = entry.residuals.iter().rposition(|residual| residual.count > 0)?;
-        let residual = &entry.residuals[finest];
-        let before = residual.mean()?;
-        // A level that is traced in part has reduced the error in part.
-        let current = finest + 1 == level as usize;
-        let left = if current { f64::from(left_in_level) } else { 0.0 };
-        let done = f64::from(residual.count) / (f64::from(residual.count) + left);
-        Some(before * (1.0 - done as f32 * (1.0 - self.ratio(object))))
+        let ratio = self.ratio(object);
+        let prior = self.settings.prior_samples;
+        let (mut error, mut any) = (self.settings.error_prior, false);
+        for l in 0..LEVELS_MAX {
+            let residual = self.residual(object, l);
+            let Some(mean) = residual.mean() else { continue };
+            any = true;
+            let count = residual.count as f32;
+            let before = (count * mean + prior * error) / (count + prior);
+            // A level that is traced in part has reduced the error in part.
+            let left = if l + 1 == level as usize { left_in_level as f32 } else { 0.0 };
+            let done = residual.of as f32 / (residual.of as f32 + left);
+            error = before * (1.0 - done * (1.0 - ratio));
+        }
+        any.then_some(error)
     }
 
     /// P_o: the best drop of visible error (weighted just noticeable differences times pixels) per second that tracing up to
     /// some later level gives; infinite for the first level of an object, 0 where nothing is left.
     ///
-    /// The maximum over later levels is the look-ahead: an object whose error does not fall before its last level, which
-    /// is exact, would starve otherwise (REFERENCE §13.2).
+    /// The first step of the hull over later levels is the look-ahead: an object whose error does not fall before its last
+    /// level, which is exact, would starve otherwise (REFERENCE §13.2).
     pub fn utility(&self, demand: &RayDemand) -> f32 {
         let left: u64 = demand.left.iter().map(|&samples| u64::from(samples)).sum();
         if left == 0 || demand.pixels == 0 {
             return 0.0;
         }
-        let first = demand.left.first().copied().unwrap_or(0);
-        let error = match self.displayed_error(demand.object, demand.level, first) {
-            Some(error) => error,
-            None if demand.level <= 1 => return f32::INFINITY,
-            // Its first samples are on their way.
-            None => self.settings.error_prior,
-        };
-        let ratio = self.ratio(demand.object);
-        let (mut best, mut remaining, mut samples) = (0.0f32, 1.0f32, 0u64);
-        for (step, &in_level) in demand.left.iter().enumerate() {
-            samples += u64::from(in_level);
-            remaining = if step + 1 == demand.left.len() { 0.0 } else { remaining * ratio };
-            best = best.max((1.0 - remaining) / samples.max(1) as f32);
+        let is_seen = || (0..LEVELS_MAX).any(|level| self.residual(demand.object, level).count > 0);
+        if demand.level <= 1 && !is_seen() {
+            return f32::INFINITY;
         }
-        // The share of a sample's worth that is still there in the next frames; 1 for a still view.
-        let life = if demand.life_frames.is_nan() { 1.0 } else { 1.0 - (-demand.life_frames.max(0.0)).exp() };
-        let utility =
-            demand.weight * demand.pixels as f32 * error * best * life / self.seconds_per_ray(demand.object);
+        let choices = RayChoices { ledger: self, demands: std::slice::from_ref(demand) };
+        let utility = (1e9 * best_step(&choices, 0, 0)) as f32;
         if utility > 0.0 { utility.min(f32::MAX) } else { 0.0 }
     }
 
@@ -269,14 +348,17 @@ impl RayLedger {
             .collect()
     }
 
-    /// Whether what is left of the object's error cannot be seen: r/1.1 + 2 standard errors below the visible
-    /// difference. Its rays are better spent elsewhere while anything else is left.
+    /// Whether what is left of the object's error cannot be seen: r/1.1 + 2 standard errors, and what samples that happened
+    /// to be alike have not shown yet, below the visible difference. Its rays are better spent elsewhere while anything
+    /// else is left.
     pub fn is_good_enough(&self, object: u32) -> bool {
         let Some(entry) = self.objects.get(object as usize) else { return false };
         let last = entry.residuals.iter().rev().find(|residual| residual.count > 0);
         last.is_some_and(|residual| {
             let mean = residual.mean().unwrap_or(f32::INFINITY) / RaySettings::BIAS;
-            mean + 2.0 * residual.standard_error() < self.settings.visible_jnd
+            // Of what no sample of n shows there is less than 3/n (at 95 %).
+            let unseen = 3.0 / residual.count as f32 * self.settings.error_prior;
+            mean + 2.0 * residual.standard_error() + unseen < self.settings.visible_jnd
         })
     }
 

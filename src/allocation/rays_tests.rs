@@ -1,6 +1,7 @@
 //! The estimates on known numbers, and the toy study of REFERENCE §13.4.
 
 use super::*;
+use crate::allocation::decision::{Constraint, decide};
 use crate::allocation::policy::{Demand, Policy, RayPolicy};
 use crate::image::Map2d;
 use crate::rng::Stream;
@@ -60,10 +61,14 @@ fn the_displayed_error_falls_while_a_level_is_traced() {
     let mut ledger = ledger();
     assert_eq!(ledger.displayed_error(1, 1, 20), None);
     ledger.record(1, 1, &residual(10.0, 10), 10, 1e-3);
-    // Half of level 1: halfway from 10 to 6.
-    assert!((ledger.displayed_error(1, 1, 10).unwrap() - 8.0).abs() < 1e-5);
+    // Ten samples of 10 beside four that were expected to be 3: 8. Half of level 1: halfway from there to 60 %.
+    assert!((ledger.displayed_error(1, 1, 10).unwrap() - 0.8 * 8.0).abs() < 1e-5);
     ledger.record(1, 1, &residual(10.0, 10), 10, 1e-3);
-    assert!((ledger.displayed_error(1, 2, 100).unwrap() - 6.0).abs() < 1e-5);
+    let before = (20.0 * 10.0 + 4.0 * 3.0) / 24.0;
+    assert!((ledger.displayed_error(1, 2, 100).unwrap() - 0.6 * before).abs() < 1e-5);
+    // A level of one sample that found nothing does not say that there is nothing.
+    ledger.record(1, 2, &residual(0.0, 1), 1, 1e-3);
+    assert!(ledger.displayed_error(1, 3, 100).unwrap() > 0.2 * before);
 }
 
 #[test]
@@ -73,18 +78,56 @@ fn utility_is_drop_of_error_per_second() {
     assert_eq!(ledger.utility(&demand(1, 1, &[0, 0])), 0.0);
     ledger.record(1, 1, &residual(10.0, 4), 4, 4e-3);
     assert!((ledger.seconds_per_ray(1) - 1e-3).abs() < 1e-9);
-    // e = 6; level 2: 40 % for 20 rays; both: 100 % for 120.
+    // Four samples of 10 beside four of 3: e = .6 · 6.5; level 2: 40 % for 20 rays; both: 100 % for 120.
     let left = [20, 100];
-    let expected = 1000.0 * 6.0 * (0.4 / 20.0) / 1e-3;
+    let e = 0.6 * 6.5;
+    let expected = 1000.0 * e * (0.4 / 20.0) / 1e-3;
     assert!((ledger.utility(&demand(1, 2, &left)) / expected - 1.0).abs() < 1e-5);
     // The last level is exact: cheap enough, it decides.
-    let expected = 1000.0 * 6.0 * (1.0 / 30.0) / 1e-3;
+    let expected = 1000.0 * e * (1.0 / 30.0) / 1e-3;
     assert!((ledger.utility(&demand(1, 2, &[20, 10])) / expected - 1.0).abs() < 1e-5);
     let moving = RayDemand { life_frames: 1.0, ..demand(1, 2, &left) };
     let share = ledger.utility(&moving) / ledger.utility(&demand(1, 2, &left));
     assert!((share - (1.0 - (-1.0f32).exp())).abs() < 1e-5);
     let nobody = RayDemand { weight: f32::NAN, ..demand(1, 2, &left) };
     assert_eq!(ledger.utility(&nobody), 0.0);
+}
+
+/// The same code that chooses textures and maps chooses levels within a time.
+#[test]
+fn time_goes_to_the_levels_that_bring_most() {
+    let mut ledger = ledger();
+    ledger.record(1, 1, &residual(20.0, 40), 40, 40e-6);
+    ledger.record(2, 1, &residual(2.0, 40), 40, 40e-6);
+    let left = [20, 100];
+    let demands = [demand(1, 2, &left), demand(2, 2, &left)];
+    let choices = RayChoices { ledger: &ledger, demands: &demands };
+    let within = |ns| decide(&choices, Constraint::Nanoseconds(ns), None).unwrap().states;
+    assert_eq!(within(0), [0, 0]);
+    assert_eq!(within(20_000), [1, 0]);
+    assert_eq!(within(40_000), [1, 1]);
+    assert_eq!(within(140_000), [2, 1]);
+    assert_eq!(within(250_000), [2, 2]);
+    // The order in which steps are taken is that of the utilities.
+    assert!(ledger.utility(&demands[0]) > 5.0 * ledger.utility(&demands[1]));
+}
+
+#[test]
+fn a_part_begins_with_what_is_known_of_its_object() {
+    let mut ledger = ledger();
+    ledger.record(2, 1, &residual(8.0, 20), 20, 1e-3);
+    ledger.add_part(2);
+    ledger.add_part(2);
+    let of_whole = ledger.displayed_error(2, 2, 10);
+    assert_eq!((ledger.displayed_error(4, 2, 10), ledger.displayed_error(5, 2, 10)), (of_whole, of_whole));
+    assert_eq!(ledger.seconds_per_ray(4), ledger.seconds_per_ray(2));
+    ledger.record(4, 2, &residual(0.0, 50), 50, 0.0);
+    assert!(ledger.displayed_error(4, 3, 10) < of_whole && ledger.displayed_error(5, 2, 10) == of_whole);
+    assert!(ledger.is_good_enough(4) && !ledger.is_good_enough(5));
+    // The next view has no parts, and knows what rays cost.
+    ledger.start_view(4);
+    assert_eq!(ledger.displayed_error(4, 2, 10), None);
+    assert!(ledger.seconds_per_ray(2) > 0.0);
 }
 
 #[test]

@@ -4,7 +4,9 @@
 //! In: what views show, and what became of the orders given. Out: orders to load the next finer level of a texture or to
 //! drop its finest ones. A level counts from the moment its load is ordered until nobody holds it any more.
 
-use super::decision::{Constraint, decide};
+use std::collections::BinaryHeap;
+
+use super::decision::{Constraint, Decision};
 use super::knapsack::LimitTooSmall;
 use super::spatial_error::SpatialErrors;
 use super::texture_demand::{TextureChoices, TextureUse};
@@ -56,6 +58,39 @@ pub enum Step {
     },
 }
 
+/// A level that is wanted, in the order of what it brings per byte.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Wanted {
+    /// Visible error that it takes away, per byte.
+    gain: f64,
+    texture: usize,
+    level: usize,
+}
+
+impl Eq for Wanted {}
+
+impl Ord for Wanted {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        let by_gain = self.gain.total_cmp(&other.gain);
+        by_gain.then(other.texture.cmp(&self.texture)).then(self.level.cmp(&other.level))
+    }
+}
+
+impl PartialOrd for Wanted {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+/// How far a decision is.
+#[derive(Clone, Debug)]
+enum Deciding {
+    /// Which levels are wanted, from these states.
+    Levels(Box<Decision>, Vec<usize>),
+    /// In what order; textures up to here are in it.
+    Order(usize),
+}
+
 /// The state of all textures.
 #[derive(Clone, Debug)]
 pub struct Residency {
@@ -65,10 +100,17 @@ pub struct Residency {
     costs: Vec<Vec<u64>>,
     spatial: Vec<SpatialErrors>,
     uses: Vec<TextureUse>,
+    /// What the newest view shows, where a decision for an older one is on its way.
+    newer: Option<Vec<TextureUse>>,
+    deciding: Option<Deciding>,
     /// Finest level in memory or ordered to be.
     states: Vec<usize>,
+    /// Bytes of these.
+    resident: u64,
     /// Finest level that is wanted.
     targets: Vec<usize>,
+    /// The next level of each texture that is to become finer; some may be out of date.
+    wanted: BinaryHeap<Wanted>,
     /// Loads ordered and not there yet.
     loading: Vec<(usize, usize)>,
     /// Levels that could not be read: nothing finer is asked for.
@@ -97,7 +139,11 @@ impl Residency {
             costs: facts.iter().map(cost).collect(),
             spatial: facts.iter().map(|f| f.spatial.clone()).collect(),
             uses: vec![TextureUse::default(); facts.len()],
+            newer: None,
+            deciding: None,
             targets: states.clone(),
+            resident: smallest,
+            wanted: BinaryHeap::new(),
             states,
             loading: Vec::new(),
             broken: vec![0; facts.len()],
@@ -112,7 +158,7 @@ impl Residency {
         self.limit
     }
 
-    /// Another limit, decided for at once; what is over it goes step by step.
+    /// Another limit, decided for next; what is over it goes step by step.
     ///
     /// # Errors
     /// Where not even the coarsest levels fit into it; the old limit stays.
@@ -122,7 +168,11 @@ impl Residency {
             return Err(LimitTooSmall { limit, smallest });
         }
         self.limit = limit;
-        self.decide(self.uses.clone());
+        // What is on its way is for the old one.
+        self.deciding = None;
+        if self.newer.is_none() {
+            self.newer = Some(self.uses.clone());
+        }
         Ok(())
     }
 
@@ -154,8 +204,7 @@ impl Residency {
     /// Bytes in memory, on their way there, or dropped and perhaps still held. Never above the limit, unless that
     /// was lowered a moment ago.
     pub fn used(&self) -> u64 {
-        let resident: u64 = self.facts.iter().zip(&self.states).map(|(f, &s)| f.bytes_from(s)).sum();
-        resident + self.releasing
+        self.resident + self.releasing
     }
 
     /// Loads that are not there yet.
@@ -165,30 +214,105 @@ impl Residency {
 
     /// Whether nothing more is to be done for the last view.
     pub fn is_settled(&self) -> bool {
-        self.loading.is_empty() && self.releasing == 0 && self.states == self.targets
+        !self.is_deciding() && self.loading.is_empty() && self.releasing == 0 && self.states == self.targets
     }
 
-    /// −Σ q of the last view in the present state, just noticeable differences × pixels.
+    /// −Σ q of the last view with the levels that are there, just noticeable differences × pixels.
     pub fn visible_error(&self) -> f64 {
-        let of = |i: usize| self.uses[i].error(&self.spatial[i], self.states[i]);
+        let of =
+            |i: usize| self.uses[i].error(&self.spatial[i], self.states[i] + usize::from(self.is_loading(i)));
         (0..self.facts.len()).filter(|&i| !self.facts[i].pinned).map(of).sum()
     }
 
-    /// Decides anew for what a view shows.
+    /// Decides anew for what a view shows, as soon as [`Residency::go_on`] has the time; of several views the newest counts.
+    pub fn see(&mut self, uses: Vec<TextureUse>) {
+        if uses.len() == self.facts.len() {
+            self.newer = Some(uses);
+        }
+    }
+
+    /// Whether there is something to decide.
+    pub fn is_deciding(&self) -> bool {
+        self.deciding.is_some() || self.newer.is_some()
+    }
+
+    /// Goes on deciding for as long as there is `work` ([`super::search::Search::go_on`]). Until it is done the last
+    /// decision holds.
+    pub fn go_on(&mut self, work: &mut u64) {
+        while *work > 0 {
+            match self.deciding.take() {
+                None => {
+                    let Some(uses) = self.newer.take() else { return };
+                    self.uses = uses;
+                    let now = |(f, &s): (&TextureFacts, &usize)| if f.pinned { 0 } else { s };
+                    let now = self.facts.iter().zip(&self.states).map(now).collect();
+                    let decision = Box::new(Decision::new(Constraint::Bytes(self.limit)));
+                    self.deciding = Some(Deciding::Levels(decision, now));
+                }
+                Some(Deciding::Levels(mut decision, now)) => {
+                    let choices =
+                        TextureChoices { bytes: &self.costs, uses: &self.uses, spatial: &self.spatial };
+                    match decision.go_on(&choices, Some(&now), work) {
+                        None => self.deciding = Some(Deciding::Levels(decision, now)),
+                        Some(Ok(chosen)) => {
+                            self.price = chosen.price;
+                            for (i, facts) in self.facts.iter().enumerate() {
+                                let level = chosen.states[i].max(self.broken[i]);
+                                self.targets[i] = if facts.pinned { 0 } else { level };
+                            }
+                            self.wanted.clear();
+                            self.deciding = Some(Deciding::Order(0));
+                        }
+                        // The coarsest states fit, as `new` has made sure.
+                        Some(Err(_)) => {}
+                    }
+                }
+                Some(Deciding::Order(first)) => {
+                    let last = (first + (*work).min(1 << 20) as usize).min(self.facts.len());
+                    (first..last).for_each(|texture| self.want_next(texture));
+                    *work -= (last - first) as u64;
+                    if last < self.facts.len() {
+                        self.deciding = Some(Deciding::Order(last));
+                    }
+                }
+            }
+        }
+    }
+
+    /// [`Residency::see`] and all that follows, at once.
     pub fn decide(&mut self, uses: Vec<TextureUse>) {
-        if uses.len() != self.facts.len() {
-            return;
+        self.see(uses);
+        while self.is_deciding() {
+            self.go_on(&mut u64::MAX.clone());
         }
-        self.uses = uses;
-        let now: Vec<usize> =
-            self.facts.iter().zip(&self.states).map(|(f, &s)| if f.pinned { 0 } else { s }).collect();
-        let choices = TextureChoices { bytes: &self.costs, uses: &self.uses, spatial: &self.spatial };
-        // The coarsest states fit, as `new` has made sure.
-        let Ok(chosen) = decide(&choices, Constraint::Bytes(self.limit), Some(&now)) else { return };
-        self.price = chosen.price;
-        for (i, facts) in self.facts.iter().enumerate() {
-            self.targets[i] = if facts.pinned { 0 } else { chosen.states[i].max(self.broken[i]) };
+    }
+
+    /// Puts the next finer level of a texture among those wanted, if it is.
+    fn want_next(&mut self, texture: usize) {
+        let finest = self.states[texture];
+        if finest > self.targets[texture] {
+            let level = finest - 1;
+            let error = |finest| self.uses[texture].error(&self.spatial[texture], finest);
+            let gain =
+                (error(finest) - error(level)).max(0.0) / self.facts[texture].bytes[level].max(1) as f64;
+            self.wanted.push(Wanted { gain, texture, level });
         }
+    }
+
+    /// The wanted level that brings most; those that are out of date go.
+    fn best_wanted(&mut self) -> Option<Wanted> {
+        while let Some(&best) = self.wanted.peek() {
+            let is_next = self.states[best.texture] == best.level + 1;
+            if is_next && best.level >= self.targets[best.texture] && !self.is_loading(best.texture) {
+                return Some(best);
+            }
+            self.wanted.pop();
+        }
+        None
+    }
+
+    fn is_loading(&self, texture: usize) -> bool {
+        self.loading.iter().any(|load| load.0 == texture)
     }
 
     /// The next order: the load that brings most per byte while there is room, else the drop that makes room. None while
@@ -197,22 +321,11 @@ impl Residency {
         if self.loading.len() >= loads_max {
             return None;
         }
-        let gain = |i: usize| {
-            let level = self.states[i] - 1;
-            let error = |finest| self.uses[i].error(&self.spatial[i], finest);
-            (error(level + 1) - error(level)).max(0.0) / self.facts[i].bytes[level].max(1) as f64
-        };
-        let waiting = |i: &usize| {
-            self.states[*i] > self.targets[*i] && self.loading.iter().all(|(texture, _)| texture != i)
-        };
-        let best = (0..self.facts.len())
-            .filter(waiting)
-            .map(|i| (gain(i), i))
-            .max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
-        if let Some((_, texture)) = best {
-            let level = self.states[texture] - 1;
+        if let Some(Wanted { texture, level, .. }) = self.best_wanted() {
             if self.used() + self.facts[texture].bytes[level] <= self.limit {
+                self.wanted.pop();
                 self.states[texture] = level;
+                self.resident += self.facts[texture].bytes[level];
                 self.loading.push((texture, level));
                 return Some(Step::Load { texture, level });
             }
@@ -223,13 +336,13 @@ impl Residency {
             return None;
         }
         // Nothing is dropped that room is not needed for: what was seen may be seen again.
-        let surplus = |i: &usize| {
-            self.states[*i] < self.targets[*i] && self.loading.iter().all(|(texture, _)| texture != i)
-        };
+        let surplus = |i: &usize| self.states[*i] < self.targets[*i] && !self.is_loading(*i);
         let texture = (0..self.facts.len()).find(surplus)?;
         let finest = self.targets[texture];
-        self.releasing +=
-            self.facts[texture].bytes_from(self.states[texture]) - self.facts[texture].bytes_from(finest);
+        let facts = &self.facts[texture];
+        let bytes = facts.bytes_from(self.states[texture]) - facts.bytes_from(finest);
+        self.resident -= bytes;
+        self.releasing += bytes;
         self.states[texture] = finest;
         Some(Step::Drop { texture, finest })
     }
@@ -238,8 +351,14 @@ impl Residency {
     pub fn on_loaded(&mut self, texture: usize, level: usize, is_there: bool) {
         let Some(at) = self.loading.iter().position(|&load| load == (texture, level)) else { return };
         self.loading.swap_remove(at);
-        if !is_there {
+        if is_there {
+            // While it was on its way another decision may have left it out.
+            if !matches!(self.deciding, Some(Deciding::Order(first)) if first <= texture) {
+                self.want_next(texture);
+            }
+        } else {
             self.states[texture] = level + 1;
+            self.resident -= self.facts[texture].bytes[level];
             self.broken[texture] = level + 1;
             self.targets[texture] = self.targets[texture].max(level + 1);
         }

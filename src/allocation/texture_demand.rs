@@ -234,6 +234,81 @@ mod tests {
         assert_eq!(dark[0].visibility[1], 0.0);
     }
 
+    /// Where a texture is used under several lights and scales, what the most demanding use would lose counts at least:
+    /// pixels are summed one by one, so no mean over uses hides it.
+    #[test]
+    fn the_largest_estimate_counts() {
+        let spatial = SpatialErrors::of_levels(&mips(32, 0.9), &SpatialSettings::new(10.8, 100.0));
+        let lights = [0.5, 5.0, 20.0, 60.0, 100.0];
+        let levels = [0.0, 1.0, 2.5, 0.0, 3.0];
+        let used = |shown: &dyn Fn(usize) -> bool| {
+            let wanted =
+                Map2d::from_fn(5, 20, |x, _| if shown(x) { word(0, levels[x]) } else { TextureLevel::NONE });
+            let light = Map2d::from_fn(5, 20, |x, _| lights[x]);
+            TextureScan::default().gather(&wanted, &light, None, &[0.5]).remove(0)
+        };
+        let together = used(&|_| true);
+        assert_eq!(together.finest(), Some(0));
+        for coarsest in 1..6 {
+            let alone = |use_: usize| used(&|x| x == use_).error(&spatial, coarsest);
+            let largest = (0..5).map(alone).fold(0.0, f64::max);
+            assert!(together.error(&spatial, coarsest) >= largest * (1.0 - 1e-6) && largest > 0.0);
+            let sum: f64 = (0..5).map(alone).sum();
+            assert!((together.error(&spatial, coarsest) / sum - 1.0).abs() < 1e-5, "all uses add up");
+        }
+    }
+
+    /// What is behind something else asks for nothing; what comes out from behind it asks at once.
+    #[test]
+    fn occluded_textures_ask_for_nothing() {
+        use crate::illumination::Uniform;
+        use crate::scene::texture::MipChain;
+        use crate::scene::{Camera, Mesh, Model, Reflectance, Texture};
+        use std::sync::Arc;
+        let textured = |id: u32| {
+            let mut material = crate::scene::test_scenes::grey();
+            let map = Some(TextureId(id));
+            material.model = Model::Lambert { albedo: Reflectance { color: Vec3::ONE, map } };
+            material
+        };
+        let world = |lid: f32| {
+            let mut mesh = Mesh::default();
+            // A large box behind a small one, which hides all of it or some.
+            crate::scene::test_scenes::add_box(
+                &mut mesh,
+                Vec3::new(-1.0, -1.0, -6.0),
+                Vec3::new(1.0, 1.0, -5.0),
+                0,
+                false,
+            );
+            crate::scene::test_scenes::add_box(
+                &mut mesh,
+                Vec3::new(-lid, -lid, -2.0),
+                Vec3::new(lid, lid, -1.5),
+                1,
+                false,
+            );
+            for (uv, p) in mesh.uvs.iter_mut().zip(&mesh.positions) {
+                *uv = glam::Vec2::new(p.x, p.y);
+            }
+            let mut scene = crate::scene::test_scenes::scene(mesh, vec![textured(0), textured(1)]);
+            for name in ["far", "near"] {
+                let texels = (0..64 * 64u32).map(|i| [(i * 37 % 251) as u8; 4]).collect();
+                scene.textures.push(Texture::new(name, MipChain::from_rgba8(64, 64, texels, true)));
+            }
+            World::new(Arc::new(scene), Arc::new(Uniform(Vec3::ONE)))
+        };
+        let seen = |lid: f32| {
+            let camera = Camera { eye: Vec3::ZERO, target: Vec3::NEG_Z, up: Vec3::Y, fov_y: 0.9 };
+            let uses = predicted_uses(&world(lid), &camera.frame(320, 240), &[0.5; 2]);
+            [uses[0].total_pixels(), uses[1].total_pixels()]
+        };
+        let [hidden, near] = seen(1.0);
+        assert!(hidden == 0.0 && near > 1000.0, "{hidden} {near}");
+        let [far, near] = seen(0.2);
+        assert!(far > 500.0 && near > 500.0, "{far} {near}");
+    }
+
     fn mips(side: usize, contrast: f32) -> Vec<Map2d<Vec3>> {
         let levels = side.ilog2() + 1;
         let noise = |x: usize, y: usize| rng::unit_f32(rng::hash(x as u64, y as u64, 3)) - 0.5;

@@ -5,7 +5,7 @@ use glam::Vec3;
 
 use super::Irradiance;
 use super::atlas::Atlas;
-use super::simplify::{Criterion, Deviation, Simplified, simplify};
+use super::simplify::{Criterion, Deviation, Rung, Simplified, cut_below, simplify};
 use super::stored::{Illumination, Summary};
 use crate::geometry::{Accel, Ray};
 use crate::image::luminance;
@@ -165,6 +165,19 @@ impl SceneRadiosity {
             out.elevation = f64::from(elevation(triangle, node.corners));
         }
         let cut = simplify(&forest, k, criterion, Deviation::Leaves);
+        self.solution = self.solution.cut(&cut.is_element);
+        cut
+    }
+
+    /// Cuts each tree of the mesh back to the rung of its ladder that `choose` names.
+    pub fn cut_to(&mut self, choose: impl FnOnce(&[Vec<Rung>]) -> Vec<usize>) -> Simplified {
+        let forest = self.solution.forest([0.212_672_9, 0.715_152_2, 0.072_175]);
+        let ladders = forest.ladders();
+        let chosen = choose(&ladders);
+        let cut = |(ladder, rung): (&Vec<Rung>, usize)| {
+            ladder.iter().take(rung + 1).filter_map(|r| r.node).collect::<Vec<_>>()
+        };
+        let cut = cut_below(&forest, ladders.iter().zip(chosen).flat_map(cut));
         self.solution = self.solution.cut(&cut.is_element);
         cut
     }

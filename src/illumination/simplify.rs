@@ -71,6 +71,17 @@ pub struct Simplified {
     pub squared_error: f64,
 }
 
+/// A tree cut back so far: one of the states that [`Forest::ladders`] offers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rung {
+    /// The node whose subtree was cut last; none where nothing was.
+    pub node: Option<u32>,
+    /// Elements of the tree.
+    pub elements: usize,
+    /// Sum of area times squared difference to the original leaves.
+    pub squared_error: f64,
+}
+
 /// A number as a sort key: total order, NaN last.
 #[derive(Clone, Copy, PartialEq)]
 struct Key(f64);
@@ -103,6 +114,28 @@ impl Forest {
     /// The leaves of all trees.
     pub fn leaf_count(&self) -> usize {
         self.nodes.iter().filter(|n| n.children.is_none()).count()
+    }
+
+    /// The ways of cutting each tree back, from all of its leaves to one: at each step the subtree that adds the least
+    /// squared error per element saved (generalised BFOS), so that they stand on the hull of elements and error.
+    pub fn ladders(&self) -> Vec<Vec<Rung>> {
+        let mut ladders: Vec<Vec<Rung>> = Vec::new();
+        let mut trees = vec![0; self.nodes.len()];
+        for (i, node) in self.nodes.iter().enumerate() {
+            trees[i] = node.parent.map_or(ladders.len(), |parent| trees[parent as usize]);
+            if node.parent.is_none() {
+                ladders.push(vec![Rung { node: None, elements: 0, squared_error: 0.0 }]);
+            }
+            ladders[trees[i]][0].elements += usize::from(node.children.is_none());
+        }
+        Cut::new(self).cut_subtrees(0, &self.squared_errors(), |node, saved, added| {
+            let ladder = &mut ladders[trees[node]];
+            if let Some(&Rung { elements, squared_error, .. }) = ladder.last() {
+                let (elements, squared_error) = (elements - saved, squared_error + added);
+                ladder.push(Rung { node: Some(node as u32), elements, squared_error });
+            }
+        });
+        ladders
     }
 
     fn children(&self, node: usize) -> std::ops::Range<usize> {
@@ -169,25 +202,23 @@ impl Forest {
 /// Cuts `forest` back to at most `k` elements, at least `k` − 2 where the roots allow it.
 pub fn simplify(forest: &Forest, k: usize, criterion: &Criterion<'_>, from: Deviation) -> Simplified {
     let mut cut = Cut::new(forest);
-    let elements_before = cut.elements;
-    let errors = forest.squared_errors();
     match criterion {
         Criterion::Optimal => {
-            cut.cut_subtrees(k, &errors);
+            let errors = forest.squared_errors();
+            cut.cut_subtrees(k, &errors, |_, _, _| {});
             cut.cut_marginal(k, &errors);
         }
         _ => cut.cut_by_key(k, &forest.keys(criterion, from)),
     }
-    let mut is_element = vec![false; forest.nodes.len()];
-    let mut squared_error = 0.0;
-    for (i, node) in forest.nodes.iter().enumerate() {
-        let below_inner = node.parent.is_none_or(|p| cut.inner[p as usize]);
-        is_element[i] = below_inner && !cut.inner[i];
-        if is_element[i] {
-            squared_error += errors[i];
-        }
-    }
-    Simplified { is_element, elements: cut.elements, elements_before, squared_error }
+    cut.result()
+}
+
+/// Cuts the subtrees below these nodes.
+pub fn cut_below(forest: &Forest, nodes: impl Iterator<Item = u32>) -> Simplified {
+    let mut cut = Cut::new(forest);
+    nodes.for_each(|node| cut.remove_below(node as usize));
+    cut.elements = (0..forest.nodes.len()).filter(|&i| cut.is_element(i)).count();
+    cut.result()
 }
 
 impl<'a> Cut<'a> {
@@ -196,6 +227,31 @@ impl<'a> Cut<'a> {
         let open_children =
             (0..forest.nodes.len()).map(|i| forest.children(i).filter(|&c| inner[c]).count() as u8).collect();
         Self { forest, inner, open_children, elements: forest.leaf_count() }
+    }
+
+    /// Whether a node is an element now.
+    fn is_element(&self, i: usize) -> bool {
+        let below_inner = self.forest.nodes[i].parent.is_none_or(|p| self.inner[p as usize]);
+        below_inner && !self.inner[i]
+    }
+
+    fn result(&self) -> Simplified {
+        let errors = self.forest.squared_errors();
+        let is_element: Vec<bool> = (0..errors.len()).map(|i| self.is_element(i)).collect();
+        let squared_error = errors.iter().zip(&is_element).filter(|(_, is)| **is).map(|(e, _)| e).sum();
+        let elements_before = self.forest.leaf_count();
+        Simplified { is_element, elements: self.elements, elements_before, squared_error }
+    }
+
+    /// Makes a leaf of a node, whatever is below.
+    fn remove_below(&mut self, node: usize) {
+        let mut below = vec![node];
+        while let Some(n) = below.pop() {
+            if std::mem::take(&mut self.inner[n]) {
+                self.open_children[n] = 0;
+                below.extend(self.forest.children(n));
+            }
+        }
     }
 
     /// Removes p-nodes, always the one with the smallest key; a parent becomes a candidate with its last
@@ -226,8 +282,8 @@ impl<'a> Cut<'a> {
     }
 
     /// Cuts whole subtrees, always the one that adds the least squared error per element saved, until the
-    /// next would leave fewer than `k` elements.
-    fn cut_subtrees(&mut self, k: usize, errors: &[f64]) {
+    /// next would leave fewer than `k` elements. `on_cut` hears of the node, the elements saved and the error added.
+    fn cut_subtrees(&mut self, k: usize, errors: &[f64], mut on_cut: impl FnMut(usize, usize, f64)) {
         let nodes = &self.forest.nodes;
         let (mut error, mut leaves) = (errors.to_vec(), vec![1usize; nodes.len()]);
         for i in (0..nodes.len()).rev() {
@@ -255,13 +311,8 @@ impl<'a> Cut<'a> {
             }
             self.elements -= saved;
             let added = errors[i] - error[i];
-            let mut below = vec![i];
-            while let Some(n) = below.pop() {
-                if std::mem::take(&mut self.inner[n]) {
-                    self.open_children[n] = 0;
-                    below.extend(self.forest.children(n));
-                }
-            }
+            on_cut(i, saved, added);
+            self.remove_below(i);
             (error[i], leaves[i]) = (errors[i], 1);
             let mut above = nodes[i].parent;
             if let Some(p) = above {

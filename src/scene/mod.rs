@@ -125,11 +125,26 @@ pub struct Display {
     pub exposure: f32,
     /// Luminance of display white, cd/m², for the perceptual metrics.
     pub white_cd_m2: f32,
+    /// Its size and how far away it is; seen from the centre of projection where that is not said.
+    pub screen: Option<Screen>,
+    /// Whether differences between texels are those of CIELAB, so that hue counts, instead of those of luminance.
+    pub lab: bool,
+}
+
+/// A screen and the distance of its viewer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Screen {
+    /// Pixels across.
+    pub pixels: f32,
+    /// Width, metres.
+    pub width: f32,
+    /// Distance of the eye, metres.
+    pub distance: f32,
 }
 
 impl Default for Display {
     fn default() -> Self {
-        Self { exposure: 1.0, white_cd_m2: 100.0 }
+        Self { exposure: 1.0, white_cd_m2: 100.0, screen: None, lab: false }
     }
 }
 

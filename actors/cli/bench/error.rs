@@ -4,7 +4,7 @@
 //! differ in nothing but their order, and time is the sum of what each object's samples were measured to cost.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use clap::Args;
 use rayon::prelude::*;
@@ -38,6 +38,7 @@ use crate::cache_ager::angle_limit;
 use crate::cli::Progress;
 use crate::cli::arguments::Size;
 use crate::cli::failure::Failure;
+use crate::processor_time::{cpu_ns, thread_cpu_ns};
 use crate::settings::Settings;
 
 /// Arguments of `foveal bench error`.
@@ -331,7 +332,7 @@ impl Study {
             walk.attend(view);
         }
         let walking = sum / self.views.len() as f64;
-        let deciding = walk.deciding.as_secs_f64() / (walk.deciding.as_secs_f64() + walk.traced);
+        let deciding = walk.deciding / (walk.deciding + walk.traced);
         Result { still, walking, curve, deciding }
     }
 }
@@ -352,9 +353,10 @@ fn traced(world: &World, first: &FirstApproximation, camera: foveal::scene::Came
         let pixels =
             pixels.filter(|&(x, y)| id > 0 && buffers.object.at(x as usize, y as usize) == id as u32);
         let owner = Owner { view: 0, object: id as u32, k: 0 };
-        let start = Instant::now();
+        // Processor time: what else the machine does is none of the policies' business.
+        let start = cpu_ns();
         let batch = trace_samples(world, &frame, &buffers, owner, pixels, 0);
-        let cost = start.elapsed().as_secs_f64() / batch.len().max(1) as f64;
+        let cost = 1e-9 * (cpu_ns() - start) / batch.len().max(1) as f64;
         (batch, cost)
     };
     let (samples, cost): (Vec<_>, Vec<_>) = (0..statistics.len()).map(of_object).unzip();
@@ -386,7 +388,8 @@ pub(super) struct Walk<'s> {
     view: u32,
     /// Seconds of samples of the view.
     time: f64,
-    deciding: Duration,
+    /// Processor seconds of deciding.
+    deciding: f64,
     /// Seconds of all samples.
     traced: f64,
 }
@@ -408,7 +411,7 @@ impl<'s> Walk<'s> {
             encoder: Encoder::default(),
             view: 0,
             time: 0.0,
-            deciding: Duration::ZERO,
+            deciding: 0.0,
             traced: 0.0,
             study,
             black: entrant.black,
@@ -465,9 +468,9 @@ impl<'s> Walk<'s> {
         let display = &self.study.world.scene.display;
         let viewing = Viewing::from_centre_of_projection(display.white_cd_m2, traced.buffers.width(), 1.0);
         while self.time < until {
-            let start = Instant::now();
+            let start = thread_cpu_ns();
             let Some((job, _)) = self.order.next(&traced.buffers.object) else { break };
-            self.deciding += start.elapsed();
+            self.deciding += 1e-9 * (thread_cpu_ns() - start);
             let all = &traced.samples[job.object as usize];
             let k = self.lattice.k_of(job.level);
             let mut batch = SampleBatch::new(self.view, job.object, k, job.count as usize);
@@ -483,7 +486,7 @@ impl<'s> Walk<'s> {
                 });
             }
             let seconds = traced.cost[job.object as usize] * batch.len() as f64;
-            let start = Instant::now();
+            let start = thread_cpu_ns();
             if self.order.learns() {
                 let base = &traced.buffers.color;
                 let residual = residual_of_batch(
@@ -495,9 +498,10 @@ impl<'s> Walk<'s> {
                     &self.thresholds,
                 );
                 self.order.record_time(job.object, batch.len() as u32, seconds as f32);
-                self.order.record(u64::from(self.view), job.object, job.level, &residual);
+                let pixel = batch.pixels.first().copied().unwrap_or_default();
+                self.order.record(u64::from(self.view), job.object, job.level, pixel, &residual);
             }
-            self.deciding += start.elapsed();
+            self.deciding += 1e-9 * (thread_cpu_ns() - start);
             self.layer.splat_fresh(&batch, &traced.buffers.object, 1);
             self.time += seconds;
             self.traced += seconds;

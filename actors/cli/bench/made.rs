@@ -1,6 +1,7 @@
 //! Scenes that a measurement makes for itself: the bundled ones, and halls of any number of triangles.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use crate::cli::failure::Failure;
 use crate::cli::output::{make_folder, write_atomic};
@@ -37,7 +38,10 @@ impl MadeScene {
     /// Writes a scene below the system's folder for temporary files.
     fn write(scene: image::ImageResult<generate::SceneFiles>) -> Result<Self, Failure> {
         let scene = scene.map_err(|e| Failure::Environment(format!("a scene cannot be made: {e}")))?;
-        let folder = std::env::temp_dir().join(format!("foveal-{}-{}", std::process::id(), scene.name));
+        static MADE: AtomicU32 = AtomicU32::new(0);
+        let number = MADE.fetch_add(1, Ordering::Relaxed);
+        let folder =
+            std::env::temp_dir().join(format!("foveal-{}-{number}-{}", std::process::id(), scene.name));
         make_folder(&folder)?;
         let file = folder.join(format!("{}.toml", scene.name));
         let made = Self { folder, file, triangles: scene.triangle_count };
@@ -45,6 +49,31 @@ impl MadeScene {
             write_atomic(&made.folder.join(name), bytes)?;
         }
         Ok(made)
+    }
+
+    /// Makes its pictures so many times as large along each edge, with grain as fine as their texels.
+    pub fn refine_pictures(&self, factor: u32) -> Result<(), Failure> {
+        let failed =
+            |e: &dyn std::fmt::Display| Failure::Environment(format!("a picture cannot be made: {e}"));
+        for entry in std::fs::read_dir(&self.folder).map_err(|e| failed(&e))?.flatten() {
+            let path = entry.path();
+            if !path.extension().is_some_and(|e| e == "jpg" || e == "png") {
+                continue;
+            }
+            let picture = image::open(&path).map_err(|e| failed(&e))?;
+            let (w, h) = (picture.width() * factor, picture.height() * factor);
+            let mut fine = image::imageops::resize(&picture.to_rgba8(), w, h, image::imageops::Triangle);
+            for (x, y, texel) in fine.enumerate_pixels_mut() {
+                let grain = (foveal::rng::hash(u64::from(x), u64::from(y), 7) % 17) as i16 - 8;
+                for channel in &mut texel.0[..3] {
+                    *channel = (i16::from(*channel) + grain).clamp(0, 255) as u8;
+                }
+            }
+            let fine = image::DynamicImage::from(fine);
+            let fine = if picture.color().has_alpha() { fine } else { fine.to_rgb8().into() };
+            fine.save(&path).map_err(|e| failed(&e))?;
+        }
+        Ok(())
     }
 
     /// Its sidecar.

@@ -13,7 +13,8 @@ pub mod skips;
 pub mod soak;
 pub mod stages;
 pub mod table;
-pub mod textures;
+pub mod texture_walks;
+mod textures;
 #[cfg(feature = "window")]
 pub mod viewer;
 

@@ -8,7 +8,7 @@ use super::error::{Place, SceneError};
 use super::sidecar_material::{MaterialTable, material_table};
 use super::toml_table::{Document, Table};
 use crate::scene::camera::PathKey;
-use crate::scene::{Budget, Camera, CameraPath, Display, Light, NamedCamera};
+use crate::scene::{Budget, Camera, CameraPath, Display, Light, NamedCamera, Screen};
 
 /// The sidecar format that this build reads.
 pub const FORMAT: i64 = 1;
@@ -130,7 +130,24 @@ pub(super) fn parse(bytes: &[u8], path: &Path) -> Result<Sidecar, SceneError> {
     }
     if let Some(t) = root.table("display")? {
         let d = Display::default();
+        let metres = |key| t.number_in(key, |v| v > 0.0, "above 0");
+        let (width, distance) = (metres("width")?, metres("distance")?);
+        let pixels = t.number_in("pixels", |v| v >= 1.0, "at least 1")?.unwrap_or(1920.0);
+        if width.is_some() != distance.is_some() {
+            return Err(t.invalid("width", "and `distance` belong together: both or neither, metres"));
+        }
+        let lab = match t.string("difference")? {
+            None | Some("luminance") => false,
+            Some("lab") => true,
+            Some(other) => {
+                return Err(
+                    t.invalid("difference", format_args!("is \"{other}\"; it is \"luminance\" or \"lab\""))
+                );
+            }
+        };
         sidecar.display = Display {
+            screen: width.zip(distance).map(|(width, distance)| Screen { pixels, width, distance }),
+            lab,
             exposure: t.number_in("exposure", |v| v > 0.0, "above 0")?.unwrap_or(d.exposure),
             white_cd_m2: t.number_in("white_cd_m2", |v| v > 0.0, "above 0")?.unwrap_or(d.white_cd_m2),
         };
@@ -363,6 +380,10 @@ alpha = 0.1
 [display]
 exposure = 2.0
 white_cd_m2 = 80
+pixels = 2560
+width = 0.6
+distance = 0.7
+difference = "lab"
 [budget]
 textures = "64MiB"
 fps = 10
@@ -382,7 +403,8 @@ fps = 10
         assert_eq!(s.lights.len(), 3);
         assert!(matches!(s.lights[1], Light::Spot { direction: Vec3::NEG_Y, .. }));
         assert_eq!(s.materials[0].material.name, "Stainless steel");
-        assert_eq!(s.display, Display { exposure: 2.0, white_cd_m2: 80.0 });
+        let screen = Some(Screen { pixels: 2560.0, width: 0.6, distance: 0.7 });
+        assert_eq!(s.display, Display { exposure: 2.0, white_cd_m2: 80.0, screen, lab: true });
         assert_eq!(s.budget, Budget { texture_bytes: Some(64 << 20), fps: Some(10.0) });
     }
 

@@ -25,7 +25,7 @@ const LEVELS_IN_PARTS: u32 = 3;
 const PARTS_ALONG: f32 = 16.0;
 
 /// Most samples of a batch whose difference is measured; they stand for the others.
-const MEASURED: usize = 64;
+const MEASURED: usize = 32;
 
 /// Where an object stands.
 #[derive(Clone, Copy, Debug, PartialEq)]

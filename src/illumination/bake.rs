@@ -5,6 +5,7 @@
 //! No clock in here: the caller's `keep_going` decides when the time is over. The result depends on
 //! the number of particles and rounds only, not on threads or on where a bake was interrupted.
 
+use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -17,6 +18,7 @@ use super::seen::seen;
 use super::stored::{Illumination, Summary};
 use crate::rng::hash;
 use crate::scene::Scene;
+use crate::transport::lit::LitSurfaces;
 use crate::transport::particle::LightTransport;
 
 /// Particles between two questions whether to go on.
@@ -25,6 +27,10 @@ const BATCH: u64 = 1 << 15;
 const FIRST_PASS: u64 = 1 << 17;
 /// Blocks of elements at which direct light is gathered between two questions whether to go on.
 const BLOCKS: usize = 256;
+/// Pieces that surfaces are cut into to find where light from afar falls.
+const LIT_PIECES: usize = 1 << 16;
+/// What surfaces out of sight count as places for particles to begin at.
+const UNSEEN: f64 = 0.3;
 /// Rounds that are waited for at most.
 const ROUNDS_MAX: u32 = 256;
 /// Samples of direct light per element where there is no time for more.
@@ -147,6 +153,8 @@ pub struct Baker<'a> {
     late: Option<Box<dyn Fn() -> bool + Send + Sync + 'a>>,
     /// Whether the first round of direct light had fewer samples than it should have, for want of time.
     hurried: bool,
+    /// Where particles begin that bring light from afar.
+    lit: LitSurfaces,
     /// Elements that a walk can see, whose error counts.
     pub(super) watched: Vec<bool>,
     /// Elements known not to lie inside of a body.
@@ -179,11 +187,22 @@ impl<'a> Baker<'a> {
         let is_seen = |t: u32| seen[t as usize];
         let atlas = Atlas::build(&scene.mesh, settings.texels, &is_diffuse, &is_seen, &ConformalCharts);
         let elements = atlas.elements.len();
+        let (lit, power) = match settings.direct {
+            DirectLight::NextEvent => {
+                // What nobody sees may light what somebody does, but less.
+                let weight = |t: u32| if is_seen(t) { 1.0 } else { UNSEEN };
+                let lit = transport.lit(LIT_PIECES, settings.seed, &weight);
+                let power = transport.reflected_power(&lit);
+                (lit, power)
+            }
+            DirectLight::Particles => (LitSurfaces::default(), transport.power()),
+        };
         let watched = atlas.elements.iter().map(|e| e.area > 0.0 && is_seen(e.triangle)).collect();
         Self {
             settings: settings.clone(),
             diagonal: scene.diagonal(),
-            bins: Bins::new(elements, transport.power()),
+            bins: Bins::new(elements, power),
+            lit,
             direct: vec![[DirectBin::default(); 2]; elements],
             open: vec![false; elements],
             watched,
@@ -279,19 +298,22 @@ impl<'a> Baker<'a> {
 
     /// Emits the next `count` particles.
     pub fn emit(&mut self, count: u64) {
-        let skip = u32::from(self.settings.direct == DirectLight::NextEvent);
+        let next_event = self.gathers_direct();
         let first = self.emitted;
         let bounces: u64 = (0..count.min(u64::from(u32::MAX)) as u32)
             .into_par_iter()
             .with_min_len(128)
             .map(|index| {
                 let mut deposit = |d: crate::transport::particle::Deposit| {
-                    if d.bounce >= skip {
-                        let element = self.atlas.element_at(d.triangle, d.b1, d.b2);
-                        self.bins.add(element, d.back, d.flux);
-                    }
+                    let element = self.atlas.element_at(d.triangle, d.b1, d.b2);
+                    self.bins.add(element, d.back, d.flux);
                 };
-                u64::from(self.transport.trace(self.settings.seed, first + u64::from(index), &mut deposit))
+                let (seed, index) = (self.settings.seed, first + u64::from(index));
+                u64::from(if next_event {
+                    self.transport.trace_reflected(&self.lit, seed, index, &mut deposit)
+                } else {
+                    self.transport.trace(seed, index, &mut deposit)
+                })
             })
             .sum();
         self.emitted += count;
@@ -334,9 +356,10 @@ impl<'a> Baker<'a> {
                     (true, _) => (begin..begin + bins.len()).any(|index| {
                         let e = &atlas.elements[index];
                         e.area > 0.0
-                            && probe(hash(seed, index as u64, 2), |u| {
-                                transport.direct(e.triangle, e.b1, e.b2, true, u)
-                            })
+                            && (transport.certain(e.triangle, e.b1, e.b2, true) != Vec3::ZERO
+                                || probe(hash(seed, index as u64, 2), |u| {
+                                    transport.direct(e.triangle, e.b1, e.b2, true, u)
+                                }))
                     }),
                     // After a round without any light on 64 neighbours, none is expected.
                     (false, _) => lit() && variance() > enough,
@@ -351,8 +374,9 @@ impl<'a> Baker<'a> {
                 for side in [0, 1] {
                     if goes_on[side] {
                         let key = hash(seed, index as u64, side as u64);
-                        bin[side]
-                            .gather(key, samples, |u| transport.direct(e.triangle, e.b1, e.b2, side == 1, u));
+                        let (t, b1, b2, back) = (e.triangle, e.b1, e.b2, side == 1);
+                        let certain = transport.certain(t, b1, b2, back);
+                        bin[side].gather(key, samples, |u| certain + transport.direct(t, b1, b2, back, u));
                     }
                 }
             }

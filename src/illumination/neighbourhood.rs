@@ -19,12 +19,15 @@ const HEIGHT: f32 = 0.02;
 /// Clusters in a kernel are no wider than this share of its radius.
 pub const RESOLUTION: f32 = 0.16;
 /// Cosine of the angle within which the mean normal of a cluster speaks for all of it in a kernel, 0.25 rad; beside it
-/// the same where clutter is denser and denser.
-const NARROW: [f32; 4] = [0.968_912_4, 0.921, 0.8, 0.6];
-/// Clusters become at most so many times twice as large.
-const CLUTTER_MAX: u32 = 5;
-/// Clusters in a neighbourhood at most; a flat surface has about 560.
+/// the same where clutter is denser and denser. Never more than kernels accept: a cluster of two walls would count for
+/// neither.
+const NARROW: [f32; 4] = [0.968_912_4, 0.95, 0.921, NORMAL_COSINE];
+/// Clusters become at most so many times twice as large: not larger than a kernel.
+const CLUTTER_MAX: u32 = 2;
+/// Clusters in a neighbourhood at most, unless they are as large as they may become; a flat surface has about 560.
 const CLUSTERS_MAX: usize = 840;
+/// What a kernel accepts where it finds nothing else: cosine between normals, and slope against the tangent plane.
+const RELAXED: [(f32, f32); 2] = [(0.5, 1.0), (0.0, f32::INFINITY)];
 /// Kernels may be wider than the nominal radius by this factor.
 pub const REACH: f32 = 1.5;
 /// Rings of equal area in which particles are counted to find a radius.
@@ -48,6 +51,8 @@ pub struct Neighbourhood {
     /// Places in the tangent plane of the element in question, and the squared distance there; infinite for clusters
     /// of other surfaces.
     placed: [Vec<f32>; 3],
+    /// The least of these distances.
+    nearest: f32,
 }
 
 impl Neighbourhood {
@@ -78,7 +83,8 @@ impl Neighbourhood {
         loop {
             query.resolution = resolution * nominal * (1 << clutter) as f32;
             query.narrow = NARROW[(clutter as usize).min(NARROW.len() - 1)];
-            if tree.collect(&query, most, &mut self.found) || clutter >= CLUTTER_MAX {
+            let most = if clutter < CLUTTER_MAX { most } else { usize::MAX };
+            if tree.collect(&query, most, &mut self.found) {
                 break;
             }
             clutter += 1;
@@ -136,6 +142,7 @@ impl Neighbourhood {
         let [x, y, z] = self.position.each_ref().map(|lane| &lane[..count]);
         let [nx, ny, nz] = self.normal.each_ref().map(|lane| &lane[..count]);
         let [u, v, squared] = self.placed.each_mut().map(|lane| &mut lane[..count]);
+        let mut nearest = f32::INFINITY;
         for i in 0..count {
             let (dx, dy, dz) = (x[i] - p.x, y[i] - p.y, z[i] - p.z);
             let above = (dx * n.x + dy * n.y + dz * n.z).abs();
@@ -145,7 +152,25 @@ impl Neighbourhood {
             v[i] = dx * t.x + dy * t.y + dz * t.z;
             let counts = (cosine >= NORMAL_COSINE) & (above <= SLOPE_MAX * distance + height);
             squared[i] = if counts { u[i] * u[i] + v[i] * v[i] } else { f32::INFINITY };
+            nearest = nearest.min(squared[i]);
         }
+        // On rubble, what speaks for many elements may stand askew to all of them.
+        for (cosine_min, slope) in RELAXED {
+            if nearest.is_finite() {
+                break;
+            }
+            for i in 0..count {
+                let (dx, dy, dz) = (x[i] - p.x, y[i] - p.y, z[i] - p.z);
+                let above = (dx * n.x + dy * n.y + dz * n.z).abs();
+                let distance = (dx * dx + dy * dy + dz * dz).sqrt();
+                let cosine = nx[i] * n.x + ny[i] * n.y + nz[i] * n.z;
+                if cosine >= cosine_min && above <= slope * distance + height {
+                    squared[i] = u[i] * u[i] + v[i] * v[i];
+                    nearest = nearest.min(squared[i]);
+                }
+            }
+        }
+        self.nearest = nearest;
     }
 
     /// The radius at which a kernel around the placed element holds `count` particles on its front or back; where the
@@ -173,6 +198,8 @@ impl Neighbourhood {
     /// The estimate on the front or back of the placed element with kernels of `radius`, from `emitted` particles.
     pub fn estimate(&self, radius: f32, back: bool, emitted: u64) -> Estimate {
         let mut moments = Moments::default();
+        // A kernel holds at least the cluster beside it.
+        let radius = radius.max((2.0 * self.nearest.max(0.0)).sqrt().min(f32::MAX));
         let (limit, inverse) = (radius * radius, 1.0 / radius);
         let [us, vs, squares] = &self.placed;
         for (i, &squared) in squares.iter().enumerate() {
@@ -191,4 +218,41 @@ pub fn along_tangents(element: &Element, to: Vec3) -> [f32; 2] {
     let (s, t) = element.normal.any_orthonormal_pair();
     let d = to - element.position;
     [d.dot(s), d.dot(t)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::illumination::bins::Bins;
+    use crate::rng::Stream;
+
+    /// Rubble: faces of all directions side by side, far more of them than a kernel reads, and everything equally lit.
+    #[test]
+    fn rubble_under_even_light_has_no_dark_places() {
+        let elements: Vec<Element> = (0..60_000u64)
+            .map(|i| {
+                let mut s = Stream::new(9, i, 0);
+                let position = Vec3::new(s.next_f32(), s.next_f32(), 0.3 * s.next_f32());
+                let normal = Vec3::new(s.next_f32() - 0.5, s.next_f32() - 0.5, s.next_f32() - 0.5);
+                Element { position, normal: normal.normalize(), area: 1e-4, ..Element::default() }
+            })
+            .collect();
+        let bins = Bins::new(elements.len(), 1.0);
+        for e in 0..elements.len() as u32 {
+            bins.add(e, false, Vec3::splat(1e-4));
+            bins.add(e, true, Vec3::splat(1e-4));
+        }
+        let mut tree = ClusterTree::build(&elements);
+        tree.update(&bins);
+        let mut hood = Neighbourhood::default();
+        for nominal in [0.05, 0.2, 0.4] {
+            for node in tree.subtrees(8).into_iter().step_by(61) {
+                let extent = tree.as_element(node);
+                hood.gather(&tree, &extent, nominal, RESOLUTION);
+                hood.place(&extent.center);
+                let found = hood.estimate(nominal, false, 1);
+                assert!((found.irradiance.x - 1.0).abs() < 0.02, "{nominal}: {}", found.irradiance);
+            }
+        }
+    }
 }

@@ -48,7 +48,8 @@ impl Baker<'_> {
             let index = members[members.len() / 2];
             let e = &atlas.elements[index as usize];
             [0, 1].map(|side| {
-                let sample = |u| transport.direct(e.triangle, e.b1, e.b2, side == 1, u);
+                let certain = transport.certain(e.triangle, e.b1, e.b2, side == 1);
+                let sample = |u| certain + transport.direct(e.triangle, e.b1, e.b2, side == 1, u);
                 let mut bin = DirectBin::default();
                 // Most backs are inside of bodies.
                 if side == 0 || probe(hash(seed, index.into(), 2), sample) {

@@ -21,6 +21,10 @@ const NARROW: f32 = 0.988_771_1;
 /// (∫K)² / ∫K² of a disc is 3/4 of its area: so many more elements are needed.
 const INEFFICIENCY: f32 = 4.0 / 3.0;
 
+/// What neighbours say may differ from an element's own samples by the root of this many times their variance before
+/// it is doubted: then it is the edge of a shadow that lies between, and no noise.
+const TRUSTED: f32 = 4.0;
+
 /// Irradiance and the variance of its luminance, front and back.
 pub type Sides = [(Vec3, f32); 2];
 
@@ -76,12 +80,28 @@ impl SmoothDirect {
                 if mean > 0.0 && wanted > 1.5 {
                     let radius = (wanted * area / n / std::f32::consts::PI).sqrt().min(self.radius_max);
                     let kernel = Kernel { side, radius, variance_max: 2.0 * (self.target * mean).powi(2) };
+                    let own: Vec<(Vec3, f32)> = all[first..].iter().map(|sides| sides[side]).collect();
                     smooth(elements, tree, node, &kernel, &mut all[first..], hood);
+                    for (sides, own) in all[first..].iter_mut().zip(own) {
+                        sides[side] = shrunk(own, sides[side], variance);
+                    }
                 }
             }
         }
         all
     }
+}
+
+/// An element's own samples drawn towards what is around it, by as much as their noise explains the difference (a
+/// shrinkage estimator; James & Stein 1961). `typical`: variance of the samples of the run, since the few of one element
+/// may all have missed the light.
+fn shrunk(own: (Vec3, f32), around: (Vec3, f32), typical: f32) -> (Vec3, f32) {
+    let noise = own.1.max(typical);
+    let difference = luminance(around.0 - own.0).powi(2);
+    let w = if difference > TRUSTED * noise { TRUSTED * noise / difference } else { 1.0 };
+    // What the difference is more than the noise is bias of the neighbours.
+    let bias = w * w * (difference - noise).max(0.0);
+    (own.0 + w * (around.0 - own.0), w * w * around.1 + (1.0 - w).powi(2) * own.1 + bias)
 }
 
 /// How the elements of a run are smoothed.
@@ -164,8 +184,28 @@ mod tests {
     }
 
     #[test]
+    fn a_shadow_deeper_than_the_noise_keeps_its_edge() {
+        let (elements, direct) = lit(0.9);
+        let tree = ClusterTree::build(&elements);
+        let order = tree.order().to_vec();
+        let smooth = SmoothDirect::new(&elements, &direct, tree, &|_| true, 0.2, 0.02);
+        let found = smooth.at_node(&elements, &direct, 0, &mut Neighbourhood::default());
+        let (mut noise, mut before) = (0.0f32, 0.0f32);
+        for (&e, sides) in order.iter().zip(&found) {
+            let x = elements[e as usize].position.x;
+            if x > 0.5 {
+                assert!(sides[0].0.x < 0.15, "{x}: {}", sides[0].0.x);
+            } else if x < 0.25 {
+                noise += (sides[0].0.x - 1.0).powi(2);
+                before += (direct[e as usize][0].mean().0.x - 1.0).powi(2);
+            }
+        }
+        assert!(noise < 0.25 * before, "{noise} {before}");
+    }
+
+    #[test]
     fn noise_is_smoothed_and_a_clean_shadow_is_not() {
-        for (p, allowed) in [(1.0, 1e-6), (0.2, 0.5)] {
+        for (p, allowed) in [(1.0, 1e-6), (0.2, 0.8)] {
             let (elements, direct) = lit(p);
             let tree = ClusterTree::build(&elements);
             let order = tree.order().to_vec();

@@ -10,6 +10,7 @@ use crate::geometry::{Accel, Hit, Ray};
 use crate::image::luminance;
 use crate::rng::Stream;
 use crate::scene::{Model, Scene};
+use crate::transport::lit::LitSurfaces;
 use crate::transport::particle::{BOUNCES_MAX, Deposit, LightTransport};
 
 /// Light transport by definition.
@@ -100,6 +101,20 @@ impl LightTransport for Lambertian<'_> {
             ray = Ray::new(self.lift(ray.at(hit.t), n), cosine_direction(n, stream.next_2d()));
         }
         BOUNCES_MAX
+    }
+
+    fn trace_reflected(
+        &self,
+        _lit: &LitSurfaces,
+        seed: u64,
+        index: u64,
+        deposit: &mut dyn FnMut(Deposit),
+    ) -> u32 {
+        self.trace(seed, index, &mut |d| {
+            if d.bounce > 0 {
+                deposit(d);
+            }
+        })
     }
 
     fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Vec3 {

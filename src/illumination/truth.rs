@@ -70,9 +70,9 @@ pub fn truth(
         .collect()
 }
 
-/// Irradiance on the front of one point. Light straight from lights comes from light samples, all other from paths
+/// Irradiance on the front of one point, from `samples` light samples and as many paths. Light straight from lights comes from light samples, all other from paths
 /// whose first emission is left out.
-fn at_point(
+pub fn at_point(
     (scene, accel, lights): (&Scene, &Accel, &Lights),
     triangle: u32,
     b1: f32,
@@ -86,11 +86,12 @@ fn at_point(
     let p = a * (1.0 - b1 - b2) + b * b1 + c * b2;
     let at = Interaction::at(scene, &Ray::new(p + normal, -normal), &Hit { t: 1.0, triangle, b1, b2 });
     let (x, y) = normal.any_orthonormal_pair();
+    let certain = transport.certain(triangle, b1, b2, false);
     let (mut sum, mut squares) = (glam::DVec3::ZERO, 0.0f64);
     for s in 0..samples {
         let u = sobol_burley::sample_4d(s, 0, key as u32);
         let v = sobol_burley::sample_4d(s, 1, key as u32);
-        let direct = transport.direct(triangle, b1, b2, false, [u[0], u[1], u[2]]);
+        let direct = certain + transport.direct(triangle, b1, b2, false, [u[0], u[1], u[2]]);
         let local = cosine_hemisphere([v[0], v[1]]);
         let ray = at.spawn(x * local.x + y * local.y + normal * local.z);
         let mut arriving = path_radiance(scene, accel, lights, &ray, Stream::new(key, s.into(), 1));

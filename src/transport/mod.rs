@@ -8,6 +8,7 @@ pub mod bsdf;
 mod direct;
 pub mod interaction;
 pub mod light;
+pub mod lit;
 pub mod medium;
 pub mod particle;
 pub mod path;

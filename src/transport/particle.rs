@@ -7,9 +7,11 @@ use glam::Vec3;
 
 use super::bsdf::{Bsdf, cosine_hemisphere};
 use super::interaction::Interaction;
-use super::light::Lights;
+use super::light::{LightSample, Lights};
+use super::lit::{LitSurfaces, Start};
 use crate::geometry::{Accel, Hit, Ray};
-use crate::rng::Stream;
+use crate::image::luminance;
+use crate::rng::{Stream, hash};
 use crate::scene::{Model, Scene};
 
 /// A particle never meets more surfaces than this; roulette ends it long before.
@@ -38,8 +40,32 @@ pub trait LightTransport: Sync {
     /// number of surfaces it met.
     fn trace(&self, seed: u64, index: u64, deposit: &mut dyn FnMut(Deposit)) -> u32;
 
-    /// One sample of the irradiance that comes straight from the lights to one side of a point, W/m², for three
-    /// numbers in [0, 1): the first chooses the light, the others the point on it.
+    /// Where light from afar falls, by `pieces` samples; a triangle counts `weight`. Nowhere, unless transport knows better.
+    fn lit(&self, _pieces: usize, _seed: u64, _weight: &(dyn Fn(u32) -> f64 + Sync)) -> LitSurfaces {
+        LitSurfaces::default()
+    }
+
+    /// As [`Self::trace`], but of what arrives straight from lights nothing is told; light from afar begins where it falls.
+    fn trace_reflected(
+        &self,
+        lit: &LitSurfaces,
+        seed: u64,
+        index: u64,
+        deposit: &mut dyn FnMut(Deposit),
+    ) -> u32;
+
+    /// What a particle of [`Self::trace_reflected`] carries, W in its strongest band.
+    fn reflected_power(&self, _lit: &LitSurfaces) -> f32 {
+        self.power()
+    }
+
+    /// Irradiance that comes straight from those lights to one side of a point that no chance is needed for, W/m².
+    fn certain(&self, _triangle: u32, _b1: f32, _b2: f32, _back: bool) -> Vec3 {
+        Vec3::ZERO
+    }
+
+    /// One sample of the irradiance that comes straight from all other lights, W/m², for three numbers in [0, 1): the
+    /// first chooses the light, the others the point on it.
     fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Vec3;
 
     /// Whether a random ray from the front of a point ends on the back of a triangle, or on anything within `near`.
@@ -58,6 +84,28 @@ pub trait LightTransport: Sync {
 impl<T: LightTransport + ?Sized> LightTransport for &T {
     fn trace(&self, seed: u64, index: u64, deposit: &mut dyn FnMut(Deposit)) -> u32 {
         (**self).trace(seed, index, deposit)
+    }
+
+    fn lit(&self, pieces: usize, seed: u64, weight: &(dyn Fn(u32) -> f64 + Sync)) -> LitSurfaces {
+        (**self).lit(pieces, seed, weight)
+    }
+
+    fn trace_reflected(
+        &self,
+        lit: &LitSurfaces,
+        seed: u64,
+        index: u64,
+        deposit: &mut dyn FnMut(Deposit),
+    ) -> u32 {
+        (**self).trace_reflected(lit, seed, index, deposit)
+    }
+
+    fn reflected_power(&self, lit: &LitSurfaces) -> f32 {
+        (**self).reflected_power(lit)
+    }
+
+    fn certain(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {
+        (**self).certain(triangle, b1, b2, back)
     }
 
     fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Vec3 {
@@ -105,6 +153,28 @@ impl LightTransport for SharedTransport {
         self.borrowed().trace(seed, index, deposit)
     }
 
+    fn lit(&self, pieces: usize, seed: u64, weight: &(dyn Fn(u32) -> f64 + Sync)) -> LitSurfaces {
+        self.borrowed().lit(pieces, seed, weight)
+    }
+
+    fn trace_reflected(
+        &self,
+        lit: &LitSurfaces,
+        seed: u64,
+        index: u64,
+        deposit: &mut dyn FnMut(Deposit),
+    ) -> u32 {
+        self.borrowed().trace_reflected(lit, seed, index, deposit)
+    }
+
+    fn reflected_power(&self, lit: &LitSurfaces) -> f32 {
+        self.borrowed().reflected_power(lit)
+    }
+
+    fn certain(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {
+        self.borrowed().certain(triangle, b1, b2, back)
+    }
+
     fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Vec3 {
         self.borrowed().direct(triangle, b1, b2, back, u)
     }
@@ -134,6 +204,8 @@ pub struct SceneTransport<'a> {
     lights: &'a Lights,
 }
 
+/// The irrational number that multiples spread most evenly of (modulo 1).
+const GOLDEN_RATIO: f64 = 0.618_033_988_749_894_9;
 /// Largest share of particles that survive a surface.
 const SURVIVAL_MAX: f32 = 0.99;
 /// Largest factor of the corrections for shading normals: beyond it, single particles would shine.
@@ -167,6 +239,108 @@ impl<'a> SceneTransport<'a> {
         let hit = Hit { t: 1.0, triangle, b1, b2 };
         Interaction::at(self.scene, &Ray::new(p + out, -out), &hit)
     }
+
+    /// A surface under a sample of light from afar: the point as this light sees it, and the irradiance on the surface's
+    /// geometric normal. `None` where something hides it.
+    fn arriving_from_afar(&self, start: &Start, stream: &mut Stream) -> Option<(Interaction, Vec3)> {
+        let (scene, Start { triangle, b1, b2, back, .. }) = (self.scene, *start);
+        let at = self.seen_from(triangle, b1, b2, back);
+        let facing = at.facing_geometric();
+        let light =
+            self.lights.sample_distant(scene, at.position, facing, stream.next_f32(), stream.next_2d())?;
+        let irradiance = light.radiance * (facing.dot(light.wi).max(0.0) / light.pdf);
+        let shines = irradiance.is_finite() && irradiance.max_element() > 0.0;
+        if !shines || self.accel.occluded(scene, &at.spawn(light.wi)) {
+            return None;
+        }
+        let hit = Hit { t: 1.0, triangle, b1, b2 };
+        Some((Interaction::at(scene, &Ray::new(at.position + light.wi, -light.wi), &hit), irradiance))
+    }
+
+    /// Follows a particle that has met `met` surfaces. Returns how many it has met in the end.
+    fn follow(
+        &self,
+        (mut ray, mut flux): (Ray, Vec3),
+        met: u32,
+        stream: &mut Stream,
+        deposit: &mut dyn FnMut(Deposit),
+    ) -> u32 {
+        let scene = self.scene;
+        for bounce in met..BOUNCES_MAX {
+            let Some(hit) = self.accel.intersect(scene, &ray) else { return bounce };
+            let at = Interaction::at(scene, &ray, &hit);
+            flux *= absorbed(&at, scene, &ray);
+            let bsdf = Bsdf::at(scene, &at);
+            if bsdf.diffuse_albedo().max_element() > 0.0 {
+                // Irradiance is that of the shading normal, under a coat that of the base.
+                let smooth = smooth_normal(scene, hit.triangle, hit.b1, hit.b2, at.geometric_normal);
+                let geometric_in = at.wo.dot(at.geometric_normal);
+                let share = ratio(at.wo.dot(smooth), geometric_in) * bsdf.coat_factor(at.wo);
+                let (triangle, b1, b2) = (hit.triangle, hit.b1, hit.b2);
+                deposit(Deposit { triangle, b1, b2, back: at.back, flux: flux * share, bounce });
+            }
+            match self.scatter(&at, &mut flux, stream) {
+                Some(onwards) => ray = onwards,
+                None => return bounce + 1,
+            }
+        }
+        BOUNCES_MAX
+    }
+
+    /// Where a particle goes from a surface, and what it carries from there; `None` where it ends.
+    fn scatter(&self, at: &Interaction, flux: &mut Vec3, stream: &mut Stream) -> Option<Ray> {
+        let bsdf = Bsdf::at(self.scene, at);
+        let geometric_in = at.wo.dot(at.geometric_normal);
+        let (u, u_lobe) = (stream.next_2d(), stream.next_f32());
+        let sample = bsdf.sample_all(at.wo, u, u_lobe)?;
+        // Particles see shading normals from the other end than paths (Veach 1997, eq 5.19).
+        let asymmetry = ratio(at.wo.dot(at.shading_normal), geometric_in)
+            * ratio(sample.wi.dot(at.geometric_normal), sample.wi.dot(at.shading_normal));
+        let weight = sample.weight * asymmetry;
+        let survival = weight.max_element().min(SURVIVAL_MAX);
+        if stream.next_f32() >= survival {
+            return None;
+        }
+        *flux *= weight / survival;
+        flux.is_finite().then(|| at.spawn(sample.wi))
+    }
+
+    /// Irradiance by a light sample, unless something hides the light.
+    fn arriving(&self, facing: &Facing, light: &LightSample) -> Vec3 {
+        let (scene, at) = (self.scene, &facing.at);
+        let cosine = light.wi.dot(facing.normal);
+        if cosine <= 0.0 || light.wi.dot(at.facing_geometric()) <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let bsdf = Bsdf::at(scene, at);
+        if bsdf.diffuse_albedo().max_element() <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let irradiance = light.radiance * (cosine * bsdf.coat_factor(light.wi) / light.pdf);
+        let ray = if light.distance.is_finite() {
+            at.spawn_to(at.position + light.wi * light.distance)
+        } else {
+            at.spawn(light.wi)
+        };
+        if !irradiance.is_finite() || self.accel.occluded(scene, &ray) {
+            return Vec3::ZERO;
+        }
+        irradiance
+    }
+}
+
+/// A side of a point with the normal that irradiance is for.
+struct Facing {
+    at: Interaction,
+    /// Smooth, on this side.
+    normal: Vec3,
+}
+
+impl Facing {
+    fn new(scene: &Scene, at: Interaction) -> Self {
+        let smooth = smooth_normal(scene, at.triangle, at.b1, at.b2, at.geometric_normal);
+        Self { normal: if at.back { -smooth } else { smooth }, at }
+    }
 }
 
 /// Share of the flux that is left after the stretch of `t` (in units of the ray's direction) inside the glass
@@ -183,73 +357,72 @@ fn absorbed(at: &Interaction, scene: &Scene, ray: &Ray) -> Vec3 {
 
 impl LightTransport for SceneTransport<'_> {
     fn trace(&self, seed: u64, index: u64, deposit: &mut dyn FnMut(Deposit)) -> u32 {
-        let scene = self.scene;
         let mut stream = Stream::new(seed, index, 0);
-        let Some((mut ray, mut flux)) = self.lights.sample_emission(scene, &mut stream) else { return 0 };
-        for bounce in 0..BOUNCES_MAX {
-            let Some(hit) = self.accel.intersect(scene, &ray) else { return bounce };
-            let at = Interaction::at(scene, &ray, &hit);
-            flux *= absorbed(&at, scene, &ray);
-            let bsdf = Bsdf::at(scene, &at);
-            let geometric_in = at.wo.dot(at.geometric_normal);
-            if bsdf.diffuse_albedo().max_element() > 0.0 {
-                // Irradiance is that of the shading normal, under a coat that of the base.
-                let smooth = smooth_normal(scene, hit.triangle, hit.b1, hit.b2, at.geometric_normal);
-                let share = ratio(at.wo.dot(smooth), geometric_in) * bsdf.coat_factor(at.wo);
-                deposit(Deposit {
-                    triangle: hit.triangle,
-                    b1: hit.b1,
-                    b2: hit.b2,
-                    back: at.back,
-                    flux: flux * share,
-                    bounce,
-                });
-            }
-            let (u, u_lobe) = (stream.next_2d(), stream.next_f32());
-            let Some(sample) = bsdf.sample_all(at.wo, u, u_lobe) else { return bounce + 1 };
-            // Particles see shading normals from the other end than paths (Veach 1997, eq 5.19).
-            let asymmetry = ratio(at.wo.dot(at.shading_normal), geometric_in)
-                * ratio(sample.wi.dot(at.geometric_normal), sample.wi.dot(at.shading_normal));
-            let weight = sample.weight * asymmetry;
-            let survival = weight.max_element().min(SURVIVAL_MAX);
-            if stream.next_f32() >= survival {
-                return bounce + 1;
-            }
-            flux *= weight / survival;
-            if !flux.is_finite() {
-                return bounce + 1;
-            }
-            ray = at.spawn(sample.wi);
+        match self.lights.sample_emission(self.scene, &mut stream) {
+            Some(start) => self.follow(start, 0, &mut stream, deposit),
+            None => 0,
         }
-        BOUNCES_MAX
+    }
+
+    fn lit(&self, pieces: usize, seed: u64, weight: &(dyn Fn(u32) -> f64 + Sync)) -> LitSurfaces {
+        let areas = (0..self.scene.mesh.triangles.len() as u32).map(|t| {
+            let [a, b, c] = self.scene.mesh.corners(t);
+            0.5 * (b - a).cross(c - a).length()
+        });
+        let pieces = if self.lights.has_distant() { pieces } else { 0 };
+        LitSurfaces::new(areas, pieces, seed, self.lights.near_power(), weight, &|start, stream| {
+            self.arriving_from_afar(start, stream).map_or(0.0, |(_, e)| luminance(e))
+        })
+    }
+
+    fn trace_reflected(
+        &self,
+        lit: &LitSurfaces,
+        seed: u64,
+        index: u64,
+        deposit: &mut dyn FnMut(Deposit),
+    ) -> u32 {
+        let mut stream = Stream::new(seed, index, 0);
+        let near_share = lit.near_share();
+        // Additive recurrence: the pieces of any run of particles are spread evenly.
+        let mut choice =
+            ((hash(seed, 0, 0x11e) as f64) / 2f64.powi(64) + index as f64 * GOLDEN_RATIO).fract();
+        if choice < near_share {
+            let Some((ray, flux)) = self.lights.sample_near_emission(self.scene, &mut stream) else {
+                return 0;
+            };
+            let flux = flux / near_share as f32;
+            return self.follow((ray, flux), 0, &mut stream, &mut |d| {
+                if d.bounce > 0 {
+                    deposit(d);
+                }
+            });
+        }
+        choice = (choice - near_share) / (1.0 - near_share);
+        let Some(start) = lit.start(choice, stream.next_2d()) else { return 0 };
+        let Some((at, irradiance)) = self.arriving_from_afar(&start, &mut stream) else { return 0 };
+        let mut flux = irradiance / (start.density * (1.0 - near_share)) as f32;
+        match self.scatter(&at, &mut flux, &mut stream) {
+            Some(ray) => self.follow((ray, flux), 1, &mut stream, deposit),
+            None => 1,
+        }
+    }
+
+    fn reflected_power(&self, lit: &LitSurfaces) -> f32 {
+        lit.power(self.lights.near_power()).map_or(self.power(), |power| power as f32)
+    }
+
+    fn certain(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {
+        let facing = Facing::new(self.scene, self.seen_from(triangle, b1, b2, back));
+        self.lights.certain(self.scene, facing.at.position).map(|l| self.arriving(&facing, &l)).sum()
     }
 
     fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, [choice, u, v]: [f32; 3]) -> Vec3 {
-        let scene = self.scene;
-        let at = self.seen_from(triangle, b1, b2, back);
-        let Some(light) = self.lights.sample_direct(scene, at.position, choice, [u, v]) else {
-            return Vec3::ZERO;
-        };
-        let side = if back { -1.0 } else { 1.0 };
-        let smooth = smooth_normal(scene, triangle, b1, b2, at.geometric_normal);
-        let cosine = side * light.wi.dot(smooth);
-        if cosine <= 0.0 || side * light.wi.dot(at.geometric_normal) <= 0.0 {
-            return Vec3::ZERO;
-        }
-        let bsdf = Bsdf::at(scene, &at);
-        if bsdf.diffuse_albedo().max_element() <= 0.0 {
-            return Vec3::ZERO;
-        }
-        let irradiance = light.radiance * (cosine * bsdf.coat_factor(light.wi) / light.pdf);
-        let ray = if light.distance.is_finite() {
-            at.spawn_to(at.position + light.wi * light.distance)
-        } else {
-            at.spawn(light.wi)
-        };
-        if !irradiance.is_finite() || self.accel.occluded(scene, &ray) {
-            return Vec3::ZERO;
-        }
-        irradiance
+        let facing = Facing::new(self.scene, self.seen_from(triangle, b1, b2, back));
+        let (point, normal) = (facing.at.position, facing.normal);
+        self.lights
+            .sample_irradiance(self.scene, point, normal, choice, [u, v])
+            .map_or(Vec3::ZERO, |light| self.arriving(&facing, &light))
     }
 
     fn sees(&self, ray: &Ray) -> Option<Hit> {
@@ -350,7 +523,7 @@ mod tests {
         let (accel, lights) = (Accel::build(&hall), Lights::build(&hall));
         let transport = SceneTransport::new(&hall, &accel, &lights);
         // Straight: 1/1². By the mirror from the light's image: 0.8/3².
-        let direct = transport.direct(2, 0.33, 0.33, false, [0.5; 3]).x;
+        let direct = transport.certain(2, 0.33, 0.33, false).x;
         assert!((direct - 1.0).abs() < 0.02, "{direct}");
         let narrow = 2_000_000;
         let mut caustic = 0.0f64;
@@ -385,6 +558,7 @@ mod tests {
         let (accel, lights) = (Accel::build(&window), Lights::build(&window));
         let transport = SceneTransport::new(&window, &accel, &lights);
         assert_eq!(transport.direct(0, 0.3, 0.3, false, [0.5; 3]), Vec3::ZERO);
+        assert_eq!(transport.certain(0, 0.3, 0.3, false), Vec3::ZERO);
         // 2R/(1 + R) with R = .04 is reflected.
         let through = 1.0 - 0.08 / 1.04;
         let mut sum = 0.0;
@@ -393,6 +567,55 @@ mod tests {
         }
         // The floor's own light that the pane sends back is a few percent more.
         assert!((through..1.1 * through).contains(&sum), "{sum} {through}");
+    }
+
+    /// A sky, a sun and a lamp over a floor with a block, glass and a mirror: where particles begin is no matter.
+    #[test]
+    fn particles_that_begin_where_light_falls_are_those_that_come_from_the_lights() {
+        let mut mesh = quad(Vec3::new(-1.0, 0.0, 1.0), Vec3::X * 2.0, Vec3::NEG_Z * 2.0);
+        join(&mut mesh, &cube(Vec3::new(-0.6, 0.01, -0.5), 0.6, true), 0);
+        join(&mut mesh, &cube(Vec3::new(0.2, 0.01, 0.1), 0.4, true), 1);
+        join(&mut mesh, &quad(Vec3::new(0.9, 0.0, -0.5), Vec3::Z, Vec3::Y), 2);
+        let roughness =
+            crate::scene::Roughness { alpha_x: 0.0, alpha_y: 0.0, distribution: Default::default() };
+        let glass = Model::Dielectric { ior: 1.5, transmittance: Vec3::ONE, thin: false, roughness };
+        let mirror = Model::Mirror { specular: Reflectance::constant(Vec3::splat(0.9)) };
+        let lights = vec![
+            Light::Directional { direction: Vec3::new(0.5, -1.0, -0.2), irradiance: Vec3::splat(2.0) },
+            Light::Point { position: Vec3::new(0.0, 1.0, 0.0), intensity: Vec3::splat(0.5) },
+        ];
+        let mut yard = scene(mesh, vec![lambert(0.7, 0.0), of_model(glass), of_model(mirror)], lights);
+        yard.environment = Some(crate::scene::Environment::constant(Vec3::splat(0.5)));
+        let (accel, lights) = (Accel::build(&yard), Lights::build(&yard));
+        let transport = SceneTransport::new(&yard, &accel, &lights);
+        let lit = transport.lit(1 << 14, 1, &|t| if t % 3 == 0 { 0.3 } else { 1.0 });
+        let triangles = yard.mesh.triangles.len();
+        let n = 300_000u64;
+        let sums = |begun: bool| {
+            let mut sums = vec![[0.0f64; 2]; 2 * triangles];
+            for i in 0..n {
+                let mut deposit = |d: Deposit| {
+                    if d.bounce > 0 {
+                        let sum = &mut sums[2 * d.triangle as usize + usize::from(d.back)];
+                        let flux = f64::from(luminance(d.flux)) / n as f64;
+                        (sum[0], sum[1]) = (sum[0] + flux, sum[1] + flux * flux);
+                    }
+                };
+                match begun {
+                    true => transport.trace_reflected(&lit, 1, i, &mut deposit),
+                    false => transport.trace(2, i, &mut deposit),
+                };
+            }
+            sums
+        };
+        let (emitted, begun) = (sums(false), sums(true));
+        let (mut noise_emitted, mut noise_begun) = (0.0, 0.0);
+        for (i, (a, b)) in emitted.iter().zip(&begun).enumerate() {
+            let error = (a[1] + b[1]).sqrt();
+            assert!((a[0] - b[0]).abs() <= 5.0 * error, "{i}: {} {} ± {error}", a[0], b[0]);
+            (noise_emitted, noise_begun) = (noise_emitted + a[1], noise_begun + b[1]);
+        }
+        assert!(noise_begun < noise_emitted, "{noise_begun} {noise_emitted}");
     }
 
     #[test]
@@ -406,7 +629,7 @@ mod tests {
         let (accel, lights) = (Accel::build(&floor), Lights::build(&floor));
         let transport = SceneTransport::new(&floor, &accel, &lights);
         let exact = -direction.dot(tilted);
-        let direct = transport.direct(0, 0.3, 0.3, false, [0.5; 3]).x;
+        let direct = transport.certain(0, 0.3, 0.3, false).x;
         assert!((direct - exact).abs() < 1e-4, "{direct} {exact}");
         let particles = mean_on(&transport, 0, 0.5, 0).x;
         assert!((particles / exact - 1.0).abs() < 0.02, "{particles} {exact}");

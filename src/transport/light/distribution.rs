@@ -30,6 +30,11 @@ impl Choice {
         self.sums.last().copied().unwrap_or(0.0)
     }
 
+    /// Sum of the first `n` weights.
+    pub fn sum_of_first(&self, n: usize) -> f64 {
+        n.checked_sub(1).and_then(|i| self.sums.get(i)).copied().unwrap_or(0.0)
+    }
+
     /// Probability of `index`.
     pub fn probability(&self, index: usize) -> f64 {
         let before = if index == 0 { 0.0 } else { self.sums[index - 1] };

@@ -39,7 +39,6 @@ impl Lights {
     pub fn sample_emission(&self, scene: &Scene, stream: &mut Stream) -> Option<(Ray, Vec3)> {
         // More bits than an f32 has: there may be millions of lights.
         let choice = (stream.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
-        let (u, v) = (stream.next_2d(), stream.next_2d());
         let share = self.distant_power_share;
         let (emitter, probability) = if choice < share {
             let i = self.distant.sample(choice / share)?;
@@ -48,6 +47,24 @@ impl Lights {
             let i = self.near.sample((choice - share) / (1.0 - share))?;
             (self.emitters[i], (1.0 - share) * self.near.probability(i))
         };
+        self.emit(scene, emitter, probability, stream)
+    }
+
+    /// The same for the lights inside of the scene only.
+    pub fn sample_near_emission(&self, scene: &Scene, stream: &mut Stream) -> Option<(Ray, Vec3)> {
+        let choice = (stream.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
+        let i = self.near.sample(choice)?;
+        self.emit(scene, self.emitters[i], self.near.probability(i), stream)
+    }
+
+    fn emit(
+        &self,
+        scene: &Scene,
+        emitter: Emitter,
+        probability: f64,
+        stream: &mut Stream,
+    ) -> Option<(Ray, Vec3)> {
+        let (u, v) = (stream.next_2d(), stream.next_2d());
         let (ray, flux) = match emitter {
             Emitter::Triangle(t) => emit_from_triangle(scene, t, u, v)?,
             Emitter::Analytic(i) => self.emit_from_analytic(&scene.lights[i as usize], u),

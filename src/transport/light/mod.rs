@@ -6,6 +6,7 @@
 
 mod distribution;
 mod emission;
+mod irradiance;
 mod spherical_triangle;
 
 use std::f32::consts::{PI, TAU};

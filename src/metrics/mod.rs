@@ -7,6 +7,7 @@ pub mod curve;
 pub mod flip;
 pub mod heat;
 pub mod pixels;
+pub mod video;
 
 use std::fmt;
 

@@ -19,7 +19,7 @@ use foveal::display::tone::{Encoder, ToneMap};
 use foveal::display::twin::{self, Passes};
 use foveal::image::Map2d;
 use foveal::metrics::curve::ErrorCurve;
-use foveal::metrics::flip;
+use foveal::metrics::{flip, video};
 use foveal::perception::importance::{ObjectScan, ObjectStatistics, Weights, priorities};
 use foveal::perception::saliency::SaliencyModel;
 use foveal::perception::tvi::TviTable;
@@ -96,6 +96,8 @@ enum What {
     Illumination,
 }
 
+/// Frames of the walk.
+const FRAMES_PER_SECOND: f32 = 10.0;
 /// Steps of the still view's curve.
 const STEPS: u32 = 16;
 /// Texels along an edge of the maps that a walk of some seconds would have captured.
@@ -137,6 +139,8 @@ impl Traced {
 struct Result {
     still: f64,
     walking: f64,
+    /// The walk beside its traced pictures, in just objectionable differences.
+    jod: f32,
     curve: ErrorCurve,
     /// Share of time spent deciding.
     deciding: f64,
@@ -169,7 +173,9 @@ pub fn run(a: &ErrorArguments, progress: Progress) -> std::result::Result<(), Fa
     for name in &scenes {
         let world = quick_world(MadeScene::bundled(name)?.path())?;
         let study = Study::new(a, world);
-        let results: Vec<Result> = entrants.par_iter().map(|e| study.run(a, e)).collect();
+        let results: std::result::Result<Vec<Result>, Failure> =
+            entrants.par_iter().map(|e| study.run(a, e)).collect();
+        let results = results?;
         for motion in 0..2 {
             let of = |r: &Result| [r.still, r.walking][motion];
             let best_other = entrants
@@ -193,6 +199,11 @@ pub fn run(a: &ErrorArguments, progress: Progress) -> std::result::Result<(), Fa
             }
         }
         for (entrant, result) in entrants.iter().zip(&results) {
+            rows.push(Row::new(
+                format!("{name}, walking: {}", entrant.name),
+                "JOD",
+                &[f64::from(result.jod)],
+            ));
             for (time, error) in result.curve.points() {
                 csv += &format!("{name},{},{time},{error}\n", entrant.name);
             }
@@ -264,7 +275,7 @@ impl Study {
     fn new(a: &ErrorArguments, world: World) -> Self {
         let still = world.scene.cameras[0].camera;
         let camera = |i: u32| match world.scene.paths.first() {
-            Some(path) => path.at(0.1 * i as f32, still.up, still.fov_y),
+            Some(path) => path.at(i as f32 / FRAMES_PER_SECOND, still.up, still.fov_y),
             None => still,
         };
         let cameras = (0..a.frames).map(camera).collect();
@@ -310,7 +321,7 @@ impl Study {
         Self { tone: ToneMap::from(&world.scene.display), world, views, limits, settings }
     }
 
-    fn run(&self, a: &ErrorArguments, entrant: &Entrant) -> Result {
+    fn run(&self, a: &ErrorArguments, entrant: &Entrant) -> std::result::Result<Result, Failure> {
         let mut walk = Walk::new(self, entrant);
         let view = &self.views[0];
         walk.begin(1, view);
@@ -324,16 +335,24 @@ impl Study {
         }
         let still = curve.area(total) * curve.points()[0].1;
         let mut walk = Walk { deciding: walk.deciding, traced: walk.traced, ..Walk::new(self, entrant) };
-        let mut sum = 0.0;
+        let (mut sum, mut shown) = (0.0, Vec::new());
         for (i, view) in self.views.iter().enumerate() {
             walk.begin(i as u32 + 1, view);
             walk.correct(view, f64::from(a.share) * view.seconds());
             sum += walk.error(view);
+            shown.push(walk.picture(view));
             walk.attend(view);
         }
         let walking = sum / self.views.len() as f64;
         let deciding = walk.deciding / (walk.deciding + walk.traced);
-        Result { still, walking, curve, deciding }
+        let display = &self.world.scene.display;
+        let camera = &self.world.scene.cameras[0].camera;
+        let fov_x = 2.0 * ((0.5 * camera.fov_y).tan() * a.size.width as f32 / a.size.height as f32).atan();
+        let viewing = Viewing::from_centre_of_projection(display.white_cd_m2, a.size.width as usize, fov_x);
+        let references: Vec<_> = self.views.iter().map(|v| v.reference.clone()).collect();
+        let jod = video::jod(&shown, &references, FRAMES_PER_SECOND, &self.tone, &viewing)
+            .map_err(Failure::Check)?;
+        Ok(Result { still, walking, jod, curve, deciding })
     }
 }
 

@@ -314,13 +314,17 @@ impl Scheduler {
         let actor = steal(|| self.heavy.steal());
         if actor.is_none() {
             self.release_heavy();
+            self.offer_heavy();
         }
         actor
     }
 
     fn release_heavy(&self) {
         self.heavy_running.fetch_sub(1, Ordering::SeqCst);
-        // Someone may have gone to sleep because the limit was reached.
+    }
+
+    /// Somebody may have gone to sleep because the limit was reached, and it no longer is.
+    fn offer_heavy(&self) {
         if self.threads > 1 && !self.heavy.is_empty() {
             self.notify();
         }
@@ -384,9 +388,15 @@ fn worker(env: &Env, nodes: &[Box<dyn Runnable>], local: Worker<u32>, index: usi
     }
     let thread = ThreadCx { local: Some(local), lane: index as u16 + 1, last_end: Cell::new(0) };
     let mut tick = 0_u32;
+    // This thread ran a heavy actor and is the one to run the next, unless it finds something else to do. Were another
+    // one woken each time, many threads would take turns, each of them rested and so preferred to the main thread.
+    let mut freed = false;
     while !scheduler.stopping.load(Ordering::Relaxed) {
         tick = tick.wrapping_add(1);
         if env.halted() {
+            if std::mem::take(&mut freed) {
+                scheduler.offer_heavy();
+            }
             scheduler.rest(env);
         }
         let next_timer = env.timers.next();
@@ -395,13 +405,18 @@ fn worker(env: &Env, nodes: &[Box<dyn Runnable>], local: Worker<u32>, index: usi
         }
         // Every so often a heavy actor goes first, so that a flood of light ones cannot starve it.
         if tick.is_multiple_of(61) && run_heavy(env, nodes, &thread) {
+            freed = true;
             continue;
         }
         if let Some(actor) = scheduler.find(&thread, index, tick) {
+            if std::mem::take(&mut freed) {
+                scheduler.offer_heavy();
+            }
             scheduler.run(nodes, actor, &thread);
             continue;
         }
-        if run_heavy(env, nodes, &thread) {
+        freed = run_heavy(env, nodes, &thread);
+        if freed {
             continue;
         }
         thread.last_end.set(0);

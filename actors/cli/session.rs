@@ -176,12 +176,51 @@ pub fn illuminated(
     a: &IlluminationArguments,
     progress: Progress,
 ) -> Result<Session, Failure> {
-    let accel = Arc::new(Accel::build(&scene));
+    // What is kept is read while the geometry index is built.
+    let (accel, kept) = rayon::join(|| Arc::new(Accel::build(&scene)), || kept(&scene, a, &mut warnings));
     let lights = Arc::new(Lights::build(&scene));
-    let (illumination, unmet) = illuminate(&scene, &accel, &lights, a, progress, &mut warnings)?;
+    let (illumination, unmet): (Arc<dyn Irradiance>, Unmet) = match kept? {
+        Some(kept) => (kept, None),
+        None => illuminate(&scene, &accel, &lights, a, progress, &mut warnings)?,
+    };
     let world = World { scene, accel, lights, illumination };
     let refinement = unmet.map(|(settings, keep)| Refinement { world: world.clone(), settings, keep });
     Ok(Session { world, textures: None, refinement, warnings })
+}
+
+/// The illumination that was asked for, from a file or the cache. `None` where it has to be made.
+fn kept(
+    scene: &Arc<Scene>,
+    a: &IlluminationArguments,
+    warnings: &mut Vec<String>,
+) -> Result<Option<Arc<dyn Irradiance>>, Failure> {
+    if a.quick {
+        return Ok(None);
+    }
+    let settings = a.settings.settings(scene);
+    let key = cache_key(scene, &settings);
+    let triangles = scene.mesh.triangles.len();
+    if let Some(file) = &a.bake {
+        let map = load_illumination(file, &key, triangles).map_err(|e| {
+            Failure::Input(format!(
+                "{}: {e}; bake this scene with the same --texels and --bake-seed again",
+                file.display()
+            ))
+        })?;
+        return Ok(Some(Arc::new(map)));
+    }
+    let kept = cache_file(a.cache.as_deref(), scene, &settings);
+    if let Some(file) = kept.as_ref().filter(|f| !a.refined && f.exists()) {
+        match load_illumination(file, &key, triangles) {
+            Ok(map) => return Ok(Some(Arc::new(map))),
+            Err(e) => {
+                let warning = format!("{}: {e}; the illumination is baked anew", file.display());
+                tracing::warn!("{warning}");
+                warnings.push(warning);
+            }
+        }
+    }
+    Ok(None)
 }
 
 /// Settings that the illumination does not meet yet, and where one that does is to be kept.
@@ -202,27 +241,7 @@ fn illuminate(
     }
     let settings = a.settings.settings(scene);
     let key = cache_key(scene, &settings);
-    let triangles = scene.mesh.triangles.len();
-    if let Some(file) = &a.bake {
-        let map = load_illumination(file, &key, triangles).map_err(|e| {
-            Failure::Input(format!(
-                "{}: {e}; bake this scene with the same --texels and --bake-seed again",
-                file.display()
-            ))
-        })?;
-        return Ok((Arc::new(map), None));
-    }
     let kept = cache_file(a.cache.as_deref(), scene, &settings);
-    if let Some(file) = kept.as_ref().filter(|f| !a.refined && f.exists()) {
-        match load_illumination(file, &key, triangles) {
-            Ok(map) => return Ok((Arc::new(map), None)),
-            Err(e) => {
-                let warning = format!("{}: {e}; the illumination is baked anew", file.display());
-                tracing::warn!("{warning}");
-                warnings.push(warning);
-            }
-        }
-    }
     if !a.baked {
         return Ok((first(), Some((settings, kept))));
     }

@@ -16,12 +16,14 @@ use super::recording::{Hashes, RecordedRun, TRACERS_MAX};
 use super::session::{self, IlluminationArguments};
 use foveal::image::Map2d;
 use foveal::splatting::supersampling::Supersampling;
+use foveal_runtime::Record;
 
 use crate::renderer::overlay::Overlay;
 use crate::settings::Settings;
 use crate::window::walk::{Next, Walk};
 use crate::window::{
-    self, Backend, Build, FrameSource, Loader, Made, Recording, Session, WindowError, parts_of, screenshot,
+    self, Backend, Build, DrawnBy, FrameSource, Loader, Made, Recording, Session, WindowError, parts_of,
+    screenshot,
 };
 
 /// Arguments of `foveal view`.
@@ -41,6 +43,12 @@ pub struct ViewArguments {
     /// Who paints the window
     #[arg(long, value_enum, default_value_t = BackendName::Auto)]
     backend: BackendName,
+    /// Who draws the picture
+    #[arg(long, value_enum, default_value_t = DisplayName::Auto)]
+    display: DisplayName,
+    /// The adapter is lost after so many seconds, to see that the walk goes on
+    #[arg(long, value_name = "SECONDS", hide = true)]
+    lose_adapter: Option<f64>,
     /// Refine what has converged until the standard error of displayed values, 0 to 1, is below this; 0 leaves it
     /// (default: 0.01, with --headless 0)
     #[arg(long, value_name = "NOISE", value_parser = clap::value_parser!(f32))]
@@ -106,6 +114,27 @@ enum BackendName {
     Cpu,
 }
 
+/// Names of who draws.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum DisplayName {
+    /// A graphics adapter that is hardware, else the processor
+    Auto,
+    /// The graphics adapter, or fail
+    Gpu,
+    /// The processor
+    Cpu,
+}
+
+impl From<DisplayName> for DrawnBy {
+    fn from(name: DisplayName) -> Self {
+        match name {
+            DisplayName::Auto => Self::Auto,
+            DisplayName::Gpu => Self::Adapter,
+            DisplayName::Cpu => Self::Processor,
+        }
+    }
+}
+
 impl From<BackendName> for Backend {
     fn from(name: BackendName) -> Self {
         match name {
@@ -168,6 +197,9 @@ pub fn run(a: ViewArguments, progress: Progress) -> Result<(), Failure> {
     if a.headless {
         return headless(&a, progress);
     }
+    if (a.display, a.backend) == (DisplayName::Gpu, BackendName::Cpu) {
+        return Err(Failure::Usage("--display gpu draws into a window that --backend gpu shows".into()));
+    }
     window::run(options(a)).map(drop).map_err(|e| match e {
         WindowError::Environment(m) => Failure::Environment(m),
         WindowError::Scene(m) => Failure::Input(m),
@@ -179,7 +211,9 @@ pub fn options(a: ViewArguments) -> window::Options {
     window::Options {
         name: a.scene.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
         size: [a.size.width, a.size.height],
-        backend: a.backend.into(),
+        backend: if a.display == DisplayName::Gpu { Backend::Gpu } else { a.backend.into() },
+        drawn_by: a.display.into(),
+        lose_adapter: a.lose_adapter,
         screenshots: a.screenshots.clone(),
         loader: loader(a),
         probe: None,
@@ -229,7 +263,7 @@ pub fn load(
         let header = run.and_then(|run| run.to_bytes());
         let header = header.map_err(|e| tracing::warn!("the walk is not recorded: {e}")).ok()?;
         let file = numbered(file, sessions.fetch_add(1, Ordering::Relaxed) + 1);
-        Some(Recording { file, header, hashing: a.hashes.into() })
+        Some(Recording { into: Record::File(file), header, hashing: a.hashes.into() })
     });
     let session::Session { world, textures, refinement, warnings: _ } = opened;
     Ok(Made { world, textures, refinement, settings, fps, facts, recording })

@@ -82,6 +82,22 @@ pub struct FrameCounts {
 pub trait FrameSink: Send {
     /// A frame was shown. `renderer` may be asked for its layers.
     fn frame_shown(&mut self, snapshot: &Arc<FrameSnapshot>, counts: FrameCounts, renderer: &Renderer);
+    /// Samples were splatted onto a view: for displays that splat by themselves.
+    fn splatted(&mut self, _view: View, _splats: Splats) {}
+}
+
+/// Samples as they reached the splat layer.
+#[derive(Clone, Debug)]
+pub enum Splats {
+    /// Of former views.
+    Warped(Arc<Vec<WarpedSample>>),
+    /// Traced for the view.
+    Fresh {
+        /// The samples.
+        batch: Arc<SampleBatch>,
+        /// Who traced them: [`SplatLayer::source`].
+        source: u8,
+    },
 }
 
 /// The renderer's state.
@@ -424,7 +440,13 @@ impl Renderer {
         FrameBuffers::new(self.settings.width as usize, self.settings.height as usize)
     }
 
-    fn on_samples_aged(&mut self, view: View, samples: &[WarpedSample], expired: u32) {
+    fn on_samples_aged(
+        &mut self,
+        view: View,
+        samples: Arc<Vec<WarpedSample>>,
+        expired: u32,
+        cx: &Cx<'_, RendererMessage>,
+    ) {
         if view != self.view {
             return;
         }
@@ -432,13 +454,16 @@ impl Renderer {
         let (layer, buffers) = (&mut self.layer, &drawn.buffers);
         let reused = self
             .stages
-            .time(Stage::WarpSplat, || layer.splat_warped(samples, &buffers.object, &buffers.depth));
+            .time(Stage::WarpSplat, || layer.splat_warped(&samples, &buffers.object, &buffers.depth));
         self.counts.reused += reused as u32;
         self.counts.expired += expired;
         self.changed |= reused > 0;
+        if cx.effects() {
+            self.sink.splatted(view, Splats::Warped(samples));
+        }
     }
 
-    fn on_samples_traced(&mut self, batch: &SampleBatch, tracer: u32, cx: &mut Cx<'_, RendererMessage>) {
+    fn on_samples_traced(&mut self, batch: Arc<SampleBatch>, tracer: u32, cx: &mut Cx<'_, RendererMessage>) {
         let (Some(drawn), true) = (self.drawn.clone(), batch.view == self.view.0) else {
             self.counts.late += batch.len() as u32;
             return;
@@ -446,11 +471,14 @@ impl Renderer {
         self.counts.traced += batch.len() as u32;
         self.changed = true;
         if self.settings.policy.policy == Policy::Utility {
-            self.measure_residuals(batch, &drawn, cx);
+            self.measure_residuals(&batch, &drawn, cx);
         }
         let layer = &mut self.layer;
         let source = (tracer % 255) as u8 + 1;
-        self.stages.time(Stage::WarpSplat, || layer.splat_fresh(batch, &drawn.buffers.object, source));
+        self.stages.time(Stage::WarpSplat, || layer.splat_fresh(&batch, &drawn.buffers.object, source));
+        if cx.effects() {
+            self.sink.splatted(self.view, Splats::Fresh { batch, source });
+        }
     }
 
     /// Pixels that no sample has reached yet show the new map in the next frame.
@@ -522,10 +550,10 @@ impl Actor for Renderer {
             }
             RendererMessage::Input(RendererInput::Adjusted(adjustment)) => self.on_adjusted(adjustment, cx),
             RendererMessage::SamplesAged { view, samples, expired, hash: _ } => {
-                self.on_samples_aged(view, &samples, expired);
+                self.on_samples_aged(view, samples, expired, cx);
             }
             RendererMessage::SamplesTraced { batch, tracer, hash: _ } => {
-                self.on_samples_traced(&batch, tracer, cx)
+                self.on_samples_traced(batch, tracer, cx)
             }
             RendererMessage::EnvironmentChanged { object, map, hash: _ } => {
                 self.on_environment_changed(object, map);

@@ -2,8 +2,10 @@
 //! is the twin.
 
 use foveal::display::FrameBuffers;
+use foveal::display::tone::ToneMap;
 use foveal::image::Map2d;
 use foveal::splatting::SplatLayer;
+use foveal::splatting::supersampling::{TILE, TileSums};
 use glam::Vec3;
 
 /// What is painted over the picture.
@@ -29,7 +31,8 @@ pub enum Overlay {
     Importance = 7,
     /// Which object the next samples go to: white first.
     Priority = 8,
-    /// Estimated error that each object shows still: white is ten just noticeable differences and more.
+    /// Estimated error that each object shows still: white is ten just noticeable differences and more. In tiles that are
+    /// refined, the standard error of displayed values: white is a tenth of their range.
     Error = 9,
     /// Mip level given: wanted, or the finest in memory where that is coarser.
     MipGiven = 10,
@@ -96,6 +99,14 @@ pub struct Sources<'a> {
     /// What the overlay shows of each object, in [0, 1], by object id; of [`Overlay::MipGiven`] the finest level in
     /// memory, by texture.
     pub values: &'a [f32],
+    /// [`tile_error`] of each tile that is refined; NaN or absent for others.
+    pub tile_errors: &'a [f32],
+}
+
+/// The error of a refined tile as overlays show it, in [0, 1].
+pub fn tile_error(tile: &TileSums, tone: &ToneMap) -> f32 {
+    let [rms, _] = tile.error(tone);
+    (rms * 10.0).min(1.0)
 }
 
 /// The picture with an overlay; `rgb8` is the picture without.
@@ -116,6 +127,7 @@ fn overlay_color(overlay: Overlay, sources: &Sources<'_>, x: usize, y: usize, gr
     let tinted = |color: Vec3| grey.lerp(color, 0.7);
     match overlay {
         Overlay::None => None,
+        Overlay::Error if let Some(error) = tile_error_at(sources, x, y) => Some(tinted(heat(error))),
         Overlay::Saliency | Overlay::Importance | Overlay::Priority | Overlay::Error if object == 0 => None,
         Overlay::Saliency | Overlay::Importance | Overlay::Priority | Overlay::Error => {
             sources.values.get(object as usize).map(|a| tinted(heat(*a)))
@@ -144,6 +156,12 @@ fn overlay_color(overlay: Overlay, sources: &Sources<'_>, x: usize, y: usize, gr
             Some(tinted(heat(1.0 - word.level().max(finest) / 8.0)))
         }
     }
+}
+
+fn tile_error_at(sources: &Sources<'_>, x: usize, y: usize) -> Option<f32> {
+    let columns = sources.buffers.width().div_ceil(TILE as usize);
+    let tile = y / TILE as usize * columns + x / TILE as usize;
+    sources.tile_errors.get(tile).copied().filter(|error| !error.is_nan())
 }
 
 #[cfg(test)]

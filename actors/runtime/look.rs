@@ -62,7 +62,12 @@ impl Runtime {
     /// Counters of each actor, by identity; those of ports stay zero.
     pub fn counters(&self) -> Vec<ActorCounters> {
         let nodes = self.nodes.iter().zip(self.actors());
-        nodes.map(|(node, info)| node.link().counters.read(&info.name)).collect()
+        nodes
+            .map(|(node, info)| ActorCounters {
+                depth: node.depth() as u64,
+                ..node.link().counters.read(&info.name)
+            })
+            .collect()
     }
 
     /// Deliveries to all actors.

@@ -43,6 +43,8 @@ pub(crate) trait Runnable: Send + Sync {
     fn is_empty(&self) -> bool;
     /// Control messages that wait.
     fn urgent(&self) -> usize;
+    /// Data messages that wait.
+    fn depth(&self) -> usize;
 }
 
 /// Where an actor stands in its recording.
@@ -480,6 +482,10 @@ impl<A: Actor> Runnable for Node<A> {
         while mailbox.inbound.pop().is_some() {}
         mailbox.latest.iter().for_each(|slot| drop(slot.pop()));
         drop(self.core.take());
+    }
+
+    fn depth(&self) -> usize {
+        self.mailbox().depth()
     }
 
     fn urgent(&self) -> usize {

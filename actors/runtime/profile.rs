@@ -39,6 +39,8 @@ pub struct ActorCounters {
     pub turns: u64,
     /// Time spent in turns, in nanoseconds.
     pub busy_ns: u64,
+    /// Data messages that wait now; always 0 for ports.
+    pub depth: u64,
     /// Most messages that ever waited when a turn began.
     pub depth_max: u64,
     /// Messages the mailbox gave back.
@@ -128,6 +130,7 @@ impl Counters {
             delivered: load(&self.delivered),
             turns: load(&self.turns),
             busy_ns: load(&self.busy_ns),
+            depth: 0,
             depth_max: load(&self.depth_max),
             rejected: load(&self.rejected),
             replaced: load(&self.replaced),

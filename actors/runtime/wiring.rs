@@ -233,6 +233,10 @@ impl Runnable for PortNode {
         true
     }
 
+    fn depth(&self) -> usize {
+        0
+    }
+
     fn urgent(&self) -> usize {
         0
     }

@@ -14,8 +14,8 @@ use super::walk::Walk;
 pub struct Interface<'a> {
     /// The walk, once its scene is loaded.
     pub walk: Option<&'a Walk>,
-    /// Its picture.
-    pub picture: Option<&'a TextureHandle>,
+    /// Its picture, columns and rows.
+    pub picture: Option<(egui::TextureId, egui::Vec2)>,
     /// A scene is being loaded: its name.
     pub loading: Option<&'a str>,
     /// Who presents: an adapter or the processor.
@@ -59,10 +59,10 @@ pub fn interface(ui: &mut Ui, shown: &Interface<'_>, help: &mut bool) -> Answer 
     }
     let space = ui.available_rect_before_wrap();
     ui.painter().rect_filled(space, 0.0, Color32::BLACK);
-    if let Some(texture) = shown.picture {
-        answer.picture_rect = fit(texture.size_vec2(), space);
+    if let Some((texture, size)) = shown.picture {
+        answer.picture_rect = fit(size, space);
         let uv = Rect::from_min_max(egui::Pos2::ZERO, egui::pos2(1.0, 1.0));
-        ui.painter().image(texture.id(), answer.picture_rect, uv, Color32::WHITE);
+        ui.painter().image(texture, answer.picture_rect, uv, Color32::WHITE);
     }
     if let Some(name) = shown.loading {
         let font = egui::FontId::proportional(20.0);
@@ -93,7 +93,8 @@ pub fn paint(walk: &Walk, size: [usize; 2]) -> Map2d<[u8; 3]> {
     let context = Context::default();
     let mut painter = SoftwarePainter::default();
     let picture = walk.picture().map(|picture| texture(&context, None, picture));
-    let shown = Interface { walk: Some(walk), picture: picture.as_ref(), loading: None, presenter: "" };
+    let picture = picture.as_ref().map(|p| (p.id(), p.size_vec2()));
+    let shown = Interface { walk: Some(walk), picture, loading: None, presenter: "" };
     let area = Rect::from_min_size(egui::Pos2::ZERO, egui::vec2(size[0] as f32, size[1] as f32));
     let mut pixels = vec![0; size[0] * size[1]];
     // The second time everything knows its size.

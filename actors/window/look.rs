@@ -4,13 +4,17 @@ use std::time::Duration;
 
 use foveal::display::tone::{Encoder, ToneMap};
 use foveal::image::Map2d;
+use foveal::splatting::Footprint;
 use foveal::world::World;
 use foveal_runtime::Runtime;
 
 use super::source::{ActorStatus, Controls};
 use crate::insight::{Insight, ObjectInsight};
-use crate::renderer::Renderer;
-use crate::renderer::overlay::{Overlay, Sources, paint};
+use crate::message::View;
+use crate::renderer::gpu::Mirror;
+use crate::renderer::gpu::mirror::Shown;
+use crate::renderer::overlay::{Overlay, Sources, paint, tile_error};
+use crate::renderer::{Renderer, Splats};
 
 /// Just noticeable differences that the overlay of errors shows white.
 const ERROR_MAX: f32 = 10.0;
@@ -38,8 +42,38 @@ pub fn picture(
     let values = values(controls.overlay, renderer, insight);
     let buffers = &renderer.drawn()?.buffers;
     let k_max = renderer.k_max();
-    let sources = Sources { buffers, splats: renderer.layer(), k_max, values: &values };
+    let tile_errors = tile_errors(renderer, &controls.set.tone);
+    let sources =
+        Sources { buffers, splats: renderer.layer(), k_max, values: &values, tile_errors: &tile_errors };
     Some(paint(controls.overlay, &sources, &rgb8))
+}
+
+/// Lets `mirror` show the same, by itself. Whether it could.
+pub fn draw_on(
+    renderer: &Renderer,
+    controls: &Controls,
+    insight: Option<&Insight>,
+    (view, splats): (View, &[Splats]),
+    footprint: Footprint,
+    mirror: &mut Mirror,
+) -> bool {
+    let (tone, overlay) = (controls.set.tone, controls.overlay);
+    let values = &values(overlay, renderer, insight);
+    let shown = Shown { renderer, splats: (view, splats), footprint, tone, overlay, values };
+    mirror.show(&shown).is_some()
+}
+
+/// What is left of the error in each tile of a refined view, as overlays show it; NaN in the others.
+fn tile_errors(renderer: &Renderer, tone: &ToneMap) -> Vec<f32> {
+    let mut errors = Vec::new();
+    for tile in renderer.tiles() {
+        let index = tile.tile as usize;
+        if errors.len() <= index {
+            errors.resize(index + 1, f32::NAN);
+        }
+        errors[index] = tile_error(tile, tone);
+    }
+    errors
 }
 
 /// What an overlay shows of each object or texture: [`Sources::values`].
@@ -71,6 +105,7 @@ pub fn actors(runtime: &Runtime) -> Vec<ActorStatus> {
     let status = |c: foveal_runtime::ActorCounters| ActorStatus {
         name: c.name,
         delivered: c.delivered,
+        waiting: c.depth,
         waiting_max: c.depth_max,
         busy: Duration::from_nanos(c.busy_ns),
     };

@@ -4,7 +4,8 @@
 //! window's thread between looks at the input. Everything that reaches the actors goes through
 //! [`source::FrameSource`] and is a recorded message there.
 //!
-//! With a graphics adapter the window is painted by it, without one by the processor; both show the same.
+//! With a graphics adapter the window is painted by it, without one by the processor; both show the same. Hardware also
+//! draws the picture in it (`renderer::gpu::Mirror`).
 
 pub mod app;
 pub mod decisions;
@@ -22,6 +23,6 @@ pub mod timeline;
 pub mod walk;
 
 pub use app::{Options, WindowError, run};
-pub use presenter::Backend;
+pub use presenter::{Backend, DrawnBy};
 pub use session::{Made, Recording, Session, parts_of};
 pub use source::{Build, Controls, FrameSource, Loader, Place, Ranges, Status};

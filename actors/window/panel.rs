@@ -244,14 +244,14 @@ fn graph(ui: &mut Ui, times: &FrameTimes, fps: f32) {
 
 fn actors(ui: &mut Ui, actors: &[ActorStatus]) {
     egui::Grid::new("actors").striped(true).num_columns(4).show(ui, |ui| {
-        for heading in ["actor", "delivered", "queue", "busy, s"] {
+        for heading in ["actor", "delivered", "queue / most", "busy, s"] {
             ui.weak(heading);
         }
         ui.end_row();
         for actor in actors {
             ui.label(&actor.name);
             ui.label(actor.delivered.to_string());
-            ui.label(actor.waiting_max.to_string());
+            ui.label(format!("{} / {}", actor.waiting, actor.waiting_max));
             ui.label(format!("{:.2}", actor.busy.as_secs_f32()));
             ui.end_row();
         }

@@ -10,7 +10,7 @@ use winit::event_loop::OwnedDisplayHandle;
 use winit::window::Window;
 
 use super::painter::SoftwarePainter;
-use crate::renderer::gpu::{AdapterInfo, Gpu, adapter};
+use crate::renderer::gpu::{AdapterInfo, Gpu, Mirror, adapter};
 
 /// What to present with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -22,6 +22,18 @@ pub enum Backend {
     Gpu,
     /// The processor.
     Cpu,
+}
+
+/// Who draws the picture: base layer, splats, tone map. Actors decide by the processor's in any case.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DrawnBy {
+    /// The adapter that presents, if it is hardware; else the processor.
+    #[default]
+    Auto,
+    /// The adapter that presents.
+    Adapter,
+    /// The processor.
+    Processor,
 }
 
 /// One painted interface.
@@ -53,21 +65,40 @@ pub enum Presenter {
     Cpu(Box<CpuPresenter>),
 }
 
+impl std::fmt::Display for Presenter {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.adapter() {
+            Some(adapter) if self.is_mirroring() => write!(f, "drawn and shown by {adapter}"),
+            Some(adapter) => write!(f, "shown by {adapter}"),
+            None => f.write_str("shown by the processor"),
+        }
+    }
+}
+
 impl Presenter {
     /// A presenter for `window`.
     ///
     /// # Errors
     /// Says what was tried and which package would help.
-    pub fn new(window: &Arc<Window>, display: OwnedDisplayHandle, backend: Backend) -> Result<Self, String> {
+    pub fn new(
+        window: &Arc<Window>,
+        display: OwnedDisplayHandle,
+        backend: Backend,
+        drawn_by: DrawnBy,
+    ) -> Result<Self, String> {
         if backend != Backend::Cpu {
-            match GpuPresenter::new(window, display.clone()) {
+            match GpuPresenter::new(window, display.clone(), drawn_by) {
                 Ok(presenter) => {
                     let info = presenter.info();
-                    if info.software {
-                        tracing::warn!("the graphics adapter is software: {info}");
-                    } else {
-                        tracing::info!("graphics adapter: {info}");
-                    }
+                    // Once, also where it has to be opened again.
+                    static NAMED: std::sync::Once = std::sync::Once::new();
+                    NAMED.call_once(|| {
+                        if info.software {
+                            tracing::warn!("the graphics adapter is software: {info}");
+                        } else {
+                            tracing::info!("graphics adapter: {info}");
+                        }
+                    });
                     return Ok(Self::Gpu(Box::new(presenter)));
                 }
                 Err(e) if backend == Backend::Gpu => return Err(e),
@@ -82,6 +113,48 @@ impl Presenter {
         match self {
             Self::Gpu(p) => Some(p.info()),
             Self::Cpu(_) => None,
+        }
+    }
+
+    /// Whether the adapter draws the picture by itself.
+    pub fn is_mirroring(&self) -> bool {
+        matches!(self, Self::Gpu(p) if p.mirror.is_wanted())
+    }
+
+    /// Compiles what draws the picture, where the adapter does and it is not compiled yet.
+    pub fn prepare(&mut self) {
+        if let Self::Gpu(p) = self {
+            p.mirror.get(&p.gpu);
+        }
+    }
+
+    /// Who draws the picture on the adapter.
+    pub fn mirror(&mut self) -> Option<&mut Mirror> {
+        match self {
+            Self::Gpu(p) => p.mirror.get(&p.gpu),
+            Self::Cpu(_) => None,
+        }
+    }
+
+    /// The adapter cannot draw this picture: the processor does from now on.
+    pub fn end_mirroring(&mut self) {
+        if let Self::Gpu(p) = self {
+            p.mirror = Mirroring::Off;
+        }
+    }
+
+    /// What the adapter drew, as a texture of the interface with its columns and rows.
+    pub fn mirrored(&mut self) -> Option<(egui::TextureId, [u32; 2])> {
+        match self {
+            Self::Gpu(p) => p.mirrored(),
+            Self::Cpu(_) => None,
+        }
+    }
+
+    /// As if the driver had failed; for tests of what follows.
+    pub fn lose(&mut self) {
+        if let Self::Gpu(p) = self {
+            p.gpu.device.destroy();
         }
     }
 
@@ -110,6 +183,30 @@ impl Presenter {
     }
 }
 
+/// Whether the adapter draws the picture by itself.
+enum Mirroring {
+    Off,
+    /// Not compiled yet, since a window is to be seen first.
+    Wanted,
+    On(Box<Mirror>),
+}
+
+impl Mirroring {
+    fn is_wanted(&self) -> bool {
+        !matches!(self, Self::Off)
+    }
+
+    fn get(&mut self, gpu: &Gpu) -> Option<&mut Mirror> {
+        if let Self::Wanted = self {
+            *self = Self::On(Box::new(Mirror::new(gpu.clone())));
+        }
+        match self {
+            Self::On(mirror) => Some(mirror),
+            _ => None,
+        }
+    }
+}
+
 /// Presents with a graphics adapter.
 pub struct GpuPresenter {
     instance: wgpu::Instance,
@@ -118,10 +215,13 @@ pub struct GpuPresenter {
     gpu: Gpu,
     configuration: wgpu::SurfaceConfiguration,
     renderer: Renderer,
+    mirror: Mirroring,
+    /// The mirror's picture as the interface knows it.
+    registered: Option<(wgpu::Texture, egui::TextureId)>,
 }
 
 impl GpuPresenter {
-    fn new(window: &Arc<Window>, display: OwnedDisplayHandle) -> Result<Self, String> {
+    fn new(window: &Arc<Window>, display: OwnedDisplayHandle, drawn_by: DrawnBy) -> Result<Self, String> {
         let instance = adapter::instance(Some(Box::new(display)));
         let surface = instance.create_surface(window.clone()).map_err(|e| {
             format!("no graphics interface can show a window ({e}); install a Vulkan driver (Debian: `mesa-vulkan-drivers libvulkan1`)")
@@ -142,7 +242,43 @@ impl GpuPresenter {
         configuration.desired_maximum_frame_latency = 1;
         surface.configure(&gpu.device, &configuration);
         let renderer = Renderer::new(&gpu.device, configuration.format, RendererOptions::default());
-        Ok(Self { instance, window: window.clone(), surface, gpu, configuration, renderer })
+        let mirror = match drawn_by {
+            DrawnBy::Adapter => Mirroring::Wanted,
+            DrawnBy::Auto if !gpu.info.software => Mirroring::Wanted,
+            DrawnBy::Auto | DrawnBy::Processor => Mirroring::Off,
+        };
+        let window = window.clone();
+        Ok(Self { instance, window, surface, gpu, configuration, renderer, mirror, registered: None })
+    }
+
+    fn mirrored(&mut self) -> Option<(egui::TextureId, [u32; 2])> {
+        let Mirroring::On(mirror) = &self.mirror else { return None };
+        let picture = mirror.picture()?;
+        let size = [picture.width(), picture.height()];
+        if let Some((texture, id)) = &self.registered
+            && texture == picture
+        {
+            return Some((*id, size));
+        }
+        let view = picture.create_view(&Default::default());
+        // As pictures of the processor are: `interface::texture`.
+        let sampler = wgpu::SamplerDescriptor {
+            label: Some("picture"),
+            min_filter: wgpu::FilterMode::Linear,
+            mag_filter: wgpu::FilterMode::Nearest,
+            ..Default::default()
+        };
+        let (device, renderer) = (&self.gpu.device, &mut self.renderer);
+        let id = match self.registered.take() {
+            Some((_, id)) => {
+                renderer
+                    .update_egui_texture_from_wgpu_texture_with_sampler_options(device, &view, sampler, id);
+                id
+            }
+            None => renderer.register_native_texture_with_sampler_options(device, &view, sampler),
+        };
+        self.registered = Some((picture.clone(), id));
+        Some((id, size))
     }
 
     fn info(&self) -> &AdapterInfo {

@@ -1,25 +1,26 @@
 //! The session of actors that a window shows.
 
-use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use crossbeam_queue::ArrayQueue;
+use crossbeam_queue::{ArrayQueue, SegQueue};
 use foveal::allocation::residency::smallest;
 use foveal::display::tone::{Encoder, ToneMap};
 use foveal::display::twin::Passes;
 use foveal::image::Map2d;
 use foveal::scene::{Camera, Scene};
 use foveal::world::World;
-use foveal_runtime::{BuildError, Config, Control, Hashing, Limit, Runtime};
+use foveal_runtime::{BuildError, Config, Control, Hashing, Limit, Record, Runtime};
 
 use super::look;
 use super::source::{Controls, FrameSource, Names, Place, Ranges, Status};
 use crate::illuminator::Refinement;
 use crate::insight::{Insight, InsightSlot};
-use crate::message::{FrameIndex, FrameSnapshot, RendererInput};
+use crate::message::{FrameIndex, FrameSnapshot, RendererInput, View};
+use crate::renderer::gpu::Mirror;
 use crate::renderer::overlay::Overlay;
-use crate::renderer::{FrameCounts, FrameSink, Renderer};
+use crate::renderer::{FrameCounts, FrameSink, Renderer, Splats};
 use crate::settings::{Adjustment, Settings};
 use crate::stages::StageTimes;
 use crate::textures::TextureStore;
@@ -31,10 +32,9 @@ const SHUTDOWN: Duration = Duration::from_secs(2);
 const SHOWING: Duration = Duration::from_secs(10);
 
 /// Where the actors are recorded, and the application's part of the header.
-#[derive(Clone, Debug)]
 pub struct Recording {
-    /// The file.
-    pub file: PathBuf,
+    /// The file, or whatever takes its bytes.
+    pub into: Record,
     /// The application's part of the header.
     pub header: Vec<u8>,
     /// How densely hashes are recorded.
@@ -47,12 +47,24 @@ pub fn parts_of(scene: &Scene) -> (bool, Passes) {
     (true, Passes { texture_ids: !scene.textures.is_empty() })
 }
 
-/// Keeps the newest frame's counts for the window.
-struct Newest(Arc<ArrayQueue<FrameCounts>>);
+/// Keeps the newest frame's counts for the window; and for a display that draws by itself, what was splatted.
+#[derive(Clone)]
+struct Newest {
+    counts: Arc<ArrayQueue<FrameCounts>>,
+    splats: Arc<SegQueue<(View, Splats)>>,
+    /// Whether there is such a display.
+    mirrored: Arc<AtomicBool>,
+}
 
 impl FrameSink for Newest {
     fn frame_shown(&mut self, _snapshot: &Arc<FrameSnapshot>, counts: FrameCounts, _renderer: &Renderer) {
-        self.0.force_push(counts);
+        self.counts.force_push(counts);
+    }
+
+    fn splatted(&mut self, view: View, splats: Splats) {
+        if self.mirrored.load(Ordering::Relaxed) {
+            self.splats.push((view, splats));
+        }
     }
 }
 
@@ -83,7 +95,9 @@ pub struct Session {
     /// `None` only while it is dropped.
     runtime: Option<Runtime>,
     actors: Actors,
-    newest: Arc<ArrayQueue<FrameCounts>>,
+    newest: Newest,
+    /// What was splatted in a view so far, for a display that may have to begin anew.
+    splats: (View, Vec<Splats>),
     counts: FrameCounts,
     frame: u32,
     /// View of the last picture, and how far that has come.
@@ -122,7 +136,12 @@ impl Session {
         let ranges = Ranges { workers: settings.tracers, textures: store.map(|store| range(store)) };
         // One more than tracers, so that the light actors keep one; and one for the illuminator.
         let threads = settings.tracers as usize + 1 + usize::from(refinement.is_some());
-        let (newest, slot) = (Arc::new(ArrayQueue::new(1)), InsightSlot::default());
+        let newest = Newest {
+            counts: Arc::new(ArrayQueue::new(1)),
+            splats: Arc::new(SegQueue::new()),
+            mirrored: Arc::new(AtomicBool::new(false)),
+        };
+        let slot = InsightSlot::default();
         let parts = || Parts {
             settings,
             world: world.clone(),
@@ -132,12 +151,12 @@ impl Session {
             refinement: refinement.clone(),
             insight: Some(slot.clone()),
             stages: StageTimes::default(),
-            sink: Box::new(Newest(newest.clone())),
+            sink: Box::new(newest.clone()),
         };
         let mut config = Config::live(threads);
         if let Some(recording) = recording {
             (config.application, config.hashing) = (recording.header, recording.hashing);
-            config = config.record(recording.file);
+            config.record = Some(recording.into);
         }
         let built = match Runtime::build(config, |w| wire(w, parts())) {
             Err(BuildError::Record(e)) => {
@@ -160,6 +179,7 @@ impl Session {
             runtime: Some(runtime),
             actors,
             newest,
+            splats: (View(0), Vec::new()),
             counts: FrameCounts::default(),
             frame: 0,
             shown: (0, "growing"),
@@ -188,15 +208,26 @@ impl Session {
         }
     }
 
-    /// Everybody but the renderer stops where it is.
+    /// Somebody stops where it is.
     #[cfg(test)]
-    fn stall(&mut self) {
+    fn stall(&self, who: tests::Stalled) {
+        use tests::Stalled;
         let (Some(runtime), actors) = (&self.runtime, &self.actors) else { return };
-        actors.tracers.iter().for_each(|tracer| runtime.control(*tracer, Control::Pause));
-        if let Some(others) = &actors.correction {
+        let (all, others) = (who == Stalled::All, &actors.correction);
+        for tracer in actors.tracers.iter().filter(|_| all || who == Stalled::Tracers) {
+            runtime.control(*tracer, Control::Pause);
+        }
+        if let Some(others) = others.as_ref().filter(|_| all || who == Stalled::CacheAger) {
             runtime.control(others.cache_ager, Control::Pause);
+        }
+        if let Some(others) = others.as_ref().filter(|_| all || who == Stalled::Analyzer) {
             runtime.control(others.analyzer, Control::Pause);
+        }
+        if let Some(others) = others.as_ref().filter(|_| all || who == Stalled::Allocator) {
             runtime.control(others.allocator, Control::Pause);
+        }
+        if let Some(illuminator) = actors.illuminator.filter(|_| all || who == Stalled::Illuminator) {
+            runtime.control(illuminator, Control::Pause);
         }
     }
 
@@ -281,12 +312,12 @@ impl FrameSource for Session {
     }
 
     fn end_frame(&mut self) {
-        let _ = self.newest.pop();
+        let _ = self.newest.counts.pop();
         self.send(RendererInput::DeadlineReached { frame: FrameIndex(self.frame) });
         self.frame = self.frame.wrapping_add(1);
-        let newest = self.newest.clone();
+        let newest = self.newest.counts.clone();
         self.pump(SHOWING, |_| !newest.is_empty());
-        if let Some(counts) = self.newest.pop() {
+        if let Some(counts) = self.newest.counts.pop() {
             self.counts = counts;
         }
         // What came since is not on the picture.
@@ -304,6 +335,23 @@ impl FrameSource for Session {
         self.listen();
         let (controls, insight) = (self.controls, self.insight.as_ref());
         self.look(|renderer| look::picture(renderer, &self.world, &controls, insight, &self.encoder, false))?
+    }
+
+    fn set_mirrored(&mut self, mirrored: bool) {
+        self.newest.mirrored.store(mirrored, Ordering::Relaxed);
+    }
+
+    fn draw_on(&mut self, mirror: &mut Mirror) -> bool {
+        self.listen();
+        while let Some((view, splats)) = self.newest.splats.pop() {
+            if view != self.splats.0 {
+                self.splats = (view, Vec::new());
+            }
+            self.splats.1.push(splats);
+        }
+        let (controls, insight, footprint) = (self.controls, self.insight.as_ref(), self.settings.footprint);
+        let splats = (self.splats.0, &*self.splats.1);
+        self.look(|r| look::draw_on(r, &controls, insight, splats, footprint, mirror)).unwrap_or(false)
     }
 
     fn is_done(&self) -> bool {
@@ -356,11 +404,12 @@ impl FrameSource for Session {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::renderer::gpu::test_scene;
+    use crate::renderer::gpu::{Gpu, readback, test_scene};
     use crate::window::navigation::Motion;
     use crate::window::walk::{Next, Walk};
     use foveal::allocation::policy::Policy;
     use foveal::illumination::Uniform;
+    use foveal::illumination::bake::BakeSettings;
     use foveal::splatting::AgeingRules;
     use foveal::splatting::supersampling::Supersampling;
     use glam::Vec3;
@@ -370,9 +419,9 @@ mod tests {
         walk_of(Settings::new(64, 48, 2), |_| ())
     }
 
-    fn walk_of(settings: Settings, before: fn(&mut Session)) -> Walk {
+    fn made(settings: Settings) -> Made {
         let world = World::new(Arc::new(test_scene::room(4)), Arc::new(Uniform(Vec3::ONE)));
-        let mut session = Session::start(Made {
+        Made {
             world,
             textures: None,
             refinement: None,
@@ -380,8 +429,11 @@ mod tests {
             fps: 30.0,
             facts: Vec::new(),
             recording: None,
-        })
-        .expect("actors");
+        }
+    }
+
+    fn walk_of(settings: Settings, before: fn(&mut Session)) -> Walk {
+        let mut session = Session::start(made(settings)).expect("actors");
         before(&mut session);
         Walk::new(Box::new(session), 0.0)
     }
@@ -478,25 +530,82 @@ mod tests {
         assert_eq!(walk.picture(), Some(&refined), "the same bits again");
     }
 
-    #[test]
-    fn input_reaches_its_frame_whoever_stalls() {
-        let mut walk = walk_of(Settings::new(64, 48, 2), Session::stall);
-        let (mut now, mut frames, mut eyes) = (0.0, 0, Vec::new());
+    /// Who stops where it is.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub(super) enum Stalled {
+        Nobody,
+        Tracers,
+        CacheAger,
+        Analyzer,
+        Allocator,
+        Illuminator,
+        All,
+    }
+
+    /// Walks to the right for ten frames, and fails unless each has the camera of the moment in which it began.
+    fn sees_input_in_each_frame(walk: &mut Walk, what: &str) {
+        let (mut now, mut frames) = (0.0, 0);
         walk.navigator.press(Motion::Right, now);
         while frames < 10 {
+            let before = walk.begun().copied();
+            let expected = walk.navigator.camera(now);
             let (shown, next) = walk.tick(now);
-            if shown {
-                frames += 1;
-                eyes.extend(walk.camera().map(|c| c.eye));
+            if walk.begun().copied() != before {
+                assert_eq!(walk.begun(), Some(&expected), "{what}: frame {frames}");
+                assert_ne!(before, Some(expected), "{what}: frame {frames} sees the camera move");
             }
+            frames += u32::from(shown);
             now = match next {
                 Next::At(t) => t,
                 _ => now + 0.01,
             };
-            assert!(now < 10.0, "{frames} frames");
+            assert!(now < 10.0, "{what}: {frames} frames");
         }
-        assert!(eyes.windows(2).all(|w| w[1].x > w[0].x), "{eyes:?}");
-        assert_eq!(walk.status().traced, 0, "nobody else did anything");
+    }
+
+    #[test]
+    fn input_reaches_its_frame_whoever_stalls() {
+        use Stalled::{All, Allocator, Analyzer, CacheAger, Illuminator, Nobody, Tracers};
+        for who in [Nobody, Tracers, CacheAger, Analyzer, Allocator, Illuminator, All] {
+            let mut made = made(Settings::new(64, 48, 2));
+            // Light that is being baked all the time.
+            let settings = BakeSettings { particles: Some(1 << 40), error: None, ..BakeSettings::default() };
+            made.refinement = Some(Refinement { world: made.world.clone(), settings, keep: None });
+            let session = Session::start(made).expect("actors");
+            session.stall(who);
+            let mut walk = Walk::new(Box::new(session), 0.0);
+            sees_input_in_each_frame(&mut walk, &format!("{who:?}"));
+            assert!(!walk.status().lit);
+            assert!(who != All || walk.status().traced == 0, "nobody else did anything");
+        }
+    }
+
+    /// What takes what was written only once it is let.
+    struct Slow(Arc<AtomicBool>);
+
+    impl std::io::Write for Slow {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            let is_recorder = std::thread::current().name() == Some("recorder");
+            while is_recorder && !self.0.load(Ordering::SeqCst) {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn input_reaches_its_frame_while_the_disk_stalls() {
+        let goes_on = Arc::new(AtomicBool::new(false));
+        let mut made = made(Settings::new(64, 48, 2));
+        made.recording =
+            Some(Recording { into: Record::Sink(Box::new(Slow(goes_on.clone()))), header: Vec::new() });
+        let mut walk = Walk::new(Box::new(Session::start(made).expect("actors")), 0.0);
+        sees_input_in_each_frame(&mut walk, "recording");
+        goes_on.store(true, Ordering::SeqCst);
     }
 
     #[test]
@@ -525,6 +634,68 @@ mod tests {
         walk.go_to(0, start.elapsed().as_secs_f64());
         settle(&mut walk, start);
         assert_eq!(walk.picture().cloned(), plain, "whatever the order of the samples");
+    }
+
+    /// Pixels of the mirror's picture that are not as the walk's, and of how many.
+    fn differing(walk: &mut Walk, mirror: &mut Mirror) -> (usize, usize) {
+        walk.set_mirrored(true);
+        assert!(walk.draw_on(mirror));
+        walk.fetch_picture();
+        let picture = walk.picture().expect("a picture");
+        let shown = readback::read(mirror.gpu(), mirror.picture().expect("drawn")).expect("an adapter");
+        let pixels = picture.data().iter().zip(shown.chunks_exact(4));
+        let is_off = |(a, b): &(&[u8; 3], &[u8])| (0..3).any(|c| a[c].abs_diff(b[c]) > 2);
+        (pixels.filter(is_off).count(), picture.data().len())
+    }
+
+    #[test]
+    fn an_adapter_shows_the_same_picture_by_itself() {
+        let Ok(gpu) = Gpu::headless() else { return };
+        let rules = Supersampling { noise: 0.05, max_samples: 4 };
+        let settings = Settings { supersampling: Some(rules), ..Settings::new(160, 120, 2) };
+        let (mut walk, start) = (walk_of(settings, |s| s.set_mirrored(true)), Instant::now());
+        walk.set_mirrored(true);
+        let mut mirror = Mirror::new(gpu.clone());
+        walk.navigator.press(Motion::Right, 0.0);
+        let mut frames = 0;
+        while frames < 12 {
+            let now = start.elapsed().as_secs_f64();
+            let (shown, next) = walk.tick(now);
+            if shown {
+                frames += 1;
+                let (off, all) = differing(&mut walk, &mut mirror);
+                // Edges of surfaces: the rasteriser rounds otherwise than rays do.
+                assert!(off * 100 < all * 2, "frame {frames}: {off} of {all} pixels differ");
+            }
+            if frames == 6 {
+                walk.navigator.release(Motion::Right, now);
+            }
+            match next {
+                Next::Input => break,
+                Next::At(t) => std::thread::sleep(Duration::from_secs_f64((t - now).clamp(0.0, 0.1))),
+                Next::Now => {}
+            }
+        }
+        settle(&mut walk, start);
+        assert!(walk.status().refined);
+        let (off, all) = differing(&mut walk, &mut mirror);
+        assert!(off * 100 < all, "refined: {off} of {all} pixels differ");
+        // Another adapter has to be told all of it again.
+        let mut mirror = Mirror::new(gpu);
+        assert_eq!(differing(&mut walk, &mut mirror).0, off);
+        for _ in 1..Overlay::ALL.len() {
+            walk.next_overlay();
+            let (off, all) = differing(&mut walk, &mut mirror);
+            assert!(off * 100 < all * 2, "{:?}: {off} of {all}", walk.controls().overlay);
+        }
+        let mut controls = *walk.controls();
+        controls.overlay = Overlay::None;
+        controls.set.refine = None;
+        controls.set.tone.exposure = 0.5;
+        walk.set_controls(controls);
+        settle(&mut walk, start);
+        let (off, all) = differing(&mut walk, &mut mirror);
+        assert!(off * 100 < all, "darker, and not refined: {off} of {all} pixels differ");
     }
 
     #[test]

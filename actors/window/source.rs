@@ -9,6 +9,7 @@ use foveal::scene::{Camera, CameraPath, NamedCamera};
 use glam::Vec3;
 
 use crate::insight::Insight;
+use crate::renderer::gpu::Mirror;
 use crate::renderer::overlay::Overlay;
 use crate::settings::Adjustment;
 
@@ -37,6 +38,8 @@ pub struct ActorStatus {
     pub name: String,
     /// Messages delivered to it.
     pub delivered: u64,
+    /// Messages that wait for it.
+    pub waiting: u64,
     /// Most messages that ever waited when it began to work.
     pub waiting_max: u64,
     /// Time it has been at work.
@@ -160,6 +163,13 @@ pub trait FrameSource {
     fn end_frame(&mut self);
     /// The picture as it was last shown, with tone map and overlay of the controls; `None` before the first.
     fn picture(&mut self) -> Option<Map2d<[u8; 3]>>;
+    /// Whether a display draws by itself, and is told of samples for that. Said before the first frame.
+    fn set_mirrored(&mut self, _mirrored: bool) {}
+    /// Lets a display that draws by itself show what the last frame shows. `false` where there are only finished
+    /// pictures, or it has no room.
+    fn draw_on(&mut self, _mirror: &mut Mirror) -> bool {
+        false
+    }
     /// Where it stands.
     fn status(&self) -> Status;
     /// Names and values that say how a picture came to be, for a screenshot's metadata.

@@ -13,6 +13,7 @@ use super::panel::{FrameTimes, Notice};
 use super::source::{Branch, Controls, FrameSource, Names, Place, Ranges, Status, TimelineShown};
 use super::timeline::Wish;
 use crate::insight::Insight;
+use crate::renderer::gpu::Mirror;
 use crate::renderer::overlay::Overlay;
 
 /// Longest stretch of work between two looks at the input.
@@ -53,6 +54,9 @@ pub struct Walk {
     /// Work or display changed, so that a frame must be drawn although nothing moves.
     stale: bool,
     picture: Option<Map2d<[u8; 3]>>,
+    /// A display draws by itself, so that frames need no picture.
+    mirrored: bool,
+    mirror_wanted: bool,
     /// How long the last frames took.
     pub times: FrameTimes,
     /// When the next frame of a recording is due, while it plays.
@@ -88,6 +92,8 @@ impl Walk {
             last_begin: f64::NEG_INFINITY,
             stale: true,
             picture: None,
+            mirrored: false,
+            mirror_wanted: false,
             times: FrameTimes::default(),
             replaying: None,
             notice: None,
@@ -97,6 +103,7 @@ impl Walk {
     /// The same walk through another version of the scene: camera, bookmarks and controls stay.
     pub fn replace_source(&mut self, mut source: Box<dyn FrameSource>) {
         source.set_controls(&self.controls);
+        source.set_mirrored(self.mirrored);
         self.place = source.place();
         self.source = source;
         self.frame = None;
@@ -122,7 +129,7 @@ impl Walk {
         self.controls = controls;
         self.source.set_controls(&controls);
         self.stale = true;
-        if self.picture.is_some() {
+        if self.picture.is_some() && !self.mirrored {
             self.picture = self.source.picture();
         }
     }
@@ -149,7 +156,39 @@ impl Walk {
         self.source.status()
     }
 
-    /// The picture on show.
+    /// Whether a display draws by itself, with [`Self::draw_on`]; else frames come as pictures.
+    pub fn set_mirrored(&mut self, wanted: bool) {
+        self.mirror_wanted = wanted;
+        // A recording may go back to a frame whose samples nobody traces again.
+        let mirrored = wanted && self.source.timeline().is_none();
+        if mirrored != self.mirrored {
+            self.mirrored = mirrored;
+            self.source.set_mirrored(mirrored);
+            self.fetch_picture();
+        }
+    }
+
+    /// Whether frames come without pictures.
+    pub fn is_mirrored(&self) -> bool {
+        self.mirrored
+    }
+
+    /// Lets a display draw what the last frame shows. `false` where it cannot.
+    pub fn draw_on(&mut self, mirror: &mut Mirror) -> bool {
+        self.source.draw_on(mirror)
+    }
+
+    /// Columns and rows of the picture.
+    pub fn size(&self) -> [u32; 2] {
+        self.source.size()
+    }
+
+    /// Makes the picture that is on show, where frames come without.
+    pub fn fetch_picture(&mut self) {
+        self.picture = self.source.picture();
+    }
+
+    /// The picture on show; of a mirrored walk the last that was fetched.
     pub fn picture(&self) -> Option<&Map2d<[u8; 3]>> {
         self.picture.as_ref()
     }
@@ -165,9 +204,14 @@ impl Walk {
     }
 
     /// Names and values that say how the picture came to be.
-    pub fn facts(&self) -> Vec<(String, String)> {
+    pub fn facts(&mut self, now: f64) -> Vec<(String, String)> {
+        let stands = self.shown == Some(self.camera_at(now));
         let mut facts = self.source.facts();
         facts.extend(self.shown.as_ref().map(super::screenshot::camera_fact));
+        if self.source.timeline().is_none() {
+            facts.push(("foveal speed".into(), self.navigator.speed().to_string()));
+            facts.push(("foveal at rest".into(), stands.to_string()));
+        }
         facts
     }
 
@@ -268,7 +312,9 @@ impl Walk {
             Wish::Why(x, y) => timeline.why(x, y),
             Wish::Branch => match timeline.branch() {
                 Ok(Branch { source, camera }) => {
+                    let wanted = self.mirror_wanted;
                     *self = Self::new(source, now);
+                    self.set_mirrored(wanted);
                     self.navigator.set_camera(&camera, now);
                     self.tell("walking on from the recording".into());
                 }
@@ -305,7 +351,8 @@ impl Walk {
         let Some(begin) = self.frame else {
             return (false, self.begin(now, period));
         };
-        let deadline = begin + period;
+        // Of a scene that was just loaded something is to be seen at once.
+        let deadline = if self.shown.is_none() { begin } else { begin + period };
         if now < deadline && !self.source.is_done() {
             self.source.work(SLICE.min(Duration::from_secs_f64(deadline - now)));
             return (false, Next::Now);
@@ -315,7 +362,9 @@ impl Walk {
         self.times.push(Duration::from_secs_f64((now - begin).max(0.0)));
         // A session that hears of its end of frame on this thread shows it while it works.
         self.source.work(Duration::ZERO);
-        self.picture = self.source.picture();
+        if !self.mirrored {
+            self.picture = self.source.picture();
+        }
         self.shown = self.camera;
         (true, Next::Now)
     }
@@ -521,8 +570,10 @@ mod tests {
         assert!(played.len() > 5 && played.windows(2).all(|w| w[1] >= w[0]), "{played:?}");
         assert_eq!(walk.tick(end + 1.0).1, Next::Input, "the path has an end");
         walk.go_to(7, end + 1.0);
-        let names: Vec<String> = walk.facts().into_iter().map(|f| f.0).collect();
-        assert_eq!(names, ["scene", "foveal camera"]);
+        let facts = walk.facts(end + 1.0);
+        let names: Vec<&str> = facts.iter().map(|f| f.0.as_str()).collect();
+        assert_eq!(names, ["scene", "foveal camera", "foveal speed", "foveal at rest"]);
+        assert_eq!(facts[3].1, "false", "bookmark 8 is not on show yet");
     }
 
     #[test]

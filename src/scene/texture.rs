@@ -231,6 +231,11 @@ impl MipChain {
         self.finest
     }
 
+    /// Whether the bytes of colour channels are sRGB-encoded.
+    pub fn is_gamma_encoded(&self) -> bool {
+        self.gamma
+    }
+
     /// Bytes of all texels, in memory or not.
     pub fn bytes(&self) -> usize {
         (0..self.levels.len()).map(|level| self.level_bytes(level)).sum()

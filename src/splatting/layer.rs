@@ -37,7 +37,7 @@ pub struct SplatLayer {
 /// A fresh sample paints over old ones up to this many levels finer.
 const FRESH_BONUS: u32 = 1;
 /// Rank of a first approximation, below all samples; 0 is nothing at all.
-const APPROXIMATED: u32 = 1;
+pub const APPROXIMATED: u32 = 1;
 /// Rank of a fresh sample on its own pixel.
 const EXACT: u32 = u32::MAX;
 

@@ -21,7 +21,7 @@ use crate::renderer::overlay::Overlay;
 use crate::settings::Adjustment;
 use crate::window::source::{Branch, Names, Timeline, TimelineShown};
 use crate::window::{
-    self, Backend, Build, Controls, FrameSource, Loader, Made, Place, Ranges, Status, WindowError,
+    self, Backend, Build, Controls, DrawnBy, FrameSource, Loader, Made, Place, Ranges, Status, WindowError,
 };
 
 /// Lines of deliveries that are kept on show.
@@ -49,6 +49,8 @@ pub fn run(a: &ReplayArguments, file: PathBuf, workers: usize) -> Result<(), Fai
         name,
         size,
         backend: Backend::Auto,
+        drawn_by: DrawnBy::Auto,
+        lose_adapter: None,
         screenshots: a.screenshots.clone(),
         loader,
         probe: None,

@@ -87,8 +87,9 @@ fn choose(instance: &wgpu::Instance, surface: Option<&wgpu::Surface<'_>>) -> Res
     adapters.retain(|a| {
         surface.is_none_or(|s| a.is_surface_supported(s))
             && a.get_info().backend != wgpu::Backend::Noop
-            && a.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::FRAGMENT_WRITABLE_STORAGE)
-            && a.limits().max_color_attachments >= 5
+            && a.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS)
+            && a.limits().max_color_attachments >= 4
+            && a.limits().max_storage_buffers_per_shader_stage >= 6
     });
     adapters.sort_by_key(|a| preference(a.get_info().device_type));
     adapters.into_iter().next().ok_or_else(|| {
@@ -126,6 +127,8 @@ impl Gpu {
             let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
                 label: Some("foveal"),
                 required_limits: adapter.limits(),
+                // Textures of full floats stay as they are where they can be filtered.
+                required_features: adapter.features() & wgpu::Features::FLOAT32_FILTERABLE,
                 ..Default::default()
             }))
             .map_err(|e| format!("{} could not be opened: {e}; {REMEDY}", info.name))?;
@@ -142,6 +145,8 @@ impl Gpu {
             device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
                 tracing::error!("the graphics adapter refused an order: {error}");
                 flag.store(true, Ordering::Release);
+                #[cfg(test)]
+                std::panic::panic_any(error.to_string());
             }));
             Ok(Self { info, device, queue, adapter, lost })
         })
@@ -184,8 +189,29 @@ impl Gpu {
         buffer
     }
 
+    /// A buffer of `size` bytes, at least 16, all zero.
+    pub(super) fn empty_buffer(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: size.next_multiple_of(4).max(16),
+            usage: usage | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        })
+    }
+
     /// A texture to draw into, to read from in later passes and to copy from.
     pub(super) fn target(&self, label: &str, size: [u32; 2], format: wgpu::TextureFormat) -> wgpu::Texture {
+        self.target_with(label, size, format, wgpu::TextureUsages::empty())
+    }
+
+    /// The same for further uses.
+    pub(super) fn target_with(
+        &self,
+        label: &str,
+        size: [u32; 2],
+        format: wgpu::TextureFormat,
+        usage: wgpu::TextureUsages,
+    ) -> wgpu::Texture {
         self.device.create_texture(&wgpu::TextureDescriptor {
             label: Some(label),
             size: wgpu::Extent3d { width: size[0].max(1), height: size[1].max(1), depth_or_array_layers: 1 },
@@ -195,7 +221,8 @@ impl Gpu {
             format,
             usage: wgpu::TextureUsages::RENDER_ATTACHMENT
                 | wgpu::TextureUsages::TEXTURE_BINDING
-                | wgpu::TextureUsages::COPY_SRC,
+                | wgpu::TextureUsages::COPY_SRC
+                | usage,
             view_formats: &[],
         })
     }

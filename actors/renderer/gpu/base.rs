@@ -9,7 +9,7 @@ use foveal::scene::{Environment, Scene};
 use glam::{Vec3, Vec4};
 
 use super::adapter::Gpu;
-use super::geometry::{BaseGeometry, BaseLight, Run};
+use super::geometry::{self, BaseGeometry, BaseLight, Run};
 use super::textures::{self, Textures};
 
 /// Linear radiance of both layers.
@@ -18,6 +18,8 @@ pub const COLOR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 pub const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
 /// Object ids, texture levels and triangles.
 pub const WORD: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
+/// What is known of a pixel: colour, depth, object, texture level.
+const SHADED: [wgpu::TextureFormat; 4] = [COLOR, DEPTH, WORD, WORD];
 /// What the rasteriser compares: near / depth.
 const INVERSE_DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 
@@ -34,8 +36,8 @@ pub struct BaseTargets {
     pub object: wgpu::Texture,
     /// Texture and mip level wanted, as `foveal::display::TextureLevel`.
     pub texture: wgpu::Texture,
-    /// Triangle seen, `u32::MAX` on a miss.
-    pub triangle: wgpu::Texture,
+    /// Triangle seen, counted in draw order; `u32::MAX` on a miss.
+    pub visible: wgpu::Texture,
     inverse_depth: wgpu::Texture,
 }
 
@@ -49,7 +51,7 @@ impl BaseTargets {
             depth: gpu.target("depth", size, DEPTH),
             object: gpu.target("object", size, WORD),
             texture: gpu.target("texture level", size, WORD),
-            triangle: gpu.target("triangle", size, WORD),
+            visible: gpu.target("visible triangles", size, WORD),
             inverse_depth: gpu.target("inverse depth", size, INVERSE_DEPTH),
         }
     }
@@ -76,6 +78,7 @@ struct ViewRecord {
 pub struct BaseScene {
     scene: Arc<Scene>,
     geometry: BaseGeometry,
+    textures: Textures,
     lightmap: [u32; 2],
     back_is_lit: bool,
     has_map: bool,
@@ -83,23 +86,60 @@ pub struct BaseScene {
     layout: Vec<foveal::illumination::atlas::Corners>,
     view: wgpu::Buffer,
     positions: wgpu::Buffer,
-    records: wgpu::Buffer,
-    materials: wgpu::Buffer,
-    front: wgpu::Buffer,
-    back: wgpu::Buffer,
+    triangles: Rows,
+    materials: Rows,
+    light: Rows,
+    /// What light on the adapter is divided by, since halves end at 65504.
+    light_unit: f32,
+    /// Elements of one side.
+    elements: u32,
     environment: wgpu::TextureView,
     bind_group: wgpu::BindGroup,
     runs: Vec<wgpu::BindGroup>,
+    /// First triangle of each run and the one after its last.
+    ranges: wgpu::Buffer,
+}
+
+impl BaseScene {
+    /// The scene, with the levels of textures that are held.
+    pub fn scene(&self) -> &Arc<Scene> {
+        &self.scene
+    }
+
+    /// The triangle of the scene that a number in [`BaseTargets::visible`] stands for.
+    pub fn triangle(&self, visible: u32) -> Option<u32> {
+        self.geometry.triangles.get(visible as usize).map(|t| t.triangle)
+    }
+
+    /// Bytes that textures take on the adapter.
+    pub fn texture_bytes(&self) -> u64 {
+        self.textures.bytes()
+    }
 }
 
 /// The pipelines of the pass.
 #[derive(Debug)]
 pub struct BasePass {
-    surfaces: wgpu::RenderPipeline,
-    masked_surfaces: wgpu::RenderPipeline,
+    /// Which triangle is seen; where none of its pixels can be left out, and where some may be.
+    visible: [wgpu::RenderPipeline; 2],
+    /// What it looks like; without textures, and with some.
+    shade: [wgpu::RenderPipeline; 2],
     background: wgpu::RenderPipeline,
     scene_layout: wgpu::BindGroupLayout,
     textures_layout: wgpu::BindGroupLayout,
+    visible_layout: wgpu::BindGroupLayout,
+}
+
+/// How one of the pipelines differs from the others.
+struct Stages<'a> {
+    vertex: &'a str,
+    fragment: &'a str,
+    buffers: &'a [Option<wgpu::VertexBufferLayout<'a>>],
+    targets: &'a [wgpu::TextureFormat],
+    /// The first of them, which it writes.
+    written: usize,
+    depth: Option<wgpu::DepthStencilState>,
+    textured: bool,
 }
 
 impl BasePass {
@@ -109,54 +149,40 @@ impl BasePass {
         let module = device.create_shader_module(wgpu::include_wgsl!("base.wgsl"));
         let scene_layout = scene_layout(device);
         let textures_layout = Textures::layout(gpu);
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some("base"),
-            bind_group_layouts: &[Some(&scene_layout), Some(&textures_layout)],
-            ..Default::default()
-        });
-        let formats = [COLOR, DEPTH, WORD, WORD, WORD];
-        let pipeline = |vertex, fragment, buffers: &[_], is_surface: bool, is_masked: bool| {
-            let targets: Vec<_> = formats
-                .iter()
-                .enumerate()
-                .map(|(i, format)| {
-                    let write_mask = if is_surface || i == 0 {
-                        wgpu::ColorWrites::ALL
-                    } else {
-                        wgpu::ColorWrites::empty()
-                    };
-                    Some(wgpu::ColorTargetState { format: *format, blend: None, write_mask })
-                })
-                .collect();
+        let visible_layout = visible_layout(device);
+        let layout_of = |groups: &[Option<&wgpu::BindGroupLayout>]| {
+            device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+                label: Some("base"),
+                bind_group_layouts: groups,
+                ..Default::default()
+            })
+        };
+        let first = layout_of(&[Some(&scene_layout), Some(&textures_layout)]);
+        let second = layout_of(&[Some(&scene_layout), Some(&textures_layout), Some(&visible_layout)]);
+        let pipeline = |layout: &wgpu::PipelineLayout, stages: Stages<'_>| {
+            let target = |(i, format): (usize, &_)| {
+                let is_written = i < stages.written;
+                let write_mask = if is_written { wgpu::ColorWrites::ALL } else { wgpu::ColorWrites::empty() };
+                Some(wgpu::ColorTargetState { format: *format, blend: None, write_mask })
+            };
+            let targets: Vec<_> = stages.targets.iter().enumerate().map(target).collect();
             device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-                label: Some(vertex),
-                layout: Some(&layout),
+                label: Some(stages.fragment),
+                layout: Some(layout),
                 vertex: wgpu::VertexState {
                     module: &module,
-                    entry_point: Some(vertex),
+                    entry_point: Some(stages.vertex),
                     compilation_options: Default::default(),
-                    buffers,
+                    buffers: stages.buffers,
                 },
                 primitive: wgpu::PrimitiveState::default(),
-                depth_stencil: Some(wgpu::DepthStencilState {
-                    format: INVERSE_DEPTH,
-                    depth_write_enabled: Some(is_surface),
-                    // Of two surfaces in one place the first drawn stays; the background goes where
-                    // nothing is.
-                    depth_compare: Some(if is_surface {
-                        wgpu::CompareFunction::Greater
-                    } else {
-                        wgpu::CompareFunction::GreaterEqual
-                    }),
-                    stencil: Default::default(),
-                    bias: Default::default(),
-                }),
+                depth_stencil: stages.depth,
                 multisample: Default::default(),
                 fragment: Some(wgpu::FragmentState {
                     module: &module,
-                    entry_point: Some(fragment),
+                    entry_point: Some(stages.fragment),
                     compilation_options: wgpu::PipelineCompilationOptions {
-                        constants: &[("MASKED", f64::from(u8::from(is_masked)))],
+                        constants: &[("TEXTURED", f64::from(u8::from(stages.textured)))],
                         ..Default::default()
                     },
                     targets: &targets,
@@ -165,17 +191,58 @@ impl BasePass {
                 cache: None,
             })
         };
-        let corner = wgpu::VertexBufferLayout {
+        let corner = Some(wgpu::VertexBufferLayout {
             array_stride: 12,
             step_mode: wgpu::VertexStepMode::Vertex,
             attributes: &wgpu::vertex_attr_array![0 => Float32x3],
+        });
+        let range = Some(wgpu::VertexBufferLayout {
+            array_stride: 8,
+            step_mode: wgpu::VertexStepMode::Instance,
+            attributes: &wgpu::vertex_attr_array![0 => Uint32x2],
+        });
+        // Of two surfaces in one place the first drawn stays.
+        let depth = Some(wgpu::DepthStencilState {
+            format: INVERSE_DEPTH,
+            depth_write_enabled: Some(true),
+            depth_compare: Some(wgpu::CompareFunction::Greater),
+            stencil: Default::default(),
+            bias: Default::default(),
+        });
+        let visible = |fragment| Stages {
+            vertex: "vertex",
+            fragment,
+            buffers: std::slice::from_ref(&corner),
+            targets: &[WORD],
+            written: 1,
+            depth: depth.clone(),
+            textured: true,
+        };
+        let shade = |textured| Stages {
+            vertex: "run_vertex",
+            fragment: "shade",
+            buffers: std::slice::from_ref(&range),
+            targets: &SHADED,
+            written: SHADED.len(),
+            depth: None,
+            textured,
+        };
+        let background = Stages {
+            vertex: "background_vertex",
+            fragment: "background",
+            buffers: &[],
+            targets: &SHADED,
+            written: 1,
+            depth: None,
+            textured: true,
         };
         Self {
-            surfaces: pipeline("vertex", "fragment", &[Some(corner.clone())], true, false),
-            masked_surfaces: pipeline("vertex", "fragment", &[Some(corner)], true, true),
-            background: pipeline("background_vertex", "background_fragment", &[], false, false),
+            visible: ["visible", "visible_through_mask"].map(|f| pipeline(&first, visible(f))),
+            shade: [false, true].map(|textured| pipeline(&second, shade(textured))),
+            background: pipeline(&second, background),
             scene_layout,
             textures_layout,
+            visible_layout,
         }
     }
 
@@ -184,82 +251,93 @@ impl BasePass {
         let light = BaseLight::new(&scene.mesh, illumination);
         let geometry = BaseGeometry::new(&scene, &light);
         let textures = Textures::new(gpu, &scene.textures);
+        let materials = geometry::materials(&scene, &textures.firsts());
         let environment = textures::environment(gpu, scene.environment.as_ref().and_then(|e| e.map.as_ref()));
-        let storage = wgpu::BufferUsages::STORAGE;
         let view = gpu.buffer("view", bytemuck::bytes_of(&ViewRecord::zeroed()), wgpu::BufferUsages::UNIFORM);
-        let records = gpu.buffer("triangles", bytemuck::cast_slice(&geometry.triangles), storage);
-        let materials = gpu.buffer("materials", bytemuck::cast_slice(&geometry.materials), storage);
-        let front = gpu.buffer("front light", bytemuck::cast_slice(&light.front), storage);
-        let back = gpu.buffer("back light", bytemuck::cast_slice(&light.back), storage);
-        let bind_group = self.bind_scene(gpu, [&view, &records, &materials, &front, &back], &environment);
+        let triangles = Rows::new(gpu, "triangles", RECORDS, bytemuck::cast_slice(&geometry.triangles));
+        let materials = Rows::new(gpu, "materials", RECORDS, bytemuck::cast_slice(&materials));
+        let (texels, light_unit) = light_texels(&light);
+        let light_rows = Rows::new(gpu, "light", COLOR, bytemuck::cast_slice(&texels));
+        let positions: Vec<[[f32; 3]; 3]> = geometry.triangles.iter().map(|t| [t.a, t.b, t.c]).collect();
+        let ranges: Vec<[u32; 2]> = geometry.runs.iter().map(|run| [run.first, run.end]).collect();
+        let vertex = wgpu::BufferUsages::VERTEX;
+        let bind_group = self.bind_scene(gpu, &view, [&triangles, &materials, &light_rows], &environment);
         BaseScene {
-            positions: gpu.buffer(
-                "positions",
-                bytemuck::cast_slice(&geometry.positions),
-                wgpu::BufferUsages::VERTEX,
-            ),
-            runs: geometry
-                .runs
-                .iter()
-                .map(|run: &Run| textures.bind_group(gpu, &self.textures_layout, &run.textures))
-                .collect(),
+            positions: gpu.buffer("positions", bytemuck::cast_slice(&positions), vertex),
+            ranges: gpu.buffer("runs", bytemuck::cast_slice(&ranges), vertex),
+            runs: self.bind_runs(gpu, &geometry, &textures),
             lightmap: light.lightmap,
             back_is_lit: !light.back.is_empty(),
             has_map: scene.environment.as_ref().is_some_and(|e| e.map.is_some()),
+            elements: light.front.len() as u32,
             layout: light.corners,
             scene,
             geometry,
+            textures,
             view,
-            records,
+            triangles,
             materials,
-            front,
-            back,
+            light: light_rows,
+            light_unit,
             environment,
             bind_group,
+        }
+    }
+
+    fn bind_runs(&self, gpu: &Gpu, geometry: &BaseGeometry, textures: &Textures) -> Vec<wgpu::BindGroup> {
+        let bind = |run: &Run| textures.bind_group(gpu, &self.textures_layout, &run.textures);
+        geometry.runs.iter().map(bind).collect()
+    }
+
+    /// Takes the same scene with other levels of its textures in memory; the old one is let go.
+    pub fn update_textures(&self, gpu: &Gpu, base: &mut BaseScene, scene: &Arc<Scene>) {
+        base.scene = Arc::clone(scene);
+        if base.textures.update(gpu, &scene.textures) {
+            let materials = geometry::materials(scene, &base.textures.firsts());
+            base.materials.write(gpu, bytemuck::cast_slice(&materials));
+            base.runs = self.bind_runs(gpu, &base.geometry, &base.textures);
         }
     }
 
     /// Replaces the light: only its values where they are stored as before.
     pub fn update_light(&self, gpu: &Gpu, base: &mut BaseScene, illumination: &dyn Irradiance) {
         let light = BaseLight::new(&base.scene.mesh, illumination);
-        let (front, back) = (bytemuck::cast_slice(&light.front), bytemuck::cast_slice(&light.back));
-        let storage = wgpu::BufferUsages::STORAGE;
-        let fits = |buffer: &wgpu::Buffer, bytes: &[u8]| buffer.size() >= bytes.len() as u64;
+        let (texels, unit) = light_texels(&light);
+        let mut is_new = false;
         if light.corners != base.layout {
             base.geometry = BaseGeometry::new(&base.scene, &light);
-            base.records = gpu.buffer("triangles", bytemuck::cast_slice(&base.geometry.triangles), storage);
-        } else if fits(&base.front, front) && fits(&base.back, back) {
-            gpu.queue.write_buffer(&base.front, 0, front);
-            if !back.is_empty() {
-                gpu.queue.write_buffer(&base.back, 0, back);
-            }
-            base.back_is_lit = !back.is_empty();
-            return;
+            base.triangles.write(gpu, bytemuck::cast_slice(&base.geometry.triangles));
+            base.layout = light.corners;
         }
-        base.front = gpu.buffer("front light", front, storage);
-        base.back = gpu.buffer("back light", back, storage);
+        if base.light.holds(texels.len()) {
+            base.light.write(gpu, bytemuck::cast_slice(&texels));
+        } else {
+            base.light = Rows::new(gpu, "light", COLOR, bytemuck::cast_slice(&texels));
+            is_new = true;
+        }
+        base.light_unit = unit;
+        base.elements = light.front.len() as u32;
         base.lightmap = light.lightmap;
-        base.back_is_lit = !back.is_empty();
-        base.layout = light.corners;
-        let buffers = [&base.view, &base.records, &base.materials, &base.front, &base.back];
-        base.bind_group = self.bind_scene(gpu, buffers, &base.environment);
+        base.back_is_lit = !light.back.is_empty();
+        if is_new {
+            let rows = [&base.triangles, &base.materials, &base.light];
+            base.bind_group = self.bind_scene(gpu, &base.view, rows, &base.environment);
+        }
     }
 
     fn bind_scene(
         &self,
         gpu: &Gpu,
-        buffers: [&wgpu::Buffer; 5],
+        view: &wgpu::Buffer,
+        rows: [&Rows; 3],
         environment: &wgpu::TextureView,
     ) -> wgpu::BindGroup {
-        let mut entries: Vec<wgpu::BindGroupEntry<'_>> = buffers
-            .iter()
-            .enumerate()
-            .map(|(i, b)| wgpu::BindGroupEntry { binding: i as u32, resource: b.as_entire_binding() })
-            .collect();
-        entries.push(wgpu::BindGroupEntry {
-            binding: 5,
-            resource: wgpu::BindingResource::TextureView(environment),
-        });
+        let mut entries = vec![wgpu::BindGroupEntry { binding: 0, resource: view.as_entire_binding() }];
+        let views = rows.into_iter().map(|rows| &rows.view).chain([environment]);
+        entries.extend(views.zip(1..).map(|(view, binding)| wgpu::BindGroupEntry {
+            binding,
+            resource: wgpu::BindingResource::TextureView(view),
+        }));
         gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("scene"),
             layout: &self.scene_layout,
@@ -277,75 +355,233 @@ impl BasePass {
         frame: &CameraFrame,
     ) -> u32 {
         gpu.queue.write_buffer(&base.view, 0, bytemuck::bytes_of(&view_record(base, targets.size, frame)));
-        let views = [&targets.color, &targets.depth, &targets.object, &targets.texture, &targets.triangle]
-            .map(|t| t.create_view(&Default::default()));
-        let clear = [0.0, f64::INFINITY, 0.0, f64::from(u32::MAX), f64::from(u32::MAX)];
-        let attachments: Vec<_> = views
-            .iter()
-            .zip(clear)
-            .map(|(view, r)| {
-                let color = wgpu::Color { r, g: 0.0, b: 0.0, a: 0.0 };
-                Some(wgpu::RenderPassColorAttachment {
-                    view,
-                    depth_slice: None,
-                    resolve_target: None,
-                    ops: wgpu::Operations { load: wgpu::LoadOp::Clear(color), store: wgpu::StoreOp::Store },
-                })
-            })
-            .collect();
-        let inverse_depth = targets.inverse_depth.create_view(&Default::default());
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("base"),
-            color_attachments: &attachments,
-            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &inverse_depth,
-                depth_ops: Some(wgpu::Operations {
-                    load: wgpu::LoadOp::Clear(0.0),
-                    store: wgpu::StoreOp::Discard,
-                }),
-                stencil_ops: None,
-            }),
-            ..Default::default()
+        let visible = targets.visible.create_view(&Default::default());
+        let (drawn, runs) = self.draw_visible(encoder, base, targets, &visible, frame);
+        let visible = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("visible triangles"),
+            layout: &self.visible_layout,
+            entries: &[wgpu::BindGroupEntry {
+                binding: 0,
+                resource: wgpu::BindingResource::TextureView(&visible),
+            }],
         });
+        self.shade(encoder, base, targets, &visible, &runs);
+        drawn
+    }
+
+    /// Which triangle each pixel shows. Returns how many were drawn, and the runs that have some among them.
+    fn draw_visible(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        base: &BaseScene,
+        targets: &BaseTargets,
+        visible: &wgpu::TextureView,
+        frame: &CameraFrame,
+    ) -> (u32, Vec<usize>) {
+        let inverse_depth = targets.inverse_depth.create_view(&Default::default());
+        let none = f64::from(u32::MAX);
+        let mut pass = color_pass(encoder, "visible triangles", &[(visible, none)], Some(&inverse_depth));
         pass.set_bind_group(0, &base.bind_group, &[]);
         pass.set_vertex_buffer(0, base.positions.slice(..));
-        let mut drawn = 0;
-        let mut bound = None;
+        let (mut drawn, mut runs) = (0, Vec::new());
         base.geometry.visible(frame, |run, range| {
-            if bound != Some(run) {
-                let is_masked = base.geometry.runs[run].masked;
-                pass.set_pipeline(if is_masked { &self.masked_surfaces } else { &self.surfaces });
+            if runs.last() != Some(&run) {
+                pass.set_pipeline(&self.visible[usize::from(base.geometry.runs[run].masked)]);
                 pass.set_bind_group(1, &base.runs[run], &[]);
-                bound = Some(run);
+                runs.push(run);
             }
             drawn += range.end - range.start;
             pass.draw(3 * range.start..3 * range.end, 0..1);
         });
+        (drawn, runs)
+    }
+
+    /// What the visible triangles look like.
+    fn shade(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        base: &BaseScene,
+        targets: &BaseTargets,
+        visible: &wgpu::BindGroup,
+        runs: &[usize],
+    ) {
+        let views = [&targets.color, &targets.depth, &targets.object, &targets.texture]
+            .map(|t| t.create_view(&Default::default()));
+        let clear = [0.0, f64::INFINITY, 0.0, f64::from(u32::MAX)];
+        let attachments: Vec<_> = views.iter().zip(clear).collect();
+        let mut pass = color_pass(encoder, "shade", &attachments, None);
+        pass.set_bind_group(0, &base.bind_group, &[]);
+        pass.set_bind_group(2, visible, &[]);
+        pass.set_vertex_buffer(0, base.ranges.slice(..));
+        for &run in runs {
+            pass.set_pipeline(&self.shade[usize::from(base.geometry.runs[run].textured)]);
+            pass.set_bind_group(1, &base.runs[run], &[]);
+            pass.draw(0..3, run as u32..run as u32 + 1);
+        }
         if let (Some(textures), true) = (base.runs.first(), base.scene.environment.is_some()) {
             pass.set_pipeline(&self.background);
             pass.set_bind_group(1, textures, &[]);
             pass.draw(0..3, 0..1);
         }
-        drawn
     }
 }
 
+/// A pass that clears what it draws into: the red channel to the number beside each.
+fn color_pass<'e>(
+    encoder: &'e mut wgpu::CommandEncoder,
+    label: &str,
+    colors: &[(&wgpu::TextureView, f64)],
+    depth: Option<&wgpu::TextureView>,
+) -> wgpu::RenderPass<'e> {
+    let attachments: Vec<_> = colors
+        .iter()
+        .map(|(view, r)| {
+            let color = wgpu::Color { r: *r, g: 0.0, b: 0.0, a: 0.0 };
+            Some(wgpu::RenderPassColorAttachment {
+                view,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(color), store: wgpu::StoreOp::Store },
+            })
+        })
+        .collect();
+    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+        label: Some(label),
+        color_attachments: &attachments,
+        depth_stencil_attachment: depth.map(|view| wgpu::RenderPassDepthStencilAttachment {
+            view,
+            depth_ops: Some(wgpu::Operations {
+                load: wgpu::LoadOp::Clear(0.0),
+                store: wgpu::StoreOp::Discard,
+            }),
+            stencil_ops: None,
+        }),
+        ..Default::default()
+    })
+}
+
+fn visible_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("visible triangles"),
+        entries: &[wgpu::BindGroupLayoutEntry {
+            binding: 0,
+            visibility: wgpu::ShaderStages::FRAGMENT,
+            ty: wgpu::BindingType::Texture {
+                sample_type: wgpu::TextureSampleType::Uint,
+                view_dimension: wgpu::TextureViewDimension::D2,
+                multisampled: false,
+            },
+            count: None,
+        }],
+    })
+}
+
+/// A long row of texels, in rows of a texture.
+#[derive(Debug)]
+struct Rows {
+    texture: wgpu::Texture,
+    view: wgpu::TextureView,
+}
+
+/// Four words.
+const RECORDS: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Uint;
+
+impl Rows {
+    fn new(gpu: &Gpu, label: &str, format: wgpu::TextureFormat, bytes: &[u8]) -> Self {
+        let texel = format.block_copy_size(None).unwrap_or(16) as usize;
+        let limit = gpu.device.limits().max_texture_dimension_2d as usize;
+        let height = (bytes.len() / texel).div_ceil(geometry::ROW).clamp(1, limit);
+        let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some(label),
+            size: wgpu::Extent3d {
+                width: geometry::ROW as u32,
+                height: height as u32,
+                depth_or_array_layers: 1,
+            },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            view_formats: &[],
+        });
+        let view = texture.create_view(&Default::default());
+        let rows = Self { texture, view };
+        rows.write(gpu, bytes);
+        rows
+    }
+
+    fn holds(&self, texels: usize) -> bool {
+        self.texture.height() as usize * geometry::ROW >= texels
+    }
+
+    /// Replaces what is there, as far as there is room.
+    fn write(&self, gpu: &Gpu, bytes: &[u8]) {
+        let texel = self.texture.format().block_copy_size(None).unwrap_or(16) as usize;
+        let row = geometry::ROW * texel;
+        let bytes = &bytes[..bytes.len().min(row * self.texture.height() as usize)];
+        // Whole rows, and the rest of the last one.
+        let whole = bytes.len() / row;
+        let parts = [(0, whole * row, geometry::ROW), (whole, bytes.len(), bytes.len() % row / texel)];
+        for (first, end, width) in parts {
+            let part = &bytes[first * row..end];
+            if part.is_empty() {
+                continue;
+            }
+            gpu.queue.write_texture(
+                wgpu::TexelCopyTextureInfo {
+                    texture: &self.texture,
+                    mip_level: 0,
+                    origin: wgpu::Origin3d { x: 0, y: first as u32, z: 0 },
+                    aspect: wgpu::TextureAspect::All,
+                },
+                part,
+                wgpu::TexelCopyBufferLayout {
+                    offset: 0,
+                    bytes_per_row: Some(row as u32),
+                    rows_per_image: None,
+                },
+                wgpu::Extent3d {
+                    width: width as u32,
+                    height: part.len().div_ceil(row) as u32,
+                    depth_or_array_layers: 1,
+                },
+            );
+        }
+    }
+}
+
+/// Irradiance of fronts and backs as halves, and what it was divided by to fit.
+fn light_texels(light: &BaseLight) -> (Vec<[u16; 4]>, f32) {
+    let all = || light.front.iter().chain(&light.back);
+    let largest = all().flatten().copied().filter(|v| v.is_finite()).fold(0.0, f32::max);
+    let unit = (largest / 60_000.0).max(1.0);
+    let half = |[r, g, b]: &[f32; 3]| [r / unit, g / unit, b / unit, 0.0].map(textures::half_bits);
+    (all().map(half).collect(), unit)
+}
+
 fn scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let both = wgpu::ShaderStages::VERTEX_FRAGMENT;
-    let buffer = |ty| wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None };
-    let storage = buffer(wgpu::BufferBindingType::Storage { read_only: true });
-    let texture = wgpu::BindingType::Texture {
-        sample_type: wgpu::TextureSampleType::Float { filterable: false },
+    let texture = |sample_type| wgpu::BindingType::Texture {
+        sample_type,
         view_dimension: wgpu::TextureViewDimension::D2,
         multisampled: false,
     };
+    let buffer = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    };
+    let (words, floats) = (
+        texture(wgpu::TextureSampleType::Uint),
+        texture(wgpu::TextureSampleType::Float { filterable: false }),
+    );
+    let fragment = wgpu::ShaderStages::FRAGMENT;
     let kinds = [
-        (both, buffer(wgpu::BufferBindingType::Uniform)),
-        (wgpu::ShaderStages::FRAGMENT, storage),
-        (wgpu::ShaderStages::FRAGMENT, storage),
-        (wgpu::ShaderStages::FRAGMENT, storage),
-        (wgpu::ShaderStages::FRAGMENT, storage),
-        (wgpu::ShaderStages::FRAGMENT, texture),
+        (wgpu::ShaderStages::VERTEX_FRAGMENT, buffer),
+        (fragment, words),
+        (fragment, words),
+        (fragment, floats),
+        (fragment, floats),
     ];
     let entries: Vec<_> = kinds
         .into_iter()
@@ -380,12 +616,12 @@ fn view_record(base: &BaseScene, size: [u32; 2], frame: &CameraFrame) -> ViewRec
         right: wide(frame.right),
         up: wide(frame.up),
         sizes: [size[0], size[1], base.lightmap[0], base.lightmap[1]],
-        flags: [u32::from(base.back_is_lit) | (u32::from(base.has_map) << 1), 0, 0, 0],
+        flags: [u32::from(base.back_is_lit) | (u32::from(base.has_map) << 1), base.elements, 0, 0],
         environment_radiance: environment
             .map_or(Vec4::ZERO, |e| e.radiance.extend(e.rotate_up / std::f32::consts::TAU))
             .to_array(),
         environment_rows: environment.map_or([Vec3::ZERO; 3], environment_axes).map(wide),
-        pixel: [frame.pixel_angle(), 0.0, 0.0, 0.0],
+        pixel: [frame.pixel_angle(), base.light_unit, 0.0, 0.0],
     }
 }
 

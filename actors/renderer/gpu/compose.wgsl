@@ -5,19 +5,22 @@ struct Compose {
     // Reinhard's white; negative: clamp.
     white: f32,
     exposure: f32,
-    // Overlay, and K of the lattice.
+    // Overlay, and K of the lattice; in its highest bit whether there are refined pixels.
     overlay: u32,
     k_max: u32,
 }
 
 @group(0) @binding(0) var<uniform> compose: Compose;
 @group(0) @binding(1) var base: texture_2d<f32>;
-@group(0) @binding(2) var splats: texture_2d<f32>;
-@group(0) @binding(3) var ranks: texture_depth_2d;
+// Splat layer: three halves of radiance and source + 1.
+@group(0) @binding(2) var<storage, read> splats: array<vec2u>;
+@group(0) @binding(3) var<storage, read> ranks: array<u32>;
 @group(0) @binding(4) var objects: texture_2d<u32>;
 @group(0) @binding(5) var textures: texture_2d<u32>;
+// Radiance of refined pixels, and 1 + the error of their tile; alpha is 0 elsewhere.
+@group(0) @binding(6) var refined: texture_2d<f32>;
 // What the overlay shows of each object, in [0, 1]; of MIP_GIVEN the finest level of each texture.
-@group(0) @binding(6) var<storage, read> values: array<f32>;
+@group(0) @binding(7) var<storage, read> values: array<f32>;
 
 const SALIENCY: u32 = 1u;
 const OBJECTS: u32 = 2u;
@@ -30,6 +33,8 @@ const PRIORITY: u32 = 8u;
 const ERROR: u32 = 9u;
 const MIP_GIVEN: u32 = 10u;
 const K_LIMIT: u32 = 9u;
+// Rank of a first approximation, which is no sample.
+const APPROXIMATED: u32 = 1u;
 
 @vertex
 fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
@@ -72,19 +77,29 @@ fn heat(v: f32) -> vec3f {
 @fragment
 fn fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let p = vec2i(position.xy);
-    let splat = textureLoad(splats, p, 0);
-    let shown = srgb_from_linear(to_linear(textureLoad(base, p, 0).rgb + splat.rgb));
+    let pixel = p.y * i32(textureDimensions(base).x) + p.x;
+    let packed = splats[pixel];
+    let splat = vec4f(unpack2x16float(packed.x), unpack2x16float(packed.y));
+    var radiance = textureLoad(base, p, 0).rgb + splat.rgb;
+    var better = vec4f(0.0);
+    if (compose.k_max >> 31u) != 0u {
+        better = textureLoad(refined, p, 0);
+        radiance = select(radiance, better.rgb, better.a > 0.5);
+    }
+    let shown = srgb_from_linear(to_linear(radiance));
     if compose.overlay == 0u {
         return vec4f(shown, 1.0);
     }
     let object = textureLoad(objects, p, 0).x;
-    let rank = u32(textureLoad(ranks, p, 0) * 16777216.0);
-    let is_exact = rank >= 0xffffffu;
+    let rank = ranks[pixel];
+    let is_exact = rank == 0xffffffffu;
     let grey = vec3f(luminance(shown)) * 0.5;
     var color = grey;
     switch compose.overlay {
         case SALIENCY, IMPORTANCE, PRIORITY, ERROR: {
-            if object != 0u && object < arrayLength(&values) {
+            if compose.overlay == ERROR && better.a > 0.5 {
+                color = mix(grey, heat(better.a - 1.0), 0.7);
+            } else if object != 0u && object < arrayLength(&values) {
                 color = mix(grey, heat(values[object]), 0.7);
             }
         }
@@ -94,15 +109,15 @@ fn fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
             }
         }
         case LEVEL: {
-            if rank != 0u {
+            if rank > APPROXIMATED {
                 let is_fresh = (rank & 0xffffu) == 0xffffu;
                 let fineness = (rank >> 16u) - 1u - select(0u, 1u, is_fresh);
                 let k = select(K_LIMIT - min(fineness, K_LIMIT), 0u, is_exact);
-                color = heat(1.0 - f32(k) / f32(compose.k_max + 1u));
+                color = heat(1.0 - f32(k) / f32((compose.k_max & 0x7fffffffu) + 1u));
             }
         }
         case AGE: {
-            if rank != 0u {
+            if rank > APPROXIMATED {
                 let age = select(0xffffu - (rank & 0xffffu), 0u, is_exact);
                 color = heat(log2(f32(age) + 1.0) / 6.0);
                 if age == 0u {

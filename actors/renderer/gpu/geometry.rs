@@ -13,53 +13,77 @@ use glam::Vec3;
 
 /// Triangles under one leaf of the tree.
 const LEAF_TRIANGLES: usize = 128;
+/// Triangles under a node within the picture that are drawn in one go, near to far or not.
+const SORTED_TRIANGLES: usize = 1024;
 /// Irradiance at texels of the lightmap, in [`TriangleRecord::light_kind`].
 const LIGHT_TEXELS: u32 = 0;
 /// Irradiance at three elements.
 const LIGHT_ELEMENTS: u32 = 1;
 
-/// A triangle as `base.wgsl` reads it.
+/// A triangle as `base.wgsl` reads it: [`TRIANGLE_TEXELS`] texels of four words.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct TriangleRecord {
-    /// Its index in the scene.
-    pub triangle: u32,
+    /// First corner.
+    pub a: [f32; 3],
     /// Object id.
     pub object: u32,
+    /// Second corner.
+    pub b: [f32; 3],
     /// Index of its material.
     pub material: u32,
+    /// Third corner.
+    pub c: [f32; 3],
     /// How `light` is meant.
     pub light_kind: u32,
-    /// Texture coordinates of the corners, origin at the lower left.
-    pub uvs: [[f32; 2]; 3],
     /// Texel coordinates in the lightmap; or the bits of element indices, each with a zero.
     pub light: [[f32; 2]; 3],
     /// Texture coordinates per scene unit.
     pub uv_density: f32,
+    /// Its index in the scene.
+    pub triangle: u32,
+    /// Texture coordinates of the corners, origin at the lower left.
+    pub uvs: [[f32; 2]; 3],
     /// To align the record.
-    pub padding: u32,
+    pub padding: [u32; 2],
 }
 
-/// A material as `base.wgsl` reads it.
+/// Texels of a [`TriangleRecord`].
+pub const TRIANGLE_TEXELS: usize = size_of::<TriangleRecord>() / 16;
+/// Texels of a [`MaterialRecord`].
+pub const MATERIAL_TEXELS: usize = size_of::<MaterialRecord>() / 16;
+/// Texels in a row of the textures that hold records and light, as in `base.wgsl`.
+pub const ROW: usize = 4096;
+
+/// Rows of the largest texture that a scene's geometry is bound as.
+pub fn most_rows(scene: &Scene) -> usize {
+    (scene.mesh.triangles.len() * TRIANGLE_TEXELS).div_ceil(ROW)
+}
+
+/// A material as `base.wgsl` reads it: [`MATERIAL_TEXELS`] texels of four words.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct MaterialRecord {
-    /// Factor of the albedo's texture.
+    /// Factor of the albedo's texture; without one, and without any other, the whole of what is reflected.
     pub albedo: [f32; 3],
-    /// Id of the albedo's texture, `u32::MAX` for none.
-    pub albedo_map: u32,
+    /// Bit 0: the back reflects too; bit 1: opacity is the texture's alpha, not its grey; then whether there are
+    /// textures of albedo, emission and opacity.
+    pub flags: u32,
     /// Factor of the emission's texture.
     pub emission: [f32; 3],
-    /// Bit 0: the back reflects too; bit 1: opacity is the texture's alpha, not its grey.
-    pub flags: u32,
-    /// Cut-out opacity.
-    pub opacity: f32,
+    /// Id of the texture that shows most of it, `u32::MAX` for none.
+    pub picture: u32,
     /// What a coat lets in and out, and what it sends back to the base: 1 and 0 without coat.
     pub coat: [f32; 2],
-    /// To align the record to 16 bytes.
+    /// Cut-out opacity.
+    pub opacity: f32,
+    /// To align the record.
     pub padding: u32,
     /// Scale and offset of the coordinates of the three textures: albedo, emission, opacity.
     pub scale_offset: [[f32; 4]; 3],
+    /// Of these textures and of the picture: texels of level 0 per texture coordinate, the finest level that is held, and
+    /// two zeros.
+    pub texels: [[f32; 4]; 4],
 }
 
 /// The textures a draw needs: albedo, emission, opacity.
@@ -84,18 +108,20 @@ pub struct Run {
     pub textures: TextureSet,
     /// Whether pixels of it may be left out, which only the shader knows; then none can be tested by depth before.
     pub masked: bool,
+    /// Whether its colour depends on textures, or pixels want a mip level of one.
+    pub textured: bool,
+    /// First triangle in draw order.
+    pub first: u32,
+    /// The triangle after its last.
+    pub end: u32,
     nodes: Vec<Node>,
 }
 
 /// Everything about a scene that the base pass draws, but its light.
 #[derive(Clone, Debug, Default)]
 pub struct BaseGeometry {
-    /// Corners of the triangles in draw order, three each.
-    pub positions: Vec<[f32; 3]>,
     /// Triangles in draw order.
     pub triangles: Vec<TriangleRecord>,
-    /// Materials, as in the scene.
-    pub materials: Vec<MaterialRecord>,
     /// Runs of triangles, one draw call or more each.
     pub runs: Vec<Run>,
 }
@@ -156,8 +182,15 @@ impl BaseGeometry {
     /// The scene's triangles under `light`'s layout.
     pub fn new(scene: &Scene, light: &BaseLight) -> Self {
         let mesh = &scene.mesh;
-        let sets: Vec<(bool, TextureSet)> =
-            scene.materials.iter().map(|m| (is_masked(m), texture_set(m))).collect();
+        let sets: Vec<(bool, bool, TextureSet)> = scene
+            .materials
+            .iter()
+            .map(|m| {
+                let set = texture_set(m);
+                let textured = m.picture().is_some() || set[..2].iter().any(Option::is_some);
+                (is_masked(m), textured, set)
+            })
+            .collect();
         let mut distinct = sets.clone();
         distinct.sort();
         distinct.dedup();
@@ -172,56 +205,73 @@ impl BaseGeometry {
         let drawn: Vec<u32> = order.iter().map(|o| o.2).collect();
         let mut runs = Vec::new();
         let mut start = 0;
-        for (index, (masked, textures)) in distinct.iter().enumerate() {
+        for (index, (masked, textured, textures)) in distinct.iter().enumerate() {
             let end = order.partition_point(|o| o.0 <= index as u32);
             if end > start {
                 let mut nodes = Vec::new();
                 build_tree(mesh, &drawn, start, end, &mut nodes);
-                runs.push(Run { textures: *textures, masked: *masked, nodes });
+                runs.push(Run {
+                    textures: *textures,
+                    masked: *masked,
+                    textured: *textured,
+                    first: start as u32,
+                    end: end as u32,
+                    nodes,
+                });
             }
             start = end;
         }
-        Self {
-            positions: drawn.iter().flat_map(|&t| mesh.corners(t).map(|p| p.to_array())).collect(),
-            triangles: drawn.iter().map(|&t| triangle_record(mesh, light, t)).collect(),
-            materials: scene.materials.iter().map(|m| material_record(scene, m)).collect(),
-            runs,
-        }
+        Self { triangles: drawn.iter().map(|&t| triangle_record(mesh, light, t)).collect(), runs }
     }
 
-    /// Calls `draw` with each run and the range of its triangles that may be in the picture.
+    /// Calls `draw` with each run and ranges of its triangles that may be in the picture, roughly from near to far, so
+    /// that most of what is hidden is never shaded.
     pub fn visible(&self, frame: &CameraFrame, mut draw: impl FnMut(usize, std::ops::Range<u32>)) {
         // Inward normals of the four sides through the eye: |x| ≤ depth and |y| ≤ depth.
         let (x, y) = (frame.right / frame.right.length_squared(), frame.up / frame.up.length_squared());
         let planes =
             [frame.forward - x, frame.forward + x, frame.forward - y, frame.forward + y, frame.forward];
+        let mut stack = Vec::new();
         for (index, run) in self.runs.iter().enumerate() {
             let mut pending: Option<std::ops::Range<u32>> = None;
-            let mut i = 0;
-            while let Some(node) = run.nodes.get(i) {
-                let place = place(node, frame.eye, &planes);
+            stack.push((0, false));
+            while let Some((i, is_inside)) = stack.pop() {
+                let node = &run.nodes[i];
+                let place = if is_inside { Place::Inside } else { place(node, frame.eye, &planes) };
                 let is_leaf = node.skip as usize == i + 1;
                 if place == Place::Outside {
-                    i = node.skip as usize;
-                } else if place == Place::Inside || is_leaf {
+                    continue;
+                }
+                if is_leaf || place == Place::Inside && node.count as usize <= SORTED_TRIANGLES {
                     let range = node.first..node.first + node.count;
                     match &mut pending {
                         Some(p) if p.end == range.start => p.end = range.end,
+                        Some(p) if range.end == p.start => p.start = range.start,
                         _ => {
                             if let Some(p) = pending.replace(range) {
                                 draw(index, p);
                             }
                         }
                     }
-                    i = node.skip as usize;
-                } else {
-                    i += 1;
+                    continue;
                 }
+                let [near, far] = run.children(i, frame);
+                stack.push((far, place == Place::Inside));
+                stack.push((near, place == Place::Inside));
             }
             if let Some(p) = pending {
                 draw(index, p);
             }
         }
+    }
+}
+
+impl Run {
+    /// The children of an inner node, the nearer first.
+    fn children(&self, node: usize, frame: &CameraFrame) -> [usize; 2] {
+        let (a, b) = (node + 1, self.nodes[node + 1].skip as usize);
+        let depth = |i: usize| (self.nodes[i].min + self.nodes[i].max).dot(frame.forward);
+        if depth(a) <= depth(b) { [a, b] } else { [b, a] }
     }
 }
 
@@ -301,20 +351,24 @@ fn texture_set(material: &foveal::scene::Material) -> TextureSet {
 fn triangle_record(mesh: &Mesh, light: &BaseLight, t: u32) -> TriangleRecord {
     let i = t as usize;
     let element = |e: u32| [f32::from_bits(e), 0.0];
+    let [a, b, c] = mesh.corners(t).map(|p| p.to_array());
     let (light_kind, corners) = match light.corners.get(i) {
         Some(Corners::Texels(uv)) => (LIGHT_TEXELS, uv.map(|p| p.to_array())),
         Some(Corners::Vertices(v)) => (LIGHT_ELEMENTS, v.map(element)),
         None => (LIGHT_ELEMENTS, [element(0); 3]),
     };
     TriangleRecord {
-        triangle: t,
+        a,
         object: mesh.objects[i],
+        b,
         material: mesh.materials[i].0,
+        c,
         light_kind,
-        uvs: mesh.triangles[i].map(|v| mesh.uvs[v as usize].to_array()),
         light: corners,
         uv_density: uv_density(mesh, i),
-        padding: 0,
+        triangle: t,
+        uvs: mesh.triangles[i].map(|v| mesh.uvs[v as usize].to_array()),
+        padding: [0; 2],
     }
 }
 
@@ -353,7 +407,12 @@ fn diffuse(material: &foveal::scene::Material) -> Diffuse {
     }
 }
 
-fn material_record(scene: &Scene, material: &foveal::scene::Material) -> MaterialRecord {
+/// A scene's materials, where the adapter holds of each texture the levels from `firsts` on.
+pub fn materials(scene: &Scene, firsts: &[usize]) -> Vec<MaterialRecord> {
+    scene.materials.iter().map(|m| material_record(scene, firsts, m)).collect()
+}
+
+fn material_record(scene: &Scene, firsts: &[usize], material: &foveal::scene::Material) -> MaterialRecord {
     let (maps, diffuse) = (texture_set(material), diffuse(material));
     let texture = |map: Option<TextureId>| map.and_then(|id| scene.textures.get(id.0 as usize));
     let alpha = texture(maps[2]).is_some_and(|t| t.has_alpha);
@@ -361,15 +420,30 @@ fn material_record(scene: &Scene, material: &foveal::scene::Material) -> Materia
     for (i, map) in maps.iter().enumerate() {
         flags |= u32::from(map.is_some()) << (2 + i);
     }
+    let (mut albedo, mut coat) = (diffuse.albedo.color, diffuse.coat);
+    if maps[0].is_none() {
+        albedo = albedo.clamp(Vec3::ZERO, Vec3::ONE);
+        albedo *= coat[0] / (Vec3::ONE - albedo * coat[1]);
+        coat = [1.0, 0.0];
+    }
     MaterialRecord {
-        albedo: diffuse.albedo.color.to_array(),
-        albedo_map: maps[0].map_or(u32::MAX, |id| id.0),
-        emission: material.emission.color.to_array(),
+        albedo: albedo.to_array(),
         flags,
+        emission: material.emission.color.to_array(),
+        picture: material.picture().map_or(u32::MAX, |id| id.0),
+        coat,
         opacity: material.opacity,
-        coat: diffuse.coat,
         padding: 0,
         scale_offset: maps.map(|m| texture(m).map_or([1.0, 1.0, 0.0, 0.0], |t| t.scale_offset)),
+        texels: [maps[0], maps[1], maps[2], material.picture()].map(|map| match (map, texture(map)) {
+            (Some(id), Some(t)) => {
+                let [su, sv, ..] = t.scale_offset;
+                let [width, height] = t.size(0);
+                let first = firsts.get(id.0 as usize).copied().unwrap_or_default();
+                [width.max(height) as f32 * (su * sv).abs().sqrt(), first as f32, 0.0, 0.0]
+            }
+            _ => [0.0; 4],
+        }),
     }
 }
 

@@ -13,6 +13,7 @@ pub mod base;
 pub mod compose;
 pub mod display;
 pub mod geometry;
+pub mod mirror;
 pub mod readback;
 pub mod splat;
 #[cfg(test)]
@@ -23,3 +24,4 @@ mod twin_tests;
 
 pub use adapter::{AdapterInfo, Gpu, adapter};
 pub use display::GpuDisplay;
+pub use mirror::Mirror;

@@ -139,3 +139,20 @@ pub fn read(gpu: &Gpu, texture: &wgpu::Texture) -> Result<Vec<u8>, String> {
     gpu.device.poll(wgpu::PollType::wait_indefinitely()).map_err(|e| e.to_string())?;
     ring.poll(gpu).map(|(_, bytes)| bytes).ok_or_else(|| "the graphics adapter was lost".to_owned())
 }
+
+/// The bytes of a buffer; waits for the adapter.
+///
+/// # Errors
+/// If the adapter is lost.
+#[cfg(test)]
+pub fn read_buffer(gpu: &Gpu, from: &wgpu::Buffer) -> Result<Vec<u8>, String> {
+    let usage = wgpu::BufferUsages::MAP_READ;
+    let buffer = gpu.empty_buffer("read-back", from.size(), usage);
+    let mut encoder = gpu.device.create_command_encoder(&Default::default());
+    encoder.copy_buffer_to_buffer(from, 0, &buffer, 0, from.size());
+    gpu.queue.submit([encoder.finish()]);
+    buffer.map_async(wgpu::MapMode::Read, .., |_| ());
+    gpu.finish()?;
+    let view = buffer.get_mapped_range(..).map_err(|e| e.to_string())?;
+    Ok(view.to_vec())
+}

@@ -1,19 +1,27 @@
 //! The splat layer on the adapter. Twin of `foveal::splatting::layer`.
 //!
-//! Only new samples travel: the layer keeps its picture between frames of one view.
+//! Only new samples travel: the layer keeps its picture between frames of one view. What a pixel shows is found by
+//! computing, not by rasterising: most splats are smaller than what it takes to set up their triangles.
 
 use bytemuck::{Pod, Zeroable};
 use foveal::sampling::Lattice;
-use foveal::splatting::layer::rank;
+use foveal::splatting::layer::{APPROXIMATED, rank};
 use foveal::splatting::{Footprint, SampleBatch, WarpedSample};
+use glam::Vec3;
 
 use super::adapter::Gpu;
-use super::base::{BaseTargets, COLOR};
+use super::base::BaseTargets;
+use super::textures::half_bits;
 
-/// Ranks, as the depth that the rasteriser compares.
-const RANK: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
-/// Depth of a rank: a power of two, so that no rank is rounded.
-const DEPTH_OF_RANK: f32 = 1.0 / 16_777_216.0;
+/// Pixels that one invocation of a shader covers, as in `splat.wgsl`.
+const CHUNK: u32 = 64;
+/// Invocations of a workgroup, as in `splat.wgsl`.
+const WORKGROUP: u32 = 64;
+/// Splats that cover so many chunks at most are drawn together.
+const GROUPS: [u32; 3] = [1, 16, u32::MAX];
+/// Kinds of splats, as in `splat.wgsl`.
+const FRESH: u32 = 1;
+const FIRST: u32 = 2;
 
 /// A splat as `splat.wgsl` reads it.
 #[repr(C)]
@@ -21,36 +29,49 @@ const DEPTH_OF_RANK: f32 = 1.0 / 16_777_216.0;
 struct SplatRecord {
     place: u32,
     object: u32,
-    rank: f32,
+    rank: u32,
     shape: u32,
     depth: [f32; 2],
-    color: [f32; 3],
+    color: [u16; 4],
+    number: u32,
+    padding: u32,
 }
 
 /// The pipelines.
 #[derive(Debug)]
 pub struct SplatPass {
-    warped: wgpu::RenderPipeline,
-    fresh: wgpu::RenderPipeline,
-    exact: wgpu::RenderPipeline,
+    /// One after the other: ranks, owners, colours.
+    steps: [wgpu::ComputePipeline; 3],
     layout: wgpu::BindGroupLayout,
+    group_layout: wgpu::BindGroupLayout,
 }
 
 /// The splat layer of one picture.
 #[derive(Debug)]
 pub struct SplatTargets {
-    /// View-dependent radiance; alpha is 0 without splat, else 1 + who traced it.
-    pub color: wgpu::Texture,
-    /// Rank of what is shown, × 2⁻²⁴; 1 on the pixel's own ray.
-    pub rank: wgpu::Texture,
+    /// View-dependent radiance per pixel, three halves; the fourth is 0 without splat, else 1 + who traced it.
+    pub colors: wgpu::Buffer,
+    /// Rank per pixel of what is shown, as in [`foveal::splatting::SplatLayer`].
+    pub ranks: wgpu::Buffer,
+    owners: wgpu::Buffer,
     size: [u32; 2],
     k_max: u32,
+    /// Pixels of the square around each tile.
+    areas: Vec<u32>,
     uniform: wgpu::Buffer,
     tiles: wgpu::Buffer,
     instances: wgpu::Buffer,
-    warped: Vec<SplatRecord>,
-    fresh: Vec<SplatRecord>,
+    groups: wgpu::Buffer,
+    /// New splats, in the groups of [`GROUPS`], and the most chunks of one.
+    new: [(Vec<SplatRecord>, u32); 3],
+    /// Splats of the view so far.
+    count: u32,
     clear: bool,
+}
+
+/// Most bytes of a buffer that [`SplatTargets`] binds, for pictures of `size`.
+pub fn largest_buffer(size: [u32; 2]) -> u64 {
+    u64::from(size[0]) * u64::from(size[1]) * 8
 }
 
 impl SplatTargets {
@@ -58,20 +79,25 @@ impl SplatTargets {
     pub fn new(gpu: &Gpu, base: &BaseTargets, k_max: u32, footprint: Footprint) -> Self {
         let size = base.size;
         let header = [size[0], size[1], k_max, 0];
+        let table = tile_table(k_max, footprint);
+        let storage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC;
+        let per_pixel = |label, bytes| {
+            let size = u64::from(size[0]) * u64::from(size[1]) * bytes;
+            gpu.empty_buffer(label, size, storage)
+        };
         Self {
-            color: gpu.target("splat color", size, COLOR),
-            rank: gpu.target("splat rank", size, RANK),
+            colors: per_pixel("splat colors", 8),
+            ranks: per_pixel("splat ranks", 4),
+            owners: per_pixel("splat owners", 4),
             size,
             k_max,
+            areas: table.chunks_exact(2).take(k_max as usize + 1).map(|t| (2 * t[0] + 1).pow(2)).collect(),
             uniform: gpu.buffer("splat layer", bytemuck::cast_slice(&header), wgpu::BufferUsages::UNIFORM),
-            tiles: gpu.buffer(
-                "tiles",
-                bytemuck::cast_slice(&tile_table(k_max, footprint)),
-                wgpu::BufferUsages::STORAGE,
-            ),
-            instances: gpu.buffer("splats", &[], wgpu::BufferUsages::VERTEX),
-            warped: Vec::new(),
-            fresh: Vec::new(),
+            tiles: gpu.buffer("tiles", bytemuck::cast_slice(&table), wgpu::BufferUsages::STORAGE),
+            instances: gpu.empty_buffer("splats", 1 << 16, wgpu::BufferUsages::STORAGE),
+            groups: gpu.empty_buffer("groups of splats", 3 * 256, wgpu::BufferUsages::UNIFORM),
+            new: Default::default(),
+            count: 0,
             clear: true,
         }
     }
@@ -83,37 +109,78 @@ impl SplatTargets {
 
     /// Forgets all splats: a new view begins.
     pub fn clear(&mut self) {
-        self.warped.clear();
-        self.fresh.clear();
+        self.new.iter_mut().for_each(|(records, chunks)| {
+            records.clear();
+            *chunks = 0;
+        });
+        self.count = 0;
         self.clear = true;
+    }
+
+    fn push(&mut self, mut record: SplatRecord, area: u32) {
+        self.count += 1;
+        record.number = self.count;
+        let chunks = area.div_ceil(CHUNK);
+        let group = GROUPS.iter().position(|most| chunks <= *most).unwrap_or(GROUPS.len() - 1);
+        let (records, most) = &mut self.new[group];
+        records.push(record);
+        *most = chunks.max(*most);
+    }
+
+    /// Takes first approximations, which lie below all samples, to be drawn by the next [`SplatPass::draw`]: column, row,
+    /// object id and radiance.
+    pub fn approximate(&mut self, pixels: impl Iterator<Item = (u16, u16, u32, Vec3)>) {
+        for (x, y, object, color) in pixels {
+            let record = SplatRecord {
+                place: u32::from(x) | (u32::from(y) << 16),
+                object,
+                rank: APPROXIMATED,
+                shape: (1 << 16) | (FIRST << 28),
+                color: halves(color, 1),
+                ..SplatRecord::zeroed()
+            };
+            self.push(record, 1);
+        }
     }
 
     /// Takes warped samples, to be drawn by the next [`SplatPass::draw`].
     pub fn splat_warped(&mut self, samples: &[WarpedSample]) {
-        self.warped.extend(samples.iter().map(|s| SplatRecord {
-            place: u32::from(s.x) | (u32::from(s.y) << 16),
-            object: s.object,
-            rank: rank(u32::from(s.k), u32::from(s.age).max(1)) as f32 * DEPTH_OF_RANK,
-            shape: u32::from(s.half_side) | (u32::from(s.k) << 8) | (1 << 16),
-            depth: [s.depth, s.depth_tolerance],
-            color: s.color.to_array(),
-        }));
+        for s in samples {
+            let side = 2 * u32::from(s.half_side) + 1;
+            let record = SplatRecord {
+                place: u32::from(s.x) | (u32::from(s.y) << 16),
+                object: s.object,
+                rank: rank(u32::from(s.k), u32::from(s.age).max(1)),
+                shape: u32::from(s.half_side) | (u32::from(s.k) << 8) | (1 << 16),
+                depth: [s.depth, s.depth_tolerance],
+                color: halves(s.color, 1),
+                ..SplatRecord::zeroed()
+            };
+            self.push(record, side * side);
+        }
     }
 
     /// Takes fresh samples, to be drawn by the next [`SplatPass::draw`]. `source`: who traced them.
     pub fn splat_fresh(&mut self, batch: &SampleBatch, source: u8) {
         let k = batch.k.min(self.k_max);
-        let rank = rank(batch.k, 0) as f32 * DEPTH_OF_RANK;
-        let shape = (k << 8) | ((u32::from(source) + 1) << 16);
-        self.fresh.extend(batch.pixels.iter().zip(&batch.colors).map(|(pixel, color)| SplatRecord {
-            place: u32::from(pixel[0]) | (u32::from(pixel[1]) << 16),
-            object: batch.object,
-            rank,
-            shape,
-            depth: [0.0; 2],
-            color: color.to_array(),
-        }));
+        let source = u32::from(source) + 1;
+        let area = self.areas.get(k as usize).copied().unwrap_or(1);
+        for (pixel, color) in batch.pixels.iter().zip(&batch.colors) {
+            let record = SplatRecord {
+                place: u32::from(pixel[0]) | (u32::from(pixel[1]) << 16),
+                object: batch.object,
+                rank: rank(batch.k, 0),
+                shape: (k << 8) | (source << 16) | (FRESH << 28),
+                color: halves(*color, source),
+                ..SplatRecord::zeroed()
+            };
+            self.push(record, area);
+        }
     }
+}
+
+fn halves(color: Vec3, source: u32) -> [u16; 4] {
+    color.extend(source as f32).to_array().map(half_bits)
 }
 
 /// Per k the half side and first bit of its tile, then the bits of all tiles in rows.
@@ -152,56 +219,23 @@ impl SplatPass {
         let device = &gpu.device;
         let module = device.create_shader_module(wgpu::include_wgsl!("splat.wgsl"));
         let layout = splat_layout(device);
+        let group_layout = group_layout(device);
         let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("splats"),
-            bind_group_layouts: &[Some(&layout)],
+            bind_group_layouts: &[Some(&layout), Some(&group_layout)],
             ..Default::default()
         });
-        let pipeline = |vertex, fragment| {
-            let attributes = wgpu::vertex_attr_array![0 => Uint32, 1 => Uint32, 2 => Float32, 3 => Uint32, 4 => Float32x2, 5 => Float32x3];
-            device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-                label: Some(vertex),
+        let steps = ["raise", "own", "color"].map(|entry_point| {
+            device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(entry_point),
                 layout: Some(&pipeline_layout),
-                vertex: wgpu::VertexState {
-                    module: &module,
-                    entry_point: Some(vertex),
-                    compilation_options: Default::default(),
-                    buffers: &[Some(wgpu::VertexBufferLayout {
-                        array_stride: size_of::<SplatRecord>() as u64,
-                        step_mode: wgpu::VertexStepMode::Instance,
-                        attributes: &attributes,
-                    })],
-                },
-                primitive: wgpu::PrimitiveState::default(),
-                depth_stencil: Some(wgpu::DepthStencilState {
-                    format: RANK,
-                    depth_write_enabled: Some(true),
-                    // A splat replaces what has a lower or equal rank.
-                    depth_compare: Some(wgpu::CompareFunction::GreaterEqual),
-                    stencil: Default::default(),
-                    bias: Default::default(),
-                }),
-                multisample: Default::default(),
-                fragment: Some(wgpu::FragmentState {
-                    module: &module,
-                    entry_point: Some(fragment),
-                    compilation_options: Default::default(),
-                    targets: &[Some(wgpu::ColorTargetState {
-                        format: COLOR,
-                        blend: None,
-                        write_mask: wgpu::ColorWrites::ALL,
-                    })],
-                }),
-                multiview_mask: None,
+                module: &module,
+                entry_point: Some(entry_point),
+                compilation_options: Default::default(),
                 cache: None,
             })
-        };
-        Self {
-            warped: pipeline("warped_vertex", "fragment"),
-            fresh: pipeline("fresh_vertex", "tile_fragment"),
-            exact: pipeline("exact_vertex", "fragment"),
-            layout,
-        }
+        });
+        Self { steps, layout, group_layout }
     }
 
     /// Records the drawing of the samples taken since the last call. Returns their number.
@@ -212,71 +246,54 @@ impl SplatPass {
         splats: &mut SplatTargets,
         base: &BaseTargets,
     ) -> usize {
-        let (warped, fresh) = (splats.warped.len() as u32, splats.fresh.len() as u32);
-        if !splats.clear && warped + fresh == 0 {
-            return 0;
-        }
-        let record = size_of::<SplatRecord>() as u64;
-        let needed = u64::from(warped + fresh) * record;
-        if splats.instances.size() < needed {
-            let empty = vec![0; needed.next_power_of_two() as usize];
-            splats.instances = gpu.buffer("splats", &empty, wgpu::BufferUsages::VERTEX);
-        }
-        if warped > 0 {
-            gpu.queue.write_buffer(&splats.instances, 0, bytemuck::cast_slice(&splats.warped));
-        }
-        if fresh > 0 {
-            let offset = u64::from(warped) * record;
-            gpu.queue.write_buffer(&splats.instances, offset, bytemuck::cast_slice(&splats.fresh));
-        }
-        let bind_group = self.bind(gpu, splats, base);
-        let (color, rank) =
-            (splats.color.create_view(&Default::default()), splats.rank.create_view(&Default::default()));
-        let (load_color, load_rank) = if splats.clear {
-            (wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), wgpu::LoadOp::Clear(0.0))
-        } else {
-            (wgpu::LoadOp::Load, wgpu::LoadOp::Load)
-        };
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("splats"),
-            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: &color,
-                depth_slice: None,
-                resolve_target: None,
-                ops: wgpu::Operations { load: load_color, store: wgpu::StoreOp::Store },
-            })],
-            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &rank,
-                depth_ops: Some(wgpu::Operations { load: load_rank, store: wgpu::StoreOp::Store }),
-                stencil_ops: None,
-            }),
-            ..Default::default()
-        });
-        pass.set_bind_group(0, &bind_group, &[]);
-        pass.set_vertex_buffer(0, splats.instances.slice(..));
-        for (pipeline, instances) in [
-            (&self.warped, 0..warped),
-            (&self.fresh, warped..warped + fresh),
-            (&self.exact, warped..warped + fresh),
-        ] {
-            if !instances.is_empty() {
-                pass.set_pipeline(pipeline);
-                pass.draw(0..6, instances);
+        if std::mem::take(&mut splats.clear) {
+            for buffer in [&splats.ranks, &splats.owners, &splats.colors] {
+                encoder.clear_buffer(buffer, 0, None);
             }
         }
-        drop(pass);
-        splats.warped.clear();
-        splats.fresh.clear();
-        splats.clear = false;
-        (warped + fresh) as usize
+        // Splats beyond what one binding can hold wait for the next frame; there are never so many at once.
+        let record = size_of::<SplatRecord>() as u64;
+        let most = (gpu.device.limits().max_storage_buffer_binding_size / record) as usize;
+        let mut records: Vec<SplatRecord> = Vec::new();
+        let (mut groups, mut dispatches) = ([[0u32; 64]; 3], [[0u32; 2]; 3]);
+        for (i, (new, chunks)) in splats.new.iter_mut().enumerate() {
+            let taken = new.len().min(most - records.len());
+            groups[i][..2].copy_from_slice(&[records.len() as u32, taken as u32]);
+            dispatches[i] = [(taken as u32).div_ceil(WORKGROUP), *chunks];
+            records.extend(new.drain(..taken));
+        }
+        if records.is_empty() {
+            return 0;
+        }
+        let needed = records.len() as u64 * record;
+        if splats.instances.size() < needed {
+            splats.instances =
+                gpu.empty_buffer("splats", needed.next_power_of_two(), wgpu::BufferUsages::STORAGE);
+        }
+        gpu.queue.write_buffer(&splats.instances, 0, bytemuck::cast_slice(&records));
+        gpu.queue.write_buffer(&splats.groups, 0, bytemuck::cast_slice(&groups));
+        let [bind_group, group] = self.bind(gpu, splats, base);
+        for pipeline in &self.steps {
+            // Each pass sees what the one before has written.
+            let mut pass = encoder.begin_compute_pass(&Default::default());
+            pass.set_pipeline(pipeline);
+            pass.set_bind_group(0, &bind_group, &[]);
+            for (i, [splats, chunks]) in dispatches.into_iter().enumerate() {
+                if splats > 0 {
+                    pass.set_bind_group(1, &group, &[256 * i as u32]);
+                    pass.dispatch_workgroups(splats, chunks, 1);
+                }
+            }
+        }
+        records.len()
     }
 
-    fn bind(&self, gpu: &Gpu, splats: &SplatTargets, base: &BaseTargets) -> wgpu::BindGroup {
+    fn bind(&self, gpu: &Gpu, splats: &SplatTargets, base: &BaseTargets) -> [wgpu::BindGroup; 2] {
         debug_assert_eq!(splats.size, base.size);
         let (objects, depths) =
             (base.object.create_view(&Default::default()), base.depth.create_view(&Default::default()));
         let entry = |binding, resource| wgpu::BindGroupEntry { binding, resource };
-        gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        let layer = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("splats"),
             layout: &self.layout,
             entries: &[
@@ -284,8 +301,20 @@ impl SplatPass {
                 entry(1, splats.tiles.as_entire_binding()),
                 entry(2, wgpu::BindingResource::TextureView(&objects)),
                 entry(3, wgpu::BindingResource::TextureView(&depths)),
+                entry(4, splats.instances.as_entire_binding()),
+                entry(5, splats.ranks.as_entire_binding()),
+                entry(6, splats.owners.as_entire_binding()),
+                entry(7, splats.colors.as_entire_binding()),
             ],
-        })
+        });
+        let group =
+            wgpu::BufferBinding { buffer: &splats.groups, offset: 0, size: std::num::NonZeroU64::new(16) };
+        let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("group of splats"),
+            layout: &self.group_layout,
+            entries: &[entry(0, wgpu::BindingResource::Buffer(group))],
+        });
+        [layer, group]
     }
 }
 
@@ -296,18 +325,23 @@ fn splat_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
         multisampled: false,
     };
     let buffer = |ty| wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None };
+    let storage = |read_only| buffer(wgpu::BufferBindingType::Storage { read_only });
     let kinds = [
         buffer(wgpu::BufferBindingType::Uniform),
-        buffer(wgpu::BufferBindingType::Storage { read_only: true }),
+        storage(true),
         texture(wgpu::TextureSampleType::Uint),
         texture(wgpu::TextureSampleType::Float { filterable: false }),
+        storage(true),
+        storage(false),
+        storage(false),
+        storage(false),
     ];
     let entries: Vec<_> = kinds
         .into_iter()
         .enumerate()
         .map(|(i, ty)| wgpu::BindGroupLayoutEntry {
             binding: i as u32,
-            visibility: wgpu::ShaderStages::VERTEX_FRAGMENT,
+            visibility: wgpu::ShaderStages::COMPUTE,
             ty,
             count: None,
         })
@@ -315,6 +349,22 @@ fn splat_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("splats"),
         entries: &entries,
+    })
+}
+
+fn group_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("group of splats"),
+        entries: &[wgpu::BindGroupLayoutEntry {
+            binding: 0,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty: wgpu::BindingType::Buffer {
+                ty: wgpu::BufferBindingType::Uniform,
+                has_dynamic_offset: true,
+                min_binding_size: None,
+            },
+            count: None,
+        }],
     })
 }
 
@@ -331,14 +381,6 @@ mod tests {
             let table = tile_table(4, footprint);
             let ones: u32 = table[10..].iter().map(|w| w.count_ones()).sum();
             assert_eq!(ones, (0..=4).map(area).sum::<u32>());
-        }
-    }
-
-    #[test]
-    fn ranks_survive_as_depths() {
-        for (k, age) in [(0, 0), (0, 1), (9, 0xffff), (9, 0), (3, 77)] {
-            let r = rank(k, age);
-            assert_eq!((r as f32 * DEPTH_OF_RANK / DEPTH_OF_RANK) as u32, r);
         }
     }
 }

@@ -1,7 +1,8 @@
-// The splat layer: instanced squares and tiles, which replace what has a lower or equal rank, on
-// pixels of their object. Twin of foveal::splatting::layer; names as there.
+// The splat layer: squares and tiles that replace what has a lower or equal rank, on pixels of their object. Twin of
+// foveal::splatting::layer; names as there.
 //
-// The rank is the depth that the rasteriser compares: ranks below 2^24 are exact in it.
+// Three passes over the new splats, each for all of them: the highest rank of each pixel, the last splat of that rank, its
+// colour. So the outcome is that of one splat after the other, in the order of their numbers.
 
 struct Layer {
     // Picture width and height; largest k of the tile table.
@@ -10,109 +11,169 @@ struct Layer {
     padding: u32,
 }
 
+struct Group {
+    // Splats of one dispatch.
+    first: u32,
+    count: u32,
+    padding: vec2u,
+}
+
+struct Splat {
+    // Column in the low, row in the high half.
+    place: u32,
+    object: u32,
+    rank: u32,
+    // Half side in the low byte, k in the next; source + 1 in ten bits of the high half, and above them the kind.
+    shape: u32,
+    // Depth along the view axis and how far the depth buffer may differ.
+    depth: vec2f,
+    // Radiance as three halves; the fourth is source + 1.
+    color: vec2u,
+    // Splats are numbered from 1 in a view.
+    number: u32,
+    padding: u32,
+}
+
+const WARPED: u32 = 0u;
+const FRESH: u32 = 1u;
+const EXACT: u32 = 0xffffffffu;
+// Pixels that one invocation covers.
+const CHUNK: u32 = 64u;
+
 @group(0) @binding(0) var<uniform> layer: Layer;
 // Per k: half side, first bit; then the bits of all tiles, rows one after another.
 @group(0) @binding(1) var<storage, read> tiles: array<u32>;
 @group(0) @binding(2) var objects: texture_2d<u32>;
 @group(0) @binding(3) var depths: texture_2d<f32>;
+@group(0) @binding(4) var<storage, read> splats: array<Splat>;
+@group(0) @binding(5) var<storage, read_write> ranks: array<atomic<u32>>;
+@group(0) @binding(6) var<storage, read_write> owners: array<atomic<u32>>;
+@group(0) @binding(7) var<storage, read_write> colors: array<vec2u>;
+@group(1) @binding(0) var<uniform> group: Group;
 
-struct Splat {
-    // Column in the low, row in the high half.
-    @location(0) place: u32,
-    @location(1) object: u32,
-    @location(2) rank: f32,
-    // Half side in the low byte, k in the next, source + 1 in the high half.
-    @location(3) shape: u32,
-    // Depth along the view axis and how far the depth buffer may differ.
-    @location(4) depth: vec2f,
-    @location(5) color: vec3f,
-}
-
-struct Vertex {
-    @builtin(position) position: vec4f,
-    @location(0) color: vec4f,
-    @location(1) @interpolate(flat) object: u32,
-    @location(2) @interpolate(flat) k: u32,
-    @location(3) @interpolate(flat) center: vec2i,
-}
-
-fn center(splat: Splat) -> vec2i {
-    return vec2i(i32(splat.place & 0xffffu), i32(splat.place >> 16u));
-}
-
-// A square of 2 half + 1 pixels around the splat's pixel; corner `index` of two triangles.
-fn square(splat: Splat, index: u32, half: i32, rank: f32) -> Vertex {
-    let right = index == 1u || index == 2u || index == 4u;
-    let low = index == 2u || index == 4u || index == 5u;
-    let c = center(splat);
-    let x = c.x + select(-half, half + 1, right);
-    let y = c.y + select(-half, half + 1, low);
-    let ndc = vec2f(f32(x), f32(y)) / vec2f(layer.size) * 2.0 - 1.0;
-    var out: Vertex;
-    out.position = vec4f(ndc.x, -ndc.y, rank, 1.0);
-    out.color = vec4f(min(splat.color, vec3f(65504.0)), f32(splat.shape >> 16u));
-    out.object = splat.object;
-    out.k = (splat.shape >> 8u) & 0xffu;
-    out.center = c;
-    return out;
-}
-
-@vertex
-fn exact_vertex(@builtin(vertex_index) index: u32, splat: Splat) -> Vertex {
-    return square(splat, index, 0, 1.0);
-}
-
-@vertex
-fn fresh_vertex(@builtin(vertex_index) index: u32, splat: Splat) -> Vertex {
-    let k = min((splat.shape >> 8u) & 0xffu, layer.k_max);
-    return square(splat, index, i32(tiles[2u * k]), splat.rank);
-}
-
-fn matches(splat: Splat, x: i32, y: i32) -> bool {
-    if x < 0 || y < 0 || x >= i32(layer.size.x) || y >= i32(layer.size.y) {
+fn matches(object: u32, depth: vec2f, p: vec2i) -> bool {
+    if any(p < vec2i(0)) || any(p >= vec2i(layer.size)) {
         return false;
     }
-    let p = vec2i(x, y);
-    return textureLoad(objects, p, 0).x == splat.object
-        && abs(textureLoad(depths, p, 0).x - splat.depth.x) <= splat.depth.y;
+    return textureLoad(objects, p, 0).x == object && abs(textureLoad(depths, p, 0).x - depth.x) <= depth.y;
 }
 
-@vertex
-fn warped_vertex(@builtin(vertex_index) index: u32, splat: Splat) -> Vertex {
-    let c = center(splat);
-    var visible = matches(splat, c.x, c.y);
-    for (var i = 0; i < 9 && !visible; i++) {
-        visible = matches(splat, c.x + i % 3 - 1, c.y + i / 3 - 1);
+// Whether a warped sample is not hidden: some pixel around it has its object at its depth.
+fn is_visible(object: u32, depth: vec2f, center: vec2i) -> bool {
+    if matches(object, depth, center) {
+        return true;
     }
-    var out = square(splat, index, i32(splat.shape & 0xffu), splat.rank);
-    if !visible {
-        // All corners in one point: no pixel is covered.
-        out.position = vec4f(-2.0, -2.0, 0.0, 1.0);
+    for (var i = 0; i < 9; i++) {
+        if matches(object, depth, center + vec2i(i % 3 - 1, i / 3 - 1)) {
+            return true;
+        }
+    }
+    return false;
+}
+
+// The part of a splat that an invocation covers.
+struct Part {
+    center: vec2i,
+    object: u32,
+    rank: u32,
+    half: i32,
+    // First bit of the tile; of squares, NO_TILE.
+    tile: u32,
+    first: u32,
+    end: u32,
+}
+
+const NO_TILE: u32 = 0xffffffffu;
+
+fn part(splat: u32, chunk: u32) -> Part {
+    let shape = splats[splat].shape;
+    let kind = shape >> 28u;
+    var out: Part;
+    out.center = vec2i(vec2u(splats[splat].place & 0xffffu, splats[splat].place >> 16u));
+    out.object = splats[splat].object;
+    out.rank = splats[splat].rank;
+    out.half = i32(shape & 0xffu);
+    out.tile = NO_TILE;
+    if kind == FRESH {
+        let k = min((shape >> 8u) & 0xffu, layer.k_max);
+        out.half = i32(tiles[2u * k]);
+        out.tile = tiles[2u * k + 1u] + 64u * (layer.k_max + 1u);
+    }
+    let side = u32(2 * out.half + 1);
+    out.first = chunk * CHUNK;
+    out.end = min(out.first + CHUNK, side * side);
+    if out.first < out.end && kind == WARPED && !is_visible(out.object, splats[splat].depth, out.center) {
+        out.end = out.first;
     }
     return out;
 }
 
-@fragment
-fn fragment(in: Vertex) -> @location(0) vec4f {
-    if textureLoad(objects, vec2i(in.position.xy), 0).x != in.object {
-        discard;
+// The pixel number `i` of the part's square, or -1 where it is outside of the picture or of the tile.
+fn pixel(p: Part, i: u32) -> i32 {
+    if p.tile != NO_TILE {
+        let bit = p.tile + i;
+        if ((tiles[bit >> 5u] >> (bit & 31u)) & 1u) == 0u {
+            return -1;
+        }
     }
-    return in.color;
+    let side = u32(2 * p.half + 1);
+    let at = p.center + vec2i(i32(i % side), i32(i / side)) - p.half;
+    if any(at < vec2i(0)) || any(at >= vec2i(layer.size)) {
+        return -1;
+    }
+    return at.y * i32(layer.size.x) + at.x;
 }
 
-@fragment
-fn tile_fragment(in: Vertex) -> @location(0) vec4f {
-    let p = vec2i(in.position.xy);
-    if textureLoad(objects, p, 0).x != in.object {
-        discard;
+fn is_of_object(p: Part, pixel: i32) -> bool {
+    let width = i32(layer.size.x);
+    return textureLoad(objects, vec2i(pixel % width, pixel / width), 0).x == p.object;
+}
+
+// The rank on a pixel: a fresh sample is exact on its own.
+fn rank_at(p: Part, i: u32) -> u32 {
+    let side = u32(2 * p.half + 1);
+    return select(p.rank, EXACT, p.tile != NO_TILE && i == (side * side) / 2u);
+}
+
+@compute @workgroup_size(64)
+fn raise(@builtin(global_invocation_id) id: vec3u) {
+    if id.x >= group.count {
+        return;
     }
-    let k = min(in.k, layer.k_max);
-    let half = i32(tiles[2u * k]);
-    let d = p - in.center + half;
-    let bit = tiles[2u * k + 1u] + u32(d.y * (2 * half + 1) + d.x);
-    let words = 2u * (layer.k_max + 1u);
-    if ((tiles[words + (bit >> 5u)] >> (bit & 31u)) & 1u) == 0u {
-        discard;
+    let p = part(group.first + id.x, id.y);
+    for (var i = p.first; i < p.end; i++) {
+        let at = pixel(p, i);
+        if at >= 0 && is_of_object(p, at) {
+            atomicMax(&ranks[at], rank_at(p, i));
+        }
     }
-    return in.color;
+}
+
+@compute @workgroup_size(64)
+fn own(@builtin(global_invocation_id) id: vec3u) {
+    if id.x >= group.count {
+        return;
+    }
+    let p = part(group.first + id.x, id.y);
+    for (var i = p.first; i < p.end; i++) {
+        let at = pixel(p, i);
+        if at >= 0 && atomicLoad(&ranks[at]) == rank_at(p, i) && is_of_object(p, at) {
+            atomicMax(&owners[at], splats[group.first + id.x].number);
+        }
+    }
+}
+
+@compute @workgroup_size(64)
+fn color(@builtin(global_invocation_id) id: vec3u) {
+    if id.x >= group.count {
+        return;
+    }
+    let splat = group.first + id.x;
+    let p = part(splat, id.y);
+    for (var i = p.first; i < p.end; i++) {
+        let at = pixel(p, i);
+        if at >= 0 && atomicLoad(&owners[at]) == splats[splat].number && is_of_object(p, at) {
+            colors[at] = splats[splat].color;
+        }
+    }
 }

@@ -3,22 +3,20 @@
 use std::sync::Arc;
 
 use foveal::display::tone::{ToneCurve, ToneMap};
-use foveal::display::{FrameBuffers, TextureLevel};
-use foveal::geometry::{Accel, Ray};
+use foveal::display::{FrameBuffers, TextureLevel, twin};
 use foveal::illumination::{Irradiance, Uniform};
 use foveal::image::Map2d;
 use foveal::rng::Stream;
 use foveal::sampling::{Lattice, Rect};
 use foveal::scene::camera::CameraFrame;
-use foveal::scene::{Camera, Model, Reflectance, Scene};
+use foveal::scene::texture::MipChain;
+use foveal::scene::{Camera, Scene};
 use foveal::splatting::{Footprint, Sample, SampleBatch, SplatLayer, WarpedSample};
-use foveal::transport::interaction::{Interaction, mip_level};
-use foveal::transport::light::Lights;
-use foveal::transport::tracer::Tracer;
+use foveal::world::World;
 use glam::Vec3;
 
 use super::adapter::Gpu;
-use super::display::GpuDisplay;
+use super::display::{GpuDisplay, Passes};
 use super::{readback, test_scene};
 use crate::renderer::overlay::{Overlay, Sources, paint};
 
@@ -26,6 +24,10 @@ use crate::renderer::overlay::{Overlay, Sources, paint};
 #[expect(clippy::print_stderr, reason = "a skipped test says so")]
 fn gpu(test: &str) -> Option<Gpu> {
     Gpu::headless().inspect_err(|e| eprintln!("{test}: skipped, {e}")).ok()
+}
+
+fn passes(gpu: Gpu) -> Arc<Passes> {
+    Arc::new(Passes::new(gpu))
 }
 
 /// Irradiance that varies smoothly over a triangle and differs on the back.
@@ -51,32 +53,12 @@ fn halves(bytes: &[u8]) -> Vec<f32> {
     bytes.chunks_exact(2).map(|b| half::f16::from_le_bytes([b[0], b[1]]).to_f32()).collect()
 }
 
-/// The base layer on the processor, one ray per pixel.
-fn draw(scene: &Scene, accel: &Accel, light: &dyn Irradiance, frame: &CameraFrame) -> FrameBuffers {
+/// The base layer on the processor.
+fn draw(scene: &Arc<Scene>, light: Arc<dyn Irradiance>, frame: &CameraFrame) -> FrameBuffers {
     let [width, height] = frame.size.map(|s| s as usize);
-    let lights = Lights::build(scene);
-    let tracer = Tracer::new(scene, accel, &lights, light, Default::default());
     let mut buffers = FrameBuffers::new(width, height);
-    for y in 0..height {
-        for x in 0..width {
-            let direction = frame.direction(x as f32 + 0.5, y as f32 + 0.5);
-            let Some(hit) = accel.intersect(scene, &Ray::new(frame.eye, direction)) else {
-                let sky = scene.environment.as_ref().map_or(Vec3::ZERO, |e| e.radiance(direction));
-                *buffers.color.at_mut(x, y) = sky;
-                continue;
-            };
-            let at = Interaction::at(scene, &Ray::new(frame.eye, direction), &hit);
-            if let Model::Lambert { albedo: Reflectance { map: Some(id), .. } } = at.material(scene).model {
-                let size = scene.textures[id.0 as usize].size(0);
-                let level = mip_level(at.uv_density, hit.t * frame.pixel_angle(), size);
-                *buffers.texture.at_mut(x, y) = TextureLevel::new(id, level);
-            }
-            *buffers.color.at_mut(x, y) = tracer.base(&at.point());
-            *buffers.depth.at_mut(x, y) = hit.t * direction.dot(frame.forward);
-            *buffers.object.at_mut(x, y) = at.object;
-            buffers.hit.at_mut(x, y).triangle = hit.triangle;
-        }
-    }
+    let world = World::new(Arc::clone(scene), light);
+    twin::draw(&world, frame, twin::Passes { texture_ids: true }, &mut buffers);
     buffers
 }
 
@@ -104,18 +86,17 @@ fn views() -> [Camera; 3] {
 fn base_layer_matches_its_twin() {
     let Some(gpu) = gpu("base_layer_matches_its_twin") else { return };
     let scene = Arc::new(test_scene::room(20));
-    let accel = Accel::build(&scene);
     let size = [160, 120];
-    let mut display = GpuDisplay::new(gpu, Arc::clone(&scene), &Waves, size, 4, Footprint::Tile);
+    let mut display = GpuDisplay::new(passes(gpu), Arc::clone(&scene), &Waves, size, 4, Footprint::Tile);
     for camera in views() {
         let frame = camera.frame(size[0], size[1]);
-        let expected = draw(&scene, &accel, &Waves, &frame);
+        let expected = draw(&scene, Arc::new(Waves), &frame);
         display.begin_view(&frame);
         let drawn = display.draw(&ToneMap::default(), Overlay::None);
         assert!(drawn.triangles > 100);
         let gpu = display.gpu();
         let objects = words(&readback::read(gpu, &display.targets().object).unwrap());
-        let triangles = words(&readback::read(gpu, &display.targets().triangle).unwrap());
+        let visible = words(&readback::read(gpu, &display.targets().visible).unwrap());
         let depths = floats(&readback::read(gpu, &display.targets().depth).unwrap());
         let textures = words(&readback::read(gpu, &display.targets().texture).unwrap());
         let picture = display.read_picture().unwrap();
@@ -140,7 +121,7 @@ fn base_layer_matches_its_twin() {
                     "depth {} for {depth} at {x}, {y}",
                     depths[i]
                 );
-                if triangles[i] == hit.triangle {
+                if display.triangle(visible[i]) == Some(hit.triangle) {
                     let (a, b) = (textures[i], expected.texture.at(x, y));
                     match b.texture() {
                         None => assert_eq!(a, u32::MAX),
@@ -171,7 +152,7 @@ fn new_light_replaces_the_old() {
     let scene = Arc::new(test_scene::room(4));
     let frame = views()[0].frame(40, 30);
     let light = Uniform(Vec3::splat(0.5));
-    let mut display = GpuDisplay::new(gpu, scene, &light, [40, 30], 3, Footprint::Tile);
+    let mut display = GpuDisplay::new(passes(gpu), scene, &light, [40, 30], 3, Footprint::Tile);
     let mean = |display: &mut GpuDisplay, light: f32| {
         display.set_illumination(&Uniform(Vec3::splat(light)));
         display.begin_view(&frame);
@@ -184,16 +165,78 @@ fn new_light_replaces_the_old() {
     assert!(dim > 0.0 && (bright / dim - 3.0).abs() < 0.01, "{dim} {bright}");
 }
 
+/// The room's checker at this size, with the levels from `finest` on.
+fn with_checker(scene: &Scene, [width, height]: [usize; 2], finest: usize) -> Arc<Scene> {
+    let texel = |i: usize| {
+        if (i % width / 32 + i / width / 32).is_multiple_of(2) {
+            [230, 200, 40, 255]
+        } else {
+            [30, 60, 190, 255]
+        }
+    };
+    let texels = (0..width * height).map(texel).collect();
+    let chain = MipChain::from_rgba8(width, height, texels, true).without_finer(finest);
+    let mut textures = scene.textures.clone();
+    textures[0].mips = Arc::new(chain);
+    Arc::new(scene.with_resident(textures))
+}
+
+#[test]
+fn textures_take_what_the_table_of_residency_says() {
+    let Some(gpu) = gpu("textures_take_what_the_table_of_residency_says") else { return };
+    let room = test_scene::room(4);
+    let light: Arc<dyn Irradiance> = Arc::new(Uniform(Vec3::ONE));
+    let frame = views()[0].frame(80, 60);
+    let scene = with_checker(&room, [256, 128], 0);
+    let mut display = GpuDisplay::new(passes(gpu), scene, &*light, [80, 60], 3, Footprint::Tile);
+    let mut pictures = Vec::new();
+    for finest in [0, 5, 2, 7, 3, 0] {
+        let scene = with_checker(&room, [256, 128], finest);
+        display.set_textures(&scene);
+        let resident: usize = scene.textures.iter().map(|t| t.mips.resident_bytes()).sum();
+        assert_eq!(display.texture_bytes(), resident as u64, "finest {finest}");
+        assert!(Arc::ptr_eq(display.scene(), &scene), "the dropped levels are let go");
+        let expected = draw(&scene, Arc::clone(&light), &frame);
+        display.begin_view(&frame);
+        display.draw(&ToneMap::default(), Overlay::None);
+        let picture = display.read_picture().unwrap();
+        let shown = expected.color.data().iter().map(|c| ToneMap::default().to_rgb8(*c));
+        let is_off = |(rgb, rgba): &([u8; 3], &[u8])| (0..3).any(|c| rgb[c].abs_diff(rgba[c]) > 2);
+        let off = shown.zip(picture.chunks_exact(4)).filter(is_off).count();
+        assert!(off * 100 < 80 * 60, "finest {finest}: {off} pixels differ");
+        pictures.push(picture);
+    }
+    assert!(pictures[0] == pictures[5], "what comes back is what it was");
+    assert!(pictures[0] != pictures[3], "what is not there is not shown");
+    assert!(!display.gpu().is_lost());
+}
+
+#[test]
+fn a_texture_beyond_the_limit_begins_at_a_smaller_level() {
+    let Some(gpu) = gpu("a_texture_beyond_the_limit_begins_at_a_smaller_level") else { return };
+    let limit = gpu.device.limits().max_texture_dimension_2d as usize;
+    let scene = with_checker(&test_scene::room(2), [2 * limit + 2, 2], 0);
+    let all: usize = scene.textures.iter().map(|t| t.mips.bytes()).sum();
+    let cut: usize = (0..2).map(|level| scene.textures[0].mips.level_bytes(level)).sum();
+    let light = Uniform(Vec3::ONE);
+    let mut display = GpuDisplay::new(passes(gpu), scene, &light, [40, 30], 3, Footprint::Tile);
+    assert_eq!(display.texture_bytes(), (all - cut) as u64);
+    display.begin_view(&views()[0].frame(40, 30));
+    display.draw(&ToneMap::default(), Overlay::None);
+    assert!(display.read_picture().unwrap().iter().any(|b| *b > 50));
+    assert!(!display.gpu().is_lost());
+}
+
 /// Object ids and depths of a view, on both sides.
 fn splat_view(gpu: Gpu, footprint: Footprint) -> (GpuDisplay, FrameBuffers) {
     let scene = Arc::new(test_scene::room(6));
     let size = [120, 90];
     let frame = views()[0].frame(size[0], size[1]);
-    let mut display = GpuDisplay::new(gpu, Arc::clone(&scene), &Waves, size, 4, footprint);
+    let mut display = GpuDisplay::new(passes(gpu), Arc::clone(&scene), &Waves, size, 4, footprint);
     display.begin_view(&frame);
     display.draw(&ToneMap::default(), Overlay::None);
     // The ids and depths as the adapter has them: rasterisation is another test's subject.
-    let mut buffers = draw(&scene, &Accel::build(&scene), &Waves, &frame);
+    let mut buffers = draw(&scene, Arc::new(Waves), &frame);
     let objects = words(&readback::read(display.gpu(), &display.targets().object).unwrap());
     let depths = floats(&readback::read(display.gpu(), &display.targets().depth).unwrap());
     buffers.object = Map2d::from_vec(120, 90, objects);
@@ -250,7 +293,9 @@ fn fresh(lattice: &Lattice, level: u32, object: u32, buffers: &FrameBuffers, see
 
 /// Both layers pixel by pixel.
 fn assert_layers_equal(display: &GpuDisplay, layer: &SplatLayer) {
-    let colors = halves(&readback::read(display.gpu(), &display.splats().color).unwrap());
+    let colors = halves(&readback::read_buffer(display.gpu(), &display.splats().colors).unwrap());
+    let ranks = words(&readback::read_buffer(display.gpu(), &display.splats().ranks).unwrap());
+    assert_eq!(ranks, layer.maps().1.data());
     let mut covered = 0;
     for (i, expected) in layer.colors().data().iter().enumerate() {
         let (x, y) = (i % 120, i / 120);
@@ -320,7 +365,8 @@ fn composition_and_overlays_match_their_twins() {
         for overlay in Overlay::ALL {
             display.draw(&tone, overlay);
             let picture = display.read_picture().unwrap();
-            let sources = Sources { buffers: &buffers, splats: &layer, k_max: 4, values: &values };
+            let sources =
+                Sources { buffers: &buffers, splats: &layer, k_max: 4, values: &values, tile_errors: &[] };
             let expected = paint(overlay, &sources, &rgb8);
             for (i, rgb) in expected.data().iter().enumerate() {
                 for c in 0..3 {
@@ -358,7 +404,7 @@ fn pictures_come_back_in_order_without_waiting() {
 fn any_size_can_be_drawn() {
     let Some(gpu) = gpu("any_size_can_be_drawn") else { return };
     let scene = Arc::new(test_scene::room(2));
-    let mut display = GpuDisplay::new(gpu, scene, &Uniform(Vec3::ONE), [1, 1], 3, Footprint::Tile);
+    let mut display = GpuDisplay::new(passes(gpu), scene, &Uniform(Vec3::ONE), [1, 1], 3, Footprint::Tile);
     for size in [[1, 1], [333, 7], [5, 1000]] {
         display.resize(size);
         display.begin_view(&views()[0].frame(size[0], size[1]));

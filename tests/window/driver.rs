@@ -1,6 +1,4 @@
-//! A real window on a virtual display: keys, drags and sliders, what is on the screen, and its end.
-//!
-//! Skipped, with the reason on the standard error, where Xvfb, xdotool or a graphics adapter is missing.
+//! A virtual display, the program in a window on it, and a user's hands and eyes.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -12,25 +10,26 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use crate::support::{CHEAP_BAKE, Foveal, Running, folder, root, scene};
+use crate::support::{CHEAP_BAKE, Foveal, Running, folder};
 
 /// However busy the machine.
-const PATIENCE: Duration = Duration::from_secs(120);
+pub const PATIENCE: Duration = Duration::from_secs(120);
 /// Columns and rows of the picture. The panel stands to the right of it.
-const SIZE: [usize; 2] = [320, 440];
+pub const SIZE: [usize; 2] = [320, 440];
 /// Where the picture lies in the window.
-const CORNER: [usize; 2] = [10, 0];
+pub const CORNER: [usize; 2] = [10, 0];
 
 /// A display without a screen.
-struct Display {
+pub struct Display {
     server: Child,
-    name: String,
+    /// What DISPLAY is to be.
+    pub name: String,
     folder: PathBuf,
 }
 
 impl Display {
     /// `None`, and why, where the tools are missing.
-    fn open() -> Option<Self> {
+    pub fn open() -> Option<Self> {
         let has = |tool: &str| {
             Command::new("sh")
                 .args(["-c", &format!("command -v {tool}")])
@@ -70,7 +69,7 @@ impl Display {
         Some(Self { server, name: format!(":{}", line.trim()), folder })
     }
 
-    fn xdotool(&self, words: &str) -> String {
+    pub fn xdotool(&self, words: &str) -> String {
         let output = Command::new("xdotool")
             .args(words.split_whitespace())
             .env("DISPLAY", &self.name)
@@ -80,7 +79,7 @@ impl Display {
     }
 
     /// What is on the screen: rows of RGB.
-    fn screen(&self) -> Vec<Vec<[u8; 3]>> {
+    pub fn screen(&self) -> Vec<Vec<[u8; 3]>> {
         let bytes = fs::read(self.folder.join("Xvfb_screen0")).expect("the screen");
         let word =
             |i: usize| u32::from_be_bytes(bytes[4 * i..][..4].try_into().expect("four bytes")) as usize;
@@ -93,7 +92,7 @@ impl Display {
         (0..height).map(row).collect()
     }
 
-    fn has_adapter(&self) -> bool {
+    pub fn has_adapter(&self) -> bool {
         let found = Foveal::new("doctor").json()["adapter"].is_object();
         if !found {
             eprintln!(
@@ -113,13 +112,15 @@ impl Drop for Display {
 
 /// A screenshot that the window wrote.
 #[derive(Clone, Debug, PartialEq)]
-struct Shot {
-    pixels: Vec<u8>,
-    facts: BTreeMap<String, String>,
+pub struct Shot {
+    /// RGB in rows.
+    pub pixels: Vec<u8>,
+    /// Names and values.
+    pub facts: BTreeMap<String, String>,
 }
 
 impl Shot {
-    fn read(path: &Path) -> Option<Self> {
+    pub fn read(path: &Path) -> Option<Self> {
         let mut reader = png::Decoder::new(BufReader::new(File::open(path).ok()?)).read_info().ok()?;
         let mut pixels = vec![0; reader.output_buffer_size()?];
         reader.next_frame(&mut pixels).ok()?;
@@ -129,40 +130,48 @@ impl Shot {
         Some(Self { pixels, facts })
     }
 
-    fn fact(&self, name: &str) -> &str {
+    pub fn fact(&self, name: &str) -> &str {
         self.facts.get(name).map_or("", String::as_str)
     }
 
-    fn camera(&self, key: &str) -> String {
+    pub fn camera(&self, key: &str) -> String {
         let rest =
             self.fact("foveal camera").split(&format!("{key} = ")).nth(1).expect("a camera").to_owned();
         rest.split(']').next().expect("a vector").to_owned()
     }
 
-    fn setting(&self, key: &str) -> Value {
+    pub fn setting(&self, key: &str) -> Value {
         serde_json::from_str::<Value>(self.fact("foveal controls")).expect("JSON")[key].clone()
     }
 }
 
 /// The program with its window.
-struct View<'d> {
+pub struct View<'d> {
     display: &'d Display,
     /// `None` once it has ended.
     running: Option<Running>,
-    window: String,
+    /// Its number.
+    pub window: String,
     shots: PathBuf,
     count: usize,
 }
 
 impl<'d> View<'d> {
-    fn open(display: &'d Display, words: &str, scene: &Path, environment: &[(&str, &str)]) -> Self {
+    pub fn open(display: &'d Display, words: &str, scene: &Path, environment: &[(&str, &str)]) -> Self {
         let [width, height] = SIZE;
         let line =
             format!("view --baked --size {width}x{height} --workers 2 --refine 0 {CHEAP_BAKE} {words}");
         Self::of(display, Foveal::new(&line).arg(scene), "^foveal.-.Box", environment)
     }
 
-    fn of(display: &'d Display, line: Foveal, title: &str, environment: &[(&str, &str)]) -> Self {
+    /// With light that is baked while one walks.
+    pub fn open_unlit(display: &'d Display, words: &str, scene: &Path) -> Self {
+        let [width, height] = SIZE;
+        let line = format!("view --size {width}x{height} --workers 2 --refine 0 {words}");
+        Self::of(display, Foveal::new(&line).arg(scene), "^foveal.-.Box", &[])
+    }
+
+    pub fn of(display: &'d Display, line: Foveal, title: &str, environment: &[(&str, &str)]) -> Self {
         let shots = folder("shots");
         let mut line = line
             .arg("--screenshots")
@@ -193,12 +202,12 @@ impl<'d> View<'d> {
     }
 
     /// Commands of xdotool; `{}` is the window.
-    fn act(&self, words: &str) {
+    pub fn act(&self, words: &str) {
         self.display.xdotool(&words.replace("{}", &self.window));
     }
 
     /// Presses F12, again where there was no picture yet.
-    fn shot(&mut self) -> Shot {
+    pub fn shot(&mut self) -> Shot {
         let start = Instant::now();
         let file = |number: usize| self.shots.join(format!("foveal-{number}.png"));
         let first = self.count + 1;
@@ -218,15 +227,28 @@ impl<'d> View<'d> {
         panic!("no screenshot {}", file(first).display());
     }
 
+    /// Presses F12 until a screenshot is as it has to become.
+    pub fn until(&mut self, what: &str, is_so: impl Fn(&Shot) -> bool) -> Shot {
+        let start = Instant::now();
+        loop {
+            let shot = self.shot();
+            if is_so(&shot) {
+                return shot;
+            }
+            assert!(start.elapsed() < PATIENCE, "{what}: {:?}", shot.facts);
+        }
+    }
+
     /// Presses F12 until the view stands still and has converged.
-    fn converged(&mut self) -> Shot {
+    pub fn converged(&mut self) -> Shot {
         let start = Instant::now();
         let mut before = None;
         loop {
             std::thread::sleep(Duration::from_millis(300));
             let shot = self.shot();
             let rests = before.replace(shot.clone()) == Some(shot.clone());
-            if rests && shot.fact("foveal view").ends_with("converged") {
+            let stands = shot.fact("foveal at rest") != "false";
+            if rests && stands && shot.fact("foveal view").ends_with("converged") {
                 return shot;
             }
             assert!(start.elapsed() < PATIENCE, "never converged");
@@ -234,7 +256,7 @@ impl<'d> View<'d> {
     }
 
     /// Fails unless the window comes to show the screenshot's pixels.
-    fn shows(&self, shot: &Shot, what: &str) {
+    pub fn shows(&self, shot: &Shot, what: &str) {
         // The pointer would be on it.
         self.act("mousemove 1000 700 sleep 0.2");
         let differing = || {
@@ -252,13 +274,13 @@ impl<'d> View<'d> {
     }
 
     /// Whether something red is written on the panel, as errors are.
-    fn complains(&self) -> bool {
+    pub fn complains(&self) -> bool {
         let screen = self.display.screen();
         let panel = screen.iter().take(120).flat_map(|row| &row[SIZE[0] + 30..SIZE[0] + 300]);
         panel.filter(|p| p[0] > 200 && p[1] < 40 && p[2] < 40).count() > 20
     }
 
-    fn quit(mut self) {
+    pub fn quit(mut self) {
         self.act("key ctrl+q");
         let Some(running) = self.running.take() else { return };
         let ended = running.wait();
@@ -274,135 +296,4 @@ impl Drop for View<'_> {
             running.kill();
         }
     }
-}
-
-/// Where the handle of the topmost slider is on the screen.
-fn first_slider(screen: &[Vec<[u8; 3]>]) -> [usize; 2] {
-    // Rails are grey and 100 points long, with a handle that has a bright rim.
-    let left = CORNER[0] + SIZE[0] + 8;
-    // (A line between two groups is as grey, and longer.)
-    let grey =
-        |y: usize, from: usize, to: usize| screen[y][from..to].iter().filter(|p| **p == [60; 3]).count();
-    let rail = |y: &usize| grey(*y, left, left + 114) > 90 && grey(*y, left + 114, left + 125) == 0;
-    let y = (0..SIZE[1]).find(rail).expect("a slider") + 4;
-    let x = (left..left + 114).find(|&x| screen[y][x].iter().all(|c| *c > 150)).expect("its handle");
-    [x + 3, y]
-}
-
-#[test]
-fn keys_drags_and_sliders_reach_the_walk_and_closing_ends_it() {
-    let Some(display) = Display::open() else { return };
-    if !display.has_adapter() {
-        return;
-    }
-    let (files, recorded) = (folder("scene"), folder("recorded").join("window.fvl"));
-    for file in fs::read_dir(root().join("scenes/box")).expect("the box").flatten() {
-        fs::copy(file.path(), files.join(file.file_name())).expect("copied");
-    }
-    let sidecar = files.join("box.toml");
-    let words = format!("--backend gpu --record {}", recorded.display());
-    let mut view = View::open(&display, &words, &sidecar, &[]);
-    let first = view.converged();
-    view.shows(&first, "the start view");
-
-    // What has converged is what a run without a window makes.
-    let out = folder("headless").join("still.png");
-    let [width, height] = SIZE;
-    Foveal::new(&format!("view --headless --size {width}x{height} --workers 2 {CHEAP_BAKE} --out"))
-        .arg(&out)
-        .arg(scene("box"))
-        .ok();
-    assert!(Shot::read(&out).is_some_and(|still| still.pixels == first.pixels), "not the corrected picture");
-
-    view.act("keydown d sleep 0.3 keyup d");
-    let walked = view.converged();
-    assert_ne!(walked.camera("eye"), first.camera("eye"));
-    view.shows(&walked, "a step to the right");
-
-    view.act("mousedown 3 sleep 0.2 mousemove --window {} 130 100 sleep 0.2 mousemove --window {} 160 110 sleep 0.2 mouseup 3");
-    let turned = view.converged();
-    assert_eq!(turned.camera("eye"), walked.camera("eye"));
-    assert_ne!(turned.camera("target"), walked.camera("target"));
-
-    view.act("key 1 sleep 0.2");
-    let back = view.converged();
-    assert_eq!((back.camera("eye"), back.camera("target")), (first.camera("eye"), first.camera("target")));
-    assert_eq!(back.pixels, first.pixels, "the same place looks the same, bit for bit");
-
-    // The first slider on the panel: frames per second.
-    let screen = display.screen();
-    let [x, y] = first_slider(&screen);
-    let drag: String =
-        (1..=4).map(|i| format!("mousemove --window {{}} {} {y} sleep 0.15 ", x + 6 * i)).collect();
-    view.act(&format!(
-        "mousemove --window {{}} {x} {y} sleep 0.2 mousedown 1 sleep 0.2 {drag} mouseup 1 sleep 0.2"
-    ));
-    let set = view.converged();
-    let fps = |shot: &Shot| shot.setting("fps").as_f64().expect("a number");
-    assert!(fps(&set) > fps(&first) + 1.0, "{} after {}", fps(&set), fps(&first));
-    assert_eq!(set.pixels, first.pixels);
-
-    // A scene that cannot be read keeps the old one and says why.
-    assert!(!view.complains());
-    let text = fs::read_to_string(&sidecar).expect("the sidecar");
-    fs::write(&sidecar, format!("{text}\nnonsense = = 1\n")).expect("written");
-    view.act("mousemove --window {} 100 100 key F5 sleep 0.3");
-    let start = Instant::now();
-    while !view.complains() {
-        assert!(start.elapsed() < PATIENCE, "no error in the window");
-        std::thread::sleep(Duration::from_millis(50));
-    }
-    let kept = view.converged();
-    assert_eq!(kept.fact("foveal scene"), first.fact("foveal scene"));
-    fs::write(&sidecar, text).expect("written");
-
-    // One pixel, and more than the screen has.
-    view.act("windowsize {} 1 1 sleep 0.3 windowsize {} 7680 4320 sleep 0.5");
-    view.act(&format!("windowsize {{}} {} {} sleep 0.3 windowfocus {{}}", SIZE[0] + 330, SIZE[1]));
-    let sized = view.converged();
-    view.shows(&sized, "after other sizes");
-    view.quit();
-
-    let replayed = Foveal::new("replay --verify").arg(&recorded).json();
-    assert_eq!((&replayed["diverged"], &replayed["complete"]), (&Value::Null, &Value::Bool(true)));
-    assert!(replayed["frames"].as_u64() > Some(4), "{replayed}");
-}
-
-#[test]
-fn without_an_adapter_the_processor_paints_the_same() {
-    let Some(display) = Display::open() else { return };
-    let nowhere = [("VK_DRIVER_FILES", "/nonexistent"), ("VK_ICD_FILENAMES", "/nonexistent")];
-    let mut view = View::open(&display, "--backend auto", &scene("box"), &nowhere);
-    let shot = view.converged();
-    view.shows(&shot, "painted by the processor");
-    view.quit();
-}
-
-#[test]
-fn a_recording_is_gone_through_in_the_window_and_left_for_a_walk() {
-    let Some(display) = Display::open() else { return };
-    let trace = root().join("traces/duck.fvl");
-    let words = "replay --view --workers 2";
-    let mut view = View::of(&display, Foveal::new(words).arg(&trace), "^foveal.-.*,.recorded", &[]);
-    let at = |shot: &Shot, frame: &str| shot.fact("foveal frame") == frame;
-    assert!(at(&view.shot(), "0"));
-    view.act("key Right sleep 0.3 key Right sleep 0.3 key Left sleep 0.3 key Right sleep 0.5");
-    let second = view.shot();
-    assert!(at(&second, "2"), "{:?}", second.facts);
-    let out = folder("shown").join("2.png");
-    Foveal::new("replay --show 2 --out").arg(&out).arg(&trace).ok();
-    assert!(
-        Shot::read(&out).is_some_and(|shown| shown.pixels == second.pixels),
-        "not the frame as it was shown"
-    );
-    // A message on, a message back, a pixel's story, and a bit of the whole.
-    view.act("key period sleep 0.3 key comma sleep 0.3 click 1 sleep 0.5 key space sleep 0.5");
-    let start = Instant::now();
-    while at(&view.shot(), "2") {
-        assert!(start.elapsed() < PATIENCE, "it does not play");
-    }
-    view.act("key b sleep 0.5");
-    let walked = view.converged();
-    assert!(walked.fact("foveal camera").starts_with("eye"), "{:?}", walked.facts);
-    view.quit();
 }

@@ -1,0 +1,323 @@
+//! The event loop: the window's events become a walk's input, its pictures become the window's.
+
+mod input;
+mod screen;
+mod shots;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+use winit::application::ApplicationHandler;
+use winit::event::WindowEvent;
+use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy};
+use winit::keyboard::{ModifiersState, PhysicalKey};
+use winit::window::WindowId;
+
+use self::screen::Screen;
+use self::shots::Asked;
+use super::navigation::Pace;
+use super::presenter::{Backend, DrawnBy};
+use super::probe::{Measured, Probe};
+use super::source::{Build, Loader};
+use super::walk::{Next, Walk};
+
+/// What a window is opened with.
+pub struct Options {
+    /// The scene's name, shown until its title is known.
+    pub name: String,
+    /// Columns and rows of the picture; the panel stands beside it.
+    pub size: [u32; 2],
+    /// Who paints.
+    pub backend: Backend,
+    /// Who draws the picture.
+    pub drawn_by: DrawnBy,
+    /// Seconds after which the adapter is lost, to see that the walk goes on.
+    pub lose_adapter: Option<f64>,
+    /// Loads scenes.
+    pub loader: Loader,
+    /// Where screenshots go.
+    pub screenshots: PathBuf,
+    /// Who measures instead of a user, if anybody.
+    pub probe: Option<Probe>,
+}
+
+/// Why a window could not be opened, or had to close.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum WindowError {
+    /// The machine lacks something: no display, a library is missing.
+    Environment(String),
+    /// The scene cannot be walked through.
+    Scene(String),
+}
+
+/// What other threads tell the event loop.
+#[derive(Clone, Copy, Debug)]
+pub enum Wake {
+    /// A scene was loaded, or not.
+    Loaded,
+}
+
+/// Shows a window until it is closed.
+///
+/// # Errors
+/// If there is no display, or the first scene cannot be loaded.
+pub fn run(options: Options) -> Result<Measured, WindowError> {
+    // A missing libxkbcommon-x11 makes winit's keyboard library panic.
+    let opened = catch_unwind(AssertUnwindSafe(|| EventLoop::<Wake>::with_user_event().build()));
+    let event_loop = match opened {
+        Ok(Ok(event_loop)) => event_loop,
+        Ok(Err(e)) => return Err(WindowError::Environment(no_display(&e.to_string()))),
+        Err(_) => return Err(WindowError::Environment(no_display("a library of the display is missing"))),
+    };
+    let mut app = App::new(options, event_loop.create_proxy());
+    // The scene is read while the window is opened.
+    app.load(None);
+    event_loop.run_app(&mut app).map_err(|e| WindowError::Environment(no_display(&e.to_string())))?;
+    match app.failure {
+        Some(failure) => Err(failure),
+        None => Ok(app.options.probe.map(|probe| probe.measured).unwrap_or_default()),
+    }
+}
+
+fn no_display(reason: &str) -> String {
+    format!(
+        "no window can be opened: {reason}; set DISPLAY or WAYLAND_DISPLAY, install `libx11-6 libx11-xcb1 \
+         libxcursor1 libxi6 libxkbcommon-x11-0` (Debian), or use --headless"
+    )
+}
+
+/// A scene that is being loaded.
+struct Loading {
+    result: Receiver<Result<Build, String>>,
+    /// The camera stays: the same scene again.
+    stays: bool,
+}
+
+struct App {
+    options: Options,
+    proxy: EventLoopProxy<Wake>,
+    start: Instant,
+    context: egui::Context,
+    screen: Option<Screen>,
+    walk: Option<Walk>,
+    loading: Option<Loading>,
+    failure: Option<WindowError>,
+    modifiers: ModifiersState,
+    /// The mouse looks around since this position, pixels.
+    looking: Option<(f64, f64)>,
+    pointer: (f64, f64),
+    help: bool,
+    hidden: bool,
+    /// The textures of the picture must be made anew.
+    picture_is_new: bool,
+    /// Screenshots on their way.
+    asked: Vec<Asked>,
+}
+
+impl App {
+    fn new(options: Options, proxy: EventLoopProxy<Wake>) -> Self {
+        Self {
+            options,
+            proxy,
+            start: Instant::now(),
+            context: egui::Context::default(),
+            screen: None,
+            walk: None,
+            loading: None,
+            failure: None,
+            modifiers: ModifiersState::default(),
+            looking: None,
+            pointer: (0.0, 0.0),
+            help: false,
+            hidden: false,
+            picture_is_new: false,
+            asked: Vec::new(),
+        }
+    }
+
+    fn now(&self) -> f64 {
+        self.start.elapsed().as_secs_f64()
+    }
+
+    fn load(&mut self, path: Option<PathBuf>) {
+        let (sender, result) = channel();
+        let (loader, proxy) = (self.options.loader.clone(), self.proxy.clone());
+        self.loading = Some(Loading { result, stays: path.is_none() && self.walk.is_some() });
+        let started = std::thread::Builder::new().name("loader".into()).spawn(move || {
+            let loaded = catch_unwind(AssertUnwindSafe(|| loader(path.as_deref())))
+                .unwrap_or_else(|_| Err("loading the scene failed unexpectedly".into()));
+            let _ = sender.send(loaded);
+            let _ = proxy.send_event(Wake::Loaded);
+        });
+        if let Err(e) = started {
+            self.loading = None;
+            self.on_load_failed(format!("no thread to load with: {e}"));
+        }
+    }
+
+    fn on_loaded(&mut self) {
+        let Some(loading) = &self.loading else { return };
+        let Ok(result) = loading.result.try_recv() else { return };
+        let stays = loading.stays;
+        self.loading = None;
+        match result.and_then(|build| build()) {
+            Ok(source) => {
+                let now = self.now();
+                match &mut self.walk {
+                    Some(walk) if stays => {
+                        walk.replace_source(source);
+                        walk.tell("the scene was read again".into());
+                    }
+                    walk => {
+                        let mut new = Walk::new(source, now);
+                        new.set_mirrored(self.screen.as_ref().is_some_and(|s| s.presenter.is_mirroring()));
+                        *walk = Some(new);
+                    }
+                }
+                if let (Some(walk), Some(screen)) = (&self.walk, &self.screen) {
+                    screen.window.set_title(&format!("foveal - {}", walk.place().title));
+                }
+            }
+            Err(e) => self.on_load_failed(e),
+        }
+    }
+
+    /// The first scene is needed; a later one is not.
+    fn on_load_failed(&mut self, error: String) {
+        match &mut self.walk {
+            Some(walk) => walk.complain(error),
+            None => self.failure = Some(WindowError::Scene(error)),
+        }
+    }
+
+    fn request_redraw(&self) {
+        if let Some(screen) = &self.screen {
+            screen.window.request_redraw();
+        }
+    }
+}
+
+impl ApplicationHandler<Wake> for App {
+    fn resumed(&mut self, event_loop: &ActiveEventLoop) {
+        if self.screen.is_some() {
+            return;
+        }
+        let opened = catch_unwind(AssertUnwindSafe(|| self.open_screen(event_loop))).unwrap_or_else(|_| {
+            Err(WindowError::Environment(no_display("a library of the display is missing")))
+        });
+        match opened {
+            Ok(screen) => self.screen = Some(screen),
+            Err(e) => {
+                self.failure = Some(e);
+                event_loop.exit();
+            }
+        }
+    }
+
+    fn user_event(&mut self, event_loop: &ActiveEventLoop, event: Wake) {
+        match event {
+            Wake::Loaded => self.on_loaded(),
+        }
+        if self.failure.is_some() {
+            event_loop.exit();
+        }
+        self.request_redraw();
+    }
+
+    fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
+        let Some(screen) = &mut self.screen else { return };
+        // Keys steer the walk; the interface gets them while a value is typed. (Tab would go from slider to slider,
+        // and each would keep the keys.)
+        let types = self.context.egui_wants_keyboard_input();
+        if types || !matches!(event, WindowEvent::KeyboardInput { .. }) {
+            let response = screen.egui.on_window_event(&screen.window, &event);
+            // egui answers a redraw with the wish for another one.
+            if response.repaint && event != WindowEvent::RedrawRequested {
+                screen.window.request_redraw();
+            }
+        }
+        match &event {
+            WindowEvent::CloseRequested => event_loop.exit(),
+            WindowEvent::RedrawRequested => self.redraw(event_loop),
+            WindowEvent::Resized(size) => {
+                self.hidden = size.width == 0 || size.height == 0;
+                screen.presenter.resize([size.width, size.height]);
+                screen.window.request_redraw();
+            }
+            WindowEvent::Occluded(hidden) => self.hidden = *hidden,
+            WindowEvent::Focused(false) => {
+                let now = self.now();
+                if let Some(walk) = &mut self.walk {
+                    walk.navigator.release_all(now);
+                }
+                self.look_around(false);
+            }
+            WindowEvent::ModifiersChanged(modifiers) => {
+                self.modifiers = modifiers.state();
+                let pace = match (self.modifiers.shift_key(), self.modifiers.control_key()) {
+                    (true, false) => Pace::Fast,
+                    (false, true) => Pace::Slow,
+                    _ => Pace::Normal,
+                };
+                let now = self.now();
+                if let Some(walk) = &mut self.walk {
+                    walk.navigator.set_pace(pace, now);
+                }
+            }
+            WindowEvent::KeyboardInput { event, .. } => {
+                if let PhysicalKey::Code(key) = event.physical_key {
+                    self.on_key(key, event.state.is_pressed(), event.repeat, types, event_loop);
+                }
+            }
+            WindowEvent::DroppedFile(path) if self.loading.is_none() => self.load(Some(path.clone())),
+            _ => self.on_pointer(&event),
+        }
+    }
+
+    fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        let now = self.now();
+        let mut next = Next::Input;
+        if let (Some(walk), false) = (&mut self.walk, self.hidden) {
+            let (is_new, then) = walk.tick(now);
+            next = then;
+            if let Some(probe) = &mut self.options.probe {
+                match probe.tick(walk, next, now) {
+                    Some(then) => next = then,
+                    None => event_loop.exit(),
+                }
+            }
+            if is_new {
+                self.picture_is_new = true;
+                self.request_redraw();
+            }
+        }
+        if self.options.lose_adapter.is_some_and(|t| t <= now)
+            && let Some(screen) = self.screen.as_mut().filter(|s| s.shown.is_some())
+        {
+            self.options.lose_adapter = None;
+            screen.presenter.lose();
+            screen.window.request_redraw();
+        }
+        if self.collect_shots() {
+            let soon = Next::At(now + 0.01);
+            next = if next == Next::Input { soon } else { next };
+        }
+        let repaint_at = self.screen.as_ref().and_then(|s| s.repaint_at);
+        if repaint_at.is_some_and(|t| t <= Instant::now()) {
+            if let Some(screen) = &mut self.screen {
+                screen.repaint_at = None;
+            }
+            self.request_redraw();
+        }
+        let at = |t: f64| self.start + Duration::from_secs_f64(t.max(0.0));
+        event_loop.set_control_flow(match (next, repaint_at) {
+            (Next::Now, _) => ControlFlow::Poll,
+            (Next::At(t), Some(r)) => ControlFlow::WaitUntil(at(t).min(r)),
+            (Next::At(t), None) => ControlFlow::WaitUntil(at(t)),
+            (Next::Input, Some(r)) => ControlFlow::WaitUntil(r),
+            (Next::Input, None) => ControlFlow::Wait,
+        });
+    }
+}

@@ -1,0 +1,100 @@
+//! What hands do beside walking: the wheel, Shift and Ctrl, Esc, paths, a window that is hidden, a scene that loads slowly.
+
+use std::fs;
+use std::io::Write;
+use std::time::Instant;
+
+use super::driver::{Display, PATIENCE, Shot, View};
+use crate::support::{folder, root, scene};
+
+/// Scene units per second that the walk goes at.
+fn speed(shot: &Shot) -> f64 {
+    shot.fact("foveal speed").parse().expect("a number")
+}
+
+#[test]
+fn the_wheel_keys_and_hiding_do_what_they_are_for() {
+    let Some(display) = Display::open() else { return };
+    let mut view = View::open(&display, "--backend cpu", &scene("box"), &[]);
+    let first = view.converged();
+    view.act("click 4 sleep 0.1 click 4 sleep 0.1 click 5 sleep 0.1 click 4 sleep 0.2");
+    let wheel = view.converged();
+    // Three steps up and one down. (A wheel of buttons may be told of when it is pressed and released.)
+    assert!(speed(&wheel) / speed(&first) > 1.43, "{} of {}", speed(&wheel), speed(&first));
+    for (key, factor) in [("shift", 4.0), ("ctrl", 0.25)] {
+        view.act(&format!("keydown {key} sleep 0.2"));
+        view.until(key, |s| (speed(s) / speed(&wheel) - factor).abs() < 1e-3);
+        view.act(&format!("keyup {key} sleep 0.2"));
+        view.until(key, |s| speed(s) == speed(&wheel));
+    }
+
+    // Esc releases the mouse although its button is still down.
+    view.act("mousedown 3 sleep 0.2 mousemove --window {} 130 100 sleep 0.2 key Escape sleep 0.2");
+    let released = view.converged();
+    assert_ne!(released.camera("target"), first.camera("target"));
+    view.act("mousemove --window {} 180 140 sleep 0.2 mouseup 3 sleep 0.1 mousemove --window {} 100 100");
+    assert_eq!(view.converged().camera("target"), released.camera("target"));
+
+    // A bookmark is set, left and found again.
+    view.act("key ctrl+5 sleep 0.2 key 1 sleep 0.2");
+    assert_eq!(view.converged().camera("target"), first.camera("target"));
+    view.act("key 5 sleep 0.2");
+    assert_eq!(view.converged().camera("target"), released.camera("target"));
+
+    // A way is recorded and played: it ends where it ended.
+    view.act("key 1 sleep 0.3 key r sleep 0.2 keydown d sleep 0.5 keyup d sleep 0.3");
+    let end = view.converged();
+    view.act("key r sleep 0.2 key 1 sleep 0.3");
+    assert_eq!(view.converged().pixels, first.pixels);
+    view.act("key p sleep 0.3");
+    let start = Instant::now();
+    loop {
+        let played = view.converged();
+        if played.camera("eye") == end.camera("eye") {
+            break;
+        }
+        assert!(start.elapsed() < PATIENCE, "{} is not {}", played.camera("eye"), end.camera("eye"));
+    }
+
+    // Hidden, nothing is drawn; shown again, it goes on.
+    view.act("windowunmap --sync {} sleep 0.5 windowmap --sync {} sleep 0.5 windowmove {} 0 0 windowfocus {} sleep 0.3");
+    view.act("key 1 sleep 0.2");
+    let back = view.converged();
+    assert_eq!(back.pixels, first.pixels);
+    view.shows(&back, "after it was hidden");
+    view.quit();
+}
+
+#[test]
+fn the_walk_goes_on_while_a_scene_loads_and_light_is_baked() {
+    let Some(display) = Display::open() else { return };
+    let files = folder("scene");
+    for file in fs::read_dir(root().join("scenes/box")).expect("the box").flatten() {
+        fs::copy(file.path(), files.join(file.file_name())).expect("copied");
+    }
+    // Light that is never final in the time of this test.
+    let bake = folder("bakes");
+    let words = format!("--backend cpu --cache {} --particles 100000000 --error 0.01%", bake.display());
+    let mut view = View::open_unlit(&display, &words, &files.join("box.toml"));
+    let first = view.shot();
+    view.act("keydown d sleep 0.4 keyup d sleep 0.2");
+    let walked = view.until("light is baked", |s| s.camera("eye") != first.camera("eye"));
+    assert!(!walked.fact("foveal view").ends_with("converged"), "light is not final");
+
+    // A file that takes long to read: triangles too small to be seen.
+    let mut obj = fs::OpenOptions::new().append(true).open(files.join("box.obj")).expect("the geometry");
+    let grain: String = (0..300_000)
+        .map(|i| {
+            let [x, y] = [0.2 + 1e-7 * f64::from(i % 500), 0.2 + 1e-7 * f64::from(i / 500)];
+            format!("v {x} {y} 0\nv {} {y} 0\nv {x} {} 0\nf -3 -2 -1\n", x + 5e-8, y + 5e-8)
+        })
+        .collect();
+    obj.write_all(grain.as_bytes()).expect("written");
+    drop(obj);
+    view.act("key F5 sleep 0.5 keydown d sleep 0.4 keyup d sleep 0.2");
+    view.until("a scene is loaded", |s| s.camera("eye") != walked.camera("eye"));
+    view.until("it is loaded", |s| s.fact("foveal scene") != first.fact("foveal scene"));
+    view.act("key 1 sleep 0.3");
+    view.until("back in the new scene", |s| s.camera("eye") == first.camera("eye"));
+    view.quit();
+}

@@ -351,8 +351,8 @@ impl Walk {
         let Some(begin) = self.frame else {
             return (false, self.begin(now, period));
         };
-        // Of a scene that was just loaded something is to be seen at once.
-        let deadline = if self.shown.is_none() { begin } else { begin + period };
+        // Of a scene that was just loaded something is to be seen soon: the time of the first coarse samples.
+        let deadline = begin + if self.shown.is_none() { 0.3 * period } else { period };
         if now < deadline && !self.source.is_done() {
             self.source.work(SLICE.min(Duration::from_secs_f64(deadline - now)));
             return (false, Next::Now);

@@ -601,8 +601,11 @@ mod tests {
     fn input_reaches_its_frame_while_the_disk_stalls() {
         let goes_on = Arc::new(AtomicBool::new(false));
         let mut made = made(Settings::new(64, 48, 2));
-        made.recording =
-            Some(Recording { into: Record::Sink(Box::new(Slow(goes_on.clone()))), header: Vec::new() });
+        made.recording = Some(Recording {
+            into: Record::Sink(Box::new(Slow(goes_on.clone()))),
+            header: Vec::new(),
+            hashing: Hashing::Exact,
+        });
         let mut walk = Walk::new(Box::new(Session::start(made).expect("actors")), 0.0);
         sees_input_in_each_frame(&mut walk, "recording");
         goes_on.store(true, Ordering::SeqCst);

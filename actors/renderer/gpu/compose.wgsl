@@ -10,6 +10,9 @@ struct Compose {
     k_max: u32,
 }
 
+// Whether there is an overlay at all: software computes both sides of what it only knows when it draws.
+override OVERLAID: bool = true;
+
 @group(0) @binding(0) var<uniform> compose: Compose;
 @group(0) @binding(1) var base: texture_2d<f32>;
 // Splat layer: three halves of radiance and source + 1.
@@ -87,7 +90,7 @@ fn fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
         radiance = select(radiance, better.rgb, better.a > 0.5);
     }
     let shown = srgb_from_linear(to_linear(radiance));
-    if compose.overlay == 0u {
+    if !OVERLAID {
         return vec4f(shown, 1.0);
     }
     let object = textureLoad(objects, p, 0).x;

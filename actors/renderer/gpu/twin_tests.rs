@@ -159,14 +159,8 @@ fn base_layers_of_the_bundled_scenes_match_their_twins() {
         let scene = Arc::new(load(&file).expect("a bundled scene").scene);
         // As bright as the scene's own light, about: what is white hides differences.
         let light: Arc<dyn Irradiance> = Arc::new(Uniform(Vec3::splat(1.0 / scene.display.exposure)));
-        let mut display = GpuDisplay::new(
-            Arc::clone(&passes),
-            Arc::clone(&scene),
-            &*light,
-            [320, 200],
-            4,
-            Footprint::Tile,
-        );
+        let mut display =
+            GpuDisplay::new(Arc::clone(&passes), Arc::clone(&scene), &*light, [320, 200], 4, Footprint::Tile);
         for camera in scene.cameras.iter().take(2) {
             assert_base_layers_equal(&mut display, &scene, Arc::clone(&light), &camera.camera);
         }

@@ -316,7 +316,8 @@ fn headless(a: &ViewArguments, progress: Progress) -> Result<(), Failure> {
     } else {
         picture
     };
-    let bytes = screenshot::png(&picture, &walk.facts()).map_err(Failure::Input)?;
+    let bytes =
+        screenshot::png(&picture, &walk.facts(begin.elapsed().as_secs_f64())).map_err(Failure::Input)?;
     write_atomic(out, &bytes)?;
     let converged = walk.status().converged;
     if a.json {

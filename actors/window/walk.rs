@@ -205,7 +205,8 @@ impl Walk {
 
     /// Names and values that say how the picture came to be.
     pub fn facts(&mut self, now: f64) -> Vec<(String, String)> {
-        let stands = self.shown == Some(self.camera_at(now));
+        let camera = self.camera_at(now);
+        let stands = self.shown == Some(camera);
         let mut facts = self.source.facts();
         facts.extend(self.shown.as_ref().map(super::screenshot::camera_fact));
         if self.source.timeline().is_none() {

@@ -12,16 +12,3 @@ pub fn cpu_ns() -> f64 {
 pub fn cpu_ns() -> f64 {
     f64::NAN
 }
-
-/// Processor time of this thread so far, nanoseconds.
-#[cfg(unix)]
-pub fn thread_cpu_ns() -> f64 {
-    let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
-    time.tv_sec as f64 * 1e9 + time.tv_nsec as f64
-}
-
-/// Unknown here.
-#[cfg(not(unix))]
-pub fn thread_cpu_ns() -> f64 {
-    f64::NAN
-}

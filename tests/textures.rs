@@ -50,6 +50,43 @@ fn the_limit_holds_while_levels_come_and_go() {
     assert!(textures["drops"].as_u64() > Some(0) && textures["levels_loaded"].as_u64() > Some(20));
 }
 
+/// Figure 13: the viewer goes up to a picture on the wall; its full level arrives and others shrink.
+#[test]
+fn what_the_viewer_goes_up_to_comes_in_full() {
+    let copy = folder("approach");
+    for file in std::fs::read_dir(scene("gallery").parent().expect("a folder")).expect("a scene").flatten() {
+        std::fs::copy(file.path(), copy.join(file.file_name())).expect("a copy");
+    }
+    let sidecar = copy.join("gallery.toml");
+    let mut text = std::fs::read_to_string(&sidecar).expect("a sidecar");
+    text += "\n[[path]]\nname = \"approach\"\nkeys = [\n\
+        { t = 0.0, eye = [0.3, 1.6, 1.6], target = [-1.6, 1.5, -2.5] },\n\
+        { t = 1.5, eye = [0.3, 1.6, 1.6], target = [-1.6, 1.5, -2.5] },\n\
+        { t = 3.0, eye = [-1.6, 1.5, -1.75], target = [-1.6, 1.5, -2.5] },\n\
+        { t = 9.0, eye = [-1.6, 1.5, -1.75], target = [-1.6, 1.5, -2.5] },\n]\n";
+    std::fs::write(&sidecar, text).expect("a sidecar");
+    let words =
+        "walk --path approach --frames 48 --fps 8 --size 288x216 --workers 2 --quick --texture-budget 450000";
+    let d = Foveal::new(words).arg(&sidecar).json();
+    let textures = &d["textures"];
+    let bill = list(textures, "bill");
+    let most =
+        (0..bill.len()).max_by_key(|&t| bill[t]["pixels"].as_f64().unwrap_or(0.0) as u64).expect("textures");
+    assert_eq!(
+        (&bill[most]["texture"], &bill[most]["given_level"]),
+        (&"dusk.jpg".into(), &0.into()),
+        "{textures}"
+    );
+    // A moment before, when it was coarser and another was finer than in the end.
+    let exchanged = list(textures, "over_time").iter().any(|point| {
+        let level = |t: usize| point["finest"][t].as_u64();
+        let is_finer = |t: usize| t != most && level(t) < bill[t]["given_level"].as_u64();
+        level(most) > Some(0) && (0..bill.len()).any(is_finer)
+    });
+    assert!(exchanged, "others shrink: {textures}");
+    assert!(textures["peak_held_bytes"].as_u64() <= Some(450_000));
+}
+
 #[test]
 fn without_pressure_nothing_is_managed() {
     let words = "walk --frames 2 --fps 20 --size 64x48 --quick --texture-budget 64MiB";

@@ -302,9 +302,9 @@ impl Allocator {
         self.fill_pool(cx);
     }
 
-    fn on_textures_released(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {
+    fn on_textures_released(&mut self, drops: u32, cx: &mut Cx<'_, AllocatorMessage>) {
         if let Some(textures) = &mut self.textures {
-            textures.on_released();
+            textures.on_released(drops);
         }
         self.change_textures(cx);
         self.fill_pool(cx);
@@ -582,7 +582,7 @@ impl Actor for Allocator {
             AllocatorMessage::LevelLoaded { texture, level, texels } => {
                 self.on_level_loaded(texture, level, texels, cx);
             }
-            AllocatorMessage::TexturesReleased => self.on_textures_released(cx),
+            AllocatorMessage::TexturesReleased { drops } => self.on_textures_released(drops, cx),
             AllocatorMessage::Adjusted(adjustment) => self.on_adjusted(&adjustment, cx),
             AllocatorMessage::Incident(incident) => self.on_incident(incident, cx),
             AllocatorMessage::DecideOn => self.on_decide_on(cx),

@@ -182,9 +182,9 @@ impl Textures {
         self.residency.on_loaded(texture as usize, level as usize, is_there);
     }
 
-    /// Nobody holds what was dropped.
-    pub fn on_released(&mut self) {
-        self.residency.on_released();
+    /// Nobody holds what the first `drops` drops have dropped.
+    pub fn on_released(&mut self, drops: u32) {
+        self.residency.on_released(drops);
     }
 
     /// A job was given up, maybe the one that looks ahead.

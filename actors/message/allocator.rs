@@ -104,8 +104,11 @@ pub enum AllocatorMessage {
         /// Its texels; none where it cannot be had.
         texels: Option<LevelTexels>,
     },
-    /// From the renderer: nobody holds a level that was dropped any more.
-    TexturesReleased,
+    /// From the renderer: nobody holds what was dropped so far any more.
+    TexturesReleased {
+        /// How many drops that was, since the beginning.
+        drops: u32,
+    },
     /// From the renderer: the user changed something.
     Adjusted(Adjustment),
     /// From the runtime: an actor panicked, a job was given up, or a tracer was stopped.
@@ -160,7 +163,7 @@ impl Message for AllocatorMessage {
                     digest.u32(word);
                 }
             }
-            Self::TexturesReleased => {}
+            Self::TexturesReleased { drops } => digest.u32(*drops),
             Self::Adjusted(adjustment) => digest.bytes(&adjustment.to_bytes()),
             Self::Incident(incident) => digest.bytes(format!("{incident:?}").as_bytes()),
             Self::DecideOn | Self::SendAgain => {}
@@ -179,7 +182,7 @@ impl Message for AllocatorMessage {
             Self::EnvironmentFiltered { .. } => "EnvironmentFiltered",
             Self::TexturesSeen { .. } => "TexturesSeen",
             Self::LevelLoaded { .. } => "LevelLoaded",
-            Self::TexturesReleased => "TexturesReleased",
+            Self::TexturesReleased { .. } => "TexturesReleased",
             Self::Adjusted(_) => "Adjusted",
             Self::Incident(_) => "Incident",
             Self::DecideOn => "DecideOn",
@@ -200,7 +203,7 @@ impl Message for AllocatorMessage {
             | Self::EnvironmentFiltered { .. }
             | Self::TexturesSeen { .. }
             | Self::LevelLoaded { .. }
-            | Self::TexturesReleased
+            | Self::TexturesReleased { .. }
             | Self::Adjusted(_)
             | Self::DecideOn
             | Self::SendAgain => Lane::Data,
@@ -226,7 +229,9 @@ impl Message for AllocatorMessage {
             }
             Self::EnvironmentFiltered { object, contrast } => saver.put(&(6_u8, object, contrast)),
             // Only an allocator that refuses gets these.
-            Self::TexturesSeen { .. } | Self::LevelLoaded { .. } | Self::TexturesReleased => saver.refuse(),
+            Self::TexturesSeen { .. } | Self::LevelLoaded { .. } | Self::TexturesReleased { .. } => {
+                saver.refuse();
+            }
             Self::Incident(incident) => saver.put(&(7_u8, incident)),
             Self::SendAgain => saver.put(&8_u8),
             Self::TileSampled { view, sums, hash } => {

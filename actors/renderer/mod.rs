@@ -125,6 +125,8 @@ pub struct Renderer {
     former: Vec<Weak<Scene>>,
     /// Whether the allocator waits for what was dropped.
     releasing: bool,
+    /// Drops carried out since the beginning.
+    drops: u32,
     /// What the splat layer of a view begins with.
     approximation: Option<FirstApproximation>,
     counts: FrameCounts,
@@ -195,6 +197,7 @@ impl Renderer {
             waiting: VecDeque::new(),
             former: Vec::new(),
             releasing: false,
+            drops: 0,
             approximation,
             counts: FrameCounts::default(),
             converged: false,
@@ -332,7 +335,10 @@ impl Renderer {
             }
             changed = true;
             let Some(change) = self.waiting.pop_front() else { break };
-            self.releasing |= change.texels.is_none();
+            if change.texels.is_none() {
+                self.releasing = true;
+                self.drops += 1;
+            }
             let Some(texture) = textures.get_mut(change.texture as usize) else { continue };
             let mips = match change.texels {
                 Some(texels) => texture.mips.with_finer(texels),
@@ -363,7 +369,8 @@ impl Renderer {
             // The first scene, which others keep for good, has nothing that was ever dropped.
             self.former.truncate(1);
             self.releasing = false;
-            self.outbox.tell(cx, &neighbours.allocator, AllocatorMessage::TexturesReleased);
+            let released = AllocatorMessage::TexturesReleased { drops: self.drops };
+            self.outbox.tell(cx, &neighbours.allocator, released);
         }
     }
 

@@ -44,6 +44,7 @@ impl Renderer {
             waiting,
             former,
             releasing: _,
+            drops: _,
         } = self;
         if !outbox.is_empty() || !waiting.is_empty() || !former.is_empty() {
             return saver.refuse();

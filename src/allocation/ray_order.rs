@@ -24,8 +24,9 @@ const LEVELS_IN_PARTS: u32 = 3;
 /// Parts along an edge of a square picture, about.
 const PARTS_ALONG: f32 = 16.0;
 
-/// Most samples of a batch whose difference is measured; they stand for the others.
-const MEASURED: usize = 32;
+/// Most samples of a batch of the finest level whose difference is measured; they stand for the others. No level comes
+/// after it that would want to know more.
+const MEASURED_LAST: usize = 16;
 
 /// Where an object stands.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -320,7 +321,7 @@ pub fn residual_of_batch(
 ) -> Residual {
     let mut residual = Residual::default();
     let range = viewing.white_cd_m2 - viewing.black_cd_m2;
-    let step = batch.len().div_ceil(MEASURED).max(1);
+    let step = if batch.k == 0 { batch.len().div_ceil(MEASURED_LAST).max(1) } else { 1 };
     for (pixel, &color) in batch.pixels.iter().zip(&batch.colors).step_by(step) {
         let (x, y) = (usize::from(pixel[0]), usize::from(pixel[1]));
         let base = base.at(x, y);

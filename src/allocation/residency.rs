@@ -4,7 +4,7 @@
 //! In: what views show, and what became of the orders given. Out: orders to load the next finer level of a texture or to
 //! drop its finest ones. A level counts from the moment its load is ordered until nobody holds it any more.
 
-use std::collections::BinaryHeap;
+use std::collections::{BinaryHeap, VecDeque};
 
 use super::decision::{Constraint, Decision};
 use super::knapsack::LimitTooSmall;
@@ -115,8 +115,10 @@ pub struct Residency {
     loading: Vec<(usize, usize)>,
     /// Levels that could not be read: nothing finer is asked for.
     broken: Vec<usize>,
-    /// Bytes dropped that somebody may still hold.
-    releasing: u64,
+    /// Bytes of each drop that somebody may still hold, in their order.
+    releasing: VecDeque<u64>,
+    /// Drops that nobody holds any more.
+    released: u32,
     /// What one more byte would buy, just noticeable differences × pixels.
     price: f64,
 }
@@ -147,7 +149,8 @@ impl Residency {
             states,
             loading: Vec::new(),
             broken: vec![0; facts.len()],
-            releasing: 0,
+            releasing: VecDeque::new(),
+            released: 0,
             price: 0.0,
             facts,
         })
@@ -204,7 +207,7 @@ impl Residency {
     /// Bytes in memory, on their way there, or dropped and perhaps still held. Never above the limit, unless that
     /// was lowered a moment ago.
     pub fn used(&self) -> u64 {
-        self.resident + self.releasing
+        self.resident + self.releasing.iter().sum::<u64>()
     }
 
     /// Loads that are not there yet.
@@ -214,7 +217,10 @@ impl Residency {
 
     /// Whether nothing more is to be done for the last view.
     pub fn is_settled(&self) -> bool {
-        !self.is_deciding() && self.loading.is_empty() && self.releasing == 0 && self.states == self.targets
+        !self.is_deciding()
+            && self.loading.is_empty()
+            && self.releasing.is_empty()
+            && self.states == self.targets
     }
 
     /// −Σ q of the last view with the levels that are there, just noticeable differences × pixels.
@@ -321,18 +327,19 @@ impl Residency {
         if self.loading.len() >= loads_max {
             return None;
         }
+        let mut needed = 0;
         if let Some(Wanted { texture, level, .. }) = self.best_wanted() {
-            if self.used() + self.facts[texture].bytes[level] <= self.limit {
+            needed = self.facts[texture].bytes[level];
+            if self.used() + needed <= self.limit {
                 self.wanted.pop();
                 self.states[texture] = level;
-                self.resident += self.facts[texture].bytes[level];
+                self.resident += needed;
                 self.loading.push((texture, level));
                 return Some(Step::Load { texture, level });
             }
-        } else if self.used() <= self.limit {
-            return None;
         }
-        if self.releasing > 0 {
+        // What was dropped will be room enough.
+        if self.resident + needed <= self.limit {
             return None;
         }
         // Nothing is dropped that room is not needed for: what was seen may be seen again.
@@ -342,7 +349,7 @@ impl Residency {
         let facts = &self.facts[texture];
         let bytes = facts.bytes_from(self.states[texture]) - facts.bytes_from(finest);
         self.resident -= bytes;
-        self.releasing += bytes;
+        self.releasing.push_back(bytes);
         self.states[texture] = finest;
         Some(Step::Drop { texture, finest })
     }
@@ -364,9 +371,11 @@ impl Residency {
         }
     }
 
-    /// Nobody holds what was dropped so far.
-    pub fn on_released(&mut self) {
-        self.releasing = 0;
+    /// Nobody holds what the first `drops` drops there ever were have dropped.
+    pub fn on_released(&mut self, drops: u32) {
+        while self.released < drops && self.releasing.pop_front().is_some() {
+            self.released += 1;
+        }
     }
 }
 
@@ -403,7 +412,7 @@ mod tests {
 
     /// Carries out everything that is ordered, with loads and releases some steps late; checks the limit at each.
     fn settle(residency: &mut Residency, log: &mut Vec<Step>) {
-        let mut late = Vec::new();
+        let (mut late, mut drops) = (Vec::new(), residency.released);
         for _ in 0..1000 {
             assert!(residency.used() <= residency.limit());
             match residency.next_step(2) {
@@ -414,7 +423,10 @@ mod tests {
                 None if late.is_empty() => return,
                 None => match late.remove(0) {
                     Step::Load { texture, level } => residency.on_loaded(texture, level, true),
-                    Step::Drop { .. } => residency.on_released(),
+                    Step::Drop { .. } => {
+                        drops += 1;
+                        residency.on_released(drops);
+                    }
                 },
             }
         }

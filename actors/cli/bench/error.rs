@@ -4,7 +4,7 @@
 //! differ in nothing but their order, and time is the sum of what each object's samples were measured to cost.
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use clap::Args;
 use rayon::prelude::*;
@@ -38,7 +38,7 @@ use crate::cache_ager::angle_limit;
 use crate::cli::Progress;
 use crate::cli::arguments::Size;
 use crate::cli::failure::Failure;
-use crate::processor_time::{cpu_ns, thread_cpu_ns};
+use crate::processor_time::cpu_ns;
 use crate::settings::Settings;
 
 /// Arguments of `foveal bench error`.
@@ -391,6 +391,13 @@ fn traced(world: &World, first: &FirstApproximation, camera: foveal::scene::Came
     Traced { frame, buffers, statistics, index, samples, cost, reference, first: approximation }
 }
 
+/// Seconds since `start`, of a decision of some microseconds. Longer than a millisecond it was something else: the
+/// machine's other work. (A clock of the processor's time would cost more than what is measured.)
+fn undisturbed(start: Instant) -> f64 {
+    let seconds = start.elapsed().as_secs_f64();
+    if seconds < 1e-3 { seconds } else { 0.0 }
+}
+
 /// One policy on its way.
 pub(super) struct Walk<'s> {
     study: &'s Study,
@@ -407,7 +414,7 @@ pub(super) struct Walk<'s> {
     view: u32,
     /// Seconds of samples of the view.
     time: f64,
-    /// Processor seconds of deciding.
+    /// Seconds of deciding.
     deciding: f64,
     /// Seconds of all samples.
     traced: f64,
@@ -487,9 +494,9 @@ impl<'s> Walk<'s> {
         let display = &self.study.world.scene.display;
         let viewing = Viewing::from_centre_of_projection(display.white_cd_m2, traced.buffers.width(), 1.0);
         while self.time < until {
-            let start = thread_cpu_ns();
+            let start = Instant::now();
             let Some((job, _)) = self.order.next(&traced.buffers.object) else { break };
-            self.deciding += 1e-9 * (thread_cpu_ns() - start);
+            self.deciding += undisturbed(start);
             let all = &traced.samples[job.object as usize];
             let k = self.lattice.k_of(job.level);
             let mut batch = SampleBatch::new(self.view, job.object, k, job.count as usize);
@@ -505,7 +512,7 @@ impl<'s> Walk<'s> {
                 });
             }
             let seconds = traced.cost[job.object as usize] * batch.len() as f64;
-            let start = thread_cpu_ns();
+            let start = Instant::now();
             if self.order.learns() {
                 let base = &traced.buffers.color;
                 let residual = residual_of_batch(
@@ -520,7 +527,7 @@ impl<'s> Walk<'s> {
                 let pixel = batch.pixels.first().copied().unwrap_or_default();
                 self.order.record(u64::from(self.view), job.object, job.level, pixel, &residual);
             }
-            self.deciding += 1e-9 * (thread_cpu_ns() - start);
+            self.deciding += undisturbed(start);
             self.layer.splat_fresh(&batch, &traced.buffers.object, 1);
             self.time += seconds;
             self.traced += seconds;

@@ -30,6 +30,9 @@ struct Walker<'a> {
     scene: &'a Path,
     size: Size,
     cache: &'a Path,
+    /// Whether the C library gives large blocks back as soon as they are free. It would keep some for itself, and nobody
+    /// could see from outside what the program holds.
+    gives_back: bool,
 }
 
 impl Walker<'_> {
@@ -39,6 +42,9 @@ impl Walker<'_> {
         let size = format!("{}x{}", self.size.width, self.size.height);
         let mut command = Command::new(program);
         command.args(["-q", "walk", "--quick", "--json", "--size", &size, "--cache"]).arg(self.cache);
+        if self.gives_back {
+            command.env("MALLOC_MMAP_THRESHOLD_", "65536");
+        }
         let made = command.args(words.split_whitespace()).arg(self.scene).output();
         let out = made.map_err(|e| Failure::Environment(format!("a walk cannot be started: {e}")))?;
         serde_json::from_slice(&out.stdout)
@@ -61,7 +67,7 @@ pub fn walks(scene: &MadeScene, size: Size, a: &CommonArguments) -> Result<Vec<R
 }
 
 fn walk_all(scene: &MadeScene, size: Size, a: &CommonArguments, cache: &Path) -> Result<Vec<Row>, Failure> {
-    let walker = Walker { scene: scene.path(), size, cache };
+    let walker = Walker { scene: scene.path(), size, cache, gives_back: false };
     let limit = texture_bytes(scene.path())? / OVER;
     let budget = format!("--texture-budget {limit}");
     let mut figures: [Vec<f64>; 7] = Default::default();
@@ -113,7 +119,7 @@ fn walk_all(scene: &MadeScene, size: Size, a: &CommonArguments, cache: &Path) ->
 fn memory(size: Size, cache: &Path) -> Result<Vec<Row>, Failure> {
     let scene = MadeScene::bundled("gallery")?;
     scene.refine_pictures(FINER)?;
-    let walker = Walker { scene: scene.path(), size, cache };
+    let walker = Walker { scene: scene.path(), size, cache, gives_back: true };
     let all = texture_bytes(scene.path())?;
     let limit = all / OVER;
     let words = "--frames 40 --fps 10";
@@ -153,7 +159,8 @@ fn bill_rows(d: &Value) -> Vec<Row> {
         ("environment map", "name", &d["environment_maps"]["bill"]),
     ] {
         let mut lines: Vec<&Value> = lines.as_array().into_iter().flatten().collect();
-        let loss = |line: &Value| line["visible_loss"].as_f64().unwrap_or(0.0);
+        // The sum of nothing is −0.
+        let loss = |line: &Value| line["visible_loss"].as_f64().unwrap_or(0.0).max(0.0) + 0.0;
         lines.sort_by(|a, b| {
             loss(b).total_cmp(&loss(a)).then(kib(&b["asked_bytes"]).total_cmp(&kib(&a["asked_bytes"])))
         });

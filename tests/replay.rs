@@ -68,6 +68,27 @@ fn replay_stops_where_it_is_told_and_lists_an_actor() {
     assert!(profile["traceEvents"].as_array().is_some_and(|events| events.len() > 10));
 }
 
+#[test]
+fn hashes_are_as_dense_as_asked() {
+    let record = |hashes: &str| {
+        let file = folder("recording").join("walk.fvl");
+        let walk =
+            format!("walk --frames 4 --fps 40 --size 48x32 --workers 2 --quick --hashes {hashes} --record");
+        Foveal::new(&walk).arg(&file).arg(scene("box")).json();
+        let stat = Foveal::new("log stat").arg(&file).json();
+        (file, stat["bytes_per_delivery"].as_f64().expect("a number"))
+    };
+    let (each, sparse) = (record("each"), record("sparse"));
+    assert!(each.1 >= 2.0 && sparse.1 < 1.5, "{} and {} bytes", each.1, sparse.1);
+    for (file, _) in [each, sparse] {
+        assert_eq!(replayed(&file, 2)["diverged"], Value::Null);
+    }
+    // It replays, but nothing can be said of it.
+    let (none, _) = record("none");
+    Foveal::new("replay").arg(&none).ok();
+    Foveal::new("replay --verify").arg(&none).fails(3, &["without hashes"]);
+}
+
 /// A walk of which many pixels still show samples of earlier views.
 fn hurried() -> PathBuf {
     let file = folder("recording").join("walk.fvl");

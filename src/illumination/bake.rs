@@ -27,8 +27,8 @@ const BATCH: u64 = 1 << 15;
 const FIRST_PASS: u64 = 1 << 17;
 /// Blocks of elements at which direct light is gathered between two questions whether to go on.
 const BLOCKS: usize = 256;
-/// Pieces that surfaces are cut into to find where light from afar falls.
-const LIT_PIECES: usize = 1 << 16;
+/// Pieces that surfaces are cut into to find where light from afar falls, at least and at most.
+const LIT_PIECES: (usize, usize) = (1 << 13, 1 << 16);
 /// What surfaces out of sight count as places for particles to begin at.
 const UNSEEN: f64 = 0.3;
 /// Rounds that are waited for at most.
@@ -191,7 +191,8 @@ impl<'a> Baker<'a> {
             DirectLight::NextEvent => {
                 // What nobody sees may light what somebody does, but less.
                 let weight = |t: u32| if is_seen(t) { 1.0 } else { UNSEEN };
-                let lit = transport.lit(LIT_PIECES, settings.seed, &weight);
+                let pieces = (settings.texels as usize / 4).clamp(LIT_PIECES.0, LIT_PIECES.1);
+                let lit = transport.lit(pieces, settings.seed, &weight);
                 let power = transport.reflected_power(&lit);
                 (lit, power)
             }

@@ -28,6 +28,8 @@ pub struct Estimate {
     pub variance: f32,
     /// Change of the irradiance per scene unit along the two tangents of the element.
     pub slope: [Vec3; 2],
+    /// Irradiance per flux of a particle that arrives at the element itself, per square scene unit.
+    pub own: f32,
 }
 
 impl Estimate {
@@ -98,7 +100,9 @@ impl Bandwidth {
             hood.gather(tree, extent, nominal, self.resolution());
             hood.place(center);
             radius = self.limited(center, hood.radius(self.count, false).clamp(0.3 * nominal, 3.0 * nominal));
-            if (0.6 * nominal..=1.3 * nominal).contains(&radius) {
+            // Clutter may allow no larger one.
+            let limited = hood.nominal() < 0.99 * nominal && radius > hood.nominal();
+            if limited || (0.6 * nominal..=1.3 * nominal).contains(&radius) {
                 break;
             }
             nominal = radius;
@@ -187,6 +191,7 @@ impl Moments {
             irradiance: self.flux / (self.m0 * n),
             variance: self.square / (self.m0 * n).powi(2),
             slope: [Vec3::ZERO; 2],
+            own: 1.0 / (self.m0 * n),
         };
         if self.count < SLOPE_COUNT_MIN {
             return area_form;
@@ -222,7 +227,7 @@ impl Moments {
         {
             return area_form;
         }
-        Estimate { irradiance, variance: variance.max(0.0), slope }
+        Estimate { irradiance, variance: variance.max(0.0), slope, own: constant * area_form.own }
     }
 }
 
@@ -278,7 +283,8 @@ mod tests {
     #[test]
     fn the_back_does_not_see_the_front() {
         let (elements, tree) = square(10, |_| 1.0, 2);
-        assert_eq!(estimate(&tree, &elements[44], true, 0.3, 1), Estimate::default());
+        let found = estimate(&tree, &elements[44], true, 0.3, 1);
+        assert_eq!((found.irradiance, found.variance), (Vec3::ZERO, 0.0));
     }
 
     #[test]

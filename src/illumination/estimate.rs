@@ -22,6 +22,8 @@ const RUN: u32 = 1024;
 const SHARED: (f32, f32) = (0.1, 0.988_771_1);
 /// The same for a first picture: on leaves and ornaments 0.4 rad is all that a second allows.
 const SHARED_COARSELY: (f32, f32) = (0.25, 0.921);
+/// Places at which a first picture estimates a dense mesh, about.
+const PLACES_COARSELY: usize = 8 * 1024;
 /// Elements within the first share of the kernel's radius read one neighbourhood, where their normals are within the
 /// angle of this cosine, 0.4 rad; and those of small things, within the second share and 1 rad.
 const TOGETHER: [(f32, f32); 2] = [(0.6, 0.921), (0.2, 0.54)];
@@ -31,6 +33,8 @@ const DIRECT_NOISE: f32 = 0.03;
 const GAP: f32 = 0.01;
 /// An element that gets less than this share of the mean irradiance may lie inside a body or a gap.
 const DIM: f32 = 0.1;
+/// Elements brighter than so many times the median count less, as if they were not brighter.
+const BRIGHT: f32 = 8.0;
 /// Rays that decide whether an element lies inside a body.
 const BURIED_RAYS: u64 = 8;
 
@@ -57,7 +61,7 @@ impl Parts {
 /// How wide kernels are, and what that costs.
 struct ChosenBandwidth {
     bandwidth: Bandwidth,
-    /// Mean squared bias of the luminance.
+    /// Mean squared bias of the luminance, as far as a smooth irradiance lets expect.
     bias_squared: f64,
     /// Radius to start a search from.
     guess: f32,
@@ -71,8 +75,32 @@ pub(super) struct Prepared {
     direct_rounds: u32,
     stored: u64,
     bandwidth: ChosenBandwidth,
+    /// Mean squared bias of the luminance.
+    bias_squared: f64,
     /// Per block of elements whether its backs receive anything.
     lit_back: Vec<bool>,
+}
+
+impl Prepared {
+    pub(super) fn tree(&self) -> &ClusterTree {
+        &self.tree
+    }
+
+    pub(super) fn stored(&self) -> u64 {
+        self.stored
+    }
+
+    /// The estimate on the front of what `extent` describes, and the radius of its kernel.
+    pub(super) fn estimate_at(
+        &self,
+        extent: &Extent,
+        hood: &mut Neighbourhood,
+        emitted: u64,
+    ) -> (Estimate, f32) {
+        let bandwidth = &self.bandwidth.bandwidth;
+        bandwidth.focus(hood, &self.tree, extent, self.bandwidth.guess);
+        bandwidth.estimate(hood, &extent.center, false, emitted)
+    }
 }
 
 /// The last estimate in the making.
@@ -140,7 +168,17 @@ impl Baker<'_> {
         tree.update_with(&|e| [self.bins.arrived(e, false), self.bins.arrived(e, true)], &lit);
         let bandwidth = self.bandwidth(&tree, stored);
         let (emitted, direct_rounds) = (self.emitted, self.direct_rounds);
-        Prepared { tree, emitted, direct_rounds, stored, bandwidth, lit_back }
+        let mut with = Prepared {
+            bias_squared: bandwidth.bias_squared,
+            tree,
+            emitted,
+            direct_rounds,
+            stored,
+            bandwidth,
+            lit_back,
+        };
+        with.bias_squared = with.bias_squared.max(self.cross_validated_bias(&with));
+        with
     }
 
     /// Estimates of particles at the elements of a node of the tree, in its order, front and back.
@@ -165,11 +203,18 @@ impl Baker<'_> {
                     continue;
                 }
             }
+            let members = &tree.order()[tree.range(node)];
+            if coarse && members.len() <= tree.len() / PLACES_COARSELY {
+                bandwidth.focus(hood, tree, &extent, guess);
+                let fits = self.fits(&extent.center, members, with, bandwidth, hood);
+                found.extend(members.iter().map(|_| fits));
+                continue;
+            }
             if let Some([first, second]) = tree.halves(node) {
                 open.extend([(second, guess), (first, guess)]);
                 continue;
             }
-            for &e in &tree.order()[tree.range(node)] {
+            for &e in members {
                 let element = &self.atlas.elements[e as usize];
                 guess = bandwidth.focus(hood, tree, &Extent::of(element), guess);
                 found.push(self.fits(element, &[e], with, bandwidth, hood));
@@ -398,28 +443,36 @@ impl Baker<'_> {
     }
 
     fn summary(&self, values: impl Iterator<Item = (u32, [Option<Parts>; 2])>, with: &Prepared) -> Summary {
-        let (mut weight, mut energy, mut surface) = (0.0f64, 0.0f64, 0.0f64);
-        let (mut direct, mut particles) = (0.0f64, 0.0f64);
+        let (mut energy, mut surface) = (0.0f64, 0.0f64);
+        let (mut direct, mut particles, mut bias) = (0.0f64, 0.0f64, 0.0f64);
         let mut mean = [0.0f64; 3];
-        for (e, sides) in values {
+        let watched: Vec<(u32, [Option<Parts>; 2])> =
+            values.filter(|&(e, _)| self.watched[e as usize]).collect();
+        // Beside a lamp irradiance has no bound: what is there must not outweigh all the rest.
+        let total = |p: &Parts| luminance(p.direct + p.particles.irradiance);
+        let mut brightness: Vec<f32> = watched.iter().filter_map(|v| v.1[0].as_ref().map(total)).collect();
+        let middle = brightness.len() / 2;
+        let cap = match brightness.is_empty() {
+            true => 0.0,
+            false => BRIGHT * *brightness.select_nth_unstable_by(middle, f32::total_cmp).1,
+        };
+        for (e, sides) in watched {
             let area = f64::from(self.atlas.elements[e as usize].area);
-            if !self.watched[e as usize] {
-                continue;
-            }
             surface += area;
             for parts in sides.iter().flatten() {
-                let total = parts.direct + parts.particles.irradiance;
-                weight += area;
-                energy += area * f64::from(luminance(total)).powi(2);
-                direct += area * f64::from(parts.direct_variance);
-                particles += area * f64::from(parts.particles.variance);
-                for (sum, band) in mean.iter_mut().zip(total.to_array()) {
+                let all = parts.direct + parts.particles.irradiance;
+                let counts = if cap > 0.0 && luminance(all) > cap { cap / luminance(all) } else { 1.0 };
+                let weighted = area * f64::from(counts * counts);
+                energy += weighted * f64::from(luminance(all)).powi(2);
+                direct += weighted * f64::from(parts.direct_variance);
+                particles += weighted * f64::from(parts.particles.variance);
+                bias += weighted * with.bias_squared;
+                for (sum, band) in mean.iter_mut().zip(all.to_array()) {
                     *sum += area * f64::from(band);
                 }
             }
         }
         let relative = |squared: f64| if energy > 0.0 { (squared / energy).sqrt() as f32 } else { 0.0 };
-        let bias = with.bandwidth.bias_squared * weight;
         Summary {
             particles: self.emitted,
             stored: with.stored,

@@ -9,6 +9,7 @@ pub mod cache;
 pub mod clusters;
 pub mod density;
 pub mod direct;
+pub mod error_map;
 mod estimate;
 pub mod from_radiosity;
 pub mod neighbourhood;
@@ -24,6 +25,7 @@ pub(crate) mod test_scenes;
 #[cfg(test)]
 pub(crate) mod test_transport;
 pub mod truth;
+mod validation;
 
 use glam::Vec3;
 

@@ -21,11 +21,18 @@ pub const RESOLUTION: f32 = 0.16;
 /// Cosine of the angle within which the mean normal of a cluster speaks for all of it in a kernel, 0.25 rad; beside it
 /// the same where clutter is denser and denser. Never more than kernels accept: a cluster of two walls would count for
 /// neither.
-const NARROW: [f32; 4] = [0.968_912_4, 0.95, 0.921, NORMAL_COSINE];
+const NARROW: [f32; 3] = [0.968_912_4, 0.95, 0.921];
 /// Clusters become at most so many times twice as large: not larger than a kernel.
 const CLUTTER_MAX: u32 = 2;
-/// Clusters in a neighbourhood at most, unless they are as large as they may become; a flat surface has about 560.
+/// The same for a first picture.
+const NARROW_COARSE: [f32; 2] = [0.968_912_4, NORMAL_COSINE];
+const CLUTTER_MAX_COARSE: u32 = 1;
+/// Clusters in a neighbourhood at most; a flat surface has about 560.
 const CLUSTERS_MAX: usize = 840;
+/// Where clusters are as large as they may become and still too many, kernels become smaller, by this factor at a time.
+const SHRINKING: f32 = 0.75;
+/// So many times at most.
+const SHRUNK_MAX: u32 = 12;
 /// What a kernel accepts where it finds nothing else: cosine between normals, and slope against the tangent plane.
 const RELAXED: [(f32, f32); 2] = [(0.5, 1.0), (0.0, f32::INFINITY)];
 /// Kernels may be wider than the nominal radius by this factor.
@@ -43,6 +50,8 @@ pub struct Neighbourhood {
     nominal: f32,
     /// How many times clusters are twice as large as they should be.
     clutter: u32,
+    /// How many times the radius is smaller than it should be.
+    shrunk: u32,
     found: Vec<ClusterIndex>,
     position: [Vec<f32>; 3],
     normal: [Vec<f32>; 3],
@@ -58,38 +67,54 @@ pub struct Neighbourhood {
 impl Neighbourhood {
     /// Forgets the last one, so that the next does not depend on it.
     pub fn reset(&mut self) {
-        self.clutter = 0;
+        (self.clutter, self.shrunk) = (0, 0);
     }
 
     /// Gathers what kernels of radius up to [`REACH`] × `nominal` need at the elements of `extent`. `resolution`: size of
     /// clusters as a share of the radius.
     pub fn gather(&mut self, tree: &ClusterTree, extent: &Extent, nominal: f32, resolution: f32) {
-        self.nominal = nominal;
         let Extent { center, reach, .. } = *extent;
         let spread = extent.spread();
         let mut query = Query {
             center: center.position,
             normal: center.normal,
-            radius: REACH * nominal * 1.04 + reach,
+            radius: 0.0,
             normal_angle: NORMAL_ANGLE + spread,
             slope: SLOPE_MAX + spread.min(std::f32::consts::FRAC_PI_2).sin(),
-            height: HEIGHT * nominal + 2.0 * reach,
+            height: 0.0,
             resolution: 0.0,
             narrow: 1.0,
         };
-        let most = if resolution > RESOLUTION { CLUSTERS_MAX / 3 } else { CLUSTERS_MAX };
+        let coarse = resolution > RESOLUTION;
+        let (most, narrow, clutter_max) = match coarse {
+            true => (CLUSTERS_MAX / 3, &NARROW_COARSE[..], CLUTTER_MAX_COARSE),
+            false => (CLUSTERS_MAX, &NARROW[..], CLUTTER_MAX),
+        };
         // Clutter begins and ends gradually: what was too much for the last neighbourhood is so for this one.
-        let mut clutter = self.clutter;
+        let (mut clutter, mut shrunk) = (self.clutter.min(clutter_max), self.shrunk);
         loop {
-            query.resolution = resolution * nominal * (1 << clutter) as f32;
-            query.narrow = NARROW[(clutter as usize).min(NARROW.len() - 1)];
-            let most = if clutter < CLUTTER_MAX { most } else { usize::MAX };
+            self.nominal = nominal * SHRINKING.powi(shrunk as i32);
+            query.radius = REACH * self.nominal * 1.04 + reach;
+            query.height = HEIGHT * self.nominal + 2.0 * reach;
+            query.resolution = resolution * self.nominal * (1 << clutter) as f32;
+            query.narrow = narrow[(clutter as usize).min(narrow.len() - 1)];
+            let last = clutter == clutter_max;
+            let most = match (last, shrunk >= SHRUNK_MAX) {
+                (false, _) => most,
+                (true, false) => 2 * most,
+                (true, true) => usize::MAX,
+            };
             if tree.collect(&query, most, &mut self.found) {
                 break;
             }
-            clutter += 1;
+            match last {
+                true => shrunk += 1,
+                false => clutter += 1,
+            }
         }
-        self.clutter = if self.found.len() < most / 3 { clutter.saturating_sub(1) } else { clutter };
+        let few = self.found.len() < most / 3;
+        self.shrunk = if few { shrunk.saturating_sub(1) } else { shrunk };
+        self.clutter = if few && shrunk == 0 { clutter.saturating_sub(1) } else { clutter };
         self.clear();
         for &index in &self.found {
             let cluster = tree.cluster(index);

@@ -158,7 +158,10 @@ mod tests {
         for pass in 0..6 {
             while !matches!(baker.step(), Step::Appraised(_)) {}
             if [0, 3, 5].contains(&pass) {
-                errors.push(relative_error(&baker.illumination(), &known));
+                let map = baker.illumination();
+                let (error, stated) = (relative_error(&map, &known), f64::from(map.summary.relative_error));
+                assert!((0.7 * error..4.0 * error).contains(&stated), "{pass}: {error} stated as {stated}");
+                errors.push(error);
             }
         }
         assert!(errors[1] < 0.025 && errors[1] < errors[0] && errors[2] < errors[1], "{errors:?}");

@@ -10,8 +10,10 @@ use std::time::Instant;
 
 use foveal::geometry::Accel;
 use foveal::illumination::bake::{BakeSettings, Baker, Step};
+use foveal::illumination::error_map::ErrorMap;
 use foveal::illumination::from_radiosity::SceneRadiosity;
 use foveal::illumination::seen::{in_sight, seen};
+use foveal::illumination::stored::Illumination;
 use foveal::illumination::truth::{Truth, relative_error, truth};
 use foveal::scene::{Model, Reflectance, Scene};
 use foveal::transport::light::Lights;
@@ -23,7 +25,7 @@ use super::made::MadeScene;
 use super::table::{Aim, CommonArguments, Row, finish};
 use crate::cli::Progress;
 use crate::cli::failure::Failure;
-use crate::cli::output::{make_folder, write_atomic};
+use crate::cli::output::{make_folder, png_bytes, write_atomic};
 use crate::cli::session::{BakeSettingsArguments, interrupted, load_scene};
 use crate::processor_time::cpu_ns;
 
@@ -31,6 +33,10 @@ use crate::processor_time::cpu_ns;
 const POINTS: usize = 160;
 /// Samples at each of them.
 const SAMPLES: u32 = 4096;
+/// Pixels of the picture of errors, samples of each, and the side of the squares whose error is told.
+const VIEW: [u32; 2] = [240, 180];
+const VIEW_SAMPLES: u32 = 128;
+const SQUARE: u32 = 6;
 /// Triangles of the hall in which bounces are counted.
 const HALL: usize = 300_000;
 /// Particles traced there.
@@ -106,7 +112,17 @@ pub fn run(scenes: &[String], time: f64, a: &CommonArguments, progress: Progress
         let noise = known.iter().map(|t| f64::from(t.variance)).sum::<f64>().sqrt()
             / known.iter().map(|t| f64::from(t.irradiance.y).powi(2)).sum::<f64>().sqrt().max(1e-30);
         rows.push(Row::new(format!("{name}: noise of the truth itself"), "", &[noise]));
-        let mut found = vec![by_particles(name, scene, transport, &settings, &known, time)];
+        let (curve, map) = by_particles(name, scene, transport, &settings, &known, time);
+        let mut found = vec![curve];
+        if let (Some(out), Some(camera)) = (&a.out, scene.cameras.first()) {
+            let parts = (&**scene, &accel, &lights);
+            let view = ErrorMap::new(parts, &map, &camera.camera, VIEW, VIEW_SAMPLES);
+            make_folder(out)?;
+            let file = format!("illumination-{}.png", name.replace([',', ' '], "-"));
+            write_atomic(&out.join(file), &png_bytes(3 * VIEW[0], VIEW[1], &view.picture())?)?;
+            let what = format!("{name}: error of what a view shows, squares of {SQUARE} pixels");
+            rows.push(Row::new(what, "", &[view.relative_error(SQUARE)]));
+        }
         found.extend(by_radiosity(name, scene, &accel, &known, time));
         for curve in &found {
             if let Some(last) = curve.points.last() {
@@ -141,7 +157,6 @@ pub fn run(scenes: &[String], time: f64, a: &CommonArguments, progress: Progress
          cores"
     )];
     if let Some(out) = &a.out {
-        make_folder(out)?;
         write(out, &curves)?;
     }
     finish("error-illumination", &rows, &notes, a)
@@ -154,7 +169,7 @@ fn by_particles(
     settings: &BakeSettings,
     known: &[Truth],
     time: f64,
-) -> Curve {
+) -> (Curve, Illumination) {
     let start = Instant::now();
     let mut before = seconds(start);
     let mut baker = Baker::new(scene, transport, settings);
@@ -169,7 +184,7 @@ fn by_particles(
         points.push((total, relative_error(&map, known), f64::from(summary.relative_error)));
         before = seconds(start);
         if gathered >= time || interrupted() {
-            return Curve { name: format!("{name} by particles"), points };
+            return (Curve { name: format!("{name} by particles"), points }, map);
         }
     }
 }

@@ -2,6 +2,7 @@
 
 pub mod error;
 mod error_plain;
+pub mod first_light;
 pub mod illumination;
 pub mod made;
 pub mod messages;
@@ -32,6 +33,8 @@ pub enum BenchCommand {
     Stages(stages::StagesArguments),
     /// How fast the error of corrected pixels falls under each policy
     Error(error::ErrorArguments),
+    /// From a loaded scene to its first lit picture
+    FirstLight(first_light::FirstLightArguments),
     /// Rays per second: primary, diffuse bounce, shadow; obvhs' own traversal beside it
     Rays(rays::RaysArguments),
     /// How each stage grows with what it works on, and with tracers; memory beside it
@@ -54,6 +57,7 @@ pub fn run(command: &BenchCommand, progress: Progress) -> Result<(), Failure> {
     match command {
         BenchCommand::Stages(a) => stages::run(a, progress),
         BenchCommand::Error(a) => error::run(a, progress),
+        BenchCommand::FirstLight(a) => first_light::run(a, progress),
         BenchCommand::Rays(a) => rays::run(a, progress),
         BenchCommand::Scaling(a) => scaling::run(a, progress),
         BenchCommand::Skips(a) => skips::run(a, progress),

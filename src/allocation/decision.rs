@@ -148,9 +148,10 @@ pub fn best_step(resource: &impl Resource, action: usize, from: usize) -> f64 {
     let mut approximations = Vec::new();
     resource.approximations(action, &mut approximations);
     let Some(now) = approximations.get(from) else { return 0.0 };
-    let (cost, quality) = (now.cost, now.quality(resource.saliency(action)));
+    let saliency = resource.saliency(action);
+    let (cost, quality) = (now.cost, now.quality(saliency));
     let per_cost = |a: &Approximation| {
-        let gain = a.quality(resource.saliency(action)) - quality;
+        let gain = a.quality(saliency) - quality;
         gain / a.cost.saturating_sub(cost).max(1) as f64
     };
     approximations.iter().filter(|a| a.cost > cost).map(per_cost).fold(0.0, f64::max)

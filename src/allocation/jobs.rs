@@ -161,8 +161,9 @@ impl SampleJobs {
         for (x, y) in tiles {
             let rect = whole.rect.intersection(Rect { x0: x, y0: y, x1: x + side, y1: y + side });
             let of_row = |y: i32| {
-                let row = (rect.x0..rect.x1).filter(|&x| ids.at(x as usize, y as usize) == whole.object);
-                row.count() as u32
+                let row = y as usize * ids.width();
+                let row = &ids.data()[row + rect.x0 as usize..row + rect.x1 as usize];
+                row.iter().filter(|id| **id == whole.object).count() as u32
             };
             let pixels: u32 = (rect.y0..rect.y1).map(of_row).sum();
             if pixels > 0 {

@@ -77,7 +77,8 @@ pub struct BakeSettingsArguments {
     /// Stop after so many particles
     #[arg(long, value_name = "N", default_value_t = 1 << 22)]
     pub particles: u64,
-    /// Texels of the lightmap, about (default: by the number of triangles, 32 Ki to 256 Ki)
+    /// Texels of the lightmap, about (default: by the number of triangles, 32 Ki to 256 Ki; from 128 Ki where
+    /// lights without area cast sharp shadows)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1 << 26))]
     pub texels: Option<u32>,
     /// Fine texels also where no camera or path of the scene leads
@@ -101,8 +102,10 @@ impl Default for BakeSettingsArguments {
 impl BakeSettingsArguments {
     /// As the core takes them.
     pub fn settings(&self, scene: &Scene) -> BakeSettings {
-        // A room of a few walls needs no fine map, and its bake should take seconds.
-        let of_scene = || (32 * 1024 + 4 * scene.mesh.triangles.len()).min(256 * 1024) as u32;
+        // A room of a few walls needs no fine map, and its bake should take seconds; but the shadows of lights without
+        // area are as sharp as the map.
+        let least = if scene.lights.is_empty() { 32 * 1024 } else { 128 * 1024 };
+        let of_scene = || (least + 4 * scene.mesh.triangles.len()).min(256 * 1024) as u32;
         BakeSettings {
             texels: self.texels.unwrap_or_else(of_scene),
             seed: self.bake_seed,

@@ -1,6 +1,7 @@
 //! Particles: packets of flux from the lights through the scene (REFERENCE §6.1; Walter, Hubbard, Shirley
 //! & Greenberg 1997), and the light transport that a bake needs.
 
+use std::ops::Deref;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -129,80 +130,19 @@ impl<T: LightTransport + ?Sized> LightTransport for &T {
     }
 }
 
-/// [`SceneTransport`] that shares what it needs: for bakes that outlive their caller.
-#[derive(Clone, Debug)]
-pub struct SharedTransport {
-    scene: Arc<Scene>,
-    accel: Arc<Accel>,
-    lights: Arc<Lights>,
-}
-
-impl SharedTransport {
-    /// The transport of `scene` with its acceleration structure and its lights.
-    pub fn new(scene: Arc<Scene>, accel: Arc<Accel>, lights: Arc<Lights>) -> Self {
-        Self { scene, accel, lights }
-    }
-
-    fn borrowed(&self) -> SceneTransport<'_> {
-        SceneTransport::new(&self.scene, &self.accel, &self.lights)
-    }
-}
-
-impl LightTransport for SharedTransport {
-    fn trace(&self, seed: u64, index: u64, deposit: &mut dyn FnMut(Deposit)) -> u32 {
-        self.borrowed().trace(seed, index, deposit)
-    }
-
-    fn lit(&self, pieces: usize, seed: u64, weight: &(dyn Fn(u32) -> f64 + Sync)) -> LitSurfaces {
-        self.borrowed().lit(pieces, seed, weight)
-    }
-
-    fn trace_reflected(
-        &self,
-        lit: &LitSurfaces,
-        seed: u64,
-        index: u64,
-        deposit: &mut dyn FnMut(Deposit),
-    ) -> u32 {
-        self.borrowed().trace_reflected(lit, seed, index, deposit)
-    }
-
-    fn reflected_power(&self, lit: &LitSurfaces) -> f32 {
-        self.borrowed().reflected_power(lit)
-    }
-
-    fn certain(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {
-        self.borrowed().certain(triangle, b1, b2, back)
-    }
-
-    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Vec3 {
-        self.borrowed().direct(triangle, b1, b2, back, u)
-    }
-
-    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool {
-        self.borrowed().sees_inside(triangle, b1, b2, near, stream)
-    }
-
-    fn sees(&self, ray: &Ray) -> Option<Hit> {
-        self.borrowed().sees(ray)
-    }
-
-    fn is_diffuse(&self, triangle: u32) -> bool {
-        self.borrowed().is_diffuse(triangle)
-    }
-
-    fn power(&self) -> f32 {
-        self.borrowed().power()
-    }
-}
-
-/// The light transport of a scene: all its materials and lights.
+/// The light transport of a scene: all its materials and lights, borrowed or shared.
 #[derive(Clone, Copy, Debug)]
-pub struct SceneTransport<'a> {
-    scene: &'a Scene,
-    accel: &'a Accel,
-    lights: &'a Lights,
+pub struct TransportOf<S, A, L> {
+    scene: S,
+    accel: A,
+    lights: L,
 }
+
+/// That of a scene in sight.
+pub type SceneTransport<'a> = TransportOf<&'a Scene, &'a Accel, &'a Lights>;
+
+/// The same for bakes that outlive their caller.
+pub type SharedTransport = TransportOf<Arc<Scene>, Arc<Accel>, Arc<Lights>>;
 
 /// The irrational number that multiples spread most evenly of (modulo 1).
 const GOLDEN_RATIO: f64 = 0.618_033_988_749_894_9;
@@ -224,9 +164,14 @@ fn ratio(a: f32, b: f32) -> f32 {
     if r.is_finite() { r.min(CORRECTION_MAX) } else { 1.0 }
 }
 
-impl<'a> SceneTransport<'a> {
+impl<S, A, L> TransportOf<S, A, L>
+where
+    S: Deref<Target = Scene> + Sync,
+    A: Deref<Target = Accel> + Sync,
+    L: Deref<Target = Lights> + Sync,
+{
     /// The transport of `scene` with its acceleration structure and its lights.
-    pub fn new(scene: &'a Scene, accel: &'a Accel, lights: &'a Lights) -> Self {
+    pub fn new(scene: S, accel: A, lights: L) -> Self {
         Self { scene, accel, lights }
     }
 
@@ -237,13 +182,13 @@ impl<'a> SceneTransport<'a> {
         let out = if back { -normal } else { normal };
         let p = a * (1.0 - b1 - b2) + b * b1 + c * b2;
         let hit = Hit { t: 1.0, triangle, b1, b2 };
-        Interaction::at(self.scene, &Ray::new(p + out, -out), &hit)
+        Interaction::at(&self.scene, &Ray::new(p + out, -out), &hit)
     }
 
     /// A surface under a sample of light from afar: the point as this light sees it, and the irradiance on the surface's
     /// geometric normal. `None` where something hides it.
     fn arriving_from_afar(&self, start: &Start, stream: &mut Stream) -> Option<(Interaction, Vec3)> {
-        let (scene, Start { triangle, b1, b2, back, .. }) = (self.scene, *start);
+        let (scene, Start { triangle, b1, b2, back, .. }) = (&*self.scene, *start);
         let at = self.seen_from(triangle, b1, b2, back);
         let facing = at.facing_geometric();
         let light =
@@ -265,7 +210,7 @@ impl<'a> SceneTransport<'a> {
         stream: &mut Stream,
         deposit: &mut dyn FnMut(Deposit),
     ) -> u32 {
-        let scene = self.scene;
+        let scene = &*self.scene;
         for bounce in met..BOUNCES_MAX {
             let Some(hit) = self.accel.intersect(scene, &ray) else { return bounce };
             let at = Interaction::at(scene, &ray, &hit);
@@ -289,7 +234,7 @@ impl<'a> SceneTransport<'a> {
 
     /// Where a particle goes from a surface, and what it carries from there; `None` where it ends.
     fn scatter(&self, at: &Interaction, flux: &mut Vec3, stream: &mut Stream) -> Option<Ray> {
-        let bsdf = Bsdf::at(self.scene, at);
+        let bsdf = Bsdf::at(&self.scene, at);
         let geometric_in = at.wo.dot(at.geometric_normal);
         let (u, u_lobe) = (stream.next_2d(), stream.next_f32());
         let sample = bsdf.sample_all(at.wo, u, u_lobe)?;
@@ -307,7 +252,7 @@ impl<'a> SceneTransport<'a> {
 
     /// Irradiance by a light sample, unless something hides the light.
     fn arriving(&self, facing: &Facing, light: &LightSample) -> Vec3 {
-        let (scene, at) = (self.scene, &facing.at);
+        let (scene, at) = (&*self.scene, &facing.at);
         let cosine = light.wi.dot(facing.normal);
         if cosine <= 0.0 || light.wi.dot(at.facing_geometric()) <= 0.0 {
             return Vec3::ZERO;
@@ -355,10 +300,15 @@ fn absorbed(at: &Interaction, scene: &Scene, ray: &Ray) -> Vec3 {
     }
 }
 
-impl LightTransport for SceneTransport<'_> {
+impl<S, A, L> LightTransport for TransportOf<S, A, L>
+where
+    S: Deref<Target = Scene> + Sync,
+    A: Deref<Target = Accel> + Sync,
+    L: Deref<Target = Lights> + Sync,
+{
     fn trace(&self, seed: u64, index: u64, deposit: &mut dyn FnMut(Deposit)) -> u32 {
         let mut stream = Stream::new(seed, index, 0);
-        match self.lights.sample_emission(self.scene, &mut stream) {
+        match self.lights.sample_emission(&self.scene, &mut stream) {
             Some(start) => self.follow(start, 0, &mut stream, deposit),
             None => 0,
         }
@@ -388,7 +338,7 @@ impl LightTransport for SceneTransport<'_> {
         let mut choice =
             ((hash(seed, 0, 0x11e) as f64) / 2f64.powi(64) + index as f64 * GOLDEN_RATIO).fract();
         if choice < near_share {
-            let Some((ray, flux)) = self.lights.sample_near_emission(self.scene, &mut stream) else {
+            let Some((ray, flux)) = self.lights.sample_near_emission(&self.scene, &mut stream) else {
                 return 0;
             };
             let flux = flux / near_share as f32;
@@ -413,20 +363,20 @@ impl LightTransport for SceneTransport<'_> {
     }
 
     fn certain(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {
-        let facing = Facing::new(self.scene, self.seen_from(triangle, b1, b2, back));
-        self.lights.certain(self.scene, facing.at.position).map(|l| self.arriving(&facing, &l)).sum()
+        let facing = Facing::new(&self.scene, self.seen_from(triangle, b1, b2, back));
+        self.lights.certain(&self.scene, facing.at.position).map(|l| self.arriving(&facing, &l)).sum()
     }
 
     fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, [choice, u, v]: [f32; 3]) -> Vec3 {
-        let facing = Facing::new(self.scene, self.seen_from(triangle, b1, b2, back));
+        let facing = Facing::new(&self.scene, self.seen_from(triangle, b1, b2, back));
         let (point, normal) = (facing.at.position, facing.normal);
         self.lights
-            .sample_irradiance(self.scene, point, normal, choice, [u, v])
+            .sample_irradiance(&self.scene, point, normal, choice, [u, v])
             .map_or(Vec3::ZERO, |light| self.arriving(&facing, &light))
     }
 
     fn sees(&self, ray: &Ray) -> Option<Hit> {
-        self.accel.intersect(self.scene, ray)
+        self.accel.intersect(&self.scene, ray)
     }
 
     fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool {
@@ -435,7 +385,7 @@ impl LightTransport for SceneTransport<'_> {
         let (x, y) = out.any_orthonormal_pair();
         let local = cosine_hemisphere(stream.next_2d());
         let ray = at.spawn(x * local.x + y * local.y + out * local.z);
-        let Some(hit) = self.accel.intersect(self.scene, &ray) else { return false };
+        let Some(hit) = self.accel.intersect(&self.scene, &ray) else { return false };
         let [a, b, c] = self.scene.mesh.corners(hit.triangle);
         let material = &self.scene.materials[self.scene.mesh.materials[hit.triangle as usize].0 as usize];
         let closed = hit.t < near || (b - a).cross(c - a).dot(ray.direction) > 0.0;

@@ -44,13 +44,7 @@ fn keys_drags_and_sliders_reach_the_walk_and_closing_ends_it() {
     view.shows(&first, "the start view");
 
     // What has converged is what a run without a window makes.
-    let out = folder("headless").join("still.png");
-    let [width, height] = SIZE;
-    Foveal::new(&format!("view --headless --size {width}x{height} --workers 2 {CHEAP_BAKE} --out"))
-        .arg(&out)
-        .arg(scene("box"))
-        .ok();
-    assert!(Shot::read(&out).is_some_and(|still| still.pixels == first.pixels), "not the corrected picture");
+    assert!(headless_still().pixels == first.pixels, "not the corrected picture");
 
     view.act("keydown d sleep 0.3 keyup d");
     let walked = view.converged();
@@ -106,6 +100,17 @@ fn keys_drags_and_sliders_reach_the_walk_and_closing_ends_it() {
     assert!(replayed["frames"].as_u64() > Some(4), "{replayed}");
 }
 
+/// What a run without a window makes of the box's start view.
+fn headless_still() -> Shot {
+    let out = folder("headless").join("still.png");
+    let [width, height] = SIZE;
+    Foveal::new(&format!("view --headless --size {width}x{height} --workers 2 {CHEAP_BAKE} --out"))
+        .arg(&out)
+        .arg(scene("box"))
+        .ok();
+    Shot::read(&out).expect("a picture")
+}
+
 #[test]
 fn an_adapter_draws_the_same_and_may_be_lost() {
     let Some(display) = Display::open() else { return };
@@ -117,13 +122,7 @@ fn an_adapter_draws_the_same_and_may_be_lost() {
     let first = view.converged();
     assert!(drawn_by(&first), "{:?}", first.facts);
     view.shows(&first, "drawn by the adapter");
-    let out = folder("headless").join("still.png");
-    let [width, height] = SIZE;
-    Foveal::new(&format!("view --headless --size {width}x{height} --workers 2 {CHEAP_BAKE} --out"))
-        .arg(&out)
-        .arg(scene("box"))
-        .ok();
-    let still = Shot::read(&out).expect("a picture");
+    let still = headless_still();
     let pairs = still.pixels.iter().zip(&first.pixels);
     let off = pairs.filter(|(a, b)| a.abs_diff(**b) > 2).count();
     assert!(off * 100 < still.pixels.len(), "{off} values differ from the processor's");

@@ -2,12 +2,17 @@
 //! where quality is to be kept: what it decides is an input, recorded like all others.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use crossbeam_queue::ArrayQueue;
+use foveal::allocation::supersampling::Standing;
 use foveal::display::environment_map::texel_count;
 
 use crate::message::View;
 use crate::textures::TextureReport;
+
+/// Longest that a frame waits to become good enough, where quality is to be kept.
+pub const LONGEST_FRAME: Duration = Duration::from_secs(10);
 
 /// What is known of one object.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -83,6 +88,8 @@ pub struct Insight {
     pub map_price_per_mib: f64,
     /// Textures, where they are limited, and the limit in bytes.
     pub textures: Option<(TextureReport, u64)>,
+    /// How far the converged view is refined, once that has begun.
+    pub refinement: Option<Standing>,
     /// Q per pixel (Dumont 2003, Eq. (1)): −1 × the mean visible error of rays that are still to come and of texture levels
     /// that are missing, just noticeable differences. 0 is the gold standard; −∞ while nothing is known.
     pub quality: f32,

@@ -45,6 +45,9 @@ pub struct Settings {
 pub struct Adjustment {
     /// Frames per second to aim at. Frames come when the clock says so; this one is for whoever reads the recording.
     pub fps: f32,
+    /// Least [`quality`](crate::insight::Insight::quality) of a frame that is shown, which waits for it; `None` where frames
+    /// keep their rate. As [`fps`](Self::fps), for whoever reads the recording.
+    pub quality: Option<f32>,
     /// Tracers at work, at least 1; the others rest.
     pub workers: u32,
     /// Order of rays.

@@ -173,6 +173,7 @@ impl Allocator {
             map_bytes: [self.environments.bytes(), self.settings.environment_bytes],
             map_price_per_mib: self.environments.price_per_mib(),
             textures: self.textures.as_ref().map(|t| (t.current(), t.residency().limit())),
+            refinement: self.supersampler.as_ref().and_then(Supersampler::standing),
             quality: self.quality(),
         }
     }
@@ -422,8 +423,12 @@ impl Allocator {
         {
             let tone = ToneMap::from(&drawn.world.scene.display);
             self.stages.time(Stage::Allocate, || supersampler.record(sums, &tone));
+            self.since_insight += 1;
         }
         self.fill_pool(cx);
+        if self.since_insight >= JOBS_BETWEEN_INSIGHTS {
+            self.tell_insight();
+        }
     }
 
     /// Orders more samples for tiles of a view that has converged.
@@ -441,6 +446,7 @@ impl Allocator {
         if self.in_flight == 0 && supersampler.is_exhausted() && !self.told_refined {
             self.outbox.tell(cx, &self.renderer, RendererMessage::ViewRefined { view: drawn.view });
             self.told_refined = true;
+            self.tell_insight();
         }
     }
 

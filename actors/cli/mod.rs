@@ -10,6 +10,7 @@ pub mod explain;
 pub mod failure;
 pub mod figures;
 pub mod log;
+pub mod mode;
 pub mod output;
 pub mod pictures;
 pub mod recording;

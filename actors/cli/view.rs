@@ -11,6 +11,7 @@ use serde_json::json;
 use super::Progress;
 use super::arguments::{Size, bytes, positive};
 use super::failure::Failure;
+use super::mode::ModeArguments;
 use super::output::{print_json, print_line, write_atomic};
 use super::recording::{Hashes, RecordedRun, TRACERS_MAX};
 use super::session::{self, IlluminationArguments};
@@ -37,6 +38,8 @@ pub struct ViewArguments {
     /// Frames per second to aim at (default: the scene's, else 10)
     #[arg(long, value_parser = positive)]
     fps: Option<f32>,
+    #[command(flatten)]
+    mode: ModeArguments,
     /// Number of tracers (default: one per core)
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(TRACERS_MAX)))]
     workers: Option<u32>,
@@ -49,6 +52,9 @@ pub struct ViewArguments {
     /// The adapter is lost after so many seconds, to see that the walk goes on
     #[arg(long, value_name = "SECONDS", hide = true)]
     lose_adapter: Option<f64>,
+    /// The same of the window's surface
+    #[arg(long, value_name = "SECONDS", hide = true)]
+    lose_surface: Option<f64>,
     /// Refine what has converged until the standard error of displayed values, 0 to 1, is below this; 0 leaves it
     /// (default: 0.01, with --headless 0)
     #[arg(long, value_name = "NOISE", value_parser = clap::value_parser!(f32))]
@@ -214,6 +220,7 @@ pub fn options(a: ViewArguments) -> window::Options {
         backend: if a.display == DisplayName::Gpu { Backend::Gpu } else { a.backend.into() },
         drawn_by: a.display.into(),
         lose_adapter: a.lose_adapter,
+        lose_surface: a.lose_surface,
         screenshots: a.screenshots.clone(),
         loader: loader(a),
         probe: None,
@@ -266,7 +273,8 @@ pub fn load(
         Some(Recording { into: Record::File(file), header, hashing: a.hashes.into() })
     });
     let session::Session { world, textures, refinement, warnings: _ } = opened;
-    Ok(Made { world, textures, refinement, settings, fps, facts, recording })
+    let quality = a.mode.least_quality();
+    Ok(Made { world, textures, refinement, settings, fps, quality, facts, recording })
 }
 
 /// The file of a session, counted from 1.
@@ -340,23 +348,12 @@ fn headless(a: &ViewArguments, progress: Progress) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The picture and all overlays, three in a row.
+/// The picture and all overlays, three in a row, each beneath what its colours mean.
 fn sheet(walk: &mut Walk) -> Map2d<[u8; 3]> {
-    const COLUMNS: usize = 3;
-    /// Pixels between two pictures.
-    const GAP: usize = 4;
     let mut pictures = Vec::new();
     for overlay in Overlay::ALL {
         walk.set_controls(window::Controls { overlay, ..*walk.controls() });
-        pictures.extend(walk.picture().cloned());
+        pictures.extend(walk.picture().map(|picture| (overlay, picture.clone())));
     }
-    let [width, height] = pictures.first().map_or([1, 1], |p| [p.width() + GAP, p.height() + GAP]);
-    let rows = pictures.len().div_ceil(COLUMNS);
-    Map2d::from_fn(COLUMNS * width - GAP, (rows * height).saturating_sub(GAP), |x, y| {
-        let (x_in, y_in) = (x % width, y % height);
-        match pictures.get(y / height * COLUMNS + x / width) {
-            Some(picture) if x_in < picture.width() && y_in < picture.height() => picture.at(x_in, y_in),
-            _ => [255; 3],
-        }
-    })
+    window::legend::sheet(&pictures, 3)
 }

@@ -19,6 +19,7 @@ use foveal_runtime::{BuildError, Config, Control, Limit, RecordingStatus, Runtim
 
 use super::arguments::{Size, bytes, positive, unit};
 use super::failure::Failure;
+use super::mode::ModeArguments;
 use super::output::{make_folder, memory_bytes, print_json, write_atomic};
 use super::pictures::PictureWriter;
 use super::recording::{Hashes, RecordedRun, TRACERS_MAX};
@@ -27,7 +28,7 @@ use super::session::{self, IlluminationArguments, Session, camera, interrupted};
 use super::walk_report::{Walked, document, summary, textures_json};
 use super::{Progress, figures, replay};
 use crate::allocator::Allocator;
-use crate::insight::InsightSlot;
+use crate::insight::{InsightSlot, LONGEST_FRAME};
 use crate::message::{FrameIndex, FrameSnapshot, RendererInput, View};
 use crate::renderer::{FrameCounts, FrameSink, Renderer};
 use crate::settings::Settings;
@@ -55,14 +56,8 @@ pub struct WalkArguments {
     /// Frames per second to keep (default: the scene's, else 10)
     #[arg(long, value_parser = positive)]
     fps: Option<f32>,
-    /// What is kept where time is short: the frame rate, whatever the picture looks like, or the quality, while the frame
-    /// rate falls
-    #[arg(long, value_enum, default_value_t = Mode::FixedRate)]
-    mode: Mode,
-    /// With --mode fixed-quality: the least quality of a frame that is shown: 0 less the mean visible error of its pixels, just
-    /// noticeable differences
-    #[arg(long, value_name = "Q", default_value = "-0.25", allow_negative_numbers = true, value_parser = quality)]
-    quality: f32,
+    #[command(flatten)]
+    pub(super) mode: ModeArguments,
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "512x512")]
     size: Size,
@@ -135,34 +130,6 @@ pub struct WalkArguments {
     #[arg(long)]
     json: bool,
 }
-
-impl WalkArguments {
-    /// The name of the mode.
-    pub(super) fn mode_name(&self) -> &'static str {
-        match self.mode {
-            Mode::FixedRate => "fixed-rate",
-            Mode::FixedQuality => "fixed-quality",
-        }
-    }
-}
-
-/// What is kept where time is short (Dumont 2003, figure 17).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Mode {
-    /// Frames come at their rate, as good as they are
-    FixedRate,
-    /// Frames wait until they are good enough
-    FixedQuality,
-}
-
-/// A quality, at most 0.
-fn quality(text: &str) -> Result<f32, String> {
-    let value: f32 = text.parse().map_err(|_| format!("{text} is no number"))?;
-    if value <= 0.0 { Ok(value) } else { Err("no picture is better than 0, the one without errors".into()) }
-}
-
-/// Longest that a frame waits to become good enough.
-const LONGEST_FRAME: Duration = Duration::from_secs(10);
 
 /// Names of policies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -455,10 +422,11 @@ fn walk(
             let view = r.inspect(renderer, |r| r.drawn().map(|d| d.view)).flatten();
             // Where it has converged nothing more can be done.
             let converged = r.inspect(renderer, Renderer::is_converged) == Some(true);
-            interrupted() || converged || (Some(now.0) == view && now.1 >= a.quality)
+            let bound = a.mode.least_quality().unwrap_or(f32::NEG_INFINITY);
+            interrupted() || converged || (Some(now.0) == view && now.1 >= bound)
         };
-        match a.mode {
-            Mode::FixedQuality if !staying => {
+        match a.mode.least_quality() {
+            Some(_) if !staying => {
                 runtime.pump_until(Limit::time(LONGEST_FRAME.saturating_sub(began.elapsed())), is_enough);
             }
             _ => {

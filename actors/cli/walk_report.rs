@@ -91,7 +91,7 @@ pub fn document(
         "seed": settings.seed,
         "frame_ms": {"median": round(median), "p95": round(p95), "p99": round(p99)},
         "stage_ms": stage_ms,
-        "mode": a.mode_name(),
+        "mode": a.mode.name(),
         "over_time": {
             "frame_ms": walked.points.iter().map(|p| round(p.total_ms)).collect::<Vec<_>>(),
             "quality": walked.points.iter().map(|p| round(p.quality)).collect::<Vec<_>>(),

@@ -31,7 +31,7 @@ pub enum Overlay {
     Importance = 7,
     /// Which object the next samples go to: white first.
     Priority = 8,
-    /// Estimated error that each object shows still: white is ten just noticeable differences and more. In tiles that are
+    /// Estimated error that each object shows still: white is four just noticeable differences and more. In tiles that are
     /// refined, the standard error of displayed values: white is a tenth of their range.
     Error = 9,
     /// Mip level given: wanted, or the finest in memory where that is coarser.
@@ -71,6 +71,9 @@ impl Overlay {
         }
     }
 }
+
+/// Colour of samples that were traced for this view.
+pub const AGE_FRESH: Vec3 = Vec3::new(0.0, 0.6, 0.2);
 
 /// A colour per number, far from those of its neighbours. Display values in [0, 1].
 pub fn distinct(n: u32) -> Vec3 {
@@ -138,7 +141,7 @@ fn overlay_color(overlay: Overlay, sources: &Sources<'_>, x: usize, y: usize, gr
             Some(heat(1.0 - k as f32 / (sources.k_max + 1) as f32))
         }
         Overlay::Age => Some(match sources.splats.shown_age(x, y)? {
-            0 => Vec3::new(0.0, 0.6, 0.2),
+            0 => AGE_FRESH,
             age => heat((age as f32 + 1.0).log2() / 6.0),
         }),
         Overlay::Tracer => match sources.splats.source(x, y) {

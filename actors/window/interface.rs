@@ -4,6 +4,7 @@
 use egui::{Color32, Context, Rect, TextureHandle, Ui};
 use foveal::image::Map2d;
 
+use super::legend;
 use super::painter::SoftwarePainter;
 use super::panel::{self, Shown};
 use super::source::Controls;
@@ -42,6 +43,7 @@ pub fn interface(ui: &mut Ui, shown: &Interface<'_>, help: &mut bool) -> Answer 
         let shown = Shown {
             status: &status,
             times: &walk.times,
+            quality: walk.quality(),
             speed: walk.navigator.speed(),
             ranges: walk.ranges(),
             insight: walk.insight(),
@@ -63,6 +65,8 @@ pub fn interface(ui: &mut Ui, shown: &Interface<'_>, help: &mut bool) -> Answer 
         answer.picture_rect = fit(size, space);
         let uv = Rect::from_min_max(egui::Pos2::ZERO, egui::pos2(1.0, 1.0));
         ui.painter().image(texture, answer.picture_rect, uv, Color32::WHITE);
+        let overlay = answer.controls.map_or_else(Default::default, |controls| controls.overlay);
+        legend::over_picture(ui.ctx(), overlay, answer.picture_rect);
     }
     if let Some(name) = shown.loading {
         let font = egui::FontId::proportional(20.0);
@@ -90,19 +94,26 @@ pub fn texture(context: &Context, texture: Option<TextureHandle>, picture: &Map2
 
 /// The whole window of a walk as a picture of `size`, without a window.
 pub fn paint(walk: &Walk, size: [usize; 2]) -> Map2d<[u8; 3]> {
+    let mut picture = None;
+    paint_ui(size, |ui| {
+        if let (None, Some(shown)) = (&picture, walk.picture()) {
+            picture = Some(texture(ui.ctx(), None, shown));
+        }
+        let picture = picture.as_ref().map(|p| (p.id(), p.size_vec2()));
+        interface(ui, &Interface { walk: Some(walk), picture, loading: None, presenter: "" }, &mut false);
+    })
+}
+
+/// What is drawn, as a picture of `size`, without a window.
+pub fn paint_ui(size: [usize; 2], mut draw: impl FnMut(&mut Ui)) -> Map2d<[u8; 3]> {
     let context = Context::default();
     let mut painter = SoftwarePainter::default();
-    let picture = walk.picture().map(|picture| texture(&context, None, picture));
-    let picture = picture.as_ref().map(|p| (p.id(), p.size_vec2()));
-    let shown = Interface { walk: Some(walk), picture, loading: None, presenter: "" };
     let area = Rect::from_min_size(egui::Pos2::ZERO, egui::vec2(size[0] as f32, size[1] as f32));
     let mut pixels = vec![0; size[0] * size[1]];
     // The second time everything knows its size.
     for _ in 0..2 {
         let input = egui::RawInput { screen_rect: Some(area), ..egui::RawInput::default() };
-        let output = context.run_ui(input, |ui| {
-            interface(ui, &shown, &mut false);
-        });
+        let output = context.run_ui(input, &mut draw);
         let primitives = context.tessellate(output.shapes, output.pixels_per_point);
         let mut textures = output.textures_delta;
         painter.set_textures(&textures);

@@ -17,7 +17,7 @@ use crate::renderer::overlay::{Overlay, Sources, paint, tile_error};
 use crate::renderer::{Renderer, Splats};
 
 /// Just noticeable differences that the overlay of errors shows white.
-const ERROR_MAX: f32 = 10.0;
+const ERROR_MAX: f32 = 4.0;
 
 /// The renderer's last picture as `controls` want it seen. In a recording that stands between two frames, the picture as
 /// it has become since.
@@ -106,7 +106,7 @@ pub fn actors(runtime: &Runtime) -> Vec<ActorStatus> {
         name: c.name,
         delivered: c.delivered,
         waiting: c.depth,
-        waiting_max: c.depth_max,
+        waiting_max: c.depth_max.max(c.depth),
         busy: Duration::from_nanos(c.busy_ns),
     };
     // Ports have no turns.

@@ -10,6 +10,7 @@
 pub mod app;
 pub mod decisions;
 pub mod interface;
+pub mod legend;
 pub mod look;
 pub mod navigation;
 pub mod painter;

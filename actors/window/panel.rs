@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use egui::{Color32, Pos2, Rect, RichText, Sense, Shape, Slider, Stroke, Ui, Vec2};
 use foveal::allocation::policy::Policy;
+use foveal::allocation::supersampling::Standing;
 use foveal::display::tone::ToneCurve;
 use foveal::splatting::supersampling::Supersampling;
 
@@ -15,6 +16,8 @@ use crate::renderer::overlay::Overlay;
 
 /// Frames in the graph.
 const HISTORY: usize = 120;
+/// Quality that frames wait for unless something else is said.
+const QUALITY: f32 = -0.25;
 /// Points that the panel is wide.
 pub const WIDTH: f32 = 310.0;
 
@@ -75,6 +78,8 @@ pub struct Shown<'a> {
     pub status: &'a Status,
     /// The last frames.
     pub times: &'a FrameTimes,
+    /// Quality of the picture on show, as estimated.
+    pub quality: Option<f32>,
     /// Speed of walking, scene units per second.
     pub speed: f32,
     /// How far controls go.
@@ -111,6 +116,7 @@ pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
         });
         ui.separator();
         ui.add(Slider::new(&mut controls.set.fps, 1.0..=60.0).logarithmic(true).text("frames per second"));
+        quality(ui, &mut controls.set.quality);
         ui.horizontal(|ui| {
             ui.label("task");
             ui.add(Slider::new(&mut controls.set.saliency_weight, 0.0..=1.0).text("saliency"));
@@ -124,10 +130,14 @@ pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
             Slider::new(&mut controls.set.samples_per_job, 16..=4096)
                 .logarithmic(true)
                 .text("samples per job"),
-        );
-        ui.add(Slider::new(&mut controls.set.ageing.delta, 0.01..=0.5).text("delta"));
-        ui.add(Slider::new(&mut controls.set.ageing.max_age, 0..=256).text("MAX_AGE"));
-        ui.add(Slider::new(&mut controls.set.ageing.n_min, 1..=100).text("N_min"));
+        )
+        .on_hover_text("n_job: what a tracer takes at once");
+        ui.add(Slider::new(&mut controls.set.ageing.delta, 0.01..=0.5).text("delta"))
+            .on_hover_text("Samples expire once the cosine between normal and view has changed by this");
+        ui.add(Slider::new(&mut controls.set.ageing.max_age, 0..=256).text("MAX_AGE, views"))
+            .on_hover_text("Samples expire after so many views");
+        ui.add(Slider::new(&mut controls.set.ageing.n_min, 1..=100).text("N_min, samples"))
+            .on_hover_text("Samples that a level needs to have a say in what expires");
         ui.add(Slider::new(&mut controls.set.workers, 1..=shown.ranges.workers).text("workers"));
         budgets(ui, controls, shown.ranges);
         refinement(ui, &mut controls.set.refine);
@@ -148,18 +158,37 @@ pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
 
 fn state(ui: &mut Ui, shown: &Shown<'_>) {
     let status = shown.status;
+    let refinement = shown.insight.filter(|_| status.converged).and_then(|(insight, _)| insight.refinement);
     let state = match (status.converged, status.lit) {
         (true, _) if status.refined => "refined",
+        (true, _) if refinement.is_some() => "converged, being refined",
         (true, _) => "converged",
         (false, true) => "correcting",
         (false, false) => "correcting, light grows",
     };
     ui.label(RichText::new(format!("view {}, {state}", status.view)).strong());
     ui.label(format!("{} traced, {} reused, {} expired", status.traced, status.reused, status.expired));
-    ui.label(format!("speed {:.3} per second", shown.speed));
+    let quality = shown.quality.map_or_else(|| "not known".to_owned(), |quality| format!("{quality:.3}"));
+    ui.label(format!("speed {:.3} per second, quality {quality}", shown.speed));
+    if let Some(Standing { tiles, quiet, error: Some(error) }) = refinement {
+        ui.label(format!("{quiet} of {tiles} tiles below the noise bound, worst {error:.4}"));
+    }
     if let Some(notice) = shown.notice {
         let color = if notice.failed { ui.visuals().error_fg_color } else { ui.visuals().text_color() };
         ui.colored_label(color, &notice.text);
+    }
+}
+
+/// Whether frames wait until they are good enough, and for how good a one.
+fn quality(ui: &mut Ui, quality: &mut Option<f32>) {
+    let mut waits = quality.is_some();
+    if ui.checkbox(&mut waits, "frames wait until they are good enough").changed() {
+        *quality = waits.then_some(QUALITY);
+    }
+    if let Some(quality) = quality {
+        ui.add(Slider::new(quality, -4.0..=0.0).text("least quality")).on_hover_text(
+            "0 less the mean visible error of a pixel, just noticeable differences; the frame rate falls for it",
+        );
     }
 }
 

@@ -158,6 +158,13 @@ impl Presenter {
         }
     }
 
+    /// As if the window system had taken the surface back; for tests of what follows.
+    pub fn lose_surface(&mut self) {
+        if let Self::Gpu(p) = self {
+            p.loses_surface = true;
+        }
+    }
+
     /// Largest side of a texture, texels.
     pub fn texture_side_max(&self) -> usize {
         match self {
@@ -216,6 +223,8 @@ pub struct GpuPresenter {
     configuration: wgpu::SurfaceConfiguration,
     renderer: Renderer,
     mirror: Mirroring,
+    /// The next picture finds the surface lost.
+    loses_surface: bool,
     /// The mirror's picture as the interface knows it.
     registered: Option<(wgpu::Texture, egui::TextureId)>,
 }
@@ -248,7 +257,17 @@ impl GpuPresenter {
             DrawnBy::Auto | DrawnBy::Processor => Mirroring::Off,
         };
         let window = window.clone();
-        Ok(Self { instance, window, surface, gpu, configuration, renderer, mirror, registered: None })
+        Ok(Self {
+            instance,
+            window,
+            surface,
+            gpu,
+            configuration,
+            renderer,
+            mirror,
+            loses_surface: false,
+            registered: None,
+        })
     }
 
     fn mirrored(&mut self) -> Option<(egui::TextureId, [u32; 2])> {
@@ -315,7 +334,11 @@ impl GpuPresenter {
 
     fn draw(&mut self, painted: &Painted<'_>) -> Presented {
         use wgpu::CurrentSurfaceTexture as Current;
-        let frame = match self.surface.get_current_texture() {
+        let current = match std::mem::take(&mut self.loses_surface) {
+            true => Current::Lost,
+            false => self.surface.get_current_texture(),
+        };
+        let frame = match current {
             Current::Success(frame) | Current::Suboptimal(frame) => frame,
             Current::Timeout | Current::Occluded => return Presented::Again,
             Current::Outdated => {
@@ -323,6 +346,7 @@ impl GpuPresenter {
                 return Presented::Again;
             }
             Current::Lost => {
+                tracing::warn!("the window's surface was lost; another one is made");
                 return match self.instance.create_surface(self.window.clone()) {
                     Ok(surface) => {
                         self.surface = surface;

@@ -80,6 +80,8 @@ pub struct Made {
     pub settings: Settings,
     /// Frames per second to aim at.
     pub fps: f32,
+    /// Least quality of a frame that is shown, if frames are to wait for it.
+    pub quality: Option<f32>,
     /// Names and values for a screenshot's metadata.
     pub facts: Vec<(String, String)>,
     /// Where the session is recorded, if anywhere.
@@ -115,12 +117,13 @@ impl Session {
     /// # Errors
     /// If threads cannot be started.
     pub fn start(made: Made) -> Result<Self, String> {
-        let Made { world, textures, refinement, settings, fps, facts, recording } = made;
+        let Made { world, textures, refinement, settings, fps, quality, facts, recording } = made;
         let (corrects, passes) = parts_of(&world.scene);
         let store = textures.as_ref();
         let controls = Controls {
             set: Adjustment {
                 fps,
+                quality,
                 workers: settings.tracers,
                 policy: settings.policy.policy,
                 saliency_weight: settings.saliency_weight,
@@ -354,6 +357,18 @@ impl FrameSource for Session {
         self.look(|r| look::draw_on(r, &controls, insight, splats, footprint, mirror)).unwrap_or(false)
     }
 
+    fn quality(&mut self) -> f32 {
+        self.listen();
+        let (view, converged) =
+            self.look(|r| (r.drawn().map(|d| d.view), r.is_converged())).unwrap_or((None, true));
+        match &self.insight {
+            // Nothing more can be done.
+            _ if converged => 0.0,
+            Some(insight) if Some(insight.view) == view => insight.quality,
+            _ => f32::NEG_INFINITY,
+        }
+    }
+
     fn is_done(&self) -> bool {
         self.look(Renderer::is_refined).unwrap_or(true)
     }
@@ -427,6 +442,7 @@ mod tests {
             refinement: None,
             settings,
             fps: 30.0,
+            quality: None,
             facts: Vec::new(),
             recording: None,
         }
@@ -519,6 +535,9 @@ mod tests {
         let mut walk = walk_of(Settings { supersampling: Some(rules), ..Settings::new(64, 48, 2) }, |_| ());
         settle(&mut walk, start);
         assert!(walk.status().refined);
+        let standing = walk.insight().and_then(|(insight, _)| insight.refinement).expect("how far");
+        assert!(standing.quiet > 0 && standing.tiles == 12, "{standing:?}");
+        assert!(standing.error.is_some_and(|error| error > 0.0 && error < 0.2), "{standing:?}");
         let refined = walk.picture().cloned().expect("a picture");
         let controls = *walk.controls();
         walk.set_controls(Controls { set: Adjustment { refine: None, ..controls.set }, ..controls });
@@ -528,6 +547,28 @@ mod tests {
         walk.set_controls(controls);
         settle(&mut walk, start);
         assert_eq!(walk.picture(), Some(&refined), "the same bits again");
+    }
+
+    #[test]
+    fn where_quality_is_kept_every_frame_has_it() {
+        let mut made = made(Settings::new(64, 48, 2));
+        (made.fps, made.quality) = (1000.0, Some(0.0));
+        let (mut walk, start) =
+            (Walk::new(Box::new(Session::start(made).expect("actors")), 0.0), Instant::now());
+        settle(&mut walk, start);
+        walk.navigator.press(Motion::Right, start.elapsed().as_secs_f64());
+        let (view, mut frames) = (walk.status().view, 0);
+        while frames < 3 {
+            let (shown, next) = walk.tick(start.elapsed().as_secs_f64());
+            if shown {
+                frames += 1;
+                assert_eq!(walk.quality(), Some(0.0), "frame {frames}");
+            }
+            if let Next::At(_) = next {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        }
+        assert_eq!(walk.status().view, view + frames);
     }
 
     /// Who stops where it is.

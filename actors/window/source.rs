@@ -40,7 +40,7 @@ pub struct ActorStatus {
     pub delivered: u64,
     /// Messages that wait for it.
     pub waiting: u64,
-    /// Most messages that ever waited when it began to work.
+    /// Most messages that ever waited when it began to work, or wait now.
     pub waiting_max: u64,
     /// Time it has been at work.
     pub busy: Duration,
@@ -153,6 +153,9 @@ pub trait FrameSource {
     fn begin_frame(&mut self, camera: &Camera);
     /// Works for at most `time`; does not use the processor while there is nothing to do.
     fn work(&mut self, time: Duration);
+    /// Quality of the view as estimated so far: [`Insight::quality`]; 0 where it has converged, −∞ while nothing is known of
+    /// it.
+    fn quality(&mut self) -> f32;
     /// Whether the view has all that it gets, and all of it arrived.
     fn is_done(&self) -> bool;
     /// Whether the last frame shows all that arrived.

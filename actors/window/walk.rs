@@ -12,7 +12,7 @@ use super::navigation::Navigator;
 use super::panel::{FrameTimes, Notice};
 use super::source::{Branch, Controls, FrameSource, Names, Place, Ranges, Status, TimelineShown};
 use super::timeline::Wish;
-use crate::insight::Insight;
+use crate::insight::{Insight, LONGEST_FRAME};
 use crate::renderer::gpu::Mirror;
 use crate::renderer::overlay::Overlay;
 
@@ -20,6 +20,10 @@ use crate::renderer::overlay::Overlay;
 const SLICE: Duration = Duration::from_millis(8);
 /// Bookmarks, keys 1 to 9.
 pub const BOOKMARKS: usize = 9;
+
+fn key_of(t: f32, camera: &Camera) -> PathKey {
+    PathKey { t, eye: camera.eye, target: camera.target }
+}
 
 /// What the caller does until the next call of [`Walk::tick`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,6 +63,8 @@ pub struct Walk {
     mirror_wanted: bool,
     /// How long the last frames took.
     pub times: FrameTimes,
+    /// Estimated quality of the picture on show.
+    quality: Option<f32>,
     /// When the next frame of a recording is due, while it plays.
     replaying: Option<f64>,
     /// The last thing to tell the user.
@@ -95,6 +101,7 @@ impl Walk {
             mirrored: false,
             mirror_wanted: false,
             times: FrameTimes::default(),
+            quality: None,
             replaying: None,
             notice: None,
         }
@@ -193,6 +200,11 @@ impl Walk {
         self.picture.as_ref()
     }
 
+    /// Quality of the picture on show as estimated when it was shown ([`Insight::quality`]), once anything is known of it.
+    pub fn quality(&self) -> Option<f32> {
+        self.quality
+    }
+
     /// The camera of the picture on show.
     pub fn camera(&self) -> Option<&Camera> {
         self.shown.as_ref()
@@ -212,6 +224,7 @@ impl Walk {
         if self.source.timeline().is_none() {
             facts.push(("foveal speed".into(), self.navigator.speed().to_string()));
             facts.push(("foveal at rest".into(), stands.to_string()));
+            facts.extend(self.quality.map(|quality| ("foveal quality".into(), quality.to_string())));
         }
         facts
     }
@@ -240,10 +253,16 @@ impl Walk {
     pub fn toggle_recording(&mut self, now: f64) {
         match self.recording.take() {
             None => {
-                self.recording = Some((now, Vec::new()));
+                let begin = key_of(0.0, &self.camera_at(now));
+                self.recording = Some((now, vec![begin]));
                 self.tell("recording a path; R ends it".into());
             }
-            Some((_, keys)) => {
+            Some((start, mut keys)) => {
+                // Where the walk is may be further than the last frame has seen.
+                let end = key_of((now - start) as f32, &self.camera_at(now));
+                if keys.last().is_some_and(|last| (last.eye, last.target) != (end.eye, end.target)) {
+                    keys.push(end);
+                }
                 let (count, seconds) = (keys.len(), keys.last().map_or(0.0, |k| k.t));
                 if count > 1 {
                     self.recorded = Some(CameraPath { name: "recorded".into(), keys });
@@ -353,11 +372,19 @@ impl Walk {
             return (false, self.begin(now, period));
         };
         // Of a scene that was just loaded something is to be seen soon: the time of the first coarse samples.
-        let deadline = begin + if self.shown.is_none() { 0.3 * period } else { period };
+        let is_first = self.shown.is_none();
+        let mut deadline = begin + if is_first { 0.3 * period } else { period };
+        if let Some(least) = self.controls.set.quality.filter(|_| !is_first && now >= deadline)
+            && self.source.quality() < least
+        {
+            deadline = begin + LONGEST_FRAME.as_secs_f64();
+        }
         if now < deadline && !self.source.is_done() {
             self.source.work(SLICE.min(Duration::from_secs_f64(deadline - now)));
             return (false, Next::Now);
         }
+        // (Without its sign, 0 is told as 0.)
+        self.quality = Some(self.source.quality() + 0.0).filter(|quality| quality.is_finite());
         self.source.end_frame();
         self.frame = None;
         self.times.push(Duration::from_secs_f64((now - begin).max(0.0)));
@@ -387,7 +414,13 @@ impl Walk {
             return Next::At(next);
         }
         if let Some((start, keys)) = &mut self.recording {
-            keys.push(PathKey { t: (now - *start) as f32, eye: camera.eye, target: camera.target });
+            let key = key_of((now - *start) as f32, &camera);
+            // While nothing moves no frame begins; a rest stays one.
+            let rested = keys.last().copied().filter(|last| key.t - last.t > 2.0 * period as f32);
+            keys.extend(rested.map(|last| PathKey { t: key.t - period as f32, ..last }));
+            if keys.last().is_none_or(|last| last.t < key.t) {
+                keys.push(key);
+            }
         }
         self.last_begin = now;
         self.camera = Some(camera);
@@ -420,6 +453,10 @@ mod tests {
         shown: usize,
         controls: Vec<Controls>,
         left: usize,
+        /// Slices that a view needs.
+        slices: usize,
+        /// What was left when frames were shown.
+        left_shown: Vec<usize>,
     }
 
     struct Scripted(Rc<RefCell<Told>>);
@@ -440,6 +477,7 @@ mod tests {
         fn controls(&self) -> Controls {
             let set = Adjustment {
                 fps: 10.0,
+                quality: None,
                 workers: 1,
                 saliency_weight: 0.5,
                 policy: Policy::default(),
@@ -464,7 +502,7 @@ mod tests {
         fn begin_frame(&mut self, camera: &Camera) {
             let mut told = self.0.borrow_mut();
             if told.cameras.last() != Some(camera) {
-                told.left = 30;
+                told.left = told.slices;
             }
             told.cameras.push(*camera);
         }
@@ -474,10 +512,16 @@ mod tests {
             told.left = told.left.saturating_sub(usize::from(!time.is_zero()));
         }
         fn end_frame(&mut self) {
-            self.0.borrow_mut().shown += 1;
+            let mut told = self.0.borrow_mut();
+            told.shown += 1;
+            let left = told.left;
+            told.left_shown.push(left);
         }
         fn picture(&mut self) -> Option<Map2d<[u8; 3]>> {
             Some(Map2d::new(2, 2, [self.0.borrow().shown as u8; 3]))
+        }
+        fn quality(&mut self) -> f32 {
+            -(self.0.borrow().left as f32) / 30.0
         }
         fn is_done(&self) -> bool {
             self.0.borrow().left == 0
@@ -491,7 +535,7 @@ mod tests {
     }
 
     fn walk() -> (Walk, Rc<RefCell<Told>>) {
-        let told = Rc::new(RefCell::new(Told { left: 30, ..Told::default() }));
+        let told = Rc::new(RefCell::new(Told { left: 30, slices: 30, ..Told::default() }));
         (Walk::new(Box::new(Scripted(told.clone())), 0.0), told)
     }
 
@@ -533,6 +577,40 @@ mod tests {
     }
 
     #[test]
+    fn where_quality_is_kept_frames_wait_for_it() {
+        let (mut walk, told) = walk();
+        let controls = *walk.controls();
+        walk.set_controls(Controls { set: Adjustment { quality: Some(-0.25), ..controls.set }, ..controls });
+        walk.navigator.press(Motion::Right, 0.0);
+        run(&mut walk, 0.0, 2.0);
+        let left = told.borrow().left_shown.clone();
+        // The first picture of a scene is to be seen soon.
+        assert!(left[0] > 7, "{left:?}");
+        assert!(
+            left.len() > 5 && left[1..].iter().all(|left| *left == 7),
+            "0.25 of 30 slices are left: {left:?}"
+        );
+        assert!(walk.times.median_p99().is_some_and(|(median, _)| median > 0.15), "the rate falls");
+        assert_eq!(walk.quality(), Some(-7.0 / 30.0));
+        walk.set_controls(controls);
+        run(&mut walk, 2.0, 3.0);
+        assert!(told.borrow().left_shown.last().is_some_and(|left| *left > 7), "the rate is kept again");
+    }
+
+    #[test]
+    fn no_frame_waits_for_ever() {
+        let (mut walk, told) = walk();
+        let controls = *walk.controls();
+        walk.set_controls(Controls { set: Adjustment { quality: Some(0.0), ..controls.set }, ..controls });
+        run(&mut walk, 0.0, 10.0);
+        walk.navigator.press(Motion::Right, 10.0);
+        told.borrow_mut().slices = 1 << 20;
+        let shown = told.borrow().shown;
+        run(&mut walk, 10.0, 31.0);
+        assert_eq!(told.borrow().shown, shown + 2, "as long as the longest frame is");
+    }
+
+    #[test]
     fn changed_controls_reach_the_session_and_draw_one_frame() {
         let (mut walk, told) = walk();
         let end = run(&mut walk, 0.0, 10.0);
@@ -558,23 +636,28 @@ mod tests {
         walk.toggle_playing(0.1);
         assert!(walk.notice.as_ref().is_some_and(|n| n.text.contains("no path")));
         walk.toggle_recording(0.1);
-        walk.navigator.press(Motion::Right, 0.1);
-        run(&mut walk, 0.1, 1.1);
-        walk.navigator.release(Motion::Right, 1.1);
-        walk.toggle_recording(1.1);
-        walk.set_bookmark(7, 1.1);
+        // Between the last frame and the end of the recording it goes on, seen by no frame.
+        walk.navigator.press(Motion::Right, 0.5);
+        run(&mut walk, 0.5, 1.1);
+        walk.navigator.release(Motion::Right, 1.19);
+        let last = walk.navigator.camera(1.19);
+        walk.toggle_recording(1.19);
+        walk.set_bookmark(7, 1.19);
         walk.go_to(0, 1.2);
         walk.toggle_playing(1.2);
         let before = told.borrow().cameras.len();
         let end = run(&mut walk, 1.2, 5.0);
         let played: Vec<f32> = told.borrow().cameras[before..].iter().map(|c| c.eye.x).collect();
-        assert!(played.len() > 5 && played.windows(2).all(|w| w[1] >= w[0]), "{played:?}");
+        assert!(played.len() > 5 && played.windows(2).all(|w| w[1] >= w[0] - 0.01), "{played:?}");
+        assert_eq!(told.borrow().cameras.last(), Some(&last), "it ends where it ended");
+        assert!(played[..3].iter().all(|x| (x - 1.0).abs() < 1e-3), "it begins with a rest: {played:?}");
         assert_eq!(walk.tick(end + 1.0).1, Next::Input, "the path has an end");
-        walk.go_to(7, end + 1.0);
+        assert_eq!(walk.facts(end + 1.0)[3].1, "true", "bookmark 8 is where the path ends");
+        walk.go_to(0, end + 1.0);
         let facts = walk.facts(end + 1.0);
         let names: Vec<&str> = facts.iter().map(|f| f.0.as_str()).collect();
-        assert_eq!(names, ["scene", "foveal camera", "foveal speed", "foveal at rest"]);
-        assert_eq!(facts[3].1, "false", "bookmark 8 is not on show yet");
+        assert_eq!(names, ["scene", "foveal camera", "foveal speed", "foveal at rest", "foveal quality"]);
+        assert_eq!(facts[3].1, "false", "bookmark 1 is not on show yet");
     }
 
     #[test]
@@ -583,7 +666,7 @@ mod tests {
         walk.navigator.look(30.0, 0.0, 0.0);
         let camera = walk.navigator.camera(0.0);
         walk.next_overlay();
-        let told = Rc::new(RefCell::new(Told { left: 30, ..Told::default() }));
+        let told = Rc::new(RefCell::new(Told { left: 30, slices: 30, ..Told::default() }));
         walk.replace_source(Box::new(Scripted(told.clone())));
         run(&mut walk, 0.0, 0.05);
         assert_eq!(told.borrow().cameras, [camera]);

@@ -24,6 +24,17 @@ pub struct TileOrder {
     pub count: u32,
 }
 
+/// How far a view is refined.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Standing {
+    /// Tiles of the picture.
+    pub tiles: u32,
+    /// Tiles whose standard error is below the bound.
+    pub quiet: u32,
+    /// Largest standard error of a tile, root mean square of displayed values in [0, 1]; `None` before any is known.
+    pub error: Option<f32>,
+}
+
 /// Samples that a pixel may still get after `samples` later ones.
 fn room(rules: &Supersampling, samples: u32) -> u32 {
     rules.max_samples.min(SAMPLES_MAX).saturating_sub(samples + 1)
@@ -44,6 +55,8 @@ pub struct Supersampler {
     tiles: Tiles,
     /// What each tile has.
     sums: Vec<Option<Arc<TileSums>>>,
+    /// Standard error of each tile as far as is known, root mean square of displayed values; for whoever looks on.
+    errors: Vec<f32>,
     /// Tiles that may be ordered, the largest error first (as bits: errors are not negative), the first tile of those.
     open: BinaryHeap<(u32, Reverse<u32>)>,
 }
@@ -51,12 +64,19 @@ pub struct Supersampler {
 impl Supersampler {
     /// For pictures of a size; nothing is open until a view has converged.
     pub fn new(rules: Supersampling, width: u32, height: u32) -> Self {
-        Self { rules, tiles: Tiles::of_size(width, height), sums: Vec::new(), open: BinaryHeap::new() }
+        Self {
+            rules,
+            tiles: Tiles::of_size(width, height),
+            sums: Vec::new(),
+            errors: Vec::new(),
+            open: BinaryHeap::new(),
+        }
     }
 
     /// Another view: what was there holds no more.
     pub fn forget(&mut self) {
         self.sums.clear();
+        self.errors.clear();
         self.open.clear();
     }
 
@@ -109,10 +129,23 @@ impl Supersampler {
     pub fn record(&mut self, sums: Arc<TileSums>, tone: &ToneMap) {
         if let Some(slot) = self.sums.get_mut(sums.tile as usize) {
             *slot = Some(sums.clone());
+            let error = sums.error(tone)[0];
+            self.errors.resize(self.tiles.len(), f32::INFINITY);
+            self.errors[sums.tile as usize] = error;
             if !is_done(&self.rules, Some(&sums), tone) {
-                self.open.push((sums.error(tone)[0].to_bits(), Reverse(sums.tile)));
+                self.open.push((error.to_bits(), Reverse(sums.tile)));
             }
         }
+    }
+
+    /// How far the view is refined; `None` before that has begun.
+    pub fn standing(&self) -> Option<Standing> {
+        let known = || self.errors.iter().filter(|error| error.is_finite());
+        self.has_begun().then(|| Standing {
+            tiles: self.tiles.len() as u32,
+            quiet: known().filter(|error| **error < self.rules.noise).count() as u32,
+            error: known().copied().reduce(f32::max),
+        })
     }
 
     /// What the tiles have, for a snapshot.

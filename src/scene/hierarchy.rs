@@ -193,11 +193,16 @@ fn connected(mesh: &Mesh, triangles: &[TriangleIndex], weld: f32) -> Vec<Part> {
     parts
 }
 
+/// Most vertices of a cell of the grid below. With more they are closer than a weld on average, as where a scene is a grain
+/// in its own bounds, and comparing all with all would take forever; one then stands for all others in its cell.
+const CELL_FULL: usize = 64;
+
 /// Joins vertices within `weld` of each other, by a hashed grid of cells four times as large: the
-/// cube around a vertex reaches into 3.4 cells on average.
-fn weld_vertices(mesh: &Mesh, vertices: &[u32], weld: f32, forest: &mut Forest) {
+/// cube around a vertex reaches into 3.4 cells on average. Returns the number of comparisons.
+fn weld_vertices(mesh: &Mesh, vertices: &[u32], weld: f32, forest: &mut Forest) -> usize {
+    let mut comparisons = 0;
     if weld <= 0.0 {
-        return;
+        return comparisons;
     }
     let cell = 4.0 * f64::from(weld);
     let slots = (vertices.len() * 2).next_power_of_two();
@@ -218,6 +223,7 @@ fn weld_vertices(mesh: &Mesh, vertices: &[u32], weld: f32, forest: &mut Forest) 
                 for z in low.z..=high.z {
                     let mut at = heads[slot(x, y, z)];
                     while at != u32::MAX {
+                        comparisons += 1;
                         let other = mesh.positions[vertices[at as usize] as usize];
                         if other.distance_squared(p) <= weld * weld {
                             forest.join(at, i as u32);
@@ -232,10 +238,26 @@ fn weld_vertices(mesh: &Mesh, vertices: &[u32], weld: f32, forest: &mut Forest) 
         if !twin {
             let c = q.floor().as_i64vec3();
             let s = slot(c.x, c.y, c.z);
+            let some = |at: u32| (at != u32::MAX).then_some(at);
+            let chain = || std::iter::successors(some(heads[s]), |&at| some(next[at as usize]));
+            if chain().nth(CELL_FULL).is_some() {
+                // Cells may share a slot by chance.
+                let cell_of = |at: u32| {
+                    let other = mesh.positions[vertices[at as usize] as usize];
+                    (other.as_dvec3() / cell).floor().as_i64vec3()
+                };
+                let mut same = chain().filter(|&at| cell_of(at) == c);
+                let first = same.next();
+                if let (Some(first), Some(_)) = (first, same.nth(CELL_FULL - 2)) {
+                    forest.join(first, i as u32);
+                    continue;
+                }
+            }
             next[i] = heads[s];
             heads[s] = i as u32;
         }
     }
+    comparisons
 }
 
 /// Distance of two boxes; 0 where they overlap.
@@ -503,6 +525,28 @@ mod tests {
         let triangles: Vec<u32> = (0..80).collect();
         assert_eq!(connected(&mesh, &triangles, 1e-4).len(), 1);
         assert_eq!(connected(&mesh, &triangles, 1e-7).len(), 40);
+    }
+
+    #[test]
+    fn a_grain_in_a_huge_scene_is_compared_in_linear_time() {
+        let mut mesh = Mesh::default();
+        // All of it within one weld of the diagonal, then within many.
+        for (count, size) in [(3_000, 1.0_f32), (30_000, 1.0), (30_000, 500.0)] {
+            mesh.positions = (0..count as u32)
+                .map(|i| {
+                    size * Vec3::from(
+                        [0, 1, 2]
+                            .map(|axis| (crate::rng::hash(1, i.into(), axis) % 65_536) as f32 / 65_536.0),
+                    )
+                })
+                .collect();
+            let vertices: Vec<u32> = (0..count as u32).collect();
+            let mut forest = Forest::new(count);
+            let comparisons = weld_vertices(&mesh, &vertices, 10.0, &mut forest);
+            assert!(comparisons < 8 * (CELL_FULL + 1) * count, "{comparisons} for {count} in {size}");
+            let roots = (0..count as u32).filter(|&i| forest.root(i) == i).count();
+            assert!(size > 10.0 || roots == 1, "{roots} grains");
+        }
     }
 
     #[test]

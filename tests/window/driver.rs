@@ -259,18 +259,20 @@ impl<'d> View<'d> {
     pub fn shows(&self, shot: &Shot, what: &str) {
         // The pointer would be on it.
         self.act("mousemove 1000 700 sleep 0.2");
-        let differing = || {
-            let screen = self.display.screen();
-            let of = |i: usize| screen[CORNER[1] + i / SIZE[0]][CORNER[0] + i % SIZE[0]];
-            let pixels = shot.pixels.chunks_exact(3).enumerate();
-            pixels.filter(|(i, p)| of(*i).iter().zip(*p).any(|(a, b)| a.abs_diff(*b) > 1)).count()
-        };
         let start = Instant::now();
-        while differing() > 0 {
-            assert!(start.elapsed() < PATIENCE, "{what}: {} pixels differ", differing());
+        while self.covered(shot) > 0 {
+            assert!(start.elapsed() < PATIENCE, "{what}: {} pixels differ", self.covered(shot));
             std::thread::sleep(Duration::from_millis(50));
         }
         self.act("mousemove --window {} 100 100 sleep 0.1");
+    }
+
+    /// Whether anything but the screenshot's pixels is where the picture is: how many pixels of it.
+    pub fn covered(&self, shot: &Shot) -> usize {
+        let screen = self.display.screen();
+        let of = |i: usize| screen[CORNER[1] + i / SIZE[0]][CORNER[0] + i % SIZE[0]];
+        let pixels = shot.pixels.chunks_exact(3).enumerate();
+        pixels.filter(|(i, p)| of(*i).iter().zip(*p).any(|(a, b)| a.abs_diff(*b) > 1)).count()
     }
 
     /// Whether something red is written on the panel, as errors are.
@@ -280,12 +282,14 @@ impl<'d> View<'d> {
         panel.filter(|p| p[0] > 200 && p[1] < 40 && p[2] < 40).count() > 20
     }
 
-    pub fn quit(mut self) {
+    /// Ends the program. Returns what it told.
+    pub fn quit(mut self) -> String {
         self.act("key ctrl+q");
-        let Some(running) = self.running.take() else { return };
+        let running = self.running.take().expect("it runs");
         let ended = running.wait();
         assert_eq!(ended.code, Some(0), "{}", ended.err);
         assert!(!ended.err.contains("panicked") && !ended.err.contains("ERROR"), "{}", ended.err);
+        ended.err
     }
 }
 

@@ -4,7 +4,7 @@ use std::fs;
 use std::io::Write;
 use std::time::Instant;
 
-use super::driver::{Display, PATIENCE, Shot, View};
+use super::driver::{Display, PATIENCE, SIZE, Shot, View};
 use crate::support::{folder, root, scene};
 
 /// Scene units per second that the walk goes at.
@@ -40,6 +40,34 @@ fn the_wheel_keys_and_hiding_do_what_they_are_for() {
     assert_eq!(view.converged().camera("target"), first.camera("target"));
     view.act("key 5 sleep 0.2");
     assert_eq!(view.converged().camera("target"), released.camera("target"));
+
+    // All of them, on their keys.
+    let all: String = [2, 3, 4, 6, 7, 8, 9].iter().map(|n| format!("key ctrl+{n} sleep 0.05 ")).collect();
+    view.act(&all);
+    for n in [2, 3, 4, 6, 7, 8, 9] {
+        view.act(&format!("key 1 sleep 0.2 key {n} sleep 0.2"));
+        view.until("a bookmark", |s| s.camera("target") == released.camera("target"));
+    }
+
+    // In orbit the eye goes about what is in the middle of the view; otherwise it stays where it is.
+    let drag = "mousedown 3 sleep 0.2 mousemove --window {} 140 110 sleep 0.2 mouseup 3 sleep 0.1 mousemove --window {} 100 100 sleep 0.1";
+    view.act(&format!("key 1 sleep 0.2 key o sleep 0.2 {drag}"));
+    let orbited = view.converged();
+    assert_ne!(orbited.camera("eye"), first.camera("eye"));
+    view.act(&format!("key o sleep 0.2 {drag}"));
+    let turned = view.converged();
+    assert_eq!(turned.camera("eye"), orbited.camera("eye"));
+    assert_ne!(turned.camera("target"), orbited.camera("target"));
+
+    // Help lies over the picture until its key is pressed again.
+    view.act("key F1 sleep 0.3");
+    let start = Instant::now();
+    while view.covered(&turned) < SIZE[0] * SIZE[1] / 4 {
+        assert!(start.elapsed() < PATIENCE, "no help");
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
+    view.act("key F1 sleep 0.3");
+    view.shows(&turned, "without help");
 
     // A way is recorded and played: it ends where it ended.
     view.act("key 1 sleep 0.3 key r sleep 0.2 keydown d sleep 0.5 keyup d sleep 0.3");

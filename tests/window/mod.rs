@@ -74,6 +74,14 @@ fn keys_drags_and_sliders_reach_the_walk_and_closing_ends_it() {
     assert!(fps(&set) > fps(&first) + 1.0, "{} after {}", fps(&set), fps(&first));
     assert_eq!(set.pixels, first.pixels);
 
+    // The box beneath it: frames wait until they are good enough.
+    view.act(&format!(
+        "mousemove --window {{}} {} {} sleep 0.2 click 1 sleep 0.2",
+        CORNER[0] + SIZE[0] + 26,
+        y + 23
+    ));
+    view.until("frames wait", |s| s.setting("quality").as_f64() == Some(-0.25));
+
     // A scene that cannot be read keeps the old one and says why.
     assert!(!view.complains());
     let text = fs::read_to_string(&sidecar).expect("the sidecar");
@@ -117,7 +125,8 @@ fn an_adapter_draws_the_same_and_may_be_lost() {
     if !display.has_adapter() {
         return;
     }
-    let mut view = View::open(&display, "--display gpu --lose-adapter 4", &scene("box"), &[]);
+    let mut view =
+        View::open(&display, "--display gpu --lose-surface 2 --lose-adapter 4", &scene("box"), &[]);
     let drawn_by = |shot: &Shot| !shot.fact("foveal drawn by").is_empty();
     let first = view.converged();
     assert!(drawn_by(&first), "{:?}", first.facts);
@@ -139,15 +148,18 @@ fn an_adapter_draws_the_same_and_may_be_lost() {
     let after = view.converged();
     assert_eq!(after.pixels, walked.pixels);
     view.shows(&after, "after the adapter was lost");
-    view.quit();
+    let told = view.quit();
+    assert!(told.contains("surface was lost") && told.contains("painted anew by"), "{told}");
 }
 
 #[test]
 fn without_an_adapter_the_processor_paints_the_same() {
     let Some(display) = Display::open() else { return };
     let nowhere = [("VK_DRIVER_FILES", "/nonexistent"), ("VK_ICD_FILENAMES", "/nonexistent")];
-    let mut view = View::open(&display, "--backend auto", &scene("box"), &nowhere);
+    let words = "--backend auto --mode fixed-quality --quality -0.125";
+    let mut view = View::open(&display, words, &scene("box"), &nowhere);
     let shot = view.converged();
+    assert_eq!((shot.setting("quality"), shot.fact("foveal quality")), (Value::from(-0.125), "0"));
     view.shows(&shot, "painted by the processor");
     view.quit();
 }

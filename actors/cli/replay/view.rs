@@ -51,6 +51,7 @@ pub fn run(a: &ReplayArguments, file: PathBuf, workers: usize) -> Result<(), Fai
         backend: Backend::Auto,
         drawn_by: DrawnBy::Auto,
         lose_adapter: None,
+        lose_surface: None,
         screenshots: a.screenshots.clone(),
         loader,
         probe: None,
@@ -81,6 +82,7 @@ impl Player {
         let (scene, settings) = (&source.world().scene, &source.recorded.settings);
         let set = Adjustment {
             fps: 10.0,
+            quality: None,
             workers: settings.tracers,
             policy: settings.policy.policy,
             saliency_weight: settings.saliency_weight,
@@ -175,6 +177,7 @@ impl Timeline for Player {
             refinement: None,
             settings,
             fps: self.controls.set.fps,
+            quality: adjusted.and_then(|adjusted| adjusted.quality),
             facts: self.facts(),
             recording: None,
         })?;
@@ -226,6 +229,10 @@ impl FrameSource for Player {
         let (world, controls) = (self.source.world(), &self.controls);
         let (insight, encoder) = (self.insight.as_ref(), &self.encoder);
         self.session.look(|r| window::look::picture(r, world, controls, insight, encoder, true)).flatten()
+    }
+
+    fn quality(&mut self) -> f32 {
+        self.insight.as_ref().map_or(f32::NEG_INFINITY, |insight| insight.quality)
     }
 
     fn is_done(&self) -> bool {

@@ -35,6 +35,8 @@ pub struct Options {
     pub drawn_by: DrawnBy,
     /// Seconds after which the adapter is lost, to see that the walk goes on.
     pub lose_adapter: Option<f64>,
+    /// The same of the window's surface.
+    pub lose_surface: Option<f64>,
     /// Loads scenes.
     pub loader: Loader,
     /// Where screenshots go.
@@ -293,12 +295,15 @@ impl ApplicationHandler<Wake> for App {
                 self.request_redraw();
             }
         }
-        if self.options.lose_adapter.is_some_and(|t| t <= now)
-            && let Some(screen) = self.screen.as_mut().filter(|s| s.shown.is_some())
-        {
-            self.options.lose_adapter = None;
-            screen.presenter.lose();
-            screen.window.request_redraw();
+        if let Some(screen) = self.screen.as_mut().filter(|s| s.shown.is_some()) {
+            if self.options.lose_adapter.take_if(|t| *t <= now).is_some() {
+                screen.presenter.lose();
+                screen.window.request_redraw();
+            }
+            if self.options.lose_surface.take_if(|t| *t <= now).is_some() {
+                screen.presenter.lose_surface();
+                screen.window.request_redraw();
+            }
         }
         if self.collect_shots() {
             let soon = Next::At(now + 0.01);

@@ -71,6 +71,7 @@ impl App {
             .or_else(|_| Presenter::new(&screen.window, display, Backend::Cpu, drawn_by));
         match made {
             Ok(presenter) => {
+                tracing::warn!("the window is painted anew by {presenter}");
                 screen.presenter = presenter;
                 // A new context sends its fonts again.
                 self.context = egui::Context::default();

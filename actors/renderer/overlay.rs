@@ -31,7 +31,8 @@ pub enum Overlay {
     Importance = 7,
     /// Which object the next samples go to: white first.
     Priority = 8,
-    /// Estimated error that each object shows still: white is four just noticeable differences and more. In tiles that are
+    /// Estimated error that each object shows still: white is four just noticeable differences and more, the middle
+    /// is one. In tiles that are
     /// refined, the standard error of displayed values: white is a tenth of their range.
     Error = 9,
     /// Mip level given: wanted, or the finest in memory where that is coarser.

@@ -20,7 +20,7 @@ fn ends(overlay: Overlay) -> Option<[&'static str; 2]> {
         Overlay::None | Overlay::Tracer | Overlay::Objects => return None,
         Overlay::Saliency | Overlay::Importance => ["least", "most"],
         Overlay::Priority => ["last", "next"],
-        Overlay::Error => ["0", "4 JND"],
+        Overlay::Error => ["0", "4 JND (middle: 1)"],
         Overlay::Level => ["coarse", "own ray"],
         Overlay::Age => ["1", "63 views"],
         Overlay::Mip | Overlay::MipGiven => ["level 8", "0"],

@@ -16,7 +16,7 @@ use crate::renderer::gpu::mirror::Shown;
 use crate::renderer::overlay::{Overlay, Sources, paint, tile_error};
 use crate::renderer::{Renderer, Splats};
 
-/// Just noticeable differences that the overlay of errors shows white.
+/// Just noticeable differences that the overlay of errors shows white. Below, by the square root, since most are small.
 const ERROR_MAX: f32 = 4.0;
 
 /// The renderer's last picture as `controls` want it seen. In a recording that stands between two frames, the picture as
@@ -84,7 +84,7 @@ fn values(overlay: Overlay, renderer: &Renderer, insight: Option<&Insight>) -> V
         Overlay::Saliency => relative(of(|o| if o.pixels > 0 { o.saliency } else { 0.0 })),
         Overlay::Importance => relative(of(|o| o.importance)),
         Overlay::Priority => relative(of(|o| o.priority)),
-        Overlay::Error => of(|o| o.error.map_or(1.0, |e| e / ERROR_MAX)),
+        Overlay::Error => of(|o| o.error.map_or(1.0, |e| (e / ERROR_MAX).max(0.0).sqrt())),
         Overlay::MipGiven => renderer.world().scene.textures.iter().map(|t| t.mips.finest() as f32).collect(),
         _ => Vec::new(),
     }

@@ -15,6 +15,7 @@ pub mod display;
 pub mod geometry;
 pub mod mirror;
 pub mod readback;
+pub mod rows;
 pub mod splat;
 #[cfg(test)]
 pub(crate) mod test_scene;

@@ -1,0 +1,337 @@
+//! Sessions as a window has them: rest, controls, refinement, input whoever stalls, an adapter that draws along.
+
+use super::*;
+use crate::renderer::gpu::{Gpu, readback, test_scene};
+use crate::window::navigation::Motion;
+use crate::window::walk::{Next, Walk};
+use foveal::allocation::policy::Policy;
+use foveal::illumination::Uniform;
+use foveal::illumination::bake::BakeSettings;
+use foveal::splatting::AgeingRules;
+use foveal::splatting::supersampling::Supersampling;
+use glam::Vec3;
+use std::time::Instant;
+
+fn walk() -> Walk {
+    walk_of(Settings::new(64, 48, 2), |_| ())
+}
+
+fn made(settings: Settings) -> Made {
+    let world = World::new(Arc::new(test_scene::room(4)), Arc::new(Uniform(Vec3::ONE)));
+    Made {
+        world,
+        textures: None,
+        refinement: None,
+        settings,
+        fps: 30.0,
+        quality: None,
+        facts: Vec::new(),
+        recording: None,
+    }
+}
+
+fn walk_of(settings: Settings, before: fn(&mut Session)) -> Walk {
+    let mut session = Session::start(made(settings)).expect("actors");
+    before(&mut session);
+    Walk::new(Box::new(session), 0.0)
+}
+
+/// Ticks in real time until nothing is left to do.
+fn settle(walk: &mut Walk, start: Instant) {
+    loop {
+        let now = start.elapsed().as_secs_f64();
+        assert!(now < 120.0, "the walk never comes to rest");
+        match walk.tick(now).1 {
+            Next::Input => return,
+            Next::Now => {}
+            Next::At(t) => std::thread::sleep(Duration::from_secs_f64((t - now).clamp(0.0, 0.1))),
+        }
+    }
+}
+
+#[test]
+fn a_walk_comes_to_rest_converged_and_every_overlay_shows_something_else() {
+    let (mut walk, start) = (walk(), Instant::now());
+    settle(&mut walk, start);
+    assert!(walk.status().converged);
+    let plain = walk.picture().cloned().expect("a picture");
+    assert!(plain.data().iter().flatten().any(|b| *b > 100));
+    for _ in 1..Overlay::ALL.len() {
+        walk.next_overlay();
+        settle(&mut walk, start);
+        assert_ne!(walk.picture(), Some(&plain), "{:?}", walk.controls().overlay);
+    }
+    walk.next_overlay();
+    settle(&mut walk, start);
+    assert_eq!(walk.picture(), Some(&plain), "overlays leave nothing behind");
+}
+
+#[test]
+fn exposure_changes_the_picture_but_traces_nothing() {
+    let (mut walk, start) = (walk(), Instant::now());
+    settle(&mut walk, start);
+    let (view, plain) = (walk.status().view, walk.picture().cloned().expect("a picture"));
+    let mut controls = *walk.controls();
+    controls.set.tone.exposure = 0.25;
+    walk.set_controls(controls);
+    settle(&mut walk, start);
+    let sum = |p: &Map2d<[u8; 3]>| p.data().iter().flatten().map(|b| u64::from(*b)).sum::<u64>();
+    assert!(walk.picture().is_some_and(|p| sum(p) * 10 < sum(&plain) * 9), "darker");
+    assert_eq!((walk.status().view, walk.status().traced), (view, 0));
+}
+
+#[test]
+fn a_still_view_keeps_its_bits_and_then_nothing_is_done() {
+    // Without environment maps, which tracers go on to capture for other views.
+    let settings = Settings { environment_bytes: 0, ..Settings::new(64, 48, 2) };
+    let (mut walk, start) = (walk_of(settings, |_| ()), Instant::now());
+    settle(&mut walk, start);
+    let plain = walk.picture().cloned().expect("a picture");
+    let jobs = |walk: &Walk| -> u64 {
+        walk.status().actors.iter().filter(|a| a.name.starts_with("tracer")).map(|a| a.delivered).sum()
+    };
+    let before = jobs(&walk);
+    assert!(before > 0);
+    for frame in 0..20 {
+        // Something that is no work makes each frame be drawn.
+        let controls = *walk.controls();
+        walk.set_controls(Controls {
+            set: Adjustment { fps: 31.0 + frame as f32, ..controls.set },
+            ..controls
+        });
+        settle(&mut walk, start);
+        assert_eq!(walk.picture(), Some(&plain), "frame {frame}");
+        assert_eq!(walk.status().traced, 0, "frame {frame}");
+    }
+    assert_eq!(jobs(&walk), before, "no ray");
+    for _ in 0..100 {
+        let now = start.elapsed().as_secs_f64();
+        assert_eq!(walk.tick(now + 5.0), (false, Next::Input), "no frame");
+    }
+}
+
+#[test]
+fn a_view_is_refined_and_comes_to_rest() {
+    let start = Instant::now();
+    let rules = Supersampling { noise: 0.02, max_samples: 8 };
+    let mut walk = walk_of(Settings { supersampling: Some(rules), ..Settings::new(64, 48, 2) }, |_| ());
+    settle(&mut walk, start);
+    assert!(walk.status().refined);
+    let standing = walk.insight().and_then(|(insight, _)| insight.refinement).expect("how far");
+    assert!(standing.quiet > 0 && standing.tiles == 12, "{standing:?}");
+    assert!(standing.error.is_some_and(|error| error > 0.0 && error < 0.2), "{standing:?}");
+    let refined = walk.picture().cloned().expect("a picture");
+    let controls = *walk.controls();
+    walk.set_controls(Controls { set: Adjustment { refine: None, ..controls.set }, ..controls });
+    settle(&mut walk, start);
+    let plain = walk.picture().cloned().expect("a picture");
+    assert!(!walk.status().refined && plain != refined, "edges are not smooth any more");
+    walk.set_controls(controls);
+    settle(&mut walk, start);
+    assert_eq!(walk.picture(), Some(&refined), "the same bits again");
+}
+
+#[test]
+fn where_quality_is_kept_every_frame_has_it() {
+    let mut made = made(Settings::new(64, 48, 2));
+    (made.fps, made.quality) = (1000.0, Some(0.0));
+    let (mut walk, start) = (Walk::new(Box::new(Session::start(made).expect("actors")), 0.0), Instant::now());
+    settle(&mut walk, start);
+    walk.navigator.press(Motion::Right, start.elapsed().as_secs_f64());
+    let (view, mut frames) = (walk.status().view, 0);
+    while frames < 3 {
+        let (shown, next) = walk.tick(start.elapsed().as_secs_f64());
+        if shown {
+            frames += 1;
+            assert_eq!(walk.quality(), Some(0.0), "frame {frames}");
+        }
+        if let Next::At(_) = next {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+    assert_eq!(walk.status().view, view + frames);
+}
+
+/// Who stops where it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stalled {
+    Nobody,
+    Tracers,
+    CacheAger,
+    Analyzer,
+    Allocator,
+    Illuminator,
+    All,
+}
+
+/// Walks to the right for ten frames, and fails unless each has the camera of the moment in which it began.
+fn sees_input_in_each_frame(walk: &mut Walk, what: &str) {
+    let (mut now, mut frames) = (0.0, 0);
+    walk.navigator.press(Motion::Right, now);
+    while frames < 10 {
+        let before = walk.begun().copied();
+        let expected = walk.navigator.camera(now);
+        let (shown, next) = walk.tick(now);
+        if walk.begun().copied() != before {
+            assert_eq!(walk.begun(), Some(&expected), "{what}: frame {frames}");
+            assert_ne!(before, Some(expected), "{what}: frame {frames} sees the camera move");
+        }
+        frames += u32::from(shown);
+        now = match next {
+            Next::At(t) => t,
+            _ => now + 0.01,
+        };
+        assert!(now < 10.0, "{what}: {frames} frames");
+    }
+}
+
+#[test]
+fn input_reaches_its_frame_whoever_stalls() {
+    use Stalled::{All, Allocator, Analyzer, CacheAger, Illuminator, Nobody, Tracers};
+    for who in [Nobody, Tracers, CacheAger, Analyzer, Allocator, Illuminator, All] {
+        let mut made = made(Settings::new(64, 48, 2));
+        // Light that is being baked all the time.
+        let settings = BakeSettings { particles: Some(1 << 40), error: None, ..BakeSettings::default() };
+        made.refinement = Some(Refinement { world: made.world.clone(), settings, keep: None });
+        let session = Session::start(made).expect("actors");
+        session.stall(who);
+        let mut walk = Walk::new(Box::new(session), 0.0);
+        sees_input_in_each_frame(&mut walk, &format!("{who:?}"));
+        assert!(!walk.status().lit);
+        assert!(who != All || walk.status().traced == 0, "nobody else did anything");
+    }
+}
+
+/// What takes what was written only once it is let.
+struct Slow(Arc<AtomicBool>);
+
+impl std::io::Write for Slow {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let is_recorder = std::thread::current().name() == Some("recorder");
+        while is_recorder && !self.0.load(Ordering::SeqCst) {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn input_reaches_its_frame_while_the_disk_stalls() {
+    let goes_on = Arc::new(AtomicBool::new(false));
+    let mut made = made(Settings::new(64, 48, 2));
+    made.recording = Some(Recording {
+        into: Record::Sink(Box::new(Slow(goes_on.clone()))),
+        header: Vec::new(),
+        hashing: Hashing::Exact,
+    });
+    let mut walk = Walk::new(Box::new(Session::start(made).expect("actors")), 0.0);
+    sees_input_in_each_frame(&mut walk, "recording");
+    goes_on.store(true, Ordering::SeqCst);
+}
+
+#[test]
+fn every_control_is_a_message_and_no_new_actors_start() {
+    let (mut walk, start) = (walk(), Instant::now());
+    settle(&mut walk, start);
+    let plain = walk.picture().cloned();
+    let before = *walk.controls();
+    let set = Adjustment {
+        fps: 20.0,
+        workers: 1,
+        policy: Policy::Uniform,
+        saliency_weight: 1.0,
+        samples_per_job: 64,
+        environment_bytes: 0,
+        ..before.set
+    };
+    walk.set_controls(Controls { set, ..before });
+    settle(&mut walk, start);
+    walk.navigator.look(40.0, 0.0, start.elapsed().as_secs_f64());
+    settle(&mut walk, start);
+    assert_eq!((walk.controls().set, walk.status().view), (set, 2), "the same actors go on");
+    let (insight, _) = walk.insight().expect("the allocator said something");
+    assert_eq!(insight.map_bytes, [0, 0], "maps are given up");
+    walk.set_controls(Controls { set: Adjustment { workers: 2, ..set }, ..before });
+    walk.go_to(0, start.elapsed().as_secs_f64());
+    settle(&mut walk, start);
+    assert_eq!(walk.picture().cloned(), plain, "whatever the order of the samples");
+}
+
+/// Pixels of the mirror's picture that are not as the walk's, and of how many.
+fn differing(walk: &mut Walk, mirror: &mut Mirror) -> (usize, usize) {
+    walk.set_mirrored(true);
+    assert!(walk.draw_on(mirror));
+    walk.fetch_picture();
+    let picture = walk.picture().expect("a picture");
+    let shown = readback::read(mirror.gpu(), mirror.picture().expect("drawn")).expect("an adapter");
+    let pixels = picture.data().iter().zip(shown.chunks_exact(4));
+    let is_off = |(a, b): &(&[u8; 3], &[u8])| (0..3).any(|c| a[c].abs_diff(b[c]) > 2);
+    (pixels.filter(is_off).count(), picture.data().len())
+}
+
+#[test]
+fn an_adapter_shows_the_same_picture_by_itself() {
+    let Ok(gpu) = Gpu::headless() else { return };
+    let rules = Supersampling { noise: 0.05, max_samples: 4 };
+    let settings = Settings { supersampling: Some(rules), ..Settings::new(160, 120, 2) };
+    let (mut walk, start) = (walk_of(settings, |s| s.set_mirrored(true)), Instant::now());
+    walk.set_mirrored(true);
+    let mut mirror = Mirror::new(gpu.clone());
+    walk.navigator.press(Motion::Right, 0.0);
+    let mut frames = 0;
+    while frames < 12 {
+        let now = start.elapsed().as_secs_f64();
+        let (shown, next) = walk.tick(now);
+        if shown {
+            frames += 1;
+            let (off, all) = differing(&mut walk, &mut mirror);
+            // Edges of surfaces: the rasteriser rounds otherwise than rays do.
+            assert!(off * 100 < all * 2, "frame {frames}: {off} of {all} pixels differ");
+        }
+        if frames == 6 {
+            walk.navigator.release(Motion::Right, now);
+        }
+        match next {
+            Next::Input => break,
+            Next::At(t) => std::thread::sleep(Duration::from_secs_f64((t - now).clamp(0.0, 0.1))),
+            Next::Now => {}
+        }
+    }
+    settle(&mut walk, start);
+    assert!(walk.status().refined);
+    let (off, all) = differing(&mut walk, &mut mirror);
+    assert!(off * 100 < all, "refined: {off} of {all} pixels differ");
+    // Another adapter has to be told all of it again.
+    let mut mirror = Mirror::new(gpu);
+    assert_eq!(differing(&mut walk, &mut mirror).0, off);
+    for _ in 1..Overlay::ALL.len() {
+        walk.next_overlay();
+        let (off, all) = differing(&mut walk, &mut mirror);
+        assert!(off * 100 < all * 2, "{:?}: {off} of {all}", walk.controls().overlay);
+    }
+    let mut controls = *walk.controls();
+    controls.overlay = Overlay::None;
+    controls.set.refine = None;
+    controls.set.tone.exposure = 0.5;
+    walk.set_controls(controls);
+    settle(&mut walk, start);
+    let (off, all) = differing(&mut walk, &mut mirror);
+    assert!(off * 100 < all, "darker, and not refined: {off} of {all} pixels differ");
+}
+
+#[test]
+fn other_ageing_rules_converge_to_the_same_picture() {
+    let (mut walk, start) = (walk(), Instant::now());
+    settle(&mut walk, start);
+    let plain = walk.picture().cloned();
+    let mut controls = *walk.controls();
+    controls.set.ageing = AgeingRules { delta: 0.3, max_age: 7, n_min: 2 };
+    walk.set_controls(controls);
+    settle(&mut walk, start);
+    assert!(walk.status().converged);
+    assert_eq!(walk.picture().cloned(), plain);
+}

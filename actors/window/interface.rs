@@ -38,10 +38,12 @@ pub struct Answer {
 pub fn interface(ui: &mut Ui, shown: &Interface<'_>, help: &mut bool) -> Answer {
     let mut answer =
         Answer { controls: shown.walk.map(|walk| *walk.controls()), wish: None, picture_rect: Rect::NOTHING };
+    let recording = shown.walk.and_then(Walk::timeline);
     if let (Some(walk), Some(controls)) = (shown.walk, &mut answer.controls) {
         let status = walk.status();
         let shown = Shown {
             status: &status,
+            recorded: recording.is_some(),
             times: &walk.times,
             quality: walk.quality(),
             speed: walk.navigator.speed(),
@@ -54,7 +56,7 @@ pub fn interface(ui: &mut Ui, shown: &Interface<'_>, help: &mut bool) -> Answer 
             panel::panel(ui, controls, &shown);
         });
     }
-    if let Some((recording, plays)) = shown.walk.and_then(Walk::timeline) {
+    if let Some((recording, plays)) = recording {
         egui::Panel::bottom("timeline").resizable(false).exact_size(timeline::HEIGHT).show(ui, |ui| {
             answer.wish = timeline::timeline(ui, &recording, plays);
         });

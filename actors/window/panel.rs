@@ -76,6 +76,8 @@ impl FrameTimes {
 pub struct Shown<'a> {
     /// Where the session stands.
     pub status: &'a Status,
+    /// It is a recording, of which only exposure, overlay and pace can be changed.
+    pub recorded: bool,
     /// The last frames.
     pub times: &'a FrameTimes,
     /// Quality of the picture on show, as estimated.
@@ -116,44 +118,50 @@ pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
         });
         ui.separator();
         ui.add(Slider::new(&mut controls.set.fps, 1.0..=60.0).logarithmic(true).text("frames per second"));
-        quality(ui, &mut controls.set.quality);
-        ui.horizontal(|ui| {
-            ui.label("task");
-            ui.add(Slider::new(&mut controls.set.saliency_weight, 0.0..=1.0).text("saliency"));
-        });
-        egui::ComboBox::from_label("policy").selected_text(controls.set.policy.name()).show_ui(ui, |ui| {
-            for policy in Policy::ALL {
-                ui.selectable_value(&mut controls.set.policy, policy, policy.name());
-            }
-        });
-        ui.add(
-            Slider::new(&mut controls.set.samples_per_job, 16..=4096)
-                .logarithmic(true)
-                .text("samples per job"),
-        )
-        .on_hover_text("n_job: what a tracer takes at once");
-        ui.add(Slider::new(&mut controls.set.ageing.delta, 0.01..=0.5).text("delta"))
-            .on_hover_text("Samples expire once the cosine between normal and view has changed by this");
-        ui.add(Slider::new(&mut controls.set.ageing.max_age, 0..=256).text("MAX_AGE, views"))
-            .on_hover_text("Samples expire after so many views");
-        ui.add(Slider::new(&mut controls.set.ageing.n_min, 1..=100).text("N_min, samples"))
-            .on_hover_text("Samples that a level needs to have a say in what expires");
-        ui.add(Slider::new(&mut controls.set.workers, 1..=shown.ranges.workers).text("workers"));
-        budgets(ui, controls, shown.ranges);
-        refinement(ui, &mut controls.set.refine);
+        // A recording is as it was.
+        ui.add_enabled_ui(!shown.recorded, |ui| settings(ui, controls, shown.ranges));
         ui.separator();
         exposure(ui, controls);
         ui.separator();
         if let Some((insight, names)) = shown.insight {
             decisions(ui, insight, names);
         }
-        egui::CollapsingHeader::new("actors").default_open(true).show(ui, |ui| {
-            actors(ui, &shown.status.actors);
-        });
+        if !shown.status.actors.is_empty() {
+            egui::CollapsingHeader::new("actors").default_open(true).show(ui, |ui| {
+                actors(ui, &shown.status.actors);
+            });
+        }
         ui.separator();
         ui.weak(shown.presenter);
         ui.weak("F1: help");
     });
+}
+
+/// What the actors are told.
+fn settings(ui: &mut Ui, controls: &mut Controls, ranges: Ranges) {
+    quality(ui, &mut controls.set.quality);
+    ui.horizontal(|ui| {
+        ui.label("task");
+        ui.add(Slider::new(&mut controls.set.saliency_weight, 0.0..=1.0).text("saliency"));
+    });
+    egui::ComboBox::from_label("policy").selected_text(controls.set.policy.name()).show_ui(ui, |ui| {
+        for policy in Policy::ALL {
+            ui.selectable_value(&mut controls.set.policy, policy, policy.name());
+        }
+    });
+    ui.add(
+        Slider::new(&mut controls.set.samples_per_job, 16..=4096).logarithmic(true).text("samples per job"),
+    )
+    .on_hover_text("n_job: what a tracer takes at once");
+    ui.add(Slider::new(&mut controls.set.ageing.delta, 0.01..=0.5).text("delta"))
+        .on_hover_text("Samples expire once the cosine between normal and view has changed by this");
+    ui.add(Slider::new(&mut controls.set.ageing.max_age, 0..=256).text("MAX_AGE, views"))
+        .on_hover_text("Samples expire after so many views");
+    ui.add(Slider::new(&mut controls.set.ageing.n_min, 1..=100).text("N_min, samples"))
+        .on_hover_text("Samples that a level needs to have a say in what expires");
+    ui.add(Slider::new(&mut controls.set.workers, 1..=ranges.workers).text("workers"));
+    budgets(ui, controls, ranges);
+    refinement(ui, &mut controls.set.refine);
 }
 
 fn state(ui: &mut Ui, shown: &Shown<'_>) {

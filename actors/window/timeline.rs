@@ -40,7 +40,8 @@ pub fn timeline(ui: &mut Ui, shown: &TimelineShown, plays: bool) -> Option<Wish>
         button(ui, "message -", ",", Wish::Messages(-1));
         button(ui, "message +", ".", Wish::Messages(1));
         button(ui, "walk on from here", "B", Wish::Branch);
-        ui.label(format!("frame {at} of {}", shown.frames));
+        let text = format!("frame {at} of {}", shown.frames);
+        ui.add(egui::Label::new(text).wrap_mode(egui::TextWrapMode::Extend));
     });
     let mut frame = at;
     ui.spacing_mut().slider_width = (ui.available_width() - 20.0).max(50.0);

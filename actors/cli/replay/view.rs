@@ -32,7 +32,7 @@ pub fn run(a: &ReplayArguments, file: PathBuf, workers: usize) -> Result<(), Fai
     let name = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let size = super::open_trace(&file)
         .and_then(|trace| super::RecordedRun::of(&trace, &file))
-        .map(|run| [run.settings.width, run.settings.height])?;
+        .map(|run| [run.settings.width, run.settings.height + window::timeline::HEIGHT as u32])?;
     let (scene, elsewhere) = (a.scene.clone(), a.elsewhere.clone());
     let loader: Loader = Arc::new(move |dropped| {
         let file = dropped.unwrap_or(&file).to_path_buf();

@@ -27,7 +27,7 @@ use super::walk::{Next, Walk};
 pub struct Options {
     /// The scene's name, shown until its title is known.
     pub name: String,
-    /// Columns and rows of the picture; the panel stands beside it.
+    /// Columns and rows of the picture, and of what is beneath it; the panel stands beside it.
     pub size: [u32; 2],
     /// Who paints.
     pub backend: Backend,

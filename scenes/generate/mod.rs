@@ -7,6 +7,7 @@ mod gallery;
 mod implicit;
 mod large;
 mod obj;
+mod salon;
 mod shapes;
 mod table;
 mod test_rooms;
@@ -31,4 +32,9 @@ pub const BUNDLED: [(&str, Make); 7] = [
 /// A hall of vases of about `triangle_count` triangles, for measurements.
 pub fn hall(triangle_count: usize) -> image::ImageResult<SceneFiles> {
     large::hall(triangle_count)
+}
+
+/// A papered salon, for the measurement of simplified meshes.
+pub fn salon() -> image::ImageResult<SceneFiles> {
+    salon::scene()
 }

@@ -4,17 +4,26 @@
 use glam::Vec3;
 
 use crate::illumination::from_radiosity::SceneRadiosity;
-use crate::illumination::simplify::{Criterion, Rung, Simplified};
+use crate::illumination::simplify::{Criterion, Eye, Rung, Simplified};
 use crate::image::{Map2d, luminance};
+use crate::perception::csf::barten;
 use crate::perception::elevation::{ElevationSettings, elevation};
 use crate::perception::tvi::tvi;
 use crate::rng::Stream;
-use crate::scene::Scene;
+use crate::scene::{Scene, Texture};
 
 use super::decision::{Approximation, Constraint, Resource, decide};
 
-/// Texels per degree that elevation maps assume: 512 pixels over 45° (REFERENCE §8.6).
+/// Texels of the finest level per degree that elevation maps assume: 512 pixels over 45° (REFERENCE §8.6).
 const TEXELS_PER_DEGREE: f32 = 10.787;
+/// Width of an element in texels of the mip level whose contrast may hide its error: that level's shortest wavelength.
+const TEXELS_ACROSS: f32 = 2.0;
+/// Cycles per degree that the eye sees best.
+const SHARPEST: f32 = 3.25;
+/// Side of the square over which the eye sums, radians: 4°.
+const SUMMED_ANGLE: f64 = 0.07;
+/// How far a surface is from the eye, as a share of the scene's size.
+const VIEWING_DISTANCE: f64 = 0.4;
 /// Points of an element at which its texture's elevation is read.
 const ELEVATION_POINTS: u64 = 16;
 
@@ -49,12 +58,29 @@ impl Resource for MeshChoices<'_> {
     }
 }
 
-/// The rung of each tree that gives the least squared error with `k` elements; where not even one each is allowed, one each.
+/// The rung of each tree that gives the least squared error with `k` elements; where not even one each is allowed, one
+/// each. Rungs of whole subtrees may leave elements unused: then trees that miss theirs most go back by a rung, until
+/// there are `k` at least, for smaller cuts to end at `k`.
 pub fn choose_rungs(ladders: &[Vec<Rung>], k: usize) -> Vec<usize> {
-    match decide(&MeshChoices(ladders), Constraint::Count(k as u64), None) {
-        Ok(chosen) => chosen.states,
-        Err(_) => ladders.iter().map(|ladder| ladder.len().saturating_sub(1)).collect(),
+    let last = |ladder: &Vec<Rung>| ladder.len().saturating_sub(1);
+    let Ok(chosen) = decide(&MeshChoices(ladders), Constraint::Count(k as u64), None) else {
+        return ladders.iter().map(last).collect();
+    };
+    let mut chosen = chosen.states;
+    let elements: usize = ladders.iter().zip(&chosen).map(|(ladder, &c)| ladder[c].elements).sum();
+    let mut unused = k.saturating_sub(elements);
+    while unused > 0 {
+        let gain = |tree: &usize| {
+            let [finer, now] = [chosen[*tree] - 1, chosen[*tree]].map(|rung| ladders[*tree][rung]);
+            (now.squared_error - finer.squared_error) / (finer.elements - now.elements).max(1) as f64
+        };
+        let open = (0..ladders.len()).filter(|&tree| chosen[tree] > 0);
+        let Some(tree) = open.max_by(|a, b| gain(a).total_cmp(&gain(b)).then(b.cmp(a))) else { break };
+        let before = ladders[tree][chosen[tree]].elements;
+        chosen[tree] -= 1;
+        unused = unused.saturating_sub(ladders[tree][chosen[tree]].elements - before);
     }
+    chosen
 }
 
 /// Cuts the mesh of a solution for `scene` back to `k` elements.
@@ -66,52 +92,66 @@ pub fn simplify_mesh(
 ) -> Simplified {
     match criterion {
         ElementCriterion::Photometric => solution.simplify(k, &Criterion::Photometric, &|_, _| 1.0),
-        ElementCriterion::Optimal => solution.cut_to(|ladders| choose_rungs(ladders, k)),
+        ElementCriterion::Optimal => solution.cut_to(k, |ladders| choose_rungs(ladders, k)),
         ElementCriterion::Perceptual => {
             let maps = elevation_maps(scene);
-            let criterion = Criterion::Perceptual {
+            let display = &scene.display;
+            let criterion = Criterion::Perceptual(Eye {
                 tvi: &|l| f64::from(tvi(l as f32)),
-                cd_m2_per_unit: f64::from(scene.display.exposure * scene.display.white_cd_m2),
-            };
+                sensitivity: &|l| f64::from(barten(SHARPEST, (l as f32).max(1e-3))),
+                cd_m2_per_unit: f64::from(display.exposure * display.white_cd_m2),
+                white_cd_m2: f64::from(display.white_cd_m2),
+                summed_area: (SUMMED_ANGLE * VIEWING_DISTANCE * f64::from(scene.diagonal())).powi(2),
+            });
             solution.simplify(k, &criterion, &|triangle, piece| mean_elevation(scene, &maps, triangle, piece))
         }
     }
 }
 
-/// Elevation of each texture that some diffuse surface shows.
-fn elevation_maps(scene: &Scene) -> Vec<Option<Map2d<f32>>> {
+/// Elevation of the mip levels of each texture that some diffuse surface shows.
+fn elevation_maps(scene: &Scene) -> Vec<Vec<Map2d<f32>>> {
     let mut used = vec![false; scene.textures.len()];
     for material in &scene.materials {
         if let Some(t) = material.picture() {
             used[t.0 as usize] = true;
         }
     }
-    let settings = ElevationSettings::new(TEXELS_PER_DEGREE);
-    scene
-        .textures
-        .iter()
-        .zip(used)
-        .map(|(texture, used)| {
-            used.then(|| {
-                let [w, h] = texture.size(0);
-                let y = Map2d::from_fn(w, h, |x, y| {
-                    let [r, g, b, _] = texture.texel(0, x, y);
-                    scene.display.white_cd_m2 * luminance(Vec3::new(r, g, b))
-                });
-                elevation(&y, &settings)
-            })
-        })
-        .collect()
+    let settings = |level: usize| ElevationSettings {
+        masking_only: true,
+        ..ElevationSettings::new(TEXELS_PER_DEGREE / (1 << level) as f32)
+    };
+    let of_level = |texture: &Texture, level: usize| {
+        let [w, h] = texture.size(level);
+        let y = Map2d::from_fn(w, h, |x, y| {
+            let [r, g, b, _] = texture.texel(level, x, y);
+            scene.display.white_cd_m2 * luminance(Vec3::new(r, g, b))
+        });
+        elevation(&y, &settings(level))
+    };
+    let of_texture = |(texture, used): (&Texture, bool)| match used {
+        true => (0..texture.level_count()).map(|level| of_level(texture, level)).collect(),
+        false => Vec::new(),
+    };
+    scene.textures.iter().zip(used).map(of_texture).collect()
 }
 
 /// Mean elevation over the texture's part on a piece of a triangle; 1 without texture.
-fn mean_elevation(scene: &Scene, maps: &[Option<Map2d<f32>>], triangle: u32, piece: [Vec3; 3]) -> f32 {
+///
+/// Deviation from the paper, which takes level 0: contrast hides errors of about its own wavelength, and a fine
+/// pattern hides no wide shadow. What a piece cannot show is as wide as itself, so the
+/// level counts in which it is [`TEXELS_ACROSS`] texels wide.
+fn mean_elevation(scene: &Scene, maps: &[Vec<Map2d<f32>>], triangle: u32, piece: [Vec3; 3]) -> f32 {
     let material = &scene.materials[scene.mesh.materials[triangle as usize].0 as usize];
-    let Some(map) = material.picture().and_then(|t| maps[t.0 as usize].as_ref()) else { return 1.0 };
+    let levels = material.picture().map_or(&[][..], |t| &maps[t.0 as usize]);
+    let Some(finest) = levels.first() else { return 1.0 };
     let [a, b, c] = scene.mesh.corners(triangle);
     let uv = scene.mesh.triangles[triangle as usize].map(|v| scene.mesh.uvs[v as usize]);
     let n = (b - a).cross(c - a);
     let square = n.length_squared().max(f32::MIN_POSITIVE);
+    let share = ((piece[1] - piece[0]).cross(piece[2] - piece[0]).length_squared() / square).sqrt();
+    let texels = (uv[1] - uv[0]).perp_dot(uv[2] - uv[0]).abs() * (finest.width() * finest.height()) as f32;
+    let level = ((share * texels).sqrt() / TEXELS_ACROSS).max(1.0).log2() as usize;
+    let Some(map) = levels.get(level) else { return 1.0 };
     let mut sum = 0.0;
     for i in 0..ELEVATION_POINTS {
         let [u, v] = Stream::new(0xe1e, triangle.into(), i).next_2d();
@@ -178,10 +218,9 @@ mod tests {
             let chosen = choose_rungs(&ladders, k);
             let nodes =
                 ladders.iter().zip(&chosen).flat_map(|(l, &c)| l[1..=c].iter().filter_map(|r| r.node));
-            let cut = cut_below(&forest, nodes);
-            let promised: f64 = ladders.iter().zip(&chosen).map(|(l, &c)| l[c].squared_error).sum();
-            assert!(cut.elements <= k && (cut.squared_error - promised).abs() < 1e-9 * (1.0 + promised));
-            // As good as the one walk over all trees at once, up to the step that does not fit any more.
+            let cut = cut_below(&forest, nodes, k);
+            assert_eq!(cut.elements, k);
+            // As good as the one walk over all trees at once.
             let before = simplify(&forest, k, &Criterion::Optimal, Deviation::Leaves);
             let step = forest.ladders().iter().flatten().map(|r| r.squared_error).fold(0.0, f64::max);
             assert!(cut.squared_error <= before.squared_error + 0.05 * step, "{k}: {cut:?} {before:?}");

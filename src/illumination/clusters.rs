@@ -257,9 +257,15 @@ impl ClusterTree {
         self.sums = sums;
     }
 
-    /// Finds at most `most` clusters that together hold every element that `query` asks for; `false` if there are more.
-    /// Some lie outside: the caller weights them.
-    pub fn collect(&self, query: &Query, most: usize, found: &mut Vec<ClusterIndex>) -> bool {
+    /// Finds at most `most` clusters that together hold every element that `query` asks for; `false` if there are more, or
+    /// if that takes more than `visits` nodes. Some lie outside: the caller weights them.
+    pub fn collect(
+        &self,
+        query: &Query,
+        most: usize,
+        mut visits: usize,
+        found: &mut Vec<ClusterIndex>,
+    ) -> bool {
         found.clear();
         if self.nodes.is_empty() {
             return true;
@@ -269,6 +275,10 @@ impl ClusterTree {
         let (sin_angle, cos_angle) = query.normal_angle.sin_cos();
         while depth > 0 {
             depth -= 1;
+            if visits == 0 {
+                return false;
+            }
+            visits -= 1;
             let i = stack[depth];
             let node = &self.nodes[i as usize];
             let offset = node.center - query.center;
@@ -423,7 +433,7 @@ mod tests {
             let (center, radius) = (Vec3::new(0.4, 0.6, 0.0), 0.3);
             let (mut inside, mut all) = (0.0, 0.0);
             let mut found = Vec::new();
-            assert!(tree.collect(&query(center, radius, 0.0), usize::MAX, &mut found));
+            assert!(tree.collect(&query(center, radius, 0.0), usize::MAX, usize::MAX, &mut found));
             for c in found.iter().map(|&i| tree.cluster(i)) {
                 all += c.arrived[0].count;
                 if c.center.distance(center) <= radius {
@@ -447,11 +457,13 @@ mod tests {
         tree.update(&bins);
         let mut found = Vec::new();
         let middle = Vec3::new(0.5, 0.5, 0.0);
-        assert!(tree.collect(&query(middle, 10.0, 0.2), usize::MAX, &mut found));
+        assert!(tree.collect(&query(middle, 10.0, 0.2), usize::MAX, usize::MAX, &mut found));
         let area: f32 = found.iter().map(|&i| tree.cluster(i).area).sum();
         assert!((area - 1.0f32).abs() < 1e-4);
         assert!(found.len() < 200, "{}", found.len());
-        assert!(!tree.collect(&query(middle, 10.0, 0.0), 10, &mut found) && found.len() <= 10);
+        let many = query(middle, 10.0, 0.0);
+        assert!(!tree.collect(&many, 10, usize::MAX, &mut found) && found.len() <= 10);
+        assert!(!tree.collect(&many, usize::MAX, 1000, &mut found) && found.len() <= 4000);
     }
 
     #[test]

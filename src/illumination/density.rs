@@ -89,7 +89,7 @@ impl Bandwidth {
     }
 
     /// Gathers the neighbourhood of the elements of `extent`, starting from `guess` (a former radius, or 0). Returns the
-    /// radius of the kernel at its center, which is placed.
+    /// radius of the kernel at its center, which is placed unless the neighbourhood [gave up](Neighbourhood::gave_up).
     pub fn focus(&self, hood: &mut Neighbourhood, tree: &ClusterTree, extent: &Extent, guess: f32) -> f32 {
         let center = &extent.center;
         let low = Self::radius_min(center);
@@ -98,6 +98,9 @@ impl Bandwidth {
         let mut radius = nominal;
         for _ in 0..6 {
             hood.gather(tree, extent, nominal, self.resolution());
+            if hood.gave_up() {
+                return nominal;
+            }
             hood.place(center);
             radius = self.limited(center, hood.radius(self.count, false).clamp(0.3 * nominal, 3.0 * nominal));
             // Clutter may allow no larger one.

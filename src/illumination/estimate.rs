@@ -24,6 +24,8 @@ const SHARED: (f32, f32) = (0.1, 0.988_771_1);
 const SHARED_COARSELY: (f32, f32) = (0.25, 0.921);
 /// Places at which a first picture estimates a dense mesh, about.
 const PLACES_COARSELY: usize = 8 * 1024;
+/// Particles in a mean that a first picture shows where it is cluttered.
+const MEAN_COUNT: f32 = 64.0;
 /// Elements within the first share of the kernel's radius read one neighbourhood, where their normals are within the
 /// angle of this cosine, 0.4 rad; and those of small things, within the second share and 1 rad.
 const TOGETHER: [(f32, f32); 2] = [(0.6, 0.921), (0.2, 0.54)];
@@ -192,13 +194,14 @@ impl Baker<'_> {
         let tree = &with.tree;
         let bandwidth = &Bandwidth { coarse, ..with.bandwidth.bandwidth };
         let mut found = Vec::with_capacity(tree.range(root).len());
-        let mut open = vec![(root, with.bandwidth.guess)];
-        while let Some((node, mut guess)) = open.pop() {
+        let mut open = vec![(root, with.bandwidth.guess, self.means(root, tree, None))];
+        while let Some((node, mut guess, means)) = open.pop() {
             let extent = tree.as_element(node);
+            let means = if hood.is_hurried() { self.means(node, tree, Some(means)) } else { means };
             // The radius may turn out to be larger than the one before.
             if reads_one(&extent, 1.6 * guess) {
                 guess = bandwidth.focus(hood, tree, &extent, guess);
-                if reads_one(&extent, guess) {
+                if !hood.gave_up() && reads_one(&extent, guess) {
                     self.estimate_run(node, with, bandwidth, hood, &mut found);
                     continue;
                 }
@@ -206,21 +209,44 @@ impl Baker<'_> {
             let members = &tree.order()[tree.range(node)];
             if coarse && members.len() <= tree.len() / PLACES_COARSELY {
                 bandwidth.focus(hood, tree, &extent, guess);
-                let fits = self.fits(&extent.center, members, with, bandwidth, hood);
+                let fits = match hood.gave_up() {
+                    true => means,
+                    false => self.fits(&extent.center, members, with, bandwidth, hood),
+                };
                 found.extend(members.iter().map(|_| fits));
                 continue;
             }
             if let Some([first, second]) = tree.halves(node) {
-                open.extend([(second, guess), (first, guess)]);
+                open.extend([(second, guess, means), (first, guess, means)]);
                 continue;
             }
             for &e in members {
                 let element = &self.atlas.elements[e as usize];
                 guess = bandwidth.focus(hood, tree, &Extent::of(element), guess);
-                found.push(self.fits(element, &[e], with, bandwidth, hood));
+                found.push(match hood.gave_up() {
+                    true => means,
+                    false => self.fits(element, &[e], with, bandwidth, hood),
+                });
             }
         }
         found
+    }
+
+    /// Mean irradiance on front and back of a node; on a side that has too few particles for it, the mean `above`. What a
+    /// first picture shows in clutter, where a kernel would have to visit too much.
+    fn means(&self, node: u32, tree: &ClusterTree, above: Option<[Estimate; 2]>) -> [Estimate; 2] {
+        [0, 1].map(|side| {
+            let (sum, _) = tree.sums(node, side);
+            match above {
+                Some(above) if sum.count < MEAN_COUNT => above[side],
+                _ if sum.area <= 0.0 || self.emitted == 0 => Estimate::default(),
+                _ => {
+                    let per_flux = 1.0 / (sum.area * self.emitted as f32);
+                    let irradiance = per_flux * sum.flux;
+                    Estimate { irradiance, variance: per_flux * per_flux * sum.square, ..Estimate::default() }
+                }
+            }
+        })
     }
 
     /// The same at elements that read one neighbourhood. Those much closer to each other than the kernel is wide share
@@ -323,6 +349,9 @@ impl Baker<'_> {
             let late = self.is_late();
             let coarse = self.coarse || late;
             hood.reset();
+            if self.coarse {
+                hood.hurry();
+            }
             let members = &with.tree.order()[with.tree.range(node)];
             let particles = match with.stored {
                 0 => vec![[Estimate::default(); 2]; members.len()],
@@ -412,7 +441,13 @@ impl Baker<'_> {
             .map_init(Neighbourhood::default, |hood, &e| {
                 let element = &elements[e as usize];
                 hood.reset();
+                if self.coarse {
+                    hood.hurry();
+                }
                 base.focus(hood, tree, &Extent::of(element), guess);
+                if hood.gave_up() {
+                    return (0.0, 0.0, 0.0);
+                }
                 let at = |b: &Bandwidth| {
                     let radius = b.kernel(hood, element, false);
                     let e = hood.estimate(radius, false, self.emitted);
@@ -437,7 +472,7 @@ impl Baker<'_> {
         let bandwidth = Bandwidth { count: base.count * factor as f32, ..base };
         ChosenBandwidth {
             bandwidth,
-            bias_squared: bias / weight * factor * factor,
+            bias_squared: bias / weight.max(1e-300) * factor * factor,
             guess: bandwidth.radius_for(area, stored),
         }
     }

@@ -111,7 +111,17 @@ impl SceneRadiosity {
 
     /// Refines links to a quarter of the power and solves again (multigridding). Returns the estimated error.
     pub fn refine(&mut self, scene: &Scene, accel: &Accel) -> f32 {
-        self.power *= 0.25;
+        self.refine_by(0.25, scene, accel)
+    }
+
+    /// The same in smaller steps where not much is missing to so many leaves.
+    pub fn refine_towards(&mut self, scene: &Scene, accel: &Accel, leaves: usize) -> f32 {
+        let factor = if 4 * self.leaf_count() < leaves { 0.25 } else { 0.9 };
+        self.refine_by(factor, scene, accel)
+    }
+
+    fn refine_by(&mut self, factor: f32, scene: &Scene, accel: &Accel) -> f32 {
+        self.power *= factor;
         let before: Vec<[f32; 3]> = self.solution.nodes.iter().map(|n| n.irradiance).collect();
         let refinement = Refinement { power: self.power, area: 2e-6, ..Refinement::default() };
         self.solution.refine(&refinement, &|p, q| visible(scene, accel, p, q));
@@ -165,21 +175,29 @@ impl SceneRadiosity {
             out.elevation = f64::from(elevation(triangle, node.corners));
         }
         let cut = simplify(&forest, k, criterion, Deviation::Leaves);
-        self.solution = self.solution.cut(&cut.is_element);
+        self.cut(&cut);
         cut
     }
 
-    /// Cuts each tree of the mesh back to the rung of its ladder that `choose` names.
-    pub fn cut_to(&mut self, choose: impl FnOnce(&[Vec<Rung>]) -> Vec<usize>) -> Simplified {
+    /// Cuts each tree of the mesh back to the rung of its ladder that `choose` names, and on to `k` elements where those
+    /// are more.
+    pub fn cut_to(&mut self, k: usize, choose: impl FnOnce(&[Vec<Rung>]) -> Vec<usize>) -> Simplified {
         let forest = self.solution.forest([0.212_672_9, 0.715_152_2, 0.072_175]);
         let ladders = forest.ladders();
         let chosen = choose(&ladders);
         let cut = |(ladder, rung): (&Vec<Rung>, usize)| {
             ladder.iter().take(rung + 1).filter_map(|r| r.node).collect::<Vec<_>>()
         };
-        let cut = cut_below(&forest, ladders.iter().zip(chosen).flat_map(cut));
-        self.solution = self.solution.cut(&cut.is_element);
+        let cut = cut_below(&forest, ladders.iter().zip(chosen).flat_map(cut), k);
+        self.cut(&cut);
         cut
+    }
+
+    fn cut(&mut self, to: &Simplified) {
+        for joined in &to.joined {
+            self.solution.join(joined);
+        }
+        self.solution = self.solution.cut(&to.is_leaf);
     }
 
     /// The solution as a continuous irradiance.

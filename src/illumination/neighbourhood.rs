@@ -27,6 +27,8 @@ const CLUTTER_MAX: u32 = 2;
 /// The same for a first picture.
 const NARROW_COARSE: [f32; 2] = [0.968_912_4, NORMAL_COSINE];
 const CLUTTER_MAX_COARSE: u32 = 1;
+/// In a hurry a search visits so many nodes for each cluster that it may find.
+const VISITS_HURRIED: usize = 4;
 /// Clusters in a neighbourhood at most; a flat surface has about 560.
 const CLUSTERS_MAX: usize = 840;
 /// Where clusters are as large as they may become and still too many, kernels become smaller, by this factor at a time.
@@ -52,6 +54,9 @@ pub struct Neighbourhood {
     clutter: u32,
     /// How many times the radius is smaller than it should be.
     shrunk: u32,
+    /// Whether there is no time for clutter.
+    hurried: bool,
+    gave_up: bool,
     found: Vec<ClusterIndex>,
     position: [Vec<f32>; 3],
     normal: [Vec<f32>; 3],
@@ -67,7 +72,22 @@ pub struct Neighbourhood {
 impl Neighbourhood {
     /// Forgets the last one, so that the next does not depend on it.
     pub fn reset(&mut self) {
-        (self.clutter, self.shrunk) = (0, 0);
+        (self.clutter, self.shrunk, self.hurried, self.gave_up) = (0, 0, false, false);
+    }
+
+    /// From here on gives up where a scene is cluttered.
+    pub fn hurry(&mut self) {
+        self.hurried = true;
+    }
+
+    /// Whether there is no time for clutter.
+    pub fn is_hurried(&self) -> bool {
+        self.hurried
+    }
+
+    /// Whether the last search found clutter and no time for it: then nothing is in the neighbourhood.
+    pub fn gave_up(&self) -> bool {
+        self.gave_up
     }
 
     /// Gathers what kernels of radius up to [`REACH`] × `nominal` need at the elements of `extent`. `resolution`: size of
@@ -92,6 +112,7 @@ impl Neighbourhood {
         };
         // Clutter begins and ends gradually: what was too much for the last neighbourhood is so for this one.
         let (mut clutter, mut shrunk) = (self.clutter.min(clutter_max), self.shrunk);
+        self.gave_up = false;
         loop {
             self.nominal = nominal * SHRINKING.powi(shrunk as i32);
             query.radius = REACH * self.nominal * 1.04 + reach;
@@ -101,11 +122,19 @@ impl Neighbourhood {
             let last = clutter == clutter_max;
             let most = match (last, shrunk >= SHRUNK_MAX) {
                 (false, _) => most,
-                (true, false) => 2 * most,
+                (true, false) if !self.hurried => 2 * most,
+                (true, false) => most,
                 (true, true) => usize::MAX,
             };
-            if tree.collect(&query, most, &mut self.found) {
+            let visits = if self.hurried { VISITS_HURRIED * most } else { usize::MAX };
+            if tree.collect(&query, most, visits, &mut self.found) {
                 break;
+            }
+            if self.hurried && last {
+                (self.clutter, self.gave_up) = (clutter, true);
+                self.clear();
+                self.placed.iter_mut().for_each(Vec::clear);
+                return;
             }
             match last {
                 true => shrunk += 1,

@@ -3,6 +3,11 @@
 //!
 //! A p-node is an inner node whose children are all leaves; removing it saves three elements. The
 //! paper's order by one sort is corrected (REFERENCE D6): a node's key is never below its descendants'.
+//! What is left to reach k exactly, one element or two, is saved by [joining](join) children of p-nodes.
+
+mod join;
+#[cfg(test)]
+mod tests;
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -12,7 +17,8 @@ use std::collections::BinaryHeap;
 pub struct QuadNode {
     /// The node above, or `None` for a root.
     pub parent: Option<u32>,
-    /// The first of its four children, which stand together and after it.
+    /// The first of its four children, which stand together and after it. The fourth, in the middle, borders on each of
+    /// the others.
     pub children: Option<u32>,
     /// Area, square scene units.
     pub area: f64,
@@ -36,16 +42,27 @@ pub enum Criterion<'a> {
     Absolute,
     /// δB / B.
     Photometric,
-    /// Dumont's eq. (12): δL / (TVI(L) · elevation), with L = B/π times `cd_m2_per_unit` and the threshold
-    /// in cd/m².
-    Perceptual {
-        /// Threshold versus intensity: cd/m² to cd/m².
-        tvi: &'a (dyn Fn(f64) -> f64 + Sync),
-        /// Displayed luminance of a radiance of luminance 1.
-        cd_m2_per_unit: f64,
-    },
+    /// Dumont's eq. (12): δL / (TVI(L) · elevation). Deviations: contrasts far above the threshold are masked less, a
+    /// display has a white, and small elements are seen less.
+    Perceptual(Eye<'a>),
     /// Least squared error by area, whole subtrees at once (generalised BFOS; Chou, Lookabaugh & Gray 1989).
     Optimal,
+}
+
+/// What an eye sees of errors on a display.
+#[derive(Clone, Copy)]
+pub struct Eye<'a> {
+    /// Threshold versus intensity: cd/m² to cd/m².
+    pub tvi: &'a (dyn Fn(f64) -> f64 + Sync),
+    /// 1 / the least contrast that is seen at a luminance in cd/m².
+    pub sensitivity: &'a (dyn Fn(f64) -> f64 + Sync),
+    /// Displayed luminance of a radiance of luminance 1.
+    pub cd_m2_per_unit: f64,
+    /// Displayed luminance of white, above which nothing differs.
+    pub white_cd_m2: f64,
+    /// The area over which the eye sums, square scene units: an error on less of it is seen in proportion to its area
+    /// (Ricco's law).
+    pub summed_area: f64,
 }
 
 /// From what δB is measured.
@@ -61,8 +78,10 @@ pub enum Deviation {
 /// A forest cut back.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Simplified {
-    /// Per node whether it is an element now.
-    pub is_element: Vec<bool>,
+    /// Per node whether it is a leaf now: an element, or a part of one.
+    pub is_leaf: Vec<bool>,
+    /// Leaves of one parent that are one element together.
+    pub joined: Vec<Vec<u32>>,
     /// Elements.
     pub elements: usize,
     /// Elements before.
@@ -107,6 +126,8 @@ struct Cut<'a> {
     inner: Vec<bool>,
     /// Inner children that are not yet cut.
     open_children: Vec<u8>,
+    /// Leaves that are one element together.
+    joined: Vec<Vec<u32>>,
     elements: usize,
 }
 
@@ -162,6 +183,14 @@ impl Forest {
         self.nodes.iter().zip(moments).map(|(n, (a, m, s))| s + a * (m - n.value).powi(2)).collect()
     }
 
+    /// Mean value of nodes by area, and the squared error by area of showing it in place of their own values.
+    fn mean(&self, nodes: &[usize]) -> (f64, f64) {
+        let nodes = || nodes.iter().map(|&n| &self.nodes[n]);
+        let area: f64 = nodes().map(|n| n.area).sum();
+        let mean = nodes().map(|n| n.area * n.value).sum::<f64>() / area.max(1e-300);
+        (mean, nodes().map(|n| n.area * (n.value - mean).powi(2)).sum())
+    }
+
     /// Per inner node the largest deviation of what it stands for.
     fn deviations(&self, from: Deviation) -> Vec<f64> {
         let mut range = vec![(f64::INFINITY, f64::NEG_INFINITY); self.nodes.len()];
@@ -183,42 +212,68 @@ impl Forest {
         deviations
     }
 
-    fn keys(&self, criterion: &Criterion<'_>, from: Deviation) -> Vec<f64> {
+    fn keys(&self, cost: &impl Fn(&QuadNode, f64) -> f64, deviations: &[f64]) -> Vec<f64> {
+        self.nodes.iter().zip(deviations).map(|(node, &delta)| cost(node, delta)).collect()
+    }
+
+    /// What it costs to show a node in place of values that differ from its own by up to δ.
+    fn cost<'a>(&self, criterion: &'a Criterion<'_>) -> impl Fn(&QuadNode, f64) -> f64 + 'a {
         let brightest = self.nodes.iter().map(|n| n.value).fold(0.0, f64::max);
-        let deviations = self.deviations(from);
-        let key = |(node, delta): (&QuadNode, f64)| match criterion {
+        move |shown, delta| match criterion {
             Criterion::Absolute | Criterion::Optimal => delta,
-            Criterion::Photometric => delta / node.value.max(1e-6 * brightest).max(1e-30),
-            Criterion::Perceptual { tvi, cd_m2_per_unit } => {
-                let to_luminance = cd_m2_per_unit / std::f64::consts::PI;
-                let threshold = tvi((node.value * to_luminance).max(0.0)) * node.elevation.max(1.0);
-                delta * to_luminance / threshold.max(1e-30)
+            Criterion::Photometric => delta / shown.value.max(1e-6 * brightest).max(1e-30),
+            Criterion::Perceptual(eye) => {
+                let to_luminance = eye.cd_m2_per_unit / std::f64::consts::PI;
+                let displayed = |value: f64| (value * to_luminance).clamp(0.0, eye.white_cd_m2);
+                let now = displayed(shown.value);
+                let [above, below] = [delta, -delta].map(|d| (displayed(shown.value + d) - now).abs());
+                let seen = above.max(below);
+                let contrast = seen / now.max(1e-3) * (eye.sensitivity)(now);
+                let summed = (shown.area / eye.summed_area.max(1e-300)).min(1.0);
+                summed * seen / (eye.tvi)(now).max(1e-30) * unmasked(contrast, shown.elevation.max(1.0))
             }
-        };
-        self.nodes.iter().zip(deviations).map(key).collect()
+        }
     }
 }
 
-/// Cuts `forest` back to at most `k` elements, at least `k` − 2 where the roots allow it.
+/// What a texture that elevates thresholds leaves of a contrast, both in thresholds on a plain surface: 1 / elevation up
+/// to the elevated threshold, as in Dumont's eq. (12). Beyond it a mask takes from what is seen, it does not divide it:
+/// contrasts look alike where they exceed their thresholds by the same (Kulikowski 1976).
+fn unmasked(contrast: f64, elevation: f64) -> f64 {
+    if contrast <= elevation { 1.0 / elevation } else { (1.0 + contrast - elevation) / contrast }
+}
+
+/// Cuts `forest` back to exactly `k` elements; to its roots where there are more of them than that, and not at all where
+/// it has no more leaves.
 pub fn simplify(forest: &Forest, k: usize, criterion: &Criterion<'_>, from: Deviation) -> Simplified {
     let mut cut = Cut::new(forest);
-    match criterion {
-        Criterion::Optimal => {
-            let errors = forest.squared_errors();
-            cut.cut_subtrees(k, &errors, |_, _, _| {});
-            cut.cut_marginal(k, &errors);
-        }
-        _ => cut.cut_by_key(k, &forest.keys(criterion, from)),
+    if let Criterion::Optimal = criterion {
+        let errors = forest.squared_errors();
+        cut.cut_subtrees(k, &errors, |_, _, _| {});
+        return cut.finish_by_squared_error(k, &errors);
     }
+    let (deviations, cost) = (forest.deviations(from), forest.cost(criterion));
+    cut.cut_by_key(k, &forest.keys(&cost, &deviations));
+    cut.join(k, |pair| {
+        let (mean, _) = forest.mean(&pair);
+        let [a, b] = pair.map(|n| &forest.nodes[n]);
+        let delta = pair.map(|n| deviations[n] + (forest.nodes[n].value - mean).abs());
+        let area = a.area + b.area;
+        let elevation = (a.area * a.elevation + b.area * b.elevation) / area.max(1e-300);
+        cost(&QuadNode { value: mean, elevation, area, ..*a }, f64::max(delta[0], delta[1]))
+    });
     cut.result()
 }
 
-/// Cuts the subtrees below these nodes.
-pub fn cut_below(forest: &Forest, nodes: impl Iterator<Item = u32>) -> Simplified {
+/// Cuts the subtrees below these nodes, and then, if that is not enough, what adds the least squared error until `k`
+/// elements are left.
+pub fn cut_below(forest: &Forest, nodes: impl Iterator<Item = u32>, k: usize) -> Simplified {
     let mut cut = Cut::new(forest);
     nodes.for_each(|node| cut.remove_below(node as usize));
-    cut.elements = (0..forest.nodes.len()).filter(|&i| cut.is_element(i)).count();
-    cut.result()
+    let inner = |i: usize| forest.children(i).filter(|&c| cut.inner[c]).count() as u8;
+    cut.open_children = (0..forest.nodes.len()).map(inner).collect();
+    cut.elements = (0..forest.nodes.len()).filter(|&i| cut.is_leaf(i)).count();
+    cut.finish_by_squared_error(k, &forest.squared_errors())
 }
 
 impl<'a> Cut<'a> {
@@ -226,21 +281,33 @@ impl<'a> Cut<'a> {
         let inner: Vec<bool> = forest.nodes.iter().map(|n| n.children.is_some()).collect();
         let open_children =
             (0..forest.nodes.len()).map(|i| forest.children(i).filter(|&c| inner[c]).count() as u8).collect();
-        Self { forest, inner, open_children, elements: forest.leaf_count() }
+        Self { forest, inner, open_children, joined: Vec::new(), elements: forest.leaf_count() }
     }
 
-    /// Whether a node is an element now.
-    fn is_element(&self, i: usize) -> bool {
+    /// Whether a node is a leaf now.
+    fn is_leaf(&self, i: usize) -> bool {
         let below_inner = self.forest.nodes[i].parent.is_none_or(|p| self.inner[p as usize]);
         below_inner && !self.inner[i]
     }
 
-    fn result(&self) -> Simplified {
+    fn finish_by_squared_error(mut self, k: usize, errors: &[f64]) -> Simplified {
+        let forest = self.forest;
+        self.cut_marginal(k, errors);
+        self.join(k, |pair| forest.mean(&pair).1);
+        self.result()
+    }
+
+    fn result(self) -> Simplified {
         let errors = self.forest.squared_errors();
-        let is_element: Vec<bool> = (0..errors.len()).map(|i| self.is_element(i)).collect();
-        let squared_error = errors.iter().zip(&is_element).filter(|(_, is)| **is).map(|(e, _)| e).sum();
+        let is_leaf: Vec<bool> = (0..errors.len()).map(|i| self.is_leaf(i)).collect();
+        let of_leaves: f64 = errors.iter().zip(&is_leaf).filter(|(_, is)| **is).map(|(e, _)| e).sum();
+        let of_joined = |nodes: &Vec<u32>| {
+            let nodes: Vec<usize> = nodes.iter().map(|&n| n as usize).collect();
+            self.forest.mean(&nodes).1
+        };
+        let squared_error = of_leaves + self.joined.iter().map(of_joined).sum::<f64>();
         let elements_before = self.forest.leaf_count();
-        Simplified { is_element, elements: self.elements, elements_before, squared_error }
+        Simplified { is_leaf, joined: self.joined, elements: self.elements, elements_before, squared_error }
     }
 
     /// Makes a leaf of a node, whatever is below.
@@ -254,13 +321,13 @@ impl<'a> Cut<'a> {
         }
     }
 
-    /// Removes p-nodes, always the one with the smallest key; a parent becomes a candidate with its last
-    /// child. The same order as one sort by max(own key, keys below).
+    /// Removes p-nodes, always the one with the smallest key, as long as `k` elements are left; a parent becomes a
+    /// candidate with its last child. The same order as one sort by max(own key, keys below).
     fn cut_by_key(&mut self, k: usize, keys: &[f64]) {
         let is_p_node = |i: &usize| self.inner[*i] && self.open_children[*i] == 0;
         let mut heap: BinaryHeap<Reverse<(Key, usize)>> =
             (0..keys.len()).filter(is_p_node).map(|i| Reverse((Key(keys[i]), i))).collect();
-        while self.elements > k {
+        while self.elements >= k.saturating_add(3) {
             let Some(Reverse((_, i))) = heap.pop() else { break };
             self.inner[i] = false;
             self.elements -= 3;
@@ -326,166 +393,5 @@ impl<'a> Cut<'a> {
                 above = nodes[p].parent;
             }
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Preorder split bits of the three quadtrees of the reference check (2028 leaves, 675 inner nodes).
-    const SPLITS: &str = "\
-        f4210c2108610840e108430842184210c087084218410c10610843a108610843084218420d083042184210c21083420c\
-        21048430421e1084308214210c210864218420a10860842c2084841c210848430842184210f04218420c108610384210\
-        c1086108430821a10861084308421842107c210861084308420b0841820c2108701840c210861084384210c208308421\
-        e108428184210c108708421210c2086104384210c210861084308421c10610428184210f08421840c210861084384210\
-        30421c210861084308420d08428418420784210c2108608430841c1086108430821410e1083084214210c21087084218\
-        2103b0420c10870842184210c21038210c210861080f0842184210c210861084384210c10850841c2108610843084218\
-        42108c21084e10843084218410c2107084218210c2108610842e10830821210c21085842106108438410c21086108430\
-        8420";
-
-    fn reference_forest() -> Forest {
-        let bits: Vec<bool> = SPLITS
-            .chars()
-            .filter_map(|c| c.to_digit(16))
-            .flat_map(|d| (0..4).map(move |i| d >> (3 - i) & 1 == 1))
-            .collect();
-        let functions: [fn(f64, f64) -> f64; 3] = [
-            |x, y| 10.0 * (-40.0 * ((x - 0.3).powi(2) + (y - 0.6).powi(2))).exp(),
-            |x, y| if x + 0.3 * y > 0.55 { 3.0 } else { 1.0 },
-            |x, y| 1.0 + 0.2 * (40.0 * x).sin() * (33.0 * y).sin(),
-        ];
-        let mut forest = Forest::default();
-        let mut at = 0;
-        for f in functions {
-            let root = forest.nodes.len();
-            forest.nodes.push(node(None, 1.0));
-            fill(&mut forest, root, &bits, &mut at, (0.0, 0.0, 1.0), f);
-        }
-        assert_eq!(at, 2703);
-        for i in (0..forest.nodes.len()).rev() {
-            if forest.nodes[i].children.is_some() {
-                forest.nodes[i].value = forest.children(i).map(|c| forest.nodes[c].value).sum::<f64>() / 4.0;
-            }
-        }
-        forest
-    }
-
-    fn node(parent: Option<u32>, area: f64) -> QuadNode {
-        QuadNode { parent, children: None, area, value: 0.0, elevation: 1.0 }
-    }
-
-    fn fill(
-        forest: &mut Forest,
-        i: usize,
-        bits: &[bool],
-        at: &mut usize,
-        (x, y, s): (f64, f64, f64),
-        f: fn(f64, f64) -> f64,
-    ) {
-        *at += 1;
-        if !bits[*at - 1] {
-            forest.nodes[i].value = f(x + s / 2.0, y + s / 2.0);
-            return;
-        }
-        let first = forest.nodes.len();
-        forest.nodes[i].children = Some(first as u32);
-        let child = node(Some(i as u32), forest.nodes[i].area / 4.0);
-        forest.nodes.extend([child; 4]);
-        for c in 0..4usize {
-            let corner = (x + s / 2.0 * (c & 1) as f64, y + s / 2.0 * (c >> 1) as f64, s / 2.0);
-            fill(forest, first + c, bits, at, corner, f);
-        }
-    }
-
-    fn check(criterion: Criterion<'_>, from: Deviation, expected: [(usize, usize, f64); 3]) {
-        let forest = reference_forest();
-        for (k, n, error) in expected {
-            let cut = simplify(&forest, k, &criterion, from);
-            assert_eq!(cut.elements_before, 2028);
-            assert_eq!(cut.elements, n);
-            assert_eq!(cut.is_element.iter().filter(|&&e| e).count(), n);
-            assert!((cut.squared_error - error).abs() <= 6e-6, "{k}: {}", cut.squared_error);
-        }
-    }
-
-    #[test]
-    fn the_papers_order_with_keys_never_below_their_children() {
-        let expected = [(600, 600, 0.00252), (300, 300, 0.01225), (100, 99, 0.24773)];
-        check(Criterion::Absolute, Deviation::Children, expected);
-    }
-
-    #[test]
-    fn whole_subtrees_reach_the_optimum_where_their_hull_meets_k() {
-        check(
-            Criterion::Optimal,
-            Deviation::Leaves,
-            [(300, 300, 0.00873), (100, 99, 0.12133), (594, 594, 0.00197)],
-        );
-        let cut = simplify(&reference_forest(), 600, &Criterion::Optimal, Deviation::Leaves);
-        assert_eq!(cut.elements, 600);
-        assert!(cut.squared_error < 0.00198, "{}", cut.squared_error);
-    }
-
-    #[test]
-    fn a_sort_by_one_key_is_the_heap() {
-        let forest = reference_forest();
-        let keys = forest.keys(&Criterion::Photometric, Deviation::Leaves);
-        let mut highest = keys.clone();
-        for i in (0..keys.len()).rev() {
-            for c in forest.children(i).filter(|&c| forest.nodes[c].children.is_some()) {
-                highest[i] = highest[i].max(highest[c]);
-            }
-        }
-        let mut inner: Vec<usize> = (0..keys.len()).filter(|&i| forest.nodes[i].children.is_some()).collect();
-        inner.sort_by(|&a, &b| highest[a].total_cmp(&highest[b]).then(b.cmp(&a)));
-        let last = highest[inner[(2028usize - 300).div_ceil(3) - 1]];
-        let cut = simplify(&forest, 300, &Criterion::Photometric, Deviation::Leaves);
-        for &i in &inner {
-            let above = std::iter::successors(Some(i), |&n| forest.nodes[n].parent.map(|p| p as usize));
-            let is_cut = above.into_iter().any(|n| cut.is_element[n]);
-            // Equal keys may go in either order.
-            assert!(highest[i] == last || is_cut == (highest[i] < last), "{i}");
-        }
-    }
-
-    #[test]
-    fn the_perceptual_criterion_spares_what_is_seen() {
-        // Two roots with the same relative error; texture hides it on the first.
-        let mut forest = Forest::default();
-        for root in 0..2u32 {
-            let at = forest.nodes.len() as u32;
-            forest.nodes.push(QuadNode {
-                parent: None,
-                children: Some(at + 1),
-                area: 1.0,
-                value: 2.0,
-                elevation: if root == 0 { 5.0 } else { 1.0 },
-            });
-            for value in [1.9, 2.1, 1.9, 2.1] {
-                forest.nodes.push(QuadNode {
-                    parent: Some(at),
-                    children: None,
-                    area: 0.25,
-                    value,
-                    elevation: 1.0,
-                });
-            }
-        }
-        let weber = |l: f64| 0.01 * l;
-        let criterion = Criterion::Perceptual { tvi: &weber, cd_m2_per_unit: 100.0 };
-        let cut = simplify(&forest, 5, &criterion, Deviation::Leaves);
-        assert_eq!(cut.elements, 5);
-        assert!(cut.is_element[0] && !cut.is_element[5]);
-    }
-
-    #[test]
-    fn roots_are_the_least_and_nothing_is_cut_above_k() {
-        let forest = reference_forest();
-        for criterion in [Criterion::Absolute, Criterion::Photometric, Criterion::Optimal] {
-            assert_eq!(simplify(&forest, 0, &criterion, Deviation::Leaves).elements, 3);
-            assert_eq!(simplify(&forest, 5000, &criterion, Deviation::Leaves).elements, 2028);
-        }
-        assert_eq!(simplify(&Forest::default(), 3, &Criterion::Optimal, Deviation::Leaves).elements, 0);
     }
 }

@@ -21,6 +21,9 @@ const NARROW: f32 = 0.988_771_1;
 /// (∫K)² / ∫K² of a disc is 3/4 of its area: so many more elements are needed.
 const INEFFICIENCY: f32 = 4.0 / 3.0;
 
+/// Elements whose mean a first picture takes in clutter, where kernels would have to visit too much.
+const MEAN_OF: usize = 32;
+
 /// What neighbours say may differ from an element's own samples by the root of this many times their variance before
 /// it is doubted: then it is the edge of a shadow that lies between, and no noise.
 const TRUSTED: f32 = 4.0;
@@ -135,7 +138,14 @@ fn smooth(
         let extent = tree.as_element(node);
         if !gathered && reads_one(&extent, radius) {
             hood.gather(tree, &extent, radius, 2.0 * RESOLUTION);
-            gathered = true;
+            gathered = !hood.gave_up();
+        }
+        if hood.is_hurried() && !gathered && members.len() <= MEAN_OF {
+            let (sum, area) = tree.sums(node, side);
+            for i in range {
+                found[i - first][side] = (sum.flux / area, sum.square / (area * area));
+            }
+            continue;
         }
         let Extent { center, reach, cosine } = extent;
         if gathered && reach <= SHARED * radius && cosine > NARROW {

@@ -36,6 +36,9 @@ pub struct ElevationSettings {
     pub adaptation: Option<f32>,
     /// Beyond the edge.
     pub border: Border,
+    /// Whether only masking counts, not that some frequencies are seen less than others: where the error's own frequency
+    /// is judged elsewhere.
+    pub masking_only: bool,
     /// Upper bound: 100. The 10 of perceptualdiff saturates on ordinary textures and flattens the ranking (REFERENCE §8.5).
     pub max: f32,
 }
@@ -43,7 +46,7 @@ pub struct ElevationSettings {
 impl ElevationSettings {
     /// Settings with adaptation to the mean, repeating textures and the bound of 100.
     pub const fn new(texels_per_degree: f32) -> Self {
-        Self { texels_per_degree, adaptation: None, border: Border::Wrap, max: 100.0 }
+        Self { texels_per_degree, adaptation: None, border: Border::Wrap, masking_only: false, max: 100.0 }
     }
 }
 
@@ -68,7 +71,7 @@ pub fn elevation(luminance: &Map2d<f32>, settings: &ElevationSettings) -> Map2d<
     for band in 0..bands {
         let after = blur(&next, width, 2 << band, settings.border);
         let frequency = settings.texels_per_degree / (2 << band) as f32;
-        let of_frequency = elevation_of_frequency(frequency);
+        let of_frequency = if settings.masking_only { 1.0 } else { elevation_of_frequency(frequency) };
         let sensitivity = barten(frequency, adaptation);
         weighted.par_iter_mut().zip(&mut contrasts).enumerate().for_each(|(i, (weighted, contrasts))| {
             let contrast = (current[i] - next[i]).abs() / after[i].max(1e-5);

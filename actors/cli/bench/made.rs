@@ -35,6 +35,11 @@ impl MadeScene {
         Self::write(generate::hall(triangles))
     }
 
+    /// A salon with patterned walls.
+    pub fn salon() -> Result<Self, Failure> {
+        Self::write(generate::salon())
+    }
+
     /// Writes a scene below the system's folder for temporary files.
     fn write(scene: image::ImageResult<generate::SceneFiles>) -> Result<Self, Failure> {
         let scene = scene.map_err(|e| Failure::Environment(format!("a scene cannot be made: {e}")))?;

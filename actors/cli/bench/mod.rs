@@ -10,6 +10,7 @@ pub mod messages;
 pub mod motion;
 pub mod rays;
 pub mod scaling;
+pub mod simplify;
 pub mod skips;
 pub mod soak;
 pub mod stages;
@@ -39,6 +40,8 @@ pub enum BenchCommand {
     Rays(rays::RaysArguments),
     /// How each stage grows with what it works on, and with tracers; memory beside it
     Scaling(scaling::ScalingArguments),
+    /// A radiosity mesh cut back by what is measured and by what is seen, views of it held against the whole mesh
+    Simplify(simplify::SimplifyArguments),
     /// What is saved by what a scene does not need
     Skips(skips::SkipsArguments),
     /// A walk of many frames on a virtual clock: memory, lost jobs, frame times
@@ -60,6 +63,7 @@ pub fn run(command: &BenchCommand, progress: Progress) -> Result<(), Failure> {
         BenchCommand::FirstLight(a) => first_light::run(a, progress),
         BenchCommand::Rays(a) => rays::run(a, progress),
         BenchCommand::Scaling(a) => scaling::run(a, progress),
+        BenchCommand::Simplify(a) => simplify::run(a, progress),
         BenchCommand::Skips(a) => skips::run(a, progress),
         BenchCommand::Soak(a) => soak::run(a, progress),
         BenchCommand::Textures(a) => textures::run(a, progress),

@@ -33,6 +33,8 @@ const NONE: u32 = u32::MAX;
 #[derive(Clone, Debug)]
 pub struct RadiosityMesh {
     cells: Vec<Cell>,
+    /// Per cell the leaf that it was or belonged to before neighbours were made alike.
+    elements: Vec<u32>,
     vertices: Vec<Vec3>,
     /// Per triangle of the scene the roots of its front and back.
     roots: Vec<[u32; 2]>,
@@ -70,8 +72,12 @@ impl RadiosityMesh {
     /// A continuous irradiance from the solution for `scene_triangles` triangles. `owners` says for each patch
     /// which triangle and which side it is; a back's corners are the triangle's with the last two swapped.
     pub fn new(solution: &mut Radiosity<3>, owners: &[(u32, bool)], scene_triangles: usize) -> Self {
+        let mut elements: Vec<u32> = (0..solution.nodes.len() as u32).collect();
         solution.restrict();
         let solution = &*solution;
+        for node in &solution.nodes[elements.len()..] {
+            elements.push(node.parent.map_or(0, |parent| elements[parent as usize]));
+        }
         let mut groups: BTreeMap<VertexKey, Vec<(Vec3, u32)>> = BTreeMap::new();
         let mut sums: Vec<(Vec3, f32)> = Vec::new();
         let mut leaf_vertices = vec![[NONE; 3]; solution.nodes.len()];
@@ -112,7 +118,7 @@ impl RadiosityMesh {
                 sides[usize::from(back)] = i as u32;
             }
         }
-        Self { cells, vertices, roots }
+        Self { cells, elements, vertices, roots }
     }
 
     /// Leaves.
@@ -120,14 +126,31 @@ impl RadiosityMesh {
         self.cells.iter().filter(|c| matches!(c, Cell::Leaf(_))).count()
     }
 
+    /// Root and barycentrics there of a point on a side of a triangle.
+    fn place(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Option<(u32, [f32; 3])> {
+        let root = self.roots.get(triangle as usize)?[usize::from(back)];
+        let b0 = 1.0 - b1 - b2;
+        (root != NONE).then_some((root, if back { [b0, b2, b1] } else { [b0, b1, b2] }))
+    }
+
+    /// The element, a leaf of the solution, that holds a point on a side of a triangle.
+    pub fn element_at(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Option<u32> {
+        let (root, b) = self.place(triangle, b1, b2, back)?;
+        Some(self.elements[self.leaf(root, b).0 as usize])
+    }
+
     /// Value at barycentrics of a root.
-    fn at(&self, root: u32, mut b: [f32; 3]) -> Vec3 {
+    fn at(&self, root: u32, b: [f32; 3]) -> Vec3 {
+        let (_, v, b) = self.leaf(root, b);
+        (0..3).map(|k| self.vertices[v[k] as usize] * b[k].max(0.0)).sum()
+    }
+
+    /// The cell of a point of a root, its vertices, and barycentrics there.
+    fn leaf(&self, root: u32, mut b: [f32; 3]) -> (u32, [u32; 3], [f32; 3]) {
         let mut cell = root;
         loop {
             match self.cells[cell as usize] {
-                Cell::Leaf(v) => {
-                    return (0..3).map(|k| self.vertices[v[k] as usize] * b[k].max(0.0)).sum();
-                }
+                Cell::Leaf(v) => return (cell, v, b),
                 // A corner's child has its own coordinate above one half; the middle one is turned.
                 Cell::Inner(first) => match b.iter().position(|&x| x >= 0.5) {
                     Some(k) => {
@@ -173,15 +196,7 @@ fn settle_hanging<const BANDS: usize>(
 
 impl Irradiance for RadiosityMesh {
     fn irradiance(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {
-        let Some(sides) = self.roots.get(triangle as usize) else {
-            return Vec3::ZERO;
-        };
-        let b0 = 1.0 - b1 - b2;
-        match sides[usize::from(back)] {
-            NONE => Vec3::ZERO,
-            root if back => self.at(root, [b0, b2, b1]),
-            root => self.at(root, [b0, b1, b2]),
-        }
+        self.place(triangle, b1, b2, back).map_or(Vec3::ZERO, |(root, b)| self.at(root, b))
     }
 }
 

@@ -349,7 +349,7 @@ impl Baker<'_> {
             let late = self.is_late();
             let coarse = self.coarse || late;
             hood.reset();
-            if self.coarse {
+            if coarse {
                 hood.hurry();
             }
             let members = &with.tree.order()[with.tree.range(node)];

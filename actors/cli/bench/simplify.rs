@@ -124,9 +124,9 @@ pub fn run(a: &SimplifyArguments, progress: Progress) -> Result<(), Failure> {
     for cut in &cut {
         rows.push(Row::new(format!("elements left of {leaves} ({})", cut.name), "", &[cut.elements as f64]));
     }
-    for view in 0..cameras.len() {
+    for (view, (photometric, perceptual)) in means[0].iter().zip(&means[1]).enumerate() {
         let what = format!("view {}: mean FLIP, perceptual", view + 1);
-        rows.push(Row::new(what, "", &[means[1][view]]).against("photometric", Some(means[0][view])));
+        rows.push(Row::new(what, "", &[*perceptual]).against("photometric", Some(*photometric)));
     }
     rows.push(
         Row::new("all views: mean FLIP, perceptual", "", &means[1])
@@ -136,7 +136,9 @@ pub fn run(a: &SimplifyArguments, progress: Progress) -> Result<(), Failure> {
         Row::new("all views: mean FLIP, optimal", "", &means[2])
             .against("photometric", super::table::median(&means[0])),
     );
-    let won = (0..cameras.len()).filter(|&v| means[1][v] < means[0][v]).count() as f64;
+    let won =
+        means[0].iter().zip(&means[1]).filter(|(photometric, perceptual)| perceptual < photometric).count()
+            as f64;
     let row =
         Row::new(format!("views of {} in which the perceptual mesh is nearer", cameras.len()), "", &[won]);
     rows.push(row.aim(Aim::AtLeast(WINS * cameras.len() as f64 / VIEWS as f64)));

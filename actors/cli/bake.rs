@@ -302,7 +302,8 @@ fn report(
             "seconds": seconds,
             "stage_seconds": made.stages.iter().map(|(n, t)| ((*n).to_owned(), json!(t))).collect::<serde_json::Map<_, _>>(),
             "error": s.relative_error,
-            "complete": made.complete,
+            "error_reached": s.relative_error <= a.settings.error,
+            "complete": made.complete && s.relative_error <= a.settings.error,
             "texels": made.map.element_count(),
             "has_indirect": s.has_indirect,
             "mean_irradiance": s.mean,
@@ -345,5 +346,11 @@ fn report(
     }
     if !made.complete && !interrupted() {
         print_line("the time was up before the error asked for was reached; --resume goes on");
+    } else if method == Method::Particles && s.relative_error > a.settings.error && !interrupted() {
+        print_line(&format!(
+            "the error asked for, {} %, was not reached with {} particles; --particles allows more",
+            100.0 * a.settings.error,
+            s.particles
+        ));
     }
 }

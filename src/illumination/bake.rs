@@ -33,6 +33,8 @@ const LIT_PIECES: (usize, usize) = (1 << 13, 1 << 16);
 const UNSEEN: f64 = 0.3;
 /// Rounds that are waited for at most.
 const ROUNDS_MAX: u32 = 256;
+/// Noise of direct light, relative to what arrives in the same place, that is seen.
+const NOISE_SEEN: f32 = 0.02;
 /// Samples of direct light per element where there is no time for more.
 const HURRIED_SAMPLES: u32 = 2;
 /// Elements that share the decision whether direct light can reach them.
@@ -127,7 +129,7 @@ pub struct BakeState {
     direct_rounds: u32,
     direct_rounds_wanted: u32,
     direct_block: u64,
-    direct_enough: f32,
+    direct_goes_on: Vec<[bool; 2]>,
     pass_end: u64,
     bins: Vec<BinState>,
     direct: Vec<[DirectBin; 2]>,
@@ -164,8 +166,8 @@ pub struct Baker<'a> {
     pub(super) direct_rounds: u32,
     /// Blocks done of the round that has begun.
     pub(super) direct_block: usize,
-    /// Blocks of less variance do not take part in it.
-    direct_enough: f32,
+    /// Per block and side whether it takes part in it.
+    direct_goes_on: Vec<[bool; 2]>,
     /// Rounds due before the next particles.
     direct_rounds_wanted: u32,
     /// Particles at which the error is asked for next.
@@ -221,7 +223,7 @@ impl<'a> Baker<'a> {
             bounces: 0,
             direct_rounds: 0,
             direct_block: 0,
-            direct_enough: 0.0,
+            direct_goes_on: Vec::new(),
             direct_rounds_wanted: 1,
         }
     }
@@ -275,7 +277,7 @@ impl<'a> Baker<'a> {
             direct_rounds: self.direct_rounds,
             direct_rounds_wanted: self.direct_rounds_wanted,
             direct_block: self.direct_block as u64,
-            direct_enough: self.direct_enough,
+            direct_goes_on: self.direct_goes_on.clone(),
             pass_end: self.pass_end,
             bins: self.bins.state(),
             direct: self.direct.clone(),
@@ -292,7 +294,7 @@ impl<'a> Baker<'a> {
         self.direct_rounds = state.direct_rounds;
         self.direct_rounds_wanted = state.direct_rounds_wanted;
         self.direct_block = state.direct_block as usize;
-        self.direct_enough = state.direct_enough;
+        self.direct_goes_on.clone_from(&state.direct_goes_on);
         self.pass_end = state.pass_end;
         true
     }
@@ -336,21 +338,17 @@ impl<'a> Baker<'a> {
         if first && self.samples_per_round > HURRIED_SAMPLES && self.is_late() {
             (self.samples_per_round, self.hurried) = (HURRIED_SAMPLES, true);
         }
-        // After four rounds the spread is known, and only blocks that are worse than the average go on. Not
-        // single elements: those that missed the light by chance would stop and stay dark.
-        if self.direct_block == 0 {
-            self.direct_enough =
-                if self.direct_rounds < 4 { -1.0 } else { 0.5 * self.mean_direct_variance() };
+        if self.direct_block == 0 && !first {
+            self.direct_goes_on = self.direct_noise().worth_a_round(self.direct_rounds);
         }
         let begin = self.direct_block * BLOCK;
         let end = begin.saturating_add(count.saturating_mul(BLOCK)).min(self.direct.len());
         let (atlas, transport, seed) = (&self.atlas, &self.transport, self.settings.seed);
-        let (watched, samples, enough) = (&self.watched, self.samples_per_round, self.direct_enough);
+        let (watched, samples, chosen) = (&self.watched, self.samples_per_round, &self.direct_goes_on);
+        let first_block = self.direct_block;
         self.direct[begin..end].par_chunks_mut(BLOCK).enumerate().for_each(|(block, bins)| {
             let begin = begin + block * BLOCK;
             let goes_on = [0, 1].map(|side| {
-                let lit = || bins.iter().any(|b| b[side].is_lit());
-                let variance = || bins.iter().map(|b| b[side].mean().1).sum::<f32>() / BLOCK as f32;
                 match (first, side) {
                     (true, 0) => true,
                     // Most backs are inside of bodies: a few samples each, and none finds light.
@@ -362,8 +360,7 @@ impl<'a> Baker<'a> {
                                     transport.direct(e.triangle, e.b1, e.b2, true, u)
                                 }))
                     }),
-                    // After a round without any light on 64 neighbours, none is expected.
-                    (false, _) => lit() && variance() > enough,
+                    (false, _) => chosen[first_block + block][side],
                 }
             });
             for (i, bin) in bins.iter_mut().enumerate() {
@@ -376,8 +373,10 @@ impl<'a> Baker<'a> {
                     if goes_on[side] {
                         let key = hash(seed, index as u64, side as u64);
                         let (t, b1, b2, back) = (e.triangle, e.b1, e.b2, side == 1);
-                        let certain = transport.certain(t, b1, b2, back);
-                        bin[side].gather(key, samples, |u| certain + transport.direct(t, b1, b2, back, u));
+                        if first {
+                            bin[side].set_certain(transport.certain(t, b1, b2, back));
+                        }
+                        bin[side].gather(key, samples, |u| transport.direct(t, b1, b2, back, u));
                     }
                 }
             }
@@ -387,20 +386,10 @@ impl<'a> Baker<'a> {
         } else {
             self.direct_block = 0;
             self.direct_rounds += 1;
-        }
-    }
-
-    /// Mean over all lit surface of the variance of direct light.
-    fn mean_direct_variance(&self) -> f32 {
-        let (mut sum, mut weight) = (0.0f64, 0.0f64);
-        let watched = self.atlas.elements.iter().zip(&self.direct).zip(&self.watched).filter(|(_, w)| **w);
-        for ((element, sides), _) in watched {
-            for side in sides.iter().filter(|s| s.is_lit()) {
-                sum += f64::from(element.area) * f64::from(side.mean().1);
-                weight += f64::from(element.area);
+            if first && !self.hurried {
+                self.average_shadow_edges();
             }
         }
-        if weight > 0.0 { (sum / weight) as f32 } else { 0.0 }
     }
 }
 
@@ -456,8 +445,10 @@ impl Baker<'_> {
                 if !waits {
                     self.pass_end = pass_end_after(self.emitted, &self.settings);
                 }
-                // Direct light is cheap while it is the smaller error; then its samples double as well.
-                if waits || summary.direct_error > 0.6 * others {
+                // Direct light is cheap while it is the smaller error; then its samples double as well. Where it is dim, its
+                // noise is no large error, and yet seen.
+                let noisy = summary.direct_error > 0.6 * others || self.direct_noise().left() > NOISE_SEEN;
+                if waits || (noisy && self.direct_rounds < ROUNDS_MAX) {
                     self.direct_rounds_wanted = 2 * self.direct_rounds;
                 }
                 Step::Appraised(summary)

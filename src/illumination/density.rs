@@ -19,6 +19,13 @@ const RIDGE: f32 = 1e-3;
 /// Fewer particles than this carry no slope: the area form is used.
 const SLOPE_COUNT_MIN: f32 = 16.0;
 
+/// Radius of the narrower kernel that a wide one is held against.
+const NARROW: f32 = 0.5;
+/// The least of these in units of an element's side: its neighbours just count.
+const RADIUS_MIN_NARROW: f32 = 1.1;
+/// Squared differences beyond so many variances are no noise.
+const TRUSTED: f32 = 8.0;
+
 /// An estimate at one element and side.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Estimate {
@@ -37,6 +44,17 @@ impl Estimate {
     pub fn at(&self, x: f32, y: f32) -> Vec3 {
         let value = self.irradiance + self.slope[0] * x + self.slope[1] * y;
         value.clamp(0.5 * self.irradiance, 2.0 * self.irradiance)
+    }
+
+    /// Drawn towards another by a share `w` in [0, 1] of the difference. Their noise is taken for independent.
+    fn towards(&self, other: &Self, w: f32) -> Self {
+        let own = 1.0 - w;
+        Self {
+            irradiance: self.irradiance * own + other.irradiance * w,
+            variance: self.variance * own * own + other.variance * w * w,
+            slope: [0, 1].map(|i| self.slope[i] * own + other.slope[i] * w),
+            own: self.own * own + other.own * w,
+        }
     }
 }
 
@@ -113,9 +131,26 @@ impl Bandwidth {
         radius.min(REACH * hood.nominal())
     }
 
-    /// The estimate at the placed element of a neighbourhood, and the radius of its kernel. A slope fitted at a border
-    /// or in a corner is noisier than in the open by up to an order of magnitude; there the radius grows by up to two.
+    /// The estimate at the placed element of a neighbourhood, and the radius of its kernel: one bandwidth for all of a
+    /// scene is too wide in caustics and contact shadows, so that a kernel much narrower has a say where noise does not
+    /// explain how they differ (after Lepski's method; Goldenshluger & Nemirovski 1997).
     pub fn estimate(
+        &self,
+        hood: &Neighbourhood,
+        element: &Element,
+        back: bool,
+        emitted: u64,
+    ) -> (Estimate, f32) {
+        let (wide, radius) = self.steady_estimate(hood, element, back, emitted);
+        match self.coarse {
+            true => (wide, radius),
+            false => (refined(hood, element, back, emitted, (wide, radius)), radius),
+        }
+    }
+
+    /// A slope fitted at a border or in a corner is noisier than in the open by up to an order of magnitude; there the
+    /// radius grows by up to two.
+    fn steady_estimate(
         &self,
         hood: &Neighbourhood,
         element: &Element,
@@ -135,6 +170,29 @@ impl Bandwidth {
         let second = hood.estimate(wider, back, emitted);
         (if second.variance < first.variance { second } else { first }, radius)
     }
+}
+
+/// An estimate of this radius drawn to what narrower kernels say.
+fn refined(
+    hood: &Neighbourhood,
+    element: &Element,
+    back: bool,
+    emitted: u64,
+    (wide, radius): (Estimate, f32),
+) -> Estimate {
+    let narrow = NARROW * radius;
+    if narrow < RADIUS_MIN_NARROW * element.area.sqrt() || wide.variance <= 0.0 {
+        return wide;
+    }
+    let near = hood.estimate(narrow, back, emitted);
+    // Few particles cannot tell their noise: that of the wide kernel can, for the smaller area.
+    let expected = wide.variance * (radius / narrow).powi(2);
+    let trusted = TRUSTED * near.variance.max(expected);
+    let difference = luminance(near.irradiance - wide.irradiance).powi(2);
+    if difference <= trusted {
+        return wide;
+    }
+    refined(hood, element, back, emitted, (near, narrow)).towards(&wide, trusted / difference)
 }
 
 /// The estimate at one side of `element` from `emitted` particles with kernels of `radius`.

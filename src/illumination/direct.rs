@@ -31,6 +31,8 @@ pub fn probe(key: u64, mut sample: impl FnMut([f32; 3]) -> Vec3) -> bool {
 /// Sums of the samples of one side of an element.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DirectBin {
+    /// Irradiance from lights that no chance is needed for.
+    certain: [f32; 3],
     sum: [f32; 3],
     /// Of the luminance of the means of the rounds of each sequence.
     sequences: [f32; SEQUENCES],
@@ -60,13 +62,34 @@ impl DirectBin {
         self.rounds += 1;
     }
 
+    /// Irradiance from lights that no chance is needed for.
+    pub fn certain(&self) -> Vec3 {
+        Vec3::from_array(self.certain)
+    }
+
+    /// Sets the irradiance from lights that no chance is needed for.
+    pub fn set_certain(&mut self, irradiance: Vec3) {
+        self.certain = irradiance.to_array();
+    }
+
     /// Whether any sample found light.
-    pub fn is_lit(&self) -> bool {
+    pub fn has_found_light(&self) -> bool {
         self.squared_samples > 0.0
+    }
+
+    /// Whether there is any light.
+    pub fn is_lit(&self) -> bool {
+        self.has_found_light() || self.certain != [0.0; 3]
     }
 
     /// Mean irradiance and the variance of its luminance.
     pub fn mean(&self) -> (Vec3, f32) {
+        let (sampled, variance) = self.sampled();
+        (sampled + self.certain(), variance)
+    }
+
+    /// The same without the lights that no chance is needed for.
+    pub fn sampled(&self) -> (Vec3, f32) {
         if self.rounds == 0 {
             return (Vec3::ZERO, 0.0);
         }

@@ -15,6 +15,8 @@ use crate::rng::Stream;
 
 /// Elements that decide on the bandwidth.
 const PILOTS: usize = 3000;
+/// Squared bias that counts at one of them at most, in units of its variance.
+const BIAS_MAX: f64 = 6.0;
 /// Neighbours in the tree that are estimated one after the other, each from the radius of the one before.
 const RUN: u32 = 1024;
 /// Elements share a fit within this share of the kernel's radius, where their normals are within the angle of this
@@ -333,10 +335,9 @@ impl Baker<'_> {
             None => {
                 let with = self.prepare();
                 let smooth = (self.direct_rounds > 0 || self.direct_block > 0).then(|| {
-                    let radius_max = 0.05 * self.diagonal;
                     let lit = |e: u32| with.lit_back[e as usize / BLOCK];
                     let (tree, target) = (with.tree.clone(), self.direct_target());
-                    SmoothDirect::new(&self.atlas.elements, &self.direct, tree, &lit, radius_max, target)
+                    SmoothDirect::new(&self.atlas.elements, &self.direct, tree, &lit, self.diagonal, target)
                 });
                 let nodes = with.tree.subtrees(RUN);
                 Estimating { with, smooth, nodes, found: Vec::new() }
@@ -460,7 +461,9 @@ impl Baker<'_> {
                 if r2 < 1.2 * r1 {
                     return (0.0, area * v1, area);
                 }
-                (area * ((wide - narrow).powi(2) - (v1 - v2).abs()), area * v1, area)
+                // Where it is much more than the noise narrower kernels are taken: it says nothing of the rest.
+                let bias = ((wide - narrow).powi(2) - (v1 - v2).abs()).min(BIAS_MAX * v1);
+                (area * bias, area * v1, area)
             })
             .collect();
         let bias: f64 = pilots.iter().map(|p| p.0).sum();

@@ -7,6 +7,7 @@ use glam::{Vec2, Vec3, Vec4};
 use super::atlas::Element;
 use super::clusters::{ClusterIndex, ClusterTree, Extent, Query};
 use super::density::{Estimate, Moments};
+use crate::image::luminance;
 
 /// Elements count together if their normals are within 25° (REFERENCE §6.2).
 pub const NORMAL_ANGLE: f32 = 25.0 * std::f32::consts::PI / 180.0;
@@ -227,26 +228,51 @@ impl Neighbourhood {
         self.nearest = nearest;
     }
 
-    /// The radius at which a kernel around the placed element holds `count` particles on its front or back; where the
-    /// neighbourhood has fewer, what their density lets expect.
+    /// The radius at which a kernel around the placed element holds `count` particles on its front or back, as many as
+    /// particles of equal flux would have to be for the same noise (Kish 1965); where the neighbourhood has fewer, what
+    /// their density lets expect.
     pub fn radius(&self, count: f32, back: bool) -> f32 {
         let limit = REACH * self.nominal;
         let scale = RINGS as f32 / (limit * limit);
-        let mut rings = [0.0f32; RINGS];
+        let mut rings = [[0.0f32; 3]; RINGS];
         for (&squared, arrivals) in self.placed[2].iter().zip(&self.arrivals) {
             let ring = squared * scale;
             if ring < RINGS as f32 {
-                rings[ring as usize] += arrivals[usize::from(back)].1;
+                let (flux, count, _) = arrivals[usize::from(back)];
+                let of_ring = [luminance(flux.truncate()), flux.w, count];
+                rings[ring as usize].iter_mut().zip(of_ring).for_each(|(sum, x)| *sum += x);
             }
         }
-        let mut sum = 0.0;
-        for (i, &here) in rings.iter().enumerate() {
-            if here > 0.0 && sum + here >= count {
-                return ((i as f32 + (count - sum) / here) / scale).sqrt();
+        let (mut sums, mut before) = ([0.0f32; 3], 0.0f32);
+        for (i, ring) in rings.iter().enumerate() {
+            sums.iter_mut().zip(ring).for_each(|(sum, x)| *sum += x);
+            let [sum, square, all] = sums;
+            // Squares of very small fluxes are rounded to nothing.
+            let equal = if square > 0.0 { (sum * sum / square).min(all) } else { all };
+            if equal >= count {
+                return ((i as f32 + (count - before) / (equal - before)) / scale).sqrt();
             }
-            sum += here;
+            before = equal;
         }
-        limit * (count / sum.max(0.5)).sqrt()
+        limit * (count / before.max(0.5)).sqrt()
+    }
+
+    /// Mean luminance of what arrived per area around the placed element, and the mean variance of an element's, where what
+    /// arrived came with its variance.
+    pub fn pooled(&self, radius: f32, back: bool) -> (f32, f32) {
+        let limit = radius * radius;
+        let (mut sum, mut square, mut all, mut squared_areas) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
+        for (&squared, arrivals) in self.placed[2].iter().zip(&self.arrivals) {
+            let (flux, count, area) = arrivals[usize::from(back)];
+            if squared < limit && area > 0.0 && count > 0.0 {
+                let w = 1.0 - squared / limit;
+                sum += w * luminance(flux.truncate());
+                square += w * flux.w;
+                all += w * area;
+                squared_areas += w * area * area / count;
+            }
+        }
+        if all > 0.0 { (sum / all, square / squared_areas) } else { (0.0, 0.0) }
     }
 
     /// The estimate on the front or back of the placed element with kernels of `radius`, from `emitted` particles.

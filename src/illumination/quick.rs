@@ -49,8 +49,9 @@ impl Baker<'_> {
             let e = &atlas.elements[index as usize];
             [0, 1].map(|side| {
                 let certain = transport.certain(e.triangle, e.b1, e.b2, side == 1);
-                let sample = |u| certain + transport.direct(e.triangle, e.b1, e.b2, side == 1, u);
+                let sample = |u| transport.direct(e.triangle, e.b1, e.b2, side == 1, u);
                 let mut bin = DirectBin::default();
+                bin.set_certain(certain);
                 // Most backs are inside of bodies.
                 if side == 0 || probe(hash(seed, index.into(), 2), sample) {
                     bin.gather(hash(seed, index.into(), side), SAMPLES, sample);

@@ -1,5 +1,6 @@
 //! Direct light where few samples make it noisy: means over neighbours, as wide as the error asks for
-//! (REFERENCE §6.3). Where the samples suffice nothing is changed, so sharp shadows stay.
+//! (REFERENCE §6.3). Where the samples suffice nothing is changed, and light that needs no samples is kept as it is, so
+//! sharp shadows stay.
 
 use glam::Vec3;
 
@@ -12,7 +13,7 @@ use super::estimate::reads_one;
 use super::neighbourhood::{Neighbourhood, REACH, RESOLUTION, along_tangents};
 use crate::image::luminance;
 
-/// Neighbours that decide together how noisy their samples are: enough that some of them found the light.
+/// Neighbours that decide together how noisy their samples are.
 const RUN: u32 = 96;
 /// Elements within this share of a kernel's radius share its fit.
 const SHARED: f32 = 0.2;
@@ -27,6 +28,16 @@ const MEAN_OF: usize = 32;
 /// What neighbours say may differ from an element's own samples by the root of this many times their variance before
 /// it is doubted: then it is the edge of a shadow that lies between, and no noise.
 const TRUSTED: f32 = 4.0;
+/// Largest radius of kernels, as a share of the scene's size.
+const RADIUS_MAX: f32 = 0.05;
+/// How noisy samples are is learned within so many times the reach of a run.
+const POOLED: f32 = 3.0;
+
+/// Elements of this area that the largest kernel makes a mean of, in a scene of this diagonal.
+pub fn elements_in_kernel(diagonal: f32, area: f32) -> f32 {
+    let kernel = std::f32::consts::PI * (RADIUS_MAX * diagonal).powi(2);
+    (kernel / (INEFFICIENCY * area.max(f32::MIN_POSITIVE))).max(1.0)
+}
 
 /// Irradiance and the variance of its luminance, front and back.
 pub type Sides = [(Vec3, f32); 2];
@@ -46,13 +57,14 @@ impl SmoothDirect {
         direct: &[[DirectBin; 2]],
         mut tree: ClusterTree,
         lit_back: &(dyn Fn(u32) -> bool + Sync),
-        radius_max: f32,
+        diagonal: f32,
         target: f32,
     ) -> Self {
+        let radius_max = RADIUS_MAX * diagonal;
         let arrived = |e: u32| {
             [0, 1].map(|side| {
                 let area = elements[e as usize].area;
-                let (mean, variance) = direct[e as usize][side].mean();
+                let (mean, variance) = direct[e as usize][side].sampled();
                 Arrived { flux: area * mean, square: area * area * variance, count: 1.0, area }
             })
         };
@@ -73,21 +85,41 @@ impl SmoothDirect {
         for node in tree.subtrees_of(root, RUN) {
             let members = &tree.order()[tree.range(node)];
             let first = all.len();
-            all.extend(members.iter().map(|&e| [0, 1].map(|side| direct[e as usize][side].mean())));
+            all.extend(members.iter().map(|&e| direct[e as usize].map(|bin| bin.sampled())));
             for side in [0, 1] {
-                let (sum, area) = tree.sums(node, side);
+                let extent = tree.as_element(node);
+                // A first picture has no time to ask around.
+                let pool = match hood.is_hurried() {
+                    true => self.within(node, side),
+                    false => self.pooled(&extent, side, POOLED * extent.reach, hood),
+                };
+                let Some(mut pool) = pool else { continue };
                 let n = members.len() as f32;
-                let mean = luminance(sum.flux) / area;
-                let variance = sum.square * n / (area * area);
-                let wanted = INEFFICIENCY * variance / (self.target * mean).powi(2);
-                if mean > 0.0 && wanted > 1.5 {
-                    let radius = (wanted * area / n / std::f32::consts::PI).sqrt().min(self.radius_max);
+                let certain: Vec3 = members.iter().map(|&e| direct[e as usize][side].certain()).sum();
+                let wanted_by = |pool: &Pool| {
+                    let mean = pool.mean + luminance(certain) / n;
+                    let wanted = INEFFICIENCY * pool.variance / (self.target * mean).powi(2);
+                    let radius = (wanted * extent.center.area / std::f32::consts::PI).sqrt();
+                    (mean, wanted, radius.min(self.radius_max))
+                };
+                let (mut mean, mut wanted, mut radius) = wanted_by(&pool);
+                // What a kernel makes a mean of must be what tells its noise.
+                if radius > pool.radius && !hood.is_hurried() {
+                    pool = self.pooled(&extent, side, radius, hood).unwrap_or(pool);
+                    (mean, wanted, radius) = wanted_by(&pool);
+                }
+                if wanted > 1.5 {
                     let kernel = Kernel { side, radius, variance_max: 2.0 * (self.target * mean).powi(2) };
                     let own: Vec<(Vec3, f32)> = all[first..].iter().map(|sides| sides[side]).collect();
                     smooth(elements, tree, node, &kernel, &mut all[first..], hood);
                     for (sides, own) in all[first..].iter_mut().zip(own) {
-                        sides[side] = shrunk(own, sides[side], variance);
+                        sides[side] = shrunk(own, sides[side], pool.variance);
                     }
+                }
+            }
+            for (sides, &e) in all[first..].iter_mut().zip(members) {
+                for (side, bin) in sides.iter_mut().zip(&direct[e as usize]) {
+                    side.0 += bin.certain();
                 }
             }
         }
@@ -95,9 +127,41 @@ impl SmoothDirect {
     }
 }
 
+/// What samples are like around a run of elements.
+struct Pool {
+    /// How far around.
+    radius: f32,
+    /// Mean luminance.
+    mean: f32,
+    /// Mean variance of an element's luminance.
+    variance: f32,
+}
+
+impl SmoothDirect {
+    /// What the samples of the run itself are like; `None` where none of them found any light.
+    fn within(&self, node: u32, side: usize) -> Option<Pool> {
+        let (sum, area) = self.tree.sums(node, side);
+        let (mean, n) = (luminance(sum.flux) / area, self.tree.range(node).len() as f32);
+        let radius = self.tree.as_element(node).reach;
+        (mean > 0.0).then_some(Pool { radius, mean, variance: sum.square * n / (area * area) })
+    }
+
+    /// `None` where none of them found any light. A run decides with those around it, so that runs beside each other
+    /// decide alike; and where chance had it that none of its own samples found the light, theirs tell.
+    fn pooled(&self, extent: &Extent, side: usize, radius: f32, hood: &mut Neighbourhood) -> Option<Pool> {
+        let near = radius.max(Bandwidth::radius_min(&extent.center));
+        [near, self.radius_max.max(near)].into_iter().find_map(|radius| {
+            hood.gather(&self.tree, extent, radius, 2.0 * RESOLUTION);
+            hood.place(&extent.center);
+            let (mean, variance) = hood.pooled(radius, side == 1);
+            (mean > 0.0).then_some(Pool { radius, mean, variance })
+        })
+    }
+}
+
 /// An element's own samples drawn towards what is around it, by as much as their noise explains the difference (a
-/// shrinkage estimator; James & Stein 1961). `typical`: variance of the samples of the run, since the few of one element
-/// may all have missed the light.
+/// shrinkage estimator; James & Stein 1961). `typical`: variance of the samples around, since the few of one element may
+/// all have missed the light.
 fn shrunk(own: (Vec3, f32), around: (Vec3, f32), typical: f32) -> (Vec3, f32) {
     let noise = own.1.max(typical);
     let difference = luminance(around.0 - own.0).powi(2);
@@ -198,7 +262,7 @@ mod tests {
         let (elements, direct) = lit(0.9);
         let tree = ClusterTree::build(&elements);
         let order = tree.order().to_vec();
-        let smooth = SmoothDirect::new(&elements, &direct, tree, &|_| true, 0.2, 0.02);
+        let smooth = SmoothDirect::new(&elements, &direct, tree, &|_| true, 4.0, 0.02);
         let found = smooth.at_node(&elements, &direct, 0, &mut Neighbourhood::default());
         let (mut noise, mut before) = (0.0f32, 0.0f32);
         for (&e, sides) in order.iter().zip(&found) {
@@ -219,7 +283,7 @@ mod tests {
             let (elements, direct) = lit(p);
             let tree = ClusterTree::build(&elements);
             let order = tree.order().to_vec();
-            let smooth = SmoothDirect::new(&elements, &direct, tree, &|_| true, 0.2, 0.1);
+            let smooth = SmoothDirect::new(&elements, &direct, tree, &|_| true, 4.0, 0.1);
             let found = smooth.at_node(&elements, &direct, 0, &mut Neighbourhood::default());
             let mut error = 0.0f32;
             for (&e, sides) in order.iter().zip(&found) {
@@ -231,6 +295,22 @@ mod tests {
                 assert_eq!(sides[1].0, Vec3::ZERO);
             }
             assert!(error <= allowed, "{p}: {error}");
+        }
+    }
+
+    #[test]
+    fn where_chance_found_no_light_neighbours_speak() {
+        // Two hits among a thousand samples: many runs of elements have none at all.
+        let (elements, direct) = lit(0.002);
+        let tree = ClusterTree::build(&elements);
+        let order = tree.order().to_vec();
+        let smooth = SmoothDirect::new(&elements, &direct, tree, &|_| true, 6.0, 0.02);
+        let found = smooth.at_node(&elements, &direct, 0, &mut Neighbourhood::default());
+        for (&e, sides) in order.iter().zip(&found) {
+            let p = elements[e as usize].position;
+            if p.x < 0.2 {
+                assert!((0.1..4.0).contains(&sides[0].0.x), "{p}: {}", sides[0].0.x);
+            }
         }
     }
 }

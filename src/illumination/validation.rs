@@ -29,8 +29,7 @@ struct Place {
 }
 
 impl Baker<'_> {
-    /// Mean over the fronts that count of the squared bias of the luminance from particles, W²/m⁴: what is found, and
-    /// half a standard error more, since it is stated as what the error hardly exceeds.
+    /// Mean over the fronts that count of the squared bias of the luminance from particles, W²/m⁴.
     pub(super) fn cross_validated_bias(&self, with: &Prepared) -> f64 {
         let tree = with.tree();
         if self.coarse || tree.is_empty() || with.stored() == 0 {
@@ -52,8 +51,7 @@ impl Baker<'_> {
             return 0.0;
         }
         let excess: f64 = places.iter().map(|p| p.error - p.noise).sum::<f64>() / n;
-        let spread: f64 = places.iter().map(|p| (p.error - p.noise - excess).powi(2)).sum::<f64>() / n;
-        (excess + 0.5 * (spread / n).sqrt()).max(0.0) * n / area
+        excess.max(0.0) * n / area
     }
 
     /// Estimate and arrivals at a node of the tree.

@@ -35,6 +35,17 @@ pub struct Deposit {
     pub bounce: u32,
 }
 
+/// A point of a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfacePoint {
+    /// The triangle.
+    pub triangle: u32,
+    /// Barycentric coordinate at its second corner.
+    pub b1: f32,
+    /// Barycentric coordinate at its third corner.
+    pub b2: f32,
+}
+
 /// What a bake needs to know of a scene.
 pub trait LightTransport: Sync {
     /// Emits particle `index` and follows it; every arrival on a diffuse part goes to `deposit`. Returns the
@@ -71,6 +82,11 @@ pub trait LightTransport: Sync {
 
     /// Whether a random ray from the front of a point ends on the back of a triangle, or on anything within `near`.
     fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool;
+
+    /// Whether nothing stands between two points at `height` over one side of their surfaces.
+    fn is_open_between(&self, _a: SurfacePoint, _b: SurfacePoint, _back: bool, _height: f32) -> bool {
+        true
+    }
 
     /// The first surface on a ray.
     fn sees(&self, ray: &Ray) -> Option<Hit>;
@@ -115,6 +131,10 @@ impl<T: LightTransport + ?Sized> LightTransport for &T {
 
     fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool {
         (**self).sees_inside(triangle, b1, b2, near, stream)
+    }
+
+    fn is_open_between(&self, a: SurfacePoint, b: SurfacePoint, back: bool, height: f32) -> bool {
+        (**self).is_open_between(a, b, back, height)
     }
 
     fn sees(&self, ray: &Ray) -> Option<Hit> {
@@ -373,6 +393,16 @@ where
         self.lights
             .sample_irradiance(&self.scene, point, normal, choice, [u, v])
             .map_or(Vec3::ZERO, |light| self.arriving(&facing, &light))
+    }
+
+    fn is_open_between(&self, a: SurfacePoint, b: SurfacePoint, back: bool, height: f32) -> bool {
+        let over = |p: SurfacePoint| {
+            let at = self.seen_from(p.triangle, p.b1, p.b2, back);
+            at.position + height * at.facing_geometric()
+        };
+        let (from, to) = (over(a), over(b));
+        let ray = Ray { t_max: 1.0, ..Ray::new(from, to - from) };
+        from == to || !self.accel.occluded(&self.scene, &ray)
     }
 
     fn sees(&self, ray: &Ray) -> Option<Hit> {

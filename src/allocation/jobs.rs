@@ -41,6 +41,10 @@ pub struct Part {
     pub level: u32,
     /// Samples of that level that are handed out.
     pub handed: u32,
+    /// The level it began with: 1, or where what it is a part of was split.
+    pub first_level: u32,
+    /// Whether it goes on in parts, from `level` on.
+    pub is_split: bool,
     /// Priority of its next job.
     pub priority: f32,
     /// Where in the level the next job begins; `None` once every level is handed out.
@@ -73,6 +77,11 @@ impl SampleJobs {
     /// Jobs of so many samples from now on.
     pub fn set_samples_per_job(&mut self, samples: u32) {
         self.samples_per_job = samples.max(1);
+    }
+
+    /// Samples of a job, n_job.
+    pub fn samples_per_job(&self) -> u32 {
+        self.samples_per_job
     }
 
     /// The lattice.
@@ -122,19 +131,14 @@ impl SampleJobs {
         &self.parts
     }
 
-    /// The part that a sample of `level` of an object at a pixel belongs to: the object itself where it was whole then.
-    pub fn part_at(&self, object: u32, level: u32, split_level: u32, pixel: [u16; 2]) -> Option<u32> {
+    /// The part that a sample of `level` of an object at a pixel belongs to.
+    pub fn part_at(&self, object: u32, level: u32, pixel: [u16; 2]) -> Option<u32> {
         let (x, y) = (i32::from(pixel[0]), i32::from(pixel[1]));
-        let mut found = None;
-        for part in self.parts.iter().filter(|p| p.object == object && p.rect.contains(x, y)) {
-            match part.id == object {
-                true if level <= split_level => return Some(part.id),
-                true => found = found.or(Some(part.id)),
-                false if level > split_level => return Some(part.id),
-                false => {}
-            }
-        }
-        found
+        let holds = |p: &&Part| {
+            let has_level = p.first_level <= level && (level < p.level || !p.is_split);
+            p.object == object && has_level && p.rect.contains(x, y)
+        };
+        self.parts.iter().find(holds).map(|part| part.id)
     }
 
     /// Which object or part is next: that of highest priority (the first among equals).
@@ -148,11 +152,12 @@ impl SampleJobs {
         best
     }
 
-    /// Has a whole object that is about to begin a level go on in tiles of `side` pixels from there on. Returns how many
+    /// Has an object or part that is about to begin a level go on in tiles of `side` pixels from there on. Returns how many
     /// there are; they are the last of [`SampleJobs::parts`], at no priority yet.
     pub fn split(&mut self, index: usize, side: i32, ids: &Map2d<u32>) -> usize {
         let whole = self.parts[index];
         self.parts[index].cursor = None;
+        self.parts[index].is_split = true;
         let before = self.parts.len();
         let Rect { x0, y0, x1, y1 } = whole.rect;
         let tiles = (y0.div_euclid(side)..=(y1 - 1).div_euclid(side)).flat_map(|y| {
@@ -178,16 +183,18 @@ impl SampleJobs {
     pub fn next(&mut self, ids: &Map2d<u32>, priority: impl Fn(&Part) -> f32) -> Option<(SampleJob, f32)> {
         loop {
             let best = self.best()?;
-            if let Some(job) = self.cut(best, ids, &priority) {
+            if let Some(job) = self.cut(best, self.samples_per_job, ids, &priority) {
                 return Some(job);
             }
         }
     }
 
-    /// The next job of one part; none where its level has no pixel left, and it is at the next one then.
+    /// The next job of one part, of at most so many samples; none where its level has no pixel left, and it is at the next
+    /// one then.
     pub fn cut(
         &mut self,
         index: usize,
+        at_most: u32,
         ids: &Map2d<u32>,
         priority: impl Fn(&Part) -> f32,
     ) -> Option<(SampleJob, f32)> {
@@ -195,7 +202,7 @@ impl SampleJobs {
         let start = o.cursor?;
         let mut samples = self.lattice.samples(o.level, o.rect, start);
         let mut count = 0;
-        while count < self.samples_per_job {
+        while count < at_most {
             let Some((x, y)) = samples.next() else { break };
             count += u32::from(ids.at(x as usize, y as usize) == o.object);
         }
@@ -215,7 +222,7 @@ impl SampleJobs {
 
 fn part(id: u32, object: u32, rect: Rect, pixels: u32, level: u32) -> Part {
     let cursor = Some(Cursor { x: rect.x0, y: rect.y0 });
-    Part { id, object, rect, pixels, level, handed: 0, priority: 0.0, cursor }
+    Part { id, object, rect, pixels, level, handed: 0, first_level: level, is_split: false, priority: 0.0, cursor }
 }
 
 /// The pixels of a job.
@@ -267,24 +274,26 @@ mod tests {
             let mut traced = Map2d::new(w, h, 0u32);
             let mut last = [0; 4];
             let mut round = 0;
-            let split_level = 3;
+            // Some objects go on in parts, and those in smaller ones.
+            let side_at = |level: u32| match level { 4 => Some(32), 5 => Some(16), _ => None };
             while let Some(best) = jobs.best() {
                 let whole = jobs.parts()[best];
-                // Some objects go on in parts.
-                if whole.id == whole.object && whole.object != 3 && whole.level == split_level + 1 && whole.handed == 0 {
-                    let count = jobs.split(best, 16, &ids);
+                if let Some(side) = side_at(whole.level)
+                    && whole.object != 3 && whole.handed == 0 && whole.first_level < whole.level
+                {
+                    let count = jobs.split(best, side, &ids);
                     prop_assert!(count > 0);
                     jobs.reprioritise(Some(whole.object), random(round));
                     continue;
                 }
-                let Some((job, _)) = jobs.cut(best, &ids, random(round)) else { continue };
+                let Some((job, _)) = jobs.cut(best, n_job, &ids, random(round)) else { continue };
                 round += 1;
                 if round % 7 == 0 { jobs.reprioritise(None, random(round)); }
                 prop_assert!(job.count > 0 && job.count <= n_job);
-                prop_assert!(job.level >= last[job.object as usize] || job.level > split_level);
+                prop_assert!(job.level >= last[job.object as usize] || job.level > 3);
                 last[job.object as usize] = job.level;
                 let at = job_pixels(&lattice, &job, &ids).next().map(|(x, y)| [x as u16, y as u16]);
-                let part = jobs.part_at(job.object, job.level, split_level, at.unwrap());
+                let part = jobs.part_at(job.object, job.level, at.unwrap());
                 prop_assert_eq!(part, Some(whole.id));
                 let mut found = 0;
                 for (x, y) in job_pixels(&lattice, &job, &ids) {

@@ -21,8 +21,11 @@ const INVISIBLE: f32 = 1e-6;
 
 /// The levels that objects may go through in parts: the finest ones, where nearly all samples are.
 const LEVELS_IN_PARTS: u32 = 3;
-/// Parts along an edge of a square picture, about.
+/// Parts of the finest level along an edge of a square picture, about.
 const PARTS_ALONG: f32 = 16.0;
+
+/// A job should not take longer, seconds (REFERENCE §13.3).
+const JOB_SECONDS: f32 = 2e-3;
 
 /// Most samples of a batch of the finest level whose difference is measured; they stand for the others. No level comes
 /// after it that would want to know more.
@@ -192,11 +195,12 @@ impl RayOrder {
     /// A batch of samples of `level` is shown, the first of them at `pixel`; its residual.
     pub fn record(&mut self, view: u64, object: u32, level: u32, pixel: [u16; 2], residual: &Residual) {
         if view == self.view && self.learns() {
-            let part = self.jobs.part_at(object, level, self.split_level(), pixel).unwrap_or(object);
+            let part = self.jobs.part_at(object, level, pixel).unwrap_or(object);
             self.ledger.record(part, level, residual, 0, 0.0);
-            // Parts of which nothing is known yet go by the object.
-            let all = (part == object).then_some(object);
+            // Parts of which nothing is known yet go by what they are parts of.
             let mut jobs = std::mem::replace(&mut self.jobs, SampleJobs::new(self.lattice, 1));
+            let is_split = jobs.parts().iter().any(|p| p.id == part && p.is_split);
+            let all = (part == object || is_split).then_some(object);
             match all {
                 Some(object) => jobs.reprioritise(Some(object), |part| self.priority(part)),
                 None => jobs.reprioritise_part(part, |part| self.priority(part)),
@@ -218,32 +222,49 @@ impl RayOrder {
         self.jobs = jobs;
     }
 
-    /// The last level that objects go through as a whole.
-    fn split_level(&self) -> u32 {
-        self.lattice.levels().saturating_sub(LEVELS_IN_PARTS)
-    }
-
-    /// Pixels along an edge of a part.
-    fn part_side(&self) -> i32 {
-        ((self.picture.sqrt() / PARTS_ALONG) as i32).clamp(24, 96)
+    /// Pixels along an edge of the parts that objects go through a level in: the smallest tiles that hold a job of the level's
+    /// samples, each a few of the next level's. None where they go on as they are.
+    fn part_side(&self, level: u32, samples_per_job: u32) -> Option<i32> {
+        let levels = self.lattice.levels();
+        if level + LEVELS_IN_PARTS <= levels {
+            return None;
+        }
+        let mut side = ((self.picture.sqrt() / PARTS_ALONG) as i32).clamp(24, 96);
+        let k = self.lattice.k_of(level);
+        while samples_of_level((side * side) as u32, k, levels - 1) < samples_per_job {
+            side = side.checked_mul(2)?;
+            if side as f32 * side as f32 > self.picture {
+                return None;
+            }
+        }
+        Some(side)
     }
 
     /// The next job, its priority in [0, 1].
     pub fn next(&mut self, ids: &Map2d<u32>) -> Option<(SampleJob, f32)> {
         let mut jobs = std::mem::replace(&mut self.jobs, SampleJobs::new(self.lattice, 1));
+        let samples_per_job = jobs.samples_per_job();
         let next = loop {
             let Some(best) = jobs.best() else { break None };
             let part = jobs.parts()[best];
-            let side = self.part_side();
-            let is_large = (part.rect.x1 - part.rect.x0).max(part.rect.y1 - part.rect.y0) > side;
-            let begins = part.level == self.split_level() + 1 && part.handed == 0;
-            if self.learns() && part.id == part.object && begins && is_large {
+            let begins = part.level > part.first_level && part.handed == 0;
+            let longest = (part.rect.x1 - part.rect.x0).max(part.rect.y1 - part.rect.y0);
+            if let Some(side) = self.part_side(part.level, samples_per_job)
+                && self.learns()
+                && begins
+                && longest > side
+            {
                 let count = jobs.split(best, side, ids);
-                (0..count).for_each(|_| self.ledger.add_part(part.object));
+                (0..count).for_each(|_| self.ledger.add_part(part.id));
                 jobs.reprioritise(Some(part.object), |part| self.priority(part));
                 continue;
             }
-            if let Some(job) = jobs.cut(best, ids, |part| self.priority(part)) {
+            // All jobs take about as long: what is dear is done in small ones, so that none is late for its frame.
+            let at_most = match self.learns() {
+                true => self.ledger.job_size(part.object, JOB_SECONDS).min(samples_per_job),
+                false => samples_per_job,
+            };
+            if let Some(job) = jobs.cut(best, at_most, ids, |part| self.priority(part)) {
                 break Some(job);
             }
         };

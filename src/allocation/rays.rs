@@ -138,8 +138,8 @@ struct ObjectRays {
     residuals: [Residual; LEVELS_MAX],
     /// Moving average; 0 before any measurement. Of whole objects only.
     seconds_per_ray: f32,
-    /// The object of a part; none of a whole object.
-    whole: Option<u32>,
+    /// What a part is a part of; none of a whole object.
+    parent: Option<u32>,
 }
 
 /// What an object still wants, for [`RayLedger::utility`].
@@ -219,18 +219,22 @@ impl RayLedger {
         self.objects.resize(count, ObjectRays::default());
         self.objects.iter_mut().for_each(|object| {
             object.residuals = Default::default();
-            object.whole = None;
+            object.parent = None;
         });
     }
 
-    /// Adds a part of an object, which from now on has an estimate of its own, beginning with the object's. Parts have the
-    /// numbers behind those of the objects and earlier parts.
-    pub fn add_part(&mut self, object: u32) {
-        self.objects.push(ObjectRays { whole: Some(object), ..ObjectRays::default() });
+    /// Adds a part of an object or of a part, which from now on has an estimate of its own, beginning with that of what it is
+    /// a part of. Parts have the numbers behind those of the objects and earlier parts.
+    pub fn add_part(&mut self, of: u32) {
+        self.objects.push(ObjectRays { parent: Some(of), ..ObjectRays::default() });
+    }
+
+    fn parent(&self, part: u32) -> Option<u32> {
+        self.objects.get(part as usize).and_then(|entry| entry.parent)
     }
 
     fn whole(&self, part: u32) -> u32 {
-        self.objects.get(part as usize).and_then(|entry| entry.whole).unwrap_or(part)
+        std::iter::successors(Some(part), |&part| self.parent(part)).last().unwrap_or(part)
     }
 
     /// Records a batch: `rays` samples of `level` of `object` that took `seconds` of one core, and their residual. Ids and
@@ -262,11 +266,12 @@ impl RayLedger {
         if count > 0.0 { sum / count } else { self.settings.seconds_per_ray_prior }
     }
 
-    /// What is known of a level of an object or part: a part takes its object's word where it has none of its own.
+    /// What is known of a level of an object or part: a part takes the word of what it is a part of where it has none of
+    /// its own.
     fn residual(&self, object: u32, level: usize) -> Residual {
         let own = self.objects.get(object as usize).map_or(Residual::default(), |e| e.residuals[level]);
-        match self.whole(object) {
-            whole if whole != object && own.count == 0 => self.residual(whole, level),
+        match self.parent(object) {
+            Some(parent) if own.count == 0 => self.residual(parent, level),
             _ => own,
         }
     }
@@ -366,41 +371,6 @@ impl RayLedger {
     pub fn job_size(&self, object: u32, seconds: f32) -> u32 {
         // The cast saturates and sends NaN to 0.
         ((seconds / self.seconds_per_ray(object)) as u32).clamp(32, 512)
-    }
-}
-
-/// λ: the utility below which an object is skipped, adapted so that the frame time is met (REFERENCE §13.3).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StoppingThreshold {
-    lambda: f32,
-}
-
-impl StoppingThreshold {
-    /// η: how fast λ follows.
-    const RATE: f32 = 0.5;
-
-    /// A threshold in the unit of [`RayLedger::utility`].
-    pub fn new(lambda: f32) -> Self {
-        Self { lambda: if lambda.is_finite() { lambda.max(f32::MIN_POSITIVE) } else { f32::MIN_POSITIVE } }
-    }
-
-    /// λ.
-    pub fn lambda(&self) -> f32 {
-        self.lambda
-    }
-
-    /// Whether an object of this utility is worth a ray.
-    pub fn admits(&self, utility: f32) -> bool {
-        utility >= self.lambda
-    }
-
-    /// λ ← λ exp(η (used − budget) / budget), times in one unit. Exponents are kept within ±1.
-    pub fn adapt(&mut self, used: f32, budget: f32) {
-        let excess = (used - budget) / budget;
-        if excess.is_finite() {
-            let factor = (Self::RATE * excess).clamp(-1.0, 1.0).exp();
-            self.lambda = (self.lambda * factor).clamp(f32::MIN_POSITIVE, f32::MAX);
-        }
     }
 }
 

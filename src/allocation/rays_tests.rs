@@ -169,19 +169,6 @@ fn stops_where_nothing_can_be_seen() {
     assert!(!ledger.is_good_enough(2) && !ledger.is_good_enough(9));
 }
 
-#[test]
-fn the_threshold_rises_while_frames_are_late() {
-    let mut threshold = StoppingThreshold::new(1.0);
-    threshold.adapt(24.0, 16.0);
-    assert!((threshold.lambda() - 0.25f32.exp()).abs() < 1e-6);
-    threshold.adapt(8.0, 16.0);
-    assert!((threshold.lambda() - 1.0).abs() < 1e-6);
-    threshold.adapt(f32::NAN, 0.0);
-    threshold.adapt(1e30, 1.0);
-    assert!((threshold.lambda() - 1f32.exp()).abs() < 1e-5);
-    assert!(threshold.admits(3.0) && !threshold.admits(2.0));
-}
-
 /// Objects of random size, contrast and frequency on a black ground.
 struct Toy {
     reference: Map2d<f32>,

@@ -29,6 +29,7 @@ enum Edit {
 }
 
 /// What the formats are made of, and what numbers should not be.
+#[rustfmt::skip]
 const WORDS: [&str; 40] = [
     "nan", "inf", "-inf", "1e39", "-1e-46", "0", "-0", "-1", "1", "4294967296", "99999999999999999999", "1e", ".",
     "\n", "\\\n", " ", "\t", "#", "f 1 2 3\n", "f 1/1/1 2//2 3/3\n", "f -1 -1 -1\n", "v 0 0 0\n", "vn nan 0 0\n",
@@ -278,10 +279,8 @@ fn recordings() {
     corpus.sort_by_key(Vec::len);
     corpus.truncate(2);
     assert!(!corpus.is_empty());
-    fuzz(&corpus, |bytes| {
-        match Trace::from_bytes(bytes) {
-            Ok(trace) => drop(trace),
-            Err(e) => assert!(!e.to_string().is_empty()),
-        }
+    fuzz(&corpus, |bytes| match Trace::from_bytes(bytes) {
+        Ok(trace) => drop(trace),
+        Err(e) => assert!(!e.to_string().is_empty()),
     });
 }

@@ -222,7 +222,18 @@ impl SampleJobs {
 
 fn part(id: u32, object: u32, rect: Rect, pixels: u32, level: u32) -> Part {
     let cursor = Some(Cursor { x: rect.x0, y: rect.y0 });
-    Part { id, object, rect, pixels, level, handed: 0, first_level: level, is_split: false, priority: 0.0, cursor }
+    Part {
+        id,
+        object,
+        rect,
+        pixels,
+        level,
+        handed: 0,
+        first_level: level,
+        is_split: false,
+        priority: 0.0,
+        cursor,
+    }
 }
 
 /// The pixels of a job.

@@ -151,12 +151,25 @@ pub fn predicted_uses(world: &World, frame: &CameraFrame, mean_luminances: &[f32
         let shown = luminance(tone.to_linear(buffers.color.at(x, y))) * display.white_cd_m2;
         if mean > 0.0 { shown / mean } else { 0.0 }
     });
-    let mut uses = TextureScan::default().gather(&wanted, &illumination, None, mean_luminances);
+    let environment = reflection(world, &buffers, &illumination);
+    let mut uses = TextureScan::default().gather(&wanted, &illumination, Some(&environment), mean_luminances);
     let share = (frame.size[0] * frame.size[1]) as f32 / (size[0] * size[1]) as f32;
     for used in &mut uses {
         used.pixels.iter_mut().chain(&mut used.visibility).for_each(|v| *v *= share);
     }
     uses
+}
+
+/// L_e = ρ_s F̃, what a view-dependent lobe adds at each pixel, cd/m². The mean F̃ of what surrounds the surface is taken for
+/// that of the light that falls on it, which is the cosine lobe's mean of the same surroundings.
+fn reflection(world: &World, buffers: &FrameBuffers, illumination: &Map2d<f32>) -> Map2d<f32> {
+    let scene = &world.scene;
+    let albedo: Vec<f32> = scene.materials.iter().map(|material| material.model.lobe_albedo()).collect();
+    Map2d::from_fn(illumination.width(), illumination.height(), |x, y| {
+        let of_triangle = |hit: crate::geometry::Hit| scene.mesh.materials.get(hit.triangle as usize);
+        let material = buffers.hit.at(x, y).hit().and_then(of_triangle);
+        material.map_or(0.0, |m| albedo[m.0 as usize] * illumination.at(x, y))
+    })
 }
 
 /// Textures under a limit of memory: state j of texture i keeps levels j and coarser.
@@ -307,6 +320,51 @@ mod tests {
         assert!(hidden == 0.0 && near > 1000.0, "{hidden} {near}");
         let [far, near] = seen(0.2);
         assert!(far > 500.0 && near > 500.0, "{far} {near}");
+    }
+
+    /// Eq. (11): what reflects besides raises the threshold under its texture by L_e.
+    #[test]
+    fn reflections_hide_texture() {
+        use crate::illumination::Uniform;
+        use crate::scene::texture::MipChain;
+        use crate::scene::{Camera, Distribution, Mesh, Model, Reflectance, Roughness, Texture};
+        use std::sync::Arc;
+        let seen = |specular: Option<f32>| {
+            let albedo = Reflectance { color: Vec3::ONE, map: Some(TextureId(0)) };
+            let mut material = crate::scene::test_scenes::grey();
+            material.model = match specular {
+                None => Model::Lambert { albedo },
+                Some(share) => Model::Ward {
+                    diffuse: albedo,
+                    specular: Reflectance::constant(Vec3::splat(share)),
+                    roughness: Roughness { alpha_x: 0.2, alpha_y: 0.2, distribution: Distribution::Ggx },
+                },
+            };
+            let mut mesh = Mesh::default();
+            let (low, high) = (Vec3::new(-9.0, -9.0, -6.0), Vec3::new(9.0, 9.0, -5.0));
+            crate::scene::test_scenes::add_box(&mut mesh, low, high, 0, false);
+            for (uv, p) in mesh.uvs.iter_mut().zip(&mesh.positions) {
+                *uv = glam::Vec2::new(p.x, p.y);
+            }
+            let mut scene = crate::scene::test_scenes::scene(mesh, vec![material]);
+            scene.textures.push(Texture::new("even", MipChain::from_rgba8(8, 8, vec![[188; 4]; 64], true)));
+            let world = World::new(Arc::new(scene), Arc::new(Uniform(Vec3::splat(0.5))));
+            let camera = Camera { eye: Vec3::ZERO, target: Vec3::NEG_Z, up: Vec3::Y, fov_y: 0.9 };
+            let used = predicted_uses(&world, &camera.frame(320, 240), &[0.5])[0];
+            used.visibility.iter().sum::<f32>() / used.total_pixels()
+        };
+        let diffuse = seen(None);
+        // L of the diffuse surface, from L / TVI(L).
+        let light = (1..2000).map(|i| i as f32 * 0.1).min_by(|a, b| {
+            let off = |l: f32| (l / tvi(l) - diffuse).abs();
+            off(*a).total_cmp(&off(*b))
+        });
+        let light = light.unwrap();
+        for share in [0.0, 0.2, 0.8] {
+            let expected = light / tvi(light + share * light / 0.5);
+            let got = seen(Some(share));
+            assert!((got / expected - 1.0).abs() < 0.02, "ρ_s {share}: {got}, not {expected}");
+        }
     }
 
     fn mips(side: usize, contrast: f32) -> Vec<Map2d<Vec3>> {

@@ -24,6 +24,10 @@ const LEVELS_IN_PARTS: u32 = 3;
 /// Parts of the finest level along an edge of a square picture, about.
 const PARTS_ALONG: f32 = 16.0;
 
+/// Tiles hold at least one of so many parts of a job. Smaller ones let rays go more precisely to where they are wanted, and
+/// cost more messages.
+const FAIR_PART: u32 = 4;
+
 /// A job should not take longer, seconds (REFERENCE §13.3).
 const JOB_SECONDS: f32 = 2e-3;
 
@@ -222,8 +226,8 @@ impl RayOrder {
         self.jobs = jobs;
     }
 
-    /// Pixels along an edge of the parts that objects go through a level in: the smallest tiles that hold a job of the level's
-    /// samples, each a few of the next level's. None where they go on as they are.
+    /// Pixels along an edge of the parts that objects go through a level in: the smallest tiles that hold a fair part of a job
+    /// of the level's samples, each some of the next level's. None where they go on as they are.
     fn part_side(&self, level: u32, samples_per_job: u32) -> Option<i32> {
         let levels = self.lattice.levels();
         if level + LEVELS_IN_PARTS <= levels {
@@ -231,7 +235,7 @@ impl RayOrder {
         }
         let mut side = ((self.picture.sqrt() / PARTS_ALONG) as i32).clamp(24, 96);
         let k = self.lattice.k_of(level);
-        while samples_of_level((side * side) as u32, k, levels - 1) < samples_per_job {
+        while samples_of_level((side * side) as u32, k, levels - 1) < samples_per_job / FAIR_PART {
             side = side.checked_mul(2)?;
             if side as f32 * side as f32 > self.picture {
                 return None;

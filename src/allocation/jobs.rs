@@ -52,6 +52,12 @@ pub struct Part {
 }
 
 impl Part {
+    /// Whether it is `other` or a part of that.
+    pub fn is_of(&self, other: &Self) -> bool {
+        let lies_within = self.rect.intersection(other.rect) == self.rect;
+        self.id == other.id || (self.object == other.object && lies_within && other.is_split)
+    }
+
     /// Whether every sample of it is handed out, or it goes on in parts.
     pub fn is_done(&self) -> bool {
         self.cursor.is_none()
@@ -107,16 +113,9 @@ impl SampleJobs {
         self.parts.clear();
     }
 
-    /// Asks for priorities anew, of all objects or one.
-    pub fn reprioritise(&mut self, only: Option<u32>, priority: impl Fn(&Part) -> f32) {
-        for part in self.parts.iter_mut().filter(|p| only.is_none_or(|only| only == p.object)) {
-            part.priority = priority(part);
-        }
-    }
-
-    /// Asks for the priority of one part anew.
-    pub fn reprioritise_part(&mut self, id: u32, priority: impl Fn(&Part) -> f32) {
-        if let Some(part) = self.parts.iter_mut().find(|p| p.id == id) {
+    /// Asks for the priorities of some parts anew.
+    pub fn reprioritise(&mut self, which: impl Fn(&Part) -> bool, priority: impl Fn(&Part) -> f32) {
+        for part in self.parts.iter_mut().filter(|part| !part.is_done() && which(part)) {
             part.priority = priority(part);
         }
     }
@@ -152,13 +151,13 @@ impl SampleJobs {
         best
     }
 
-    /// Has an object or part that is about to begin a level go on in tiles of `side` pixels from there on. Returns how many
-    /// there are; they are the last of [`SampleJobs::parts`], at no priority yet.
-    pub fn split(&mut self, index: usize, side: i32, ids: &Map2d<u32>) -> usize {
+    /// Has an object or part that is about to begin a level go on in tiles of `side` pixels from there on. Returns their
+    /// numbers; they are at no priority yet.
+    pub fn split(&mut self, index: usize, side: i32, ids: &Map2d<u32>) -> std::ops::Range<u32> {
         let whole = self.parts[index];
         self.parts[index].cursor = None;
         self.parts[index].is_split = true;
-        let before = self.parts.len();
+        let first = self.next_id;
         let Rect { x0, y0, x1, y1 } = whole.rect;
         let tiles = (y0.div_euclid(side)..=(y1 - 1).div_euclid(side)).flat_map(|y| {
             (x0.div_euclid(side)..=(x1 - 1).div_euclid(side)).map(move |x| (x * side, y * side))
@@ -176,7 +175,7 @@ impl SampleJobs {
                 self.next_id += 1;
             }
         }
-        self.parts.len() - before
+        first..self.next_id
     }
 
     /// The next job and its priority. Levels of which there is no pixel cost nothing.
@@ -292,14 +291,14 @@ mod tests {
                 if let Some(side) = side_at(whole.level)
                     && whole.object != 3 && whole.handed == 0 && whole.first_level < whole.level
                 {
-                    let count = jobs.split(best, side, &ids);
-                    prop_assert!(count > 0);
-                    jobs.reprioritise(Some(whole.object), random(round));
+                    let tiles = jobs.split(best, side, &ids);
+                    prop_assert!(!tiles.is_empty());
+                    jobs.reprioritise(|part| tiles.contains(&part.id), random(round));
                     continue;
                 }
                 let Some((job, _)) = jobs.cut(best, n_job, &ids, random(round)) else { continue };
                 round += 1;
-                if round % 7 == 0 { jobs.reprioritise(None, random(round)); }
+                if round % 7 == 0 { jobs.reprioritise(|_| true, random(round)); }
                 prop_assert!(job.count > 0 && job.count <= n_job);
                 prop_assert!(job.level >= last[job.object as usize] || job.level > 3);
                 last[job.object as usize] = job.level;

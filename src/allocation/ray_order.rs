@@ -100,7 +100,7 @@ impl RayOrder {
     pub fn adjust(&mut self, policy: RayPolicy, samples_per_job: u32) {
         self.policy = policy;
         self.jobs.set_samples_per_job(samples_per_job);
-        self.reprioritise(None);
+        self.reprioritise();
     }
 
     /// Whether the policy wants to hear of residuals.
@@ -185,7 +185,7 @@ impl RayOrder {
     /// How much the objects matter has changed.
     pub fn attend(&mut self, attention: &[f32]) {
         self.set_attention(attention);
-        self.reprioritise(None);
+        self.reprioritise();
     }
 
     fn set_attention(&mut self, attention: &[f32]) {
@@ -201,14 +201,11 @@ impl RayOrder {
         if view == self.view && self.learns() {
             let part = self.jobs.part_at(object, level, pixel).unwrap_or(object);
             self.ledger.record(part, level, residual, 0, 0.0);
-            // Parts of which nothing is known yet go by what they are parts of.
             let mut jobs = std::mem::replace(&mut self.jobs, SampleJobs::new(self.lattice, 1));
-            let is_split = jobs.parts().iter().any(|p| p.id == part && p.is_split);
-            let all = (part == object || is_split).then_some(object);
-            match all {
-                Some(object) => jobs.reprioritise(Some(object), |part| self.priority(part)),
-                None => jobs.reprioritise_part(part, |part| self.priority(part)),
-            }
+            // Parts of which nothing is known yet go by what they are parts of.
+            let of = jobs.parts().iter().find(|p| p.id == part).copied();
+            let is_touched = |p: &Part| of.is_some_and(|of| p.is_of(&of));
+            jobs.reprioritise(is_touched, |part| self.priority(part));
             self.jobs = jobs;
         }
     }
@@ -220,9 +217,9 @@ impl RayOrder {
         }
     }
 
-    fn reprioritise(&mut self, only: Option<u32>) {
+    fn reprioritise(&mut self) {
         let mut jobs = std::mem::replace(&mut self.jobs, SampleJobs::new(self.lattice, 1));
-        jobs.reprioritise(only, |part| self.priority(part));
+        jobs.reprioritise(|_| true, |part| self.priority(part));
         self.jobs = jobs;
     }
 
@@ -258,9 +255,9 @@ impl RayOrder {
                 && begins
                 && longest > side
             {
-                let count = jobs.split(best, side, ids);
-                (0..count).for_each(|_| self.ledger.add_part(part.id));
-                jobs.reprioritise(Some(part.object), |part| self.priority(part));
+                let tiles = jobs.split(best, side, ids);
+                tiles.clone().for_each(|_| self.ledger.add_part(part.id));
+                jobs.reprioritise(|part| tiles.contains(&part.id), |part| self.priority(part));
                 continue;
             }
             // All jobs take about as long: what is dear is done in small ones, so that none is late for its frame.

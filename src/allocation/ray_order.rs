@@ -137,8 +137,8 @@ impl RayOrder {
             } else if let Some(of) = all.iter_mut().find(|s| s.object == part.object) {
                 let pixels = self.statistics.get(part.object as usize).map_or(1, |s| s.pixels.max(1));
                 let share = part.pixels as f32 / pixels as f32;
-                let before = of.error.unwrap_or(0.0);
-                of.error = self.shown_error(part).map(|error| before + share * error);
+                let error = self.shown_error(part).unwrap_or(RaySettings::default().error_prior);
+                of.error = Some(of.error.unwrap_or(0.0) + share * error);
                 if !part.is_done() {
                     of.level = if of.level == 0 { part.level } else { of.level.min(part.level) };
                     of.priority = of.priority.max(part.priority);

@@ -3,7 +3,7 @@
 //!
 //! A p-node is an inner node whose children are all leaves; removing it saves three elements. The
 //! paper's order by one sort is corrected (REFERENCE D6): a node's key is never below its descendants'.
-//! What is left to reach k exactly, one element or two, is saved by [joining](join) children of p-nodes.
+//! What is left to reach k exactly, one element or two, is saved by joining (`join.rs`) children of p-nodes.
 
 mod join;
 #[cfg(test)]

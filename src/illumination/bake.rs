@@ -15,11 +15,13 @@ use super::direct::{DirectBin, SAMPLES_PER_ROUND, probe};
 use super::estimate::{Estimating, Prepared};
 pub use super::quick::quick_direct;
 use super::seen::seen;
+use super::sources::{Importance, ImportanceState, Source, Sources, next_lesson};
 use super::stored::{Illumination, Summary};
+use crate::image::luminance;
 use crate::rng::hash;
 use crate::scene::Scene;
 use crate::transport::lit::LitSurfaces;
-use crate::transport::particle::LightTransport;
+use crate::transport::particle::{Deposit, LightTransport, Reflected, SurfacePoint};
 
 /// Particles between two questions whether to go on.
 const BATCH: u64 = 1 << 15;
@@ -31,6 +33,8 @@ const BLOCKS: usize = 256;
 const LIT_PIECES: (usize, usize) = (1 << 13, 1 << 16);
 /// What surfaces out of sight count as places for particles to begin at.
 const UNSEEN: f64 = 0.3;
+/// The irrational number that multiples spread most evenly of (modulo 1).
+const GOLDEN_RATIO: f64 = 0.618_033_988_749_894_9;
 /// Rounds that are waited for at most.
 const ROUNDS_MAX: u32 = 256;
 /// Noise of direct light, relative to what arrives in the same place, that is seen.
@@ -133,6 +137,7 @@ pub struct BakeState {
     pass_end: u64,
     bins: Vec<BinState>,
     direct: Vec<[DirectBin; 2]>,
+    importance: ImportanceState,
 }
 
 /// A bake in progress.
@@ -155,8 +160,11 @@ pub struct Baker<'a> {
     late: Option<Box<dyn Fn() -> bool + Send + Sync + 'a>>,
     /// Whether the first round of direct light had fewer samples than it should have, for want of time.
     hurried: bool,
-    /// Where particles begin that bring light from afar.
+    /// Where particles begin that do not begin with a diffuse reflection of light from afar.
     lit: LitSurfaces,
+    /// Where the others begin; `None` until it is known what falls there.
+    pub(super) sources: Option<Sources>,
+    importance: Importance,
     /// Elements that a walk can see, whose error counts.
     pub(super) watched: Vec<bool>,
     /// Elements known not to lie inside of a body.
@@ -189,23 +197,25 @@ impl<'a> Baker<'a> {
         let is_seen = |t: u32| seen[t as usize];
         let atlas = Atlas::build(&scene.mesh, settings.texels, &is_diffuse, &is_seen, &ConformalCharts);
         let elements = atlas.elements.len();
-        let (lit, power) = match settings.direct {
+        // What nobody sees may light what somebody does, but less.
+        let weight = |t: u32| if is_seen(t) { 1.0 } else { UNSEEN };
+        let (lit, importance) = match settings.direct {
             DirectLight::NextEvent => {
-                // What nobody sees may light what somebody does, but less.
-                let weight = |t: u32| if is_seen(t) { 1.0 } else { UNSEEN };
                 let pieces = (settings.texels as usize / 4).clamp(LIT_PIECES.0, LIT_PIECES.1);
-                let lit = transport.lit(pieces, settings.seed, &weight);
-                let power = transport.reflected_power(&lit);
-                (lit, power)
+                let expected = |e: u32| weight(atlas.elements[e as usize].triangle);
+                let importance = Importance::new(&atlas.elements, &expected);
+                (transport.lit(pieces, settings.seed, &weight), importance)
             }
-            DirectLight::Particles => (LitSurfaces::default(), transport.power()),
+            DirectLight::Particles => Default::default(),
         };
         let watched = atlas.elements.iter().map(|e| e.area > 0.0 && is_seen(e.triangle)).collect();
         Self {
             settings: settings.clone(),
             diagonal: scene.diagonal(),
-            bins: Bins::new(elements, power),
+            bins: Bins::new(elements, transport.power()),
             lit,
+            sources: None,
+            importance,
             direct: vec![[DirectBin::default(); 2]; elements],
             open: vec![false; elements],
             watched,
@@ -281,6 +291,7 @@ impl<'a> Baker<'a> {
             pass_end: self.pass_end,
             bins: self.bins.state(),
             direct: self.direct.clone(),
+            importance: self.importance.state(),
         }
     }
 
@@ -296,31 +307,117 @@ impl<'a> Baker<'a> {
         self.direct_block = state.direct_block as usize;
         self.direct_goes_on.clone_from(&state.direct_goes_on);
         self.pass_end = state.pass_end;
+        self.importance.restore(&state.importance);
+        self.sources = None;
         true
     }
 
     /// Emits the next `count` particles.
     pub fn emit(&mut self, count: u64) {
-        let next_event = self.gathers_direct();
-        let first = self.emitted;
-        let bounces: u64 = (0..count.min(u64::from(u32::MAX)) as u32)
-            .into_par_iter()
-            .with_min_len(128)
-            .map(|index| {
-                let mut deposit = |d: crate::transport::particle::Deposit| {
+        let end = self.emitted + count;
+        while self.emitted < end {
+            if self.gathers_direct() && self.sources.is_none() {
+                self.find_sources();
+            }
+            let lesson = next_lesson(self.emitted);
+            let first = self.emitted;
+            let bounces: u64 = (0..(end.min(lesson) - first) as usize)
+                .into_par_iter()
+                .with_min_len(128)
+                .map(|index| u64::from(self.emit_one(first + index as u64)))
+                .sum();
+            self.emitted = end.min(lesson);
+            self.bounces += bounces;
+            if self.emitted == lesson && self.gathers_direct() {
+                self.importance.learn();
+                self.sources = None;
+            }
+        }
+    }
+
+    /// Emits particle `index`. Returns the number of surfaces it met.
+    fn emit_one(&self, index: u64) -> u32 {
+        let seed = self.settings.seed;
+        let Some(sources) = &self.sources else {
+            return self.transport.trace(seed, index, &mut |d| {
+                self.arrive(&d, 1.0);
+            });
+        };
+        // Additive recurrence: the places where any run of particles begins are spread evenly.
+        let start = hash(seed, 0, 0x11e) as f64 / 2f64.powi(64);
+        let choice = (start + index as f64 * GOLDEN_RATIO).fract();
+        let share = match (sources.useful_flux(), self.lit.begins()) {
+            (diffuse, _) if diffuse <= 0.0 => 0.0,
+            (_, others) if others <= 0.0 => 1.0,
+            (diffuse, others) => (diffuse / (diffuse + others)).clamp(0.1, 0.9),
+        };
+        if choice >= share {
+            let (choice, weight) = ((choice - share) / (1.0 - share), 1.0 / (1.0 - share) as f32);
+            return self.transport.trace_reflected(&self.lit, choice, seed, index, &mut |d| {
+                self.arrive(&d, weight);
+            });
+        }
+        let Some(source) = sources.choose(choice / share) else { return 0 };
+        let (mut met, weight) = (0, 1.0 / share as f32);
+        let mut deposit = |d: Deposit| met += u64::from(sources.matters(self.arrive(&d, weight), d.back));
+        let bounces = self.transport.reflect(&self.reflected(&source), seed, index, &mut deposit);
+        self.importance.count(source.element, source.back, met);
+        bounces
+    }
+
+    /// Counts what a particle brings. Returns the element.
+    fn arrive(&self, d: &Deposit, weight: f32) -> u32 {
+        let element = self.atlas.element_at(d.triangle, d.b1, d.b2);
+        self.bins.add(element, d.back, d.flux * weight);
+        element
+    }
+
+    fn reflected(&self, source: &Source) -> Reflected {
+        let e = &self.atlas.elements[source.element as usize];
+        let at = SurfacePoint { triangle: e.triangle, b1: e.b1, b2: e.b2 };
+        Reflected { at, back: source.back, width: e.area.sqrt(), flux: source.flux }
+    }
+
+    /// Where light from afar falls, by what has been gathered of it; the first time, what it is good for there.
+    fn find_sources(&mut self) {
+        let flux = |element: u32, back: bool| {
+            let bin = &self.direct[element as usize][usize::from(back)];
+            let e = &self.atlas.elements[element as usize];
+            let mut irradiance = bin.sampled_from_afar();
+            if bin.certain() != Vec3::ZERO {
+                let near = self.transport.certain_from_near(e.triangle, e.b1, e.b2, back);
+                irradiance += (bin.certain() - near).max(Vec3::ZERO);
+            }
+            irradiance * e.area
+        };
+        let light = |e: usize, side: usize| luminance(self.direct[e][side].mean().0);
+        // Where direct light is more than usual, nobody sees the noise of the rest.
+        let (mut sum, mut area) = (0.0, 0.0);
+        for (e, element) in self.atlas.elements.iter().enumerate().filter(|&(e, _)| self.watched[e]) {
+            sum += f64::from(light(e, 0) * element.area);
+            area += f64::from(element.area);
+        }
+        let drowning = if area > 0.0 { (sum / area) as f32 } else { 0.0 };
+        let matters = (0..self.direct.len())
+            .map(|e| [0, 1].map(|side| self.watched[e] && light(e, side) <= drowning))
+            .collect();
+        let mut sources = Sources::new(&self.importance, &flux, matters);
+        if self.emitted == 0 {
+            let pilots = sources.pilots(&self.importance);
+            let seed = hash(self.settings.seed, 0, 0x9107);
+            pilots.par_iter().enumerate().with_min_len(128).for_each(|(i, source)| {
+                let mut met = 0;
+                let mut deposit = |d: Deposit| {
                     let element = self.atlas.element_at(d.triangle, d.b1, d.b2);
-                    self.bins.add(element, d.back, d.flux);
+                    met += u64::from(sources.matters(element, d.back));
                 };
-                let (seed, index) = (self.settings.seed, first + u64::from(index));
-                u64::from(if next_event {
-                    self.transport.trace_reflected(&self.lit, seed, index, &mut deposit)
-                } else {
-                    self.transport.trace(seed, index, &mut deposit)
-                })
-            })
-            .sum();
-        self.emitted += count;
-        self.bounces += bounces;
+                self.transport.reflect(&self.reflected(source), seed, i as u64, &mut deposit);
+                self.importance.count(source.element, source.back, met);
+            });
+            self.importance.learn();
+            sources = Sources::new(&self.importance, &flux, sources.into_matters());
+        }
+        self.sources = Some(sources);
     }
 
     /// One more round of direct light at all elements that may receive some. Does nothing where particles
@@ -386,6 +483,7 @@ impl<'a> Baker<'a> {
         } else {
             self.direct_block = 0;
             self.direct_rounds += 1;
+            self.sources = None;
             if first && !self.hurried {
                 self.average_shadow_edges();
             }

@@ -9,9 +9,10 @@ use super::test_scenes::{cube, join, lambert, quad, scene};
 use super::test_transport::Lambertian;
 use super::{Irradiance, cache};
 use crate::geometry::Accel;
-use crate::scene::{Mesh, Scene};
+use crate::image::luminance;
+use crate::scene::{Camera, Light, Material, Mesh, Model, NamedCamera, Reflectance, Roughness, Scene};
 use crate::transport::light::Lights;
-use crate::transport::particle::SceneTransport;
+use crate::transport::particle::{LightTransport, SceneTransport};
 
 fn settings(texels: u32, particles: u64, direct: DirectLight) -> BakeSettings {
     BakeSettings { texels, seed: 3, direct, particles: Some(particles), everything: true, error: None }
@@ -280,4 +281,94 @@ fn a_scene_without_light_or_surfaces_is_dark_and_done() {
         assert!(done.complete && !done.illumination.summary.has_indirect);
         assert_eq!(done.illumination.irradiance(0, 0.3, 0.3, false), Vec3::ZERO);
     }
+}
+
+/// A sky, a sun and a lamp over a floor with a block, glass and a mirror: where particles begin is no matter.
+#[test]
+fn particles_that_begin_where_light_falls_are_those_that_come_from_the_lights() {
+    let model = |model| Material { model, ..lambert(0.0, 0.0) };
+    let mut mesh = quad(Vec3::new(-1.0, 0.0, 1.0), Vec3::X * 2.0, Vec3::NEG_Z * 2.0);
+    join(&mut mesh, &cube(Vec3::new(-0.6, 0.01, -0.5), 0.6, true), 0);
+    join(&mut mesh, &cube(Vec3::new(0.2, 0.01, 0.1), 0.4, true), 1);
+    join(&mut mesh, &quad(Vec3::new(0.9, 0.0, -0.5), Vec3::Z, Vec3::Y), 2);
+    join(&mut mesh, &quad(Vec3::new(-1.0, 0.0, -0.9), Vec3::X * 2.0, Vec3::Y * 0.7), 3);
+    let roughness = Roughness { alpha_x: 0.0, alpha_y: 0.0, distribution: Default::default() };
+    let glass = Model::Dielectric { ior: 1.5, transmittance: Vec3::ONE, thin: false, roughness };
+    let mirror = Model::Mirror { specular: Reflectance::constant(Vec3::splat(0.9)) };
+    let plastic = Model::Plastic { albedo: Reflectance::constant(Vec3::splat(0.6)), ior: 1.5, roughness };
+    let lights = vec![
+        Light::Directional { direction: Vec3::new(0.5, -1.0, -0.2), irradiance: Vec3::splat(2.0) },
+        Light::Point { position: Vec3::new(0.0, 1.0, 0.0), intensity: Vec3::splat(0.5) },
+    ];
+    let materials = vec![lambert(0.7, 0.0), model(glass), model(mirror), model(plastic)];
+    let mut yard = scene(mesh, materials, lights);
+    yard.environment = Some(crate::scene::Environment::constant(Vec3::splat(0.5)));
+    let (accel, lights) = (Accel::build(&yard), Lights::build(&yard));
+    let transport = SceneTransport::new(&yard, &accel, &lights);
+    let n = 300_000u64;
+    let triangles = yard.mesh.triangles.len();
+    let mut emitted = vec![[0.0f64; 2]; 2 * triangles];
+    for i in 0..n {
+        transport.trace(2, i, &mut |d| {
+            if d.bounce > 0 {
+                let flux = f64::from(luminance(d.flux)) / n as f64;
+                let sum = &mut emitted[2 * d.triangle as usize + usize::from(d.back)];
+                (sum[0], sum[1]) = (sum[0] + flux, sum[1] + flux * flux);
+            }
+        });
+    }
+    let settings = BakeSettings { texels: 6000, everything: true, error: None, ..BakeSettings::default() };
+    let mut baker = Baker::new(&yard, transport, &settings);
+    for _ in 0..8 {
+        baker.gather_direct();
+    }
+    baker.emit(n);
+    // Elements of the lightmap cross the diagonals of quads: two triangles at a time.
+    let mut begun = vec![[0.0f64; 2]; triangles];
+    for (e, element) in baker.atlas.elements.iter().enumerate() {
+        for back in [false, true] {
+            let arrived = baker.bins.arrived(e as u32, back);
+            let sum = &mut begun[element.triangle as usize / 2 * 2 + usize::from(back)];
+            sum[0] += f64::from(luminance(arrived.flux)) / n as f64;
+            sum[1] += f64::from(arrived.square) / (n * n) as f64;
+        }
+    }
+    let (mut noise_emitted, mut noise_begun) = (0.0, 0.0);
+    for (i, b) in begun.iter().enumerate() {
+        let (pair, side) = (i / 2 * 4, i % 2);
+        let a = [0, 1].map(|k| emitted[pair + side][k] + emitted[pair + 2 + side][k]);
+        // Arrivals of one particle are not independent, and what was gathered has an error too.
+        let error = 5.0 * (a[1] + b[1]).sqrt() + 0.004 * a[0];
+        assert!((a[0] - b[0]).abs() <= error, "{i}: {} {} ± {error}", a[0], b[0]);
+        (noise_emitted, noise_begun) = (noise_emitted + a[1], noise_begun + b[1]);
+    }
+    assert!(noise_begun < 0.7 * noise_emitted, "{noise_begun} {noise_emitted}");
+}
+
+/// A room under a large roof, lit by the sun through a small window: particles come into the room.
+#[test]
+fn particles_begin_where_they_matter() {
+    // A roof of 40 × 40 m whose upper side takes nearly all light; under it a floor in sight, lit through a slit.
+    let mut mesh = quad(Vec3::new(-20.0, 3.0, 20.0), Vec3::X * 20.0, Vec3::NEG_Z * 40.0);
+    join(&mut mesh, &quad(Vec3::new(0.5, 3.0, 20.0), Vec3::X * 19.5, Vec3::NEG_Z * 40.0), 0);
+    join(&mut mesh, &quad(Vec3::new(-20.0, 0.0, 20.0), Vec3::X * 40.0, Vec3::NEG_Z * 40.0), 0);
+    let sun = Light::Directional { direction: Vec3::NEG_Y, irradiance: Vec3::ONE };
+    let mut hall = scene(mesh, vec![lambert(0.5, 0.0)], vec![sun]);
+    hall.cameras = vec![NamedCamera {
+        name: "inside".into(),
+        camera: Camera {
+            eye: Vec3::new(-5.0, 1.5, 0.0),
+            target: Vec3::new(5.0, 1.0, 0.0),
+            up: Vec3::Y,
+            fov_y: 1.0,
+        },
+    }];
+    let (accel, lights) = (Accel::build(&hall), Lights::build(&hall));
+    let settings = BakeSettings { texels: 6000, error: None, ..BakeSettings::default() };
+    let mut baker = Baker::new(&hall, SceneTransport::new(&hall, &accel, &lights), &settings);
+    baker.gather_direct();
+    baker.emit(40_000);
+    // The floor takes an eightieth of the light, and sends half of what it reflects to the ceiling.
+    let arrived = baker.bins.total_count();
+    assert!(arrived > 10_000, "{arrived}");
 }

@@ -11,10 +11,10 @@ use crate::image::luminance;
 
 /// Steps per unit of flux relative to the power of the scene.
 const FLUX_STEPS: f64 = (1u64 << 24) as f64;
-/// Steps per unit of squared relative flux.
-const SQUARE_STEPS: f64 = (1u64 << 24) as f64;
-/// A particle may carry this many times the power of the scene. 2¹⁰ · 2²⁴ steps leave room for 2²⁹
-/// of the heaviest particles in one bin.
+/// Steps per unit of squared relative flux: in a room of a large house particles carry little.
+const SQUARE_STEPS: f64 = (1u64 << 34) as f64;
+/// A particle may carry this many times the power of the scene. (2¹⁰)² · 2³⁴ steps leave room for 2⁹ of the heaviest
+/// particles in one bin, which are rare.
 const RELATIVE_FLUX_MAX: f64 = 1024.0;
 
 #[derive(Debug, Default)]

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::image::luminance;
 use crate::rng::hash;
+use crate::transport::particle::Arriving;
 
 /// Samples per round of a bake, stratified among themselves.
 pub const SAMPLES_PER_ROUND: u32 = 8;
@@ -23,9 +24,9 @@ fn stratified(s: u32, scramble: u32) -> [f32; 3] {
 const PROBES: u32 = 2;
 
 /// Whether any of a few samples finds light.
-pub fn probe(key: u64, mut sample: impl FnMut([f32; 3]) -> Vec3) -> bool {
+pub fn probe<E: Into<Arriving>>(key: u64, mut sample: impl FnMut([f32; 3]) -> E) -> bool {
     let scramble = hash(key, 0, 0xd1ec8) as u32;
-    (0..PROBES).any(|s| sample(stratified(s, scramble)).max_element() > 0.0)
+    (0..PROBES).any(|s| sample(stratified(s, scramble)).into().irradiance.max_element() > 0.0)
 }
 
 /// Sums of the samples of one side of an element.
@@ -34,6 +35,8 @@ pub struct DirectBin {
     /// Irradiance from lights that no chance is needed for.
     certain: [f32; 3],
     sum: [f32; 3],
+    /// The part of it that the sky and suns bring.
+    from_afar: [f32; 3],
     /// Of the luminance of the means of the rounds of each sequence.
     sequences: [f32; SEQUENCES],
     /// Of the luminance of samples.
@@ -45,19 +48,28 @@ pub struct DirectBin {
 impl DirectBin {
     /// Adds a round of `samples`; `sample` gives the irradiance for three random numbers. `key` identifies the
     /// side of the element and the seed.
-    pub fn gather(&mut self, key: u64, samples: u32, mut sample: impl FnMut([f32; 3]) -> Vec3) {
+    pub fn gather<E: Into<Arriving>>(
+        &mut self,
+        key: u64,
+        samples: u32,
+        mut sample: impl FnMut([f32; 3]) -> E,
+    ) {
         let sequence = self.rounds as usize % SEQUENCES;
         let scramble = hash(key, sequence as u64, 0xd1ec7) as u32;
         let first = self.rounds / SEQUENCES as u32 * samples;
-        let mut sum = Vec3::ZERO;
+        let (mut sum, mut from_afar) = (Vec3::ZERO, Vec3::ZERO);
         for s in first..first + samples {
-            let value = sample(stratified(s, scramble));
-            sum += value;
-            self.squared_samples += luminance(value).powi(2);
+            let value = sample(stratified(s, scramble)).into();
+            sum += value.irradiance;
+            if value.from_afar {
+                from_afar += value.irradiance;
+            }
+            self.squared_samples += luminance(value.irradiance).powi(2);
         }
         let mean = sum / samples.max(1) as f32;
         self.samples += samples;
         self.sum = (Vec3::from_array(self.sum) + mean).to_array();
+        self.from_afar = (Vec3::from_array(self.from_afar) + from_afar / samples.max(1) as f32).to_array();
         self.sequences[sequence] += luminance(mean);
         self.rounds += 1;
     }
@@ -70,6 +82,11 @@ impl DirectBin {
     /// Sets the irradiance from lights that no chance is needed for.
     pub fn set_certain(&mut self, irradiance: Vec3) {
         self.certain = irradiance.to_array();
+    }
+
+    /// Mean of what samples found of the sky and of suns.
+    pub fn sampled_from_afar(&self) -> Vec3 {
+        Vec3::from_array(self.from_afar) / self.rounds.max(1) as f32
     }
 
     /// Whether any sample found light.

@@ -21,6 +21,7 @@ mod shadow_edges;
 pub mod simplify;
 mod smooth_direct;
 mod smoothing;
+mod sources;
 pub mod stored;
 #[cfg(test)]
 pub(crate) mod test_scenes;

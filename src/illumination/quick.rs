@@ -66,5 +66,6 @@ impl Baker<'_> {
             }
         }
         self.direct_rounds = 1;
+        self.sources = None;
     }
 }

@@ -11,7 +11,7 @@ use crate::image::luminance;
 use crate::rng::Stream;
 use crate::scene::{Model, Scene};
 use crate::transport::lit::LitSurfaces;
-use crate::transport::particle::{BOUNCES_MAX, Deposit, LightTransport};
+use crate::transport::particle::{Arriving, BOUNCES_MAX, Deposit, LightTransport};
 
 /// Light transport by definition.
 pub struct Lambertian<'a> {
@@ -106,6 +106,7 @@ impl LightTransport for Lambertian<'_> {
     fn trace_reflected(
         &self,
         _lit: &LitSurfaces,
+        _choice: f64,
         seed: u64,
         index: u64,
         deposit: &mut dyn FnMut(Deposit),
@@ -117,19 +118,19 @@ impl LightTransport for Lambertian<'_> {
         })
     }
 
-    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Vec3 {
-        let Some((light, q, nq, probability)) = self.choose(u) else { return Vec3::ZERO };
+    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Arriving {
+        let Some((light, q, nq, probability)) = self.choose(u) else { return Vec3::ZERO.into() };
         let [a, b, c] = self.scene.mesh.corners(triangle);
         let n = if back { -self.normal(triangle) } else { self.normal(triangle) };
         let p = self.lift(a * (1.0 - b1 - b2) + b * b1 + c * b2, n);
         let d = self.lift(q, nq) - p;
         let cosines = n.dot(d).max(0.0) * (-nq.dot(d)).max(0.0);
         if cosines <= 0.0 || self.accel.occluded(self.scene, &Ray { t_max: 1.0, ..Ray::new(p, d) }) {
-            return Vec3::ZERO;
+            return Vec3::ZERO.into();
         }
         let area = triangle_area(self.scene.mesh.corners(light));
-        material(self.scene, light).emission.color
-            * (cosines / d.length_squared().powi(2) * area / probability)
+        let emission = material(self.scene, light).emission.color;
+        (emission * (cosines / d.length_squared().powi(2) * area / probability)).into()
     }
 
     fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool {

@@ -91,7 +91,7 @@ pub fn at_point(
     for s in 0..samples {
         let u = sobol_burley::sample_4d(s, 0, key as u32);
         let v = sobol_burley::sample_4d(s, 1, key as u32);
-        let direct = certain + transport.direct(triangle, b1, b2, false, [u[0], u[1], u[2]]);
+        let direct = certain + transport.direct(triangle, b1, b2, false, [u[0], u[1], u[2]]).irradiance;
         let local = cosine_hemisphere([v[0], v[1]]);
         let ray = at.spawn(x * local.x + y * local.y + normal * local.z);
         let mut arriving = path_radiance(scene, accel, lights, &ray, Stream::new(key, s.into(), 1));

@@ -1,5 +1,6 @@
-//! Where light from afar falls: particles that carry the light of the sky and of suns begin on the surfaces that it
-//! lights, instead of somewhere outside, from where most of them would miss what matters.
+//! Where light from afar falls on mirrors, glass and gloss: particles that carry the light of the sky and of suns begin
+//! on these surfaces, instead of somewhere outside, from where most of them would miss what matters. Those that begin
+//! with a diffuse reflection need no samples of their own: what falls there is gathered by the bake.
 //!
 //! The surfaces are cut into pieces of equal area. A few samples of the light on each decide how many particles
 //! begin there; what they carry is what a fresh sample finds, so that the decision changes the noise and not the mean.
@@ -36,14 +37,15 @@ pub struct LitSurfaces {
     areas: Vec<f64>,
     /// Share of the particles, summed up: of the fronts of all pieces, then of their backs.
     shares: Vec<f64>,
-    /// Flux of distant lights that surfaces receive, luminance, W.
-    received: f64,
+    /// What depends on particles that begin here, W: the power of near lights, and what the surfaces receive from afar,
+    /// as far as they count.
+    begins: f64,
     /// Share of particles that the lights inside of the scene emit.
     near_share: f64,
 }
 
 impl LitSurfaces {
-    /// Cuts triangles of these `areas` into `pieces`. `irradiance` is a sample of the luminance of distant light on the
+    /// Cuts triangles of these `areas` (0 for those that no particle shall begin on) into `pieces`. `irradiance` is a sample of the luminance of distant light on the
     /// side of a point, `weight` what a triangle counts, `near` the power of all other lights.
     pub fn new(
         areas: impl Iterator<Item = f32>,
@@ -60,7 +62,7 @@ impl LitSurfaces {
                 sum
             })
             .collect();
-        let mut lit = Self { areas, shares: Vec::new(), received: 0.0, near_share: 1.0 };
+        let mut lit = Self { areas, shares: Vec::new(), begins: near, near_share: 1.0 };
         if sum <= 0.0 || pieces == 0 {
             return lit;
         }
@@ -75,10 +77,11 @@ impl LitSurfaces {
                 })
             })
             .collect();
-        lit.received = found.iter().flatten().map(|f| f.0).sum::<f64>() * (sum / pieces as f64);
-        if lit.received <= 0.0 {
+        let received = found.iter().flatten().map(|f| f.0 * f.1).sum::<f64>() * (sum / pieces as f64);
+        if !(received > 0.0 && received.is_finite()) {
             return lit;
         }
+        lit.begins += received;
         let mut total = 0.0;
         for side in [0, 1] {
             let mean = found.iter().map(|f| f[side].0).sum::<f64>() / pieces as f64;
@@ -93,13 +96,13 @@ impl LitSurfaces {
         for share in &mut lit.shares {
             *share /= total;
         }
-        lit.near_share = if near > 0.0 { (near / (near + lit.received)).clamp(0.1, 0.9) } else { 0.0 };
+        lit.near_share = if near > 0.0 { (near / lit.begins).clamp(0.1, 0.9) } else { 0.0 };
         lit
     }
 
-    /// What particles carry together, luminance, W; `None` where no light from afar was found.
-    pub fn power(&self, near: f64) -> Option<f64> {
-        (self.received > 0.0).then_some(self.received + near)
+    /// What depends on particles that begin here or at lights inside of the scene, luminance, W.
+    pub fn begins(&self) -> f64 {
+        self.begins
     }
 
     /// Share of particles that lights inside of the scene emit: all, where no light from afar was found.
@@ -149,7 +152,7 @@ mod tests {
     #[test]
     fn what_is_lit_gets_most_and_the_mean_is_kept() {
         let lit = example();
-        assert!((lit.power(2.0).expect("light") - 4.6).abs() < 0.05);
+        assert!((lit.begins() - 4.6).abs() < 0.05);
         assert!((lit.near_share() - 2.0 / 4.6).abs() < 0.01);
         let n = 100_000u64;
         let (mut on_lit, mut area) = (0, 0.0);
@@ -169,7 +172,7 @@ mod tests {
     #[test]
     fn where_nothing_is_lit_from_afar_all_particles_are_emitted() {
         let dark = LitSurfaces::new([1.0].into_iter(), 64, 1, 3.0, &|_| 1.0, &|_, _| 0.0);
-        assert!(dark.near_share() == 1.0 && dark.start(0.5, [0.5; 2]).is_none() && dark.power(3.0).is_none());
+        assert!(dark.near_share() == 1.0 && dark.start(0.5, [0.5; 2]).is_none() && dark.begins() == 3.0);
         let empty = LitSurfaces::new([].into_iter(), 64, 1, 3.0, &|_| 1.0, &|_, _| 1.0);
         assert!(empty.near_share() == 1.0 && empty.start(0.5, [0.5; 2]).is_none());
         let nan = LitSurfaces::new([f32::NAN, 1.0].into_iter(), 64, 1, 0.0, &|_| 1.0, &|_, _| 1.0);

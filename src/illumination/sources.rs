@@ -15,7 +15,9 @@ use crate::image::luminance;
 
 /// Elements that are learned about together.
 const GROUP: usize = 16;
-/// Particles that the first guess counts for.
+/// Groups that know about each other.
+const REGION: usize = 16;
+/// Particles that the first guess counts for in a region, and what is learned of the region in a group.
 const PRIOR: f64 = 1.0;
 /// Importance that is left to those from where nothing seems to arrive.
 const FLOOR: f64 = 1e-3;
@@ -44,6 +46,13 @@ struct Fate {
     expected: f64,
     /// The same after the last lesson.
     learned: f64,
+}
+
+impl Fate {
+    /// Arrivals where they matter, and particles.
+    fn seen(&mut self) -> (f64, f64) {
+        (*self.met.get_mut() as f64, *self.begun.get_mut() as f64)
+    }
 }
 
 /// How many arrivals that matter a particle has that begins at an element.
@@ -94,9 +103,20 @@ impl Importance {
 
     /// Draws the lesson from what was counted.
     pub(super) fn learn(&mut self) {
-        for fate in self.fates.iter_mut().flatten() {
-            let (begun, met) = (*fate.begun.get_mut() as f64, *fate.met.get_mut() as f64);
-            fate.learned = ((met + PRIOR * fate.expected) / (begun + PRIOR)).max(FLOOR);
+        let posterior = |(met, begun): (f64, f64), prior: f64| (met + PRIOR * prior) / (begun + PRIOR);
+        for region in self.fates.chunks_mut(REGION) {
+            for side in [0, 1] {
+                let (mut seen, mut expected) = ((0.0, 0.0), 0.0f64);
+                for fate in region.iter_mut().map(|sides| &mut sides[side]) {
+                    let (met, begun) = fate.seen();
+                    seen = (seen.0 + met, seen.1 + begun);
+                    expected = expected.max(fate.expected);
+                }
+                let around = posterior(seen, expected);
+                for fate in region.iter_mut().map(|sides| &mut sides[side]) {
+                    fate.learned = posterior(fate.seen(), around).max(FLOOR);
+                }
+            }
         }
     }
 
@@ -271,7 +291,8 @@ mod tests {
         let mut again = Importance::new(&elements, &|_| 1.0);
         again.restore(&importance.state());
         assert_eq!(again.state(), importance.state());
-        assert_eq!(again.at(0, 0), 4.0);
+        // Seven arrivals of one particle, beside eight expected of two.
+        assert_eq!(again.at(0, 0), 0.5 * (7.0 + 4.0));
         let mut other = Importance::new(&elements[..20], &|_| 1.0);
         let before = other.state();
         other.restore(&importance.state());

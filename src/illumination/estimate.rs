@@ -39,6 +39,10 @@ const GAP: f32 = 0.01;
 const DIM: f32 = 0.1;
 /// Elements brighter than so many times the median count less, as if they were not brighter.
 const BRIGHT: f32 = 8.0;
+/// A block of elements on which fewer particles arrived than this is judged by the blocks around it.
+const FEW_ARRIVALS: f32 = 64.0;
+/// As many blocks of neighbours in storage are judged together.
+const BLOCKS_AROUND: usize = 64;
 /// Rays that decide whether an element lies inside a body.
 const BURIED_RAYS: u64 = 8;
 
@@ -145,6 +149,33 @@ impl Baker<'_> {
         self.open != before
     }
 
+    /// Per block of elements, whether anything arrives on their backs. A block that is too small to tell, such as the
+    /// mouldings of a window, is like the blocks around it.
+    fn lit_backs(&self) -> Vec<bool> {
+        let elements = self.atlas.elements.len();
+        let of_block = |block: usize| {
+            let members = block * BLOCK..((block + 1) * BLOCK).min(elements);
+            let count = |back: bool| -> f32 {
+                members.clone().map(|e| self.bins.arrived(e as u32, back).count).sum()
+            };
+            let direct = members.clone().any(|e| self.direct[e][1].is_lit());
+            (direct, count(false), count(true))
+        };
+        // Rounding lets one particle in a million slip out through an edge where walls meet.
+        let more = |front: f32, back: f32| back > 1e-3 * front;
+        let found: Vec<(bool, f32, f32)> =
+            (0..elements.div_ceil(BLOCK)).into_par_iter().map(of_block).collect();
+        let mut lit = Vec::with_capacity(found.len());
+        for region in found.chunks(BLOCKS_AROUND) {
+            let around = region.iter().fold((0.0, 0.0), |sum, b| (sum.0 + b.1, sum.1 + b.2));
+            lit.extend(region.iter().map(|&(direct, front, back)| {
+                let few = front + back < FEW_ARRIVALS;
+                direct || more(front, back) || few && more(around.0, around.1)
+            }));
+        }
+        lit
+    }
+
     fn prepare(&mut self) -> Prepared {
         let before = match self.prepared.take() {
             Some(p) if p.emitted == self.emitted && p.direct_rounds == self.direct_rounds => return p,
@@ -157,17 +188,7 @@ impl Baker<'_> {
             _ => ClusterTree::build_where(&self.atlas.elements, &|e| open[e as usize]),
         };
         let stored = self.bins.total_count();
-        let lit_back: Vec<bool> = (0..self.atlas.elements.len().div_ceil(BLOCK))
-            .into_par_iter()
-            .map(|block| {
-                let elements = block * BLOCK..((block + 1) * BLOCK).min(self.atlas.elements.len());
-                let count = |back: bool| -> f32 {
-                    elements.clone().map(|e| self.bins.arrived(e as u32, back).count).sum()
-                };
-                // Rounding lets one particle in a million slip out through an edge where walls meet.
-                elements.clone().any(|e| self.direct[e][1].is_lit()) || count(true) > 1e-3 * count(false)
-            })
-            .collect();
+        let lit_back = self.lit_backs();
         let lit = |e: u32| lit_back[e as usize / BLOCK];
         tree.update_with(&|e| [self.bins.arrived(e, false), self.bins.arrived(e, true)], &lit);
         let bandwidth = self.bandwidth(&tree, stored);

@@ -66,10 +66,14 @@ impl Lights {
         let sample = if u_choice < share {
             self.sample_surrounding(scene, normal, u).map(|s| LightSample { pdf: s.pdf * share, ..s })
         } else {
-            let x = f64::from((u_choice - share) / (1.0 - share)) * near / self.near.total();
-            let i = self.near.sample(x)?.min(self.triangle_count.checked_sub(1)?);
+            let choice = (u_choice - share) / (1.0 - share);
+            let (members, of_group, rest) = self.groups.choose(point, normal, choice)?;
+            let [before, after] = [members.start, members.end].map(|n| self.near.sum_of_first(n));
+            let x = (before + f64::from(rest) * (after - before)) / self.near.total();
+            let i = self.near.sample(x)?.clamp(members.start, members.end - 1);
             let Emitter::Triangle(t) = self.emitters[i] else { return None };
-            let probability = f64::from(1.0 - share) * self.near.probability(i) * self.near.total() / near;
+            let within = self.near.probability(i) * self.near.total() / (after - before);
+            let probability = f64::from((1.0 - share) * of_group) * within;
             sample_triangle(scene, t, point, u)
                 .map(|s| LightSample { pdf: (f64::from(s.pdf) * probability) as f32, ..s })
         }?;

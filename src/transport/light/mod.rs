@@ -6,6 +6,7 @@
 
 mod distribution;
 mod emission;
+mod groups;
 mod irradiance;
 mod spherical_triangle;
 
@@ -17,6 +18,7 @@ use crate::geometry::Hit;
 use crate::image::luminance;
 use crate::scene::{Light, Scene, TriangleIndex};
 use distribution::{Choice, EnvironmentDistribution};
+use groups::{LightGroups, Member};
 use spherical_triangle::{SAMPLED, SphericalTriangle, barycentrics};
 
 /// Least and largest share of next-event samples that go to the surrounding and directional lights where there
@@ -72,6 +74,7 @@ pub struct Lights {
     centre: Vec3,
     radius: f32,
     power: Vec3,
+    groups: LightGroups,
 }
 
 /// Front normal and area of a triangle.
@@ -116,6 +119,7 @@ impl Lights {
             centre,
             radius,
             power: Vec3::ZERO,
+            groups: LightGroups::default(),
         };
         let mut power = glam::DVec3::ZERO;
         let mut weights: Vec<f64> = Vec::new();
@@ -167,6 +171,7 @@ impl Lights {
         lights.power = power.as_vec3();
         let (a, b) = weights.split_at(lights.near_count);
         lights.near = Choice::new(a.iter().copied());
+        lights.groups = LightGroups::new(&lights.members(scene, a));
         lights.distant = Choice::new(b.iter().copied());
         let total = lights.near.total() + lights.distant.total();
         if total > 0.0 {
@@ -179,6 +184,17 @@ impl Lights {
             };
         }
         lights
+    }
+
+    /// The emissive triangles.
+    fn members(&self, scene: &Scene, powers: &[f64]) -> Vec<Member> {
+        let of = |(emitter, &power): (&Emitter, &f64)| {
+            let Emitter::Triangle(t) = *emitter else { return None };
+            let corners = scene.mesh.corners(t);
+            let (normal, material) = (normal_and_area(corners).0, scene.mesh.materials[t as usize].0);
+            Some(Member { corners, normal, material, power })
+        };
+        self.emitters.iter().zip(powers).filter_map(of).collect()
     }
 
     /// Whether nothing emits.

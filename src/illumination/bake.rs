@@ -37,8 +37,6 @@ const UNSEEN: f64 = 0.3;
 const GOLDEN_RATIO: f64 = 0.618_033_988_749_894_9;
 /// Rounds that are waited for at most.
 const ROUNDS_MAX: u32 = 256;
-/// Noise of direct light, relative to what arrives in the same place, that is seen.
-const NOISE_SEEN: f32 = 0.02;
 /// Samples of direct light per element where there is no time for more.
 const HURRIED_SAMPLES: u32 = 2;
 /// Elements that share the decision whether direct light can reach them.
@@ -543,9 +541,9 @@ impl Baker<'_> {
                 if !waits {
                     self.pass_end = pass_end_after(self.emitted, &self.settings);
                 }
-                // Direct light is cheap while it is the smaller error; then its samples double as well. Where it is dim, its
-                // noise is no large error, and yet seen.
-                let noisy = summary.direct_error > 0.6 * others || self.direct_noise().left() > NOISE_SEEN;
+                // Direct light is cheap while it is the smaller error; then its samples double as well. Where few surfaces get
+                // it, or it is dim, its noise is no large error, and yet seen.
+                let noisy = summary.direct_error > 0.6 * others || self.direct_noise().is_seen();
                 if waits || (noisy && self.direct_rounds < ROUNDS_MAX) {
                     self.direct_rounds_wanted = 2 * self.direct_rounds;
                 }

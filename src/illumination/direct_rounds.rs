@@ -5,7 +5,6 @@ use rayon::prelude::*;
 use super::atlas::Element;
 use super::bake::{BLOCK, Baker};
 use super::direct::DirectBin;
-use super::smooth_direct::elements_in_kernel;
 use crate::image::luminance;
 
 /// Cells along the scene's diagonal.
@@ -14,6 +13,12 @@ const CELLS: f32 = 40.0;
 const PLACES: usize = 1 << 16;
 /// Irradiance below this share of the mean may be noisier.
 const DIM: f32 = 0.1;
+/// Noise of direct light, relative to what arrives in the same place, that is seen.
+const NOISE_SEEN: f32 = 0.02;
+/// Elements that smoothing makes a mean of without wiping out the light of a small lamp.
+const SMOOTHED: f32 = 16.0;
+/// Share of the lit surface that may be noisier.
+const OVERLOOKED: f32 = 2e-3;
 /// A standard error, relative to what arrives, below which nothing is gained.
 const CLEAN: f32 = 0.01;
 
@@ -70,8 +75,6 @@ pub(super) struct DirectNoise {
     dim: f32,
     /// Mean relative variance on lit surface.
     mean: f32,
-    /// Elements that smoothing makes a mean of.
-    smoothed: f32,
 }
 
 impl Baker<'_> {
@@ -97,19 +100,17 @@ impl Baker<'_> {
             })
         };
         let blocks: Vec<[Block; 2]> = self.direct.par_chunks(BLOCK).enumerate().map(of_block).collect();
-        let (mut area, mut power, mut sides) = (0.0f64, 0.0f64, 0.0f64);
+        let (mut area, mut power) = (0.0f64, 0.0f64);
         for block in blocks.iter().flatten().filter(|b| b.is_lit) {
             area += f64::from(block.area);
             power += f64::from(block.power);
-            sides += BLOCK as f64;
         }
         if area <= 0.0 {
-            return DirectNoise { blocks, dim: 0.0, mean: 0.0, smoothed: 1.0 };
+            return DirectNoise { blocks, dim: 0.0, mean: 0.0 };
         }
-        let mut noise = DirectNoise { blocks, dim: DIM * (power / area) as f32, mean: 0.0, smoothed: 1.0 };
+        let mut noise = DirectNoise { blocks, dim: DIM * (power / area) as f32, mean: 0.0 };
         let of = |b: &Block| f64::from(b.area) * f64::from(noise.of(b));
         noise.mean = (noise.blocks.iter().flatten().filter(|b| b.is_lit).map(of).sum::<f64>() / area) as f32;
-        noise.smoothed = elements_in_kernel(self.diagonal, (area / sides) as f32);
         noise
     }
 }
@@ -121,9 +122,16 @@ impl DirectNoise {
         if noise.is_finite() { noise } else { 0.0 }
     }
 
-    /// Standard error that smoothing leaves, relative to what arrives.
-    pub(super) fn left(&self) -> f32 {
-        (self.mean / self.smoothed).sqrt()
+    /// Whether smoothing leaves noise that is seen, anywhere: the light of a small lamp is lost in the mean of a house.
+    pub(super) fn is_seen(&self) -> bool {
+        let (mut lit, mut noisy) = (0.0, 0.0);
+        for block in self.blocks.iter().flatten().filter(|b| b.is_lit) {
+            lit += block.area;
+            if self.of(block) > SMOOTHED * NOISE_SEEN * NOISE_SEEN {
+                noisy += block.area;
+            }
+        }
+        noisy > OVERLOOKED * lit
     }
 
     /// Per block and side whether it takes part in the next round, after so many: those where light was found, there or

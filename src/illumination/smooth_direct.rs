@@ -33,12 +33,6 @@ const RADIUS_MAX: f32 = 0.05;
 /// How noisy samples are is learned within so many times the reach of a run.
 const POOLED: f32 = 3.0;
 
-/// Elements of this area that the largest kernel makes a mean of, in a scene of this diagonal.
-pub fn elements_in_kernel(diagonal: f32, area: f32) -> f32 {
-    let kernel = std::f32::consts::PI * (RADIUS_MAX * diagonal).powi(2);
-    (kernel / (INEFFICIENCY * area.max(f32::MIN_POSITIVE))).max(1.0)
-}
-
 /// Irradiance and the variance of its luminance, front and back.
 pub type Sides = [(Vec3, f32); 2];
 

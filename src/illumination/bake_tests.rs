@@ -370,3 +370,27 @@ fn particles_begin_where_they_matter() {
     let arrived = baker.bins.total_count();
     assert!(arrived > 6000, "{arrived}");
 }
+
+/// A box of boards wound inside out, as files have them: what is seen of it are backs, and its fronts face the inside.
+#[test]
+fn bodies_wound_inside_out_are_lit_from_behind() {
+    let mut mesh = cube(Vec3::ZERO, 2.0, false);
+    join(&mut mesh, &quad(Vec3::new(0.5, 1.9, 0.5), Vec3::X, Vec3::Z), 1);
+    // A thin board whose elements are vertices, seen from all sides.
+    let first = mesh.triangles.len() as u32;
+    let mut board = cube(Vec3::ZERO, 1.0, false);
+    for p in &mut board.positions {
+        *p = Vec3::new(0.5, 0.7, 0.6) + *p * Vec3::new(1.0, 0.01, 0.6);
+    }
+    join(&mut mesh, &board, 0);
+    let room = scene(mesh, vec![lambert(0.5, 0.0), lambert(0.1, 1.0)], Vec::new());
+    let map = baked(&room, &settings(1500, 100_000, DirectLight::NextEvent));
+    for t in first..first + 12 {
+        let [a, b, c] = room.mesh.corners(t);
+        // The top and the underside.
+        if (b - a).cross(c - a).normalize().y.abs() > 0.9 {
+            let seen = map.irradiance(t, 0.3, 0.3, true).y;
+            assert!(seen > 0.03, "{t}: {seen}");
+        }
+    }
+}

@@ -221,20 +221,19 @@ impl ClusterTree {
 
     /// Takes the sums of `bins`.
     pub fn update(&mut self, bins: &Bins) {
-        self.update_with(&|e| [bins.arrived(e, false), bins.arrived(e, true)], &|_| true);
+        self.update_with(&|e| [bins.arrived(e, false), bins.arrived(e, true)], &|_| [true; 2]);
     }
 
-    /// Takes what `arrived` at the two sides of each element. Backs that are not `open` have no area: those of closed
-    /// bodies, which would darken whatever they touch.
+    /// Takes what `arrived` at the two sides of each element. Sides that are not `open` have no area: the inner ones of
+    /// closed bodies, which would darken whatever they touch.
     pub fn update_with(
         &mut self,
         arrived: &(dyn Fn(u32) -> [Arrived; 2] + Sync),
-        open: &(dyn Fn(u32) -> bool + Sync),
+        open: &(dyn Fn(u32) -> [bool; 2] + Sync),
     ) {
         let of = |(&e, leaf): (&u32, &(Vec3, Vec3, f32))| {
-            let [front, back] = arrived(e);
-            let back_area = if open(e) { leaf.2 } else { 0.0 };
-            [Arrived { area: leaf.2, ..front }, Arrived { area: back_area, ..back }]
+            let (sides, open) = (arrived(e), open(e));
+            [0, 1].map(|side| Arrived { area: if open[side] { leaf.2 } else { 0.0 }, ..sides[side] })
         };
         self.leaf_sums = self.order.par_iter().zip(&self.leaves).map(of).collect();
         let mut sums = vec![[Arrived::default(); 2]; self.nodes.len()];

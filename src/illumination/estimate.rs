@@ -121,15 +121,14 @@ pub(super) struct Estimating {
 }
 
 impl Baker<'_> {
-    /// Elements inside a body, such as the floor under a box, or in a gap, such as the cupboard behind its door: next to
+    /// Fronts inside a body, such as the floor under a box, or in a gap, such as the cupboard behind its door: next to
     /// nothing arrives there, and in all directions the inside of something or something near is seen. A kernel that
-    /// held them would darken what lies before them. Returns whether another set of elements lies open than before.
-    fn update_buried(&mut self) -> bool {
-        let before = self.open.clone();
+    /// held them would darken what lies before them. Their backs may be lit: those of bodies wound inside out.
+    fn update_buried(&mut self) {
         if self.coarse {
             // A first picture has no time to ask.
             self.open.fill(true);
-            return self.open != before;
+            return;
         }
         let area: f32 = self.atlas.elements.iter().map(|e| e.area).sum();
         let dim = DIM * self.bins.total_count() as f32 / area.max(f32::MIN_POSITIVE);
@@ -146,7 +145,6 @@ impl Baker<'_> {
                 });
             *open = !buried;
         });
-        self.open != before
     }
 
     /// Per block of elements, whether anything arrives on their backs. A block that is too small to tell, such as the
@@ -181,16 +179,16 @@ impl Baker<'_> {
             Some(p) if p.emitted == self.emitted && p.direct_rounds == self.direct_rounds => return p,
             before => before,
         };
-        let changed = self.update_buried();
-        let open = &self.open;
+        let open_before = self.open.clone();
+        self.update_buried();
+        let lit_back = self.lit_backs();
+        let is_open = |e: u32| [self.open[e as usize], lit_back[e as usize / BLOCK]];
         let mut tree = match before {
-            Some(p) if !changed => p.tree,
-            _ => ClusterTree::build_where(&self.atlas.elements, &|e| open[e as usize]),
+            Some(p) if self.open == open_before && lit_back == p.lit_back => p.tree,
+            _ => ClusterTree::build_where(&self.atlas.elements, &|e| is_open(e) != [false; 2]),
         };
         let stored = self.bins.total_count();
-        let lit_back = self.lit_backs();
-        let lit = |e: u32| lit_back[e as usize / BLOCK];
-        tree.update_with(&|e| [self.bins.arrived(e, false), self.bins.arrived(e, true)], &lit);
+        tree.update_with(&|e| [self.bins.arrived(e, false), self.bins.arrived(e, true)], &is_open);
         let bandwidth = self.bandwidth(&tree, stored);
         let (emitted, direct_rounds) = (self.emitted, self.direct_rounds);
         let mut with = Prepared {
@@ -356,9 +354,9 @@ impl Baker<'_> {
             None => {
                 let with = self.prepare();
                 let smooth = (self.direct_rounds > 0 || self.direct_block > 0).then(|| {
-                    let lit = |e: u32| with.lit_back[e as usize / BLOCK];
+                    let open = |e: u32| [self.open[e as usize], with.lit_back[e as usize / BLOCK]];
                     let (tree, target) = (with.tree.clone(), self.direct_target());
-                    SmoothDirect::new(&self.atlas.elements, &self.direct, tree, &lit, self.diagonal, target)
+                    SmoothDirect::new(&self.atlas.elements, &self.direct, tree, &open, self.diagonal, target)
                 });
                 let nodes = with.tree.subtrees(RUN);
                 Estimating { with, smooth, nodes, found: Vec::new() }

@@ -50,7 +50,7 @@ impl SmoothDirect {
         elements: &[Element],
         direct: &[[DirectBin; 2]],
         mut tree: ClusterTree,
-        lit_back: &(dyn Fn(u32) -> bool + Sync),
+        open: &(dyn Fn(u32) -> [bool; 2] + Sync),
         diagonal: f32,
         target: f32,
     ) -> Self {
@@ -62,7 +62,7 @@ impl SmoothDirect {
                 Arrived { flux: area * mean, square: area * area * variance, count: 1.0, area }
             })
         };
-        tree.update_with(&arrived, lit_back);
+        tree.update_with(&arrived, open);
         Self { tree, radius_max, target }
     }
 
@@ -256,7 +256,7 @@ mod tests {
         let (elements, direct) = lit(0.9);
         let tree = ClusterTree::build(&elements);
         let order = tree.order().to_vec();
-        let smooth = SmoothDirect::new(&elements, &direct, tree, &|_| true, 4.0, 0.02);
+        let smooth = SmoothDirect::new(&elements, &direct, tree, &|_| [true; 2], 4.0, 0.02);
         let found = smooth.at_node(&elements, &direct, 0, &mut Neighbourhood::default());
         let (mut noise, mut before) = (0.0f32, 0.0f32);
         for (&e, sides) in order.iter().zip(&found) {
@@ -277,7 +277,7 @@ mod tests {
             let (elements, direct) = lit(p);
             let tree = ClusterTree::build(&elements);
             let order = tree.order().to_vec();
-            let smooth = SmoothDirect::new(&elements, &direct, tree, &|_| true, 4.0, 0.1);
+            let smooth = SmoothDirect::new(&elements, &direct, tree, &|_| [true; 2], 4.0, 0.1);
             let found = smooth.at_node(&elements, &direct, 0, &mut Neighbourhood::default());
             let mut error = 0.0f32;
             for (&e, sides) in order.iter().zip(&found) {
@@ -298,7 +298,7 @@ mod tests {
         let (elements, direct) = lit(0.002);
         let tree = ClusterTree::build(&elements);
         let order = tree.order().to_vec();
-        let smooth = SmoothDirect::new(&elements, &direct, tree, &|_| true, 6.0, 0.02);
+        let smooth = SmoothDirect::new(&elements, &direct, tree, &|_| [true; 2], 6.0, 0.02);
         let found = smooth.at_node(&elements, &direct, 0, &mut Neighbourhood::default());
         for (&e, sides) in order.iter().zip(&found) {
             let p = elements[e as usize].position;

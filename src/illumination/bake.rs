@@ -165,8 +165,8 @@ pub struct Baker<'a> {
     importance: Importance,
     /// Elements that a walk can see, whose error counts.
     pub(super) watched: Vec<bool>,
-    /// Elements known not to lie inside of a body.
-    pub(super) open: Vec<bool>,
+    /// Sides of elements known not to lie inside of a body or in a gap.
+    pub(super) open: Vec<[bool; 2]>,
     pub(super) emitted: u64,
     pub(super) bounces: u64,
     pub(super) direct_rounds: u32,
@@ -215,7 +215,7 @@ impl<'a> Baker<'a> {
             sources: None,
             importance,
             direct: vec![[DirectBin::default(); 2]; elements],
-            open: vec![false; elements],
+            open: vec![[false; 2]; elements],
             watched,
             samples_per_round: SAMPLES_PER_ROUND,
             coarse: false,

@@ -12,6 +12,7 @@ use super::smooth_direct::{Sides, SmoothDirect};
 use super::stored::{Illumination, Summary, Value};
 use crate::image::luminance;
 use crate::rng::Stream;
+use crate::transport::particle::SurfacePoint;
 
 /// Elements that decide on the bandwidth.
 const PILOTS: usize = 3000;
@@ -121,13 +122,13 @@ pub(super) struct Estimating {
 }
 
 impl Baker<'_> {
-    /// Fronts inside a body, such as the floor under a box, or in a gap, such as the cupboard behind its door: next to
-    /// nothing arrives there, and in all directions the inside of something or something near is seen. A kernel that
-    /// held them would darken what lies before them. Their backs may be lit: those of bodies wound inside out.
-    fn update_buried(&mut self) {
+    /// Sides of elements inside a body, such as the floor under a box, or in a gap, such as the cupboard behind its door:
+    /// next to nothing arrives there, and in all directions the inside of something or something near is seen. A kernel
+    /// that held them would darken what lies before them. What is seen of bodies wound inside out are their backs.
+    fn update_open(&mut self, lit_back: &[bool]) {
         if self.coarse {
             // A first picture has no time to ask.
-            self.open.fill(true);
+            self.open.par_iter_mut().enumerate().for_each(|(i, open)| *open = [true, lit_back[i / BLOCK]]);
             return;
         }
         let area: f32 = self.atlas.elements.iter().map(|e| e.area).sum();
@@ -136,14 +137,20 @@ impl Baker<'_> {
         let near = GAP * self.diagonal;
         self.open.par_iter_mut().enumerate().for_each(|(i, open)| {
             let element = &atlas.elements[i];
-            let buried = element.area > 0.0
-                && bins.arrived(i as u32, false).count <= dim * element.area
-                && !direct[i][0].is_lit()
-                && (0..BURIED_RAYS).all(|ray| {
-                    let mut stream = Stream::new(0xb0d1, i as u64, ray);
-                    transport.sees_inside(element.triangle, element.b1, element.b2, near, &mut stream)
-                });
-            *open = !buried;
+            let at = SurfacePoint { triangle: element.triangle, b1: element.b1, b2: element.b2 };
+            *open = [false, true].map(|back| {
+                if back && !lit_back[i / BLOCK] {
+                    return false;
+                }
+                let buried = element.area > 0.0
+                    && bins.arrived(i as u32, back).count <= dim * element.area
+                    && !direct[i][usize::from(back)].is_lit()
+                    && (0..BURIED_RAYS).all(|ray| {
+                        let mut stream = Stream::new(0xb0d1, i as u64, ray);
+                        transport.sees_inside(at, back, near, &mut stream)
+                    });
+                !buried
+            });
         });
     }
 
@@ -180,11 +187,11 @@ impl Baker<'_> {
             before => before,
         };
         let open_before = self.open.clone();
-        self.update_buried();
         let lit_back = self.lit_backs();
-        let is_open = |e: u32| [self.open[e as usize], lit_back[e as usize / BLOCK]];
+        self.update_open(&lit_back);
+        let is_open = |e: u32| self.open[e as usize];
         let mut tree = match before {
-            Some(p) if self.open == open_before && lit_back == p.lit_back => p.tree,
+            Some(p) if self.open == open_before => p.tree,
             _ => ClusterTree::build_where(&self.atlas.elements, &|e| is_open(e) != [false; 2]),
         };
         let stored = self.bins.total_count();
@@ -354,7 +361,7 @@ impl Baker<'_> {
             None => {
                 let with = self.prepare();
                 let smooth = (self.direct_rounds > 0 || self.direct_block > 0).then(|| {
-                    let open = |e: u32| [self.open[e as usize], with.lit_back[e as usize / BLOCK]];
+                    let open = |e: u32| self.open[e as usize];
                     let (tree, target) = (with.tree.clone(), self.direct_target());
                     SmoothDirect::new(&self.atlas.elements, &self.direct, tree, &open, self.diagonal, target)
                 });

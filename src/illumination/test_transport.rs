@@ -11,7 +11,7 @@ use crate::image::luminance;
 use crate::rng::Stream;
 use crate::scene::{Model, Scene};
 use crate::transport::lit::LitSurfaces;
-use crate::transport::particle::{Arriving, BOUNCES_MAX, Deposit, LightTransport};
+use crate::transport::particle::{Arriving, BOUNCES_MAX, Deposit, LightTransport, SurfacePoint};
 
 /// Light transport by definition.
 pub struct Lambertian<'a> {
@@ -133,14 +133,15 @@ impl LightTransport for Lambertian<'_> {
         (emission * (cosines / d.length_squared().powi(2) * area / probability)).into()
     }
 
-    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool {
+    fn sees_inside(&self, at: SurfacePoint, back: bool, near: f32, stream: &mut Stream) -> bool {
+        let SurfacePoint { triangle, b1, b2 } = at;
         let [a, b, c] = self.scene.mesh.corners(triangle);
-        let n = self.normal(triangle);
+        let n = if back { -self.normal(triangle) } else { self.normal(triangle) };
         let p = self.lift(a * (1.0 - b1 - b2) + b * b1 + c * b2, n);
         let ray = Ray::new(p, cosine_direction(n, stream.next_2d()));
         self.accel
             .intersect(self.scene, &ray)
-            .is_some_and(|hit| hit.t < near || self.normal(hit.triangle).dot(ray.direction) > 0.0)
+            .is_some_and(|hit| hit.t < near || !back && self.normal(hit.triangle).dot(ray.direction) > 0.0)
     }
 
     fn sees(&self, ray: &Ray) -> Option<Hit> {

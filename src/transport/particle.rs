@@ -117,8 +117,9 @@ pub trait LightTransport: Sync {
     /// first chooses the light, the others the point on it.
     fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Arriving;
 
-    /// Whether a random ray from the front of a point ends on the back of a triangle, or on anything within `near`.
-    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool;
+    /// Whether a random ray from a side of a point ends on anything within `near`, or from the front on the back of a
+    /// triangle.
+    fn sees_inside(&self, at: SurfacePoint, back: bool, near: f32, stream: &mut Stream) -> bool;
 
     /// Whether nothing stands between two points at `height` over one side of their surfaces.
     fn is_open_between(&self, _a: SurfacePoint, _b: SurfacePoint, _back: bool, _height: f32) -> bool {
@@ -171,8 +172,8 @@ impl<T: LightTransport + ?Sized> LightTransport for &T {
         (**self).direct(triangle, b1, b2, back, u)
     }
 
-    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool {
-        (**self).sees_inside(triangle, b1, b2, near, stream)
+    fn sees_inside(&self, at: SurfacePoint, back: bool, near: f32, stream: &mut Stream) -> bool {
+        (**self).sees_inside(at, back, near, stream)
     }
 
     fn is_open_between(&self, a: SurfacePoint, b: SurfacePoint, back: bool, height: f32) -> bool {
@@ -502,15 +503,15 @@ where
         self.accel.intersect(&self.scene, ray)
     }
 
-    fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool {
-        let at = self.seen_from(triangle, b1, b2, false);
+    fn sees_inside(&self, at: SurfacePoint, back: bool, near: f32, stream: &mut Stream) -> bool {
+        let at = self.seen_from(at.triangle, at.b1, at.b2, back);
         let out = at.facing_geometric();
         let (x, y) = out.any_orthonormal_pair();
         let local = cosine_hemisphere(stream.next_2d());
         let ray = at.spawn(x * local.x + y * local.y + out * local.z);
         let Some(hit) = self.accel.intersect(&self.scene, &ray) else { return false };
         let [a, b, c] = self.scene.mesh.corners(hit.triangle);
-        let closed = hit.t < near || (b - a).cross(c - a).dot(ray.direction) > 0.0;
+        let closed = hit.t < near || !back && (b - a).cross(c - a).dot(ray.direction) > 0.0;
         closed && !self.material(hit.triangle).is_transparent()
     }
 

@@ -59,6 +59,8 @@ pub enum Mode {
 pub struct Config {
     /// Threads beside the main one (at most 64; a simulation uses none). With 0 the main thread does everything.
     pub threads: usize,
+    /// Whether these threads [give way](crate::give_way), so that the main one never waits for a processor.
+    pub gives_way: bool,
     /// What drives the system.
     pub mode: Mode,
     /// Where to record, if at all.
@@ -88,6 +90,7 @@ impl Config {
     pub fn live(threads: usize) -> Self {
         Self {
             threads,
+            gives_way: false,
             mode: Mode::Live,
             record: None,
             hashing: Hashing::Exact,

@@ -59,6 +59,7 @@ pub(crate) struct Env {
 /// The parts of a configuration that are used up while a system is built.
 pub(crate) struct Parts {
     pub(crate) locals: Vec<Worker<u32>>,
+    pub(crate) gives_way: bool,
     pub(crate) record: Option<Record>,
     pub(crate) application: Vec<u8>,
     pub(crate) ring_turns: usize,
@@ -70,6 +71,7 @@ impl Env {
     pub(crate) fn new(config: Config) -> (Self, Parts) {
         let Config {
             threads,
+            gives_way,
             mode,
             record,
             hashing,
@@ -121,7 +123,7 @@ impl Env {
             marks_made: AtomicU64::new(0),
         };
         env.set_until(until);
-        (env, Parts { locals, record, application, ring_turns, simulation, from })
+        (env, Parts { locals, gives_way, record, application, ring_turns, simulation, from })
     }
 
     /// Says where replay stops; only while nothing runs.

@@ -16,6 +16,7 @@ use crate::message::ActorId;
 use crate::node::Runnable;
 use crate::pool::AnyPool;
 use crate::scheduler::{ThreadCx, Threads};
+use crate::shutdown::clear;
 use crate::signals::signal;
 use crate::simulate::{Driver, Failure};
 use crate::wiring::{PortNode, Wiring};
@@ -69,6 +70,8 @@ pub struct Runtime {
     pub(crate) thread: ThreadCx,
     pub(crate) heavy_ns: u64,
     pub(crate) heavy_passed: u32,
+    /// Another thread ends it.
+    pub(crate) left: bool,
     /// A thread's property, so the system stays on it.
     stays: PhantomData<*const ()>,
 }
@@ -131,12 +134,13 @@ impl Runtime {
             thread,
             heavy_ns: 0,
             heavy_passed: 0,
+            left: false,
             stays: PhantomData,
         };
         if let Some(snapshot) = restored {
             runtime.restore(&snapshot, context).ok_or(BuildError::OtherSnapshot)?;
         }
-        let threads = Threads::start(&runtime.env, &runtime.nodes, parts.locals);
+        let threads = Threads::start(&runtime.env, &runtime.nodes, parts.locals, parts.gives_way);
         runtime.threads = Some(threads.map_err(BuildError::Threads)?);
         Ok((runtime, wired))
     }
@@ -219,12 +223,13 @@ impl Runtime {
 
 impl Drop for Runtime {
     fn drop(&mut self) {
+        if self.left {
+            return;
+        }
         if self.threads.is_some() {
             self.stop(false);
         }
-        // What is left in mailboxes and timers may hold addresses, and with them itself.
-        self.nodes.iter().for_each(|node| node.clear());
-        self.env.timers.clear();
+        clear(&self.env, &self.nodes);
     }
 }
 

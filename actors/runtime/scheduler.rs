@@ -17,6 +17,7 @@ use crate::actor::Class;
 use crate::env::Env;
 use crate::eventcount::EventCount;
 use crate::node::Runnable;
+use crate::priority::give_way;
 
 /// What code on one thread of the system knows about its thread.
 pub(crate) struct ThreadCx {
@@ -360,11 +361,17 @@ impl Threads {
         env: &Arc<Env>,
         nodes: &Arc<[Box<dyn Runnable>]>,
         locals: Vec<Worker<u32>>,
+        gives_way: bool,
     ) -> std::io::Result<Self> {
         let mut handles = Vec::with_capacity(locals.len());
         for (index, local) in locals.into_iter().enumerate() {
             let (env, nodes) = (Arc::clone(env), Arc::clone(nodes));
-            let body = move || worker(&env, &nodes, local, index);
+            let body = move || {
+                if gives_way {
+                    give_way();
+                }
+                worker(&env, &nodes, local, index);
+            };
             handles.push(std::thread::Builder::new().name(format!("actors-{index}")).spawn(body)?);
         }
         let threads: Box<[Thread]> = handles.iter().map(|handle| handle.thread().clone()).collect();

@@ -6,9 +6,12 @@ use std::time::Duration;
 
 use crate::actor::Control;
 use crate::clock::nanoseconds;
-use crate::log::writer::RecordingStatus;
+use crate::env::Env;
+use crate::log::writer::{RecordingStatus, Writer};
+use crate::node::Runnable;
 use crate::profile::ActorCounters;
 use crate::runtime::{Exit, Limit, Runtime};
+use crate::scheduler::Threads;
 
 /// What a shutdown left.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -25,7 +28,75 @@ pub struct Shutdown {
     pub counters: Vec<ActorCounters>,
 }
 
+/// A system that was left: its threads finish what they had in hand, and its recording is ended, on a thread that waits
+/// for them. Dropping this waits for that thread.
+#[derive(Debug, Default)]
+pub struct Ending {
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Ending {
+    /// Whether nothing is left to be waited for.
+    pub fn is_over(&self) -> bool {
+        self.thread.as_ref().is_none_or(|thread| thread.is_finished())
+    }
+}
+
+impl Drop for Ending {
+    fn drop(&mut self) {
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// What of a system waits for its threads. Ends when it is dropped, on whichever thread that is.
+pub(crate) struct Rest {
+    pub(crate) env: Arc<Env>,
+    pub(crate) nodes: Arc<[Box<dyn Runnable>]>,
+    pub(crate) threads: Option<Threads>,
+    pub(crate) writer: Option<Writer>,
+    /// The recording has all that was accepted.
+    pub(crate) whole: bool,
+}
+
+impl Drop for Rest {
+    fn drop(&mut self) {
+        self.env.scheduler.stop();
+        if let Some(threads) = self.threads.take() {
+            threads.join();
+        }
+        let Some(writer) = self.writer.take() else { return };
+        for node in self.nodes.iter() {
+            node.end_log();
+            // The writer is still at work: what it had no room for goes in soon.
+            while node.link().unflushed.load(Ordering::Relaxed) && self.env.recording() {
+                std::thread::park_timeout(Duration::from_millis(1));
+                node.end_log();
+            }
+        }
+        let totals =
+            self.whole.then(|| self.nodes.iter().map(|node| node.position().unwrap_or_default()).collect());
+        writer.finish(totals);
+    }
+}
+
 impl Runtime {
+    /// As [`Self::shutdown`], but does not wait for turns that go on after `time`: whoever shows something else next must
+    /// not stand still until a long one is over.
+    pub fn leave(mut self, time: Duration) -> Ending {
+        let drained = self.drain(time);
+        let rest = self.rest(drained || self.env.replaying());
+        let (env, nodes) = (Arc::clone(&self.env), Arc::clone(&self.nodes));
+        let end = move || {
+            drop(rest);
+            clear(&env, &nodes);
+        };
+        self.left = true;
+        // Where no thread can be started, what was to be done there is dropped here, and so ends.
+        Ending { thread: std::thread::Builder::new().name("ending".into()).spawn(end).ok() }
+    }
+
     /// Takes no more input, lets everything that was accepted be handled, then stops the actors, the last made first.
     /// What is not done within `time` is counted in the result.
     pub fn shutdown(mut self, time: Duration) -> Shutdown {
@@ -34,6 +105,22 @@ impl Runtime {
 
     /// As [`Self::shutdown`], and keeps the actors as they stopped: every one can be inspected then.
     pub fn end(&mut self, time: Duration) -> Shutdown {
+        let drained = self.drain(time);
+        self.stop(drained || self.env.replaying());
+        let counters = self.counters();
+        let jobs_left = self
+            .pools
+            .iter()
+            .map(|pool| pool.stats())
+            .map(|stats| stats.pushed.saturating_sub(stats.completed + stats.stale + stats.dead));
+        let dead_letters = counters.iter().map(|actor| actor.dead_letters).sum();
+        let jobs_left = jobs_left.sum();
+        Shutdown { drained, dead_letters, jobs_left, recording: self.recording(), counters }
+    }
+
+    /// Takes no more input and lets what was accepted be handled, at most for `time`. Whether all of it was, and every
+    /// actor stopped.
+    fn drain(&mut self, time: Duration) -> bool {
         self.env.close();
         let end = self.env.clock.now().saturating_add(nanoseconds(time));
         let mut drained = true;
@@ -48,16 +135,7 @@ impl Runtime {
                 drained &= self.within(end, |_| node.link().closed.load(Ordering::SeqCst));
             }
         }
-        self.stop(drained || self.env.replaying());
-        let counters = self.counters();
-        let jobs_left = self
-            .pools
-            .iter()
-            .map(|pool| pool.stats())
-            .map(|stats| stats.pushed.saturating_sub(stats.completed + stats.stale + stats.dead));
-        let dead_letters = counters.iter().map(|actor| actor.dead_letters).sum();
-        let jobs_left = jobs_left.sum();
-        Shutdown { drained, dead_letters, jobs_left, recording: self.recording(), counters }
+        drained
     }
 
     /// Pumps until `condition` or a deadline; idleness of the other threads wakes the main one to look again.
@@ -80,21 +158,18 @@ impl Runtime {
     }
 
     pub(crate) fn stop(&mut self, whole: bool) {
-        self.env.scheduler.stop();
-        if let Some(threads) = self.threads.take() {
-            threads.join();
-        }
-        let Some(writer) = self.writer.take() else { return };
-        for node in self.nodes.iter() {
-            node.end_log();
-            // The writer is still at work: what it had no room for goes in soon.
-            while node.link().unflushed.load(Ordering::Relaxed) && self.env.recording() {
-                std::thread::park_timeout(Duration::from_millis(1));
-                node.end_log();
-            }
-        }
-        let totals =
-            whole.then(|| self.nodes.iter().map(|node| node.position().unwrap_or_default()).collect());
-        writer.finish(totals);
+        drop(self.rest(whole));
     }
+
+    fn rest(&mut self, whole: bool) -> Rest {
+        let (env, nodes) = (Arc::clone(&self.env), Arc::clone(&self.nodes));
+        env.scheduler.stop();
+        Rest { env, nodes, threads: self.threads.take(), writer: self.writer.take(), whole }
+    }
+}
+
+/// What is left in mailboxes and timers may hold addresses, and with them itself. When nothing runs any more.
+pub(crate) fn clear(env: &Env, nodes: &[Box<dyn Runnable>]) {
+    nodes.iter().for_each(|node| node.clear());
+    env.timers.clear();
 }

@@ -379,6 +379,50 @@ fn shutdown_handles_all_that_was_accepted() {
 }
 
 #[test]
+fn a_system_is_left_while_a_turn_goes_on() {
+    struct Endless(Arc<[AtomicU64; 2]>);
+    impl Actor for Endless {
+        type Msg = Number;
+        const NAME: &'static str = "endless";
+        fn handle(&mut self, _: Number, _: &mut Cx<'_, Number>) {
+            let [began, may_end] = &*self.0;
+            began.store(1, Ordering::SeqCst);
+            while may_end.load(Ordering::SeqCst) == 0 {
+                std::thread::yield_now();
+            }
+        }
+    }
+    impl Drop for Endless {
+        fn drop(&mut self) {
+            self.0[0].store(2, Ordering::SeqCst);
+        }
+    }
+    for recorded in [false, true] {
+        let state = Arc::new([AtomicU64::new(0), AtomicU64::new(0)]);
+        let config = Config { gives_way: true, ..Config::live(2) };
+        let record = recorded.then(|| Record::Sink(Box::new(std::io::sink())));
+        let (mut runtime, port) = Runtime::build(Config { record, ..config }, |wiring| {
+            let endless = wiring.declare::<Endless>(Bounds::messages(10));
+            let port = wiring.port::<Number, Number>("numbers", &endless.address());
+            wiring.spawn(endless, Endless(Arc::clone(&state)));
+            port
+        })
+        .expect("builds");
+        port.send(Number(1)).expect("room");
+        while state[0].load(Ordering::SeqCst) == 0 {
+            runtime.pump(Limit::time(Duration::from_millis(1)));
+        }
+        let ending = runtime.leave(Duration::ZERO);
+        // Had it waited for the turn, nobody would ever let that end.
+        assert!(!ending.is_over());
+        assert_eq!(port.send(Number(2)).expect_err("over").reason, Reason::Stopped);
+        state[1].store(1, Ordering::SeqCst);
+        drop((ending, port));
+        assert_eq!(state[0].load(Ordering::SeqCst), 2, "nothing is left of it");
+    }
+}
+
+#[test]
 fn a_panicking_actor_is_replaced_and_its_mailbox_kept() {
     struct Fragile(Vec<u64>);
     impl Actor for Fragile {

@@ -4,6 +4,7 @@
 //! again and again, that there is better light. What it computes depends on its settings only, so the last
 //! map is that of `foveal bake`, bit for bit.
 
+use std::cell::OnceCell;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -51,8 +52,9 @@ pub struct Illuminator {
     stage: Stage,
     /// Particles in the last map that was sent.
     sent: u64,
-    /// Threads of its own, so that the display never waits behind its work.
-    pool: Option<rayon::ThreadPool>,
+    /// Threads of its own, so that the display never waits behind its work. Made by its first turn: they give way where the
+    /// thread of that does. `None` where there are none to be had.
+    pool: OnceCell<Option<rayon::ThreadPool>>,
     renderer: Address<RendererMessage>,
     outbox: Outbox<IlluminatorMessage>,
 }
@@ -60,13 +62,11 @@ pub struct Illuminator {
 impl Illuminator {
     /// An illuminator that has done nothing.
     pub fn new(refinement: Refinement, renderer: Address<RendererMessage>) -> Self {
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let pool = rayon::ThreadPoolBuilder::new().num_threads((cores / 2).max(1)).build();
         Self {
             refinement,
             stage: Stage::Begun,
             sent: 0,
-            pool: pool.ok(),
+            pool: OnceCell::new(),
             renderer,
             outbox: Outbox::new(|| IlluminatorMessage::SendAgain),
         }
@@ -103,7 +103,11 @@ impl Illuminator {
             },
             Stage::Done => (Stage::Done, None),
         };
-        let (stage, map) = match &self.pool {
+        let own_threads = || {
+            let cores = std::thread::available_parallelism().map_or(1, usize::from);
+            rayon::ThreadPoolBuilder::new().num_threads((cores / 2).max(1)).build().ok()
+        };
+        let (stage, map) = match self.pool.get_or_init(own_threads) {
             Some(pool) => pool.install(work),
             None => work(),
         };

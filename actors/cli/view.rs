@@ -23,8 +23,8 @@ use crate::renderer::overlay::Overlay;
 use crate::settings::Settings;
 use crate::window::walk::{Next, Walk};
 use crate::window::{
-    self, Backend, Build, DrawnBy, FrameSource, Loader, Made, Recording, Session, WindowError, parts_of,
-    screenshot,
+    self, Backend, Build, DrawnBy, FrameSource, Loader, Made, Recording, Session, Stalled, WindowError,
+    parts_of, screenshot,
 };
 
 /// Arguments of `foveal view`.
@@ -55,6 +55,9 @@ pub struct ViewArguments {
     /// The same of the window's surface
     #[arg(long, value_name = "SECONDS", hide = true)]
     lose_surface: Option<f64>,
+    /// Somebody stops at once, to see that the walk goes on
+    #[arg(long, value_enum, default_value_t = StalledName::Nobody, hide = true)]
+    stall: StalledName,
     /// Refine what has converged until the standard error of displayed values, 0 to 1, is below this; 0 leaves it
     /// (default: 0.01, with --headless 0)
     #[arg(long, value_name = "NOISE", value_parser = clap::value_parser!(f32))]
@@ -151,6 +154,32 @@ impl From<BackendName> for Backend {
     }
 }
 
+/// Names of who stops.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum StalledName {
+    Nobody,
+    Tracers,
+    CacheAger,
+    Analyzer,
+    Allocator,
+    Illuminator,
+    All,
+}
+
+impl From<StalledName> for Stalled {
+    fn from(name: StalledName) -> Self {
+        match name {
+            StalledName::Nobody => Self::Nobody,
+            StalledName::Tracers => Self::Tracers,
+            StalledName::CacheAger => Self::CacheAger,
+            StalledName::Analyzer => Self::Analyzer,
+            StalledName::Allocator => Self::Allocator,
+            StalledName::Illuminator => Self::Illuminator,
+            StalledName::All => Self::All,
+        }
+    }
+}
+
 /// Names of overlays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum OverlayName {
@@ -236,8 +265,12 @@ fn loader(a: ViewArguments) -> Loader {
         // The bar is for terminals; the window says itself that it loads.
         let quiet = Progress { shown: false };
         let made = load(&a, &path, &sessions, quiet).map_err(|e| e.to_string())?;
-        let build: Build =
-            Box::new(move || Session::start(made).map(|s| Box::new(s) as Box<dyn FrameSource>));
+        let stalled = a.stall.into();
+        let build: Build = Box::new(move || {
+            let session = Session::start(made)?;
+            session.stall(stalled);
+            Ok(Box::new(session) as Box<dyn FrameSource>)
+        });
         Ok(build)
     })
 }

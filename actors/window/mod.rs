@@ -25,5 +25,5 @@ pub mod walk;
 
 pub use app::{Options, WindowError, run};
 pub use presenter::{Backend, DrawnBy};
-pub use session::{Made, Recording, Session, parts_of};
+pub use session::{Made, Recording, Session, Stalled, parts_of};
 pub use source::{Build, Controls, FrameSource, Loader, Place, Ranges, Status};

@@ -11,7 +11,7 @@ use foveal::display::twin::Passes;
 use foveal::image::Map2d;
 use foveal::scene::{Camera, Scene};
 use foveal::world::World;
-use foveal_runtime::{BuildError, Config, Control, Hashing, Limit, Record, Runtime};
+use foveal_runtime::{BuildError, Config, Control, Ending, Hashing, Limit, Record, Runtime};
 
 use super::look;
 use super::source::{Controls, FrameSource, Names, Place, Ranges, Status};
@@ -28,6 +28,8 @@ use crate::wiring::{Actors, Parts, wire};
 
 /// Time that actors have to come to rest when they are no longer needed.
 const SHUTDOWN: Duration = Duration::from_secs(2);
+/// The same of a recorded session that another one replaces in the window, which stands still meanwhile.
+const LEAVING: Duration = Duration::from_millis(200);
 /// Longest time for the picture of a frame, once its deadline is over.
 const SHOWING: Duration = Duration::from_secs(10);
 
@@ -88,6 +90,25 @@ pub struct Made {
     pub recording: Option<Recording>,
 }
 
+/// Who stops where it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stalled {
+    /// Nobody.
+    Nobody,
+    /// All who trace rays.
+    Tracers,
+    /// Who keeps samples.
+    CacheAger,
+    /// Who looks at frames.
+    Analyzer,
+    /// Who orders jobs.
+    Allocator,
+    /// Who makes light better.
+    Illuminator,
+    /// All but the renderer.
+    All,
+}
+
 /// Actors at work, and what they are made of.
 pub struct Session {
     world: World,
@@ -96,6 +117,7 @@ pub struct Session {
     controls: Controls,
     /// `None` only while it is dropped.
     runtime: Option<Runtime>,
+    recorded: bool,
     actors: Actors,
     newest: Newest,
     /// What was splatted in a view so far, for a display that may have to begin anew.
@@ -156,7 +178,9 @@ impl Session {
             stages: StageTimes::default(),
             sink: Box::new(newest.clone()),
         };
-        let mut config = Config::live(threads);
+        let live = || Config { gives_way: true, ..Config::live(threads) };
+        let mut config = live();
+        let recorded = recording.is_some();
         if let Some(recording) = recording {
             (config.application, config.hashing) = (recording.header, recording.hashing);
             config.record = Some(recording.into);
@@ -164,7 +188,7 @@ impl Session {
         let built = match Runtime::build(config, |w| wire(w, parts())) {
             Err(BuildError::Record(e)) => {
                 tracing::warn!("the walk is not recorded: {e}; choose another --record");
-                Runtime::build(Config::live(threads), |w| wire(w, parts()))
+                Runtime::build(live(), |w| wire(w, parts()))
             }
             built => built,
         };
@@ -180,6 +204,7 @@ impl Session {
             ranges,
             controls,
             runtime: Some(runtime),
+            recorded,
             actors,
             newest,
             splats: (View(0), Vec::new()),
@@ -211,10 +236,8 @@ impl Session {
         }
     }
 
-    /// Somebody stops where it is.
-    #[cfg(test)]
-    fn stall(&self, who: tests::Stalled) {
-        use tests::Stalled;
+    /// Somebody stops where it is, to see that the walk goes on.
+    pub fn stall(&self, who: Stalled) {
         let (Some(runtime), actors) = (&self.runtime, &self.actors) else { return };
         let (all, others) = (who == Stalled::All, &actors.correction);
         for tracer in actors.tracers.iter().filter(|_| all || who == Stalled::Tracers) {
@@ -234,6 +257,13 @@ impl Session {
         }
     }
 
+    /// Better light is of no use to a session that ends; who makes it would go on for minutes.
+    fn end_baking(&self) {
+        if let (Some(runtime), Some(illuminator)) = (&self.runtime, self.actors.illuminator) {
+            runtime.control(illuminator, Control::Stop);
+        }
+    }
+
     /// Takes the allocator's newest word, and drops reports that nobody collects here.
     fn listen(&mut self) {
         if let Some(insight) = self.slot.take() {
@@ -250,6 +280,7 @@ fn range(store: &TextureStore) -> [u64; 2] {
 
 impl Drop for Session {
     fn drop(&mut self) {
+        self.end_baking();
         if let Some(runtime) = self.runtime.take() {
             let end = runtime.shutdown(SHUTDOWN);
             tracing::debug!("actors stopped, drained: {}", end.drained);
@@ -375,6 +406,13 @@ impl FrameSource for Session {
 
     fn is_shown(&self) -> bool {
         self.look(Renderer::is_shown).unwrap_or(true)
+    }
+
+    fn leave(mut self: Box<Self>) -> Ending {
+        self.end_baking();
+        // A recording is to have its end, if that comes soon; of other sessions nobody would see it.
+        let time = if self.recorded { LEAVING } else { Duration::ZERO };
+        self.runtime.take().map(|runtime| runtime.leave(time)).unwrap_or_default()
     }
 
     fn status(&self) -> Status {

@@ -152,18 +152,6 @@ fn where_quality_is_kept_every_frame_has_it() {
     assert_eq!(walk.status().view, view + frames);
 }
 
-/// Who stops where it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Stalled {
-    Nobody,
-    Tracers,
-    CacheAger,
-    Analyzer,
-    Allocator,
-    Illuminator,
-    All,
-}
-
 /// Walks to the right for ten frames, and fails unless each has the camera of the moment in which it began.
 fn sees_input_in_each_frame(walk: &mut Walk, what: &str) {
     let (mut now, mut frames) = (0.0, 0);
@@ -231,6 +219,32 @@ fn input_reaches_its_frame_while_the_disk_stalls() {
     let mut walk = Walk::new(Box::new(Session::start(made).expect("actors")), 0.0);
     sees_input_in_each_frame(&mut walk, "recording");
     goes_on.store(true, Ordering::SeqCst);
+}
+
+#[test]
+fn a_recording_is_whole_although_light_is_still_baked_at_its_end() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for leaves in [false, true] {
+        let file = folder.path().join(format!("{leaves}.fvl"));
+        let mut made = made(Settings::new(64, 48, 2));
+        let settings = BakeSettings { particles: Some(1 << 40), error: None, ..BakeSettings::default() };
+        made.refinement = Some(Refinement { world: made.world.clone(), settings, keep: None });
+        let into = Record::File(file.clone());
+        made.recording = Some(Recording { into, header: Vec::new(), hashing: Hashing::Exact });
+        let mut walk = Walk::new(Box::new(Session::start(made).expect("actors")), 0.0);
+        sees_input_in_each_frame(&mut walk, "recording");
+        if leaves {
+            walk.replace_source(Box::new(
+                Session::start(self::made(Settings::new(64, 48, 2))).expect("actors"),
+            ));
+            sees_input_in_each_frame(&mut walk, "another version of the scene");
+        }
+        drop(walk);
+        let trace = foveal_runtime::Trace::open(&file).expect("a recording");
+        // One that is left may not have the time to come to its end.
+        assert!(leaves || trace.complete(), "it has no end");
+        assert!(trace.stat().deliveries > 0);
+    }
 }
 
 #[test]

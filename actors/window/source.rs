@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use foveal::image::Map2d;
 use foveal::scene::{Camera, CameraPath, NamedCamera};
+use foveal_runtime::Ending;
 use glam::Vec3;
 
 use crate::insight::Insight;
@@ -172,6 +173,10 @@ pub trait FrameSource {
     /// pictures, or it has no room.
     fn draw_on(&mut self, _mirror: &mut Mirror) -> bool {
         false
+    }
+    /// Ends it, as another one is shown instead, without waiting for what its threads have in hand.
+    fn leave(self: Box<Self>) -> Ending {
+        Ending::default()
     }
     /// Where it stands.
     fn status(&self) -> Status;

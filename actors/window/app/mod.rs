@@ -74,6 +74,8 @@ pub fn run(options: Options) -> Result<Measured, WindowError> {
         Err(_) => return Err(WindowError::Environment(no_display("a library of the display is missing"))),
     };
     let mut app = App::new(options, event_loop.create_proxy());
+    // The threads that all share are as important as this one, which waits for them: they are started by it.
+    rayon::current_num_threads();
     // The scene is read while the window is opened.
     app.load(None);
     event_loop.run_app(&mut app).map_err(|e| WindowError::Environment(no_display(&e.to_string())))?;
@@ -88,6 +90,19 @@ fn no_display(reason: &str) -> String {
         "no window can be opened: {reason}; set DISPLAY or WAYLAND_DISPLAY, install `libx11-6 libx11-xcb1 \
          libxcursor1 libxi6 libxkbcommon-x11-0` (Debian), or use --headless"
     )
+}
+
+/// Does `work` on threads of its own, which give way. On those that all share each frame would wait until they have done
+/// all that was begun there before, however long that takes.
+fn apart<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    let threads = rayon::ThreadPoolBuilder::new()
+        .thread_name(|i| format!("loader-{i}"))
+        .start_handler(|_| foveal_runtime::give_way())
+        .build();
+    match threads {
+        Ok(threads) => threads.install(work),
+        Err(_) => work(),
+    }
 }
 
 /// A scene that is being loaded.
@@ -148,7 +163,7 @@ impl App {
         let (loader, proxy) = (self.options.loader.clone(), self.proxy.clone());
         self.loading = Some(Loading { result, stays: path.is_none() && self.walk.is_some() });
         let started = std::thread::Builder::new().name("loader".into()).spawn(move || {
-            let loaded = catch_unwind(AssertUnwindSafe(|| loader(path.as_deref())))
+            let loaded = catch_unwind(AssertUnwindSafe(|| apart(|| loader(path.as_deref()))))
                 .unwrap_or_else(|_| Err("loading the scene failed unexpectedly".into()));
             let _ = sender.send(loaded);
             let _ = proxy.send_event(Wake::Loaded);
@@ -172,10 +187,10 @@ impl App {
                         walk.replace_source(source);
                         walk.tell("the scene was read again".into());
                     }
-                    walk => {
-                        let mut new = Walk::new(source, now);
-                        new.set_mirrored(self.screen.as_ref().is_some_and(|s| s.presenter.is_mirroring()));
-                        *walk = Some(new);
+                    Some(walk) => walk.move_to(source, now),
+                    None => {
+                        let walk = self.walk.insert(Walk::new(source, now));
+                        walk.set_mirrored(self.screen.as_ref().is_some_and(|s| s.presenter.is_mirroring()));
                     }
                 }
                 if let (Some(walk), Some(screen)) = (&self.walk, &self.screen) {
@@ -324,5 +339,21 @@ impl ApplicationHandler<Wake> for App {
             (Next::Input, Some(r)) => ControlFlow::WaitUntil(r),
             (Next::Input, None) => ControlFlow::Wait,
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+    use std::thread;
+
+    use super::*;
+
+    #[test]
+    fn what_is_loaded_leaves_alone_the_threads_that_frames_are_drawn_on() {
+        let here = || rayon::broadcast(|_| thread::current().id());
+        let shared: HashSet<_> = here().into_iter().collect();
+        let own = apart(here);
+        assert!(!own.is_empty() && own.iter().all(|id| !shared.contains(id)));
     }
 }

@@ -15,7 +15,8 @@ use crate::renderer::gpu::{AdapterInfo, Gpu, Mirror, adapter};
 /// What to present with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Backend {
-    /// An adapter if there is one, else the processor.
+    /// An adapter if there is one in hardware, else the processor: it paints a window in less of its time than software
+    /// that does as if it were an adapter.
     #[default]
     Auto,
     /// An adapter, or fail.
@@ -87,11 +88,14 @@ impl Presenter {
         drawn_by: DrawnBy,
     ) -> Result<Self, String> {
         if backend != Backend::Cpu {
-            match GpuPresenter::new(window, display.clone(), drawn_by) {
-                Ok(presenter) => {
+            let wanted = |info: &AdapterInfo| {
+                !info.software || backend == Backend::Gpu || drawn_by == DrawnBy::Adapter
+            };
+            // Once, also where it has to be opened again.
+            static NAMED: std::sync::Once = std::sync::Once::new();
+            match GpuPresenter::new(window, display.clone(), drawn_by, wanted) {
+                Ok(Ok(presenter)) => {
                     let info = presenter.info();
-                    // Once, also where it has to be opened again.
-                    static NAMED: std::sync::Once = std::sync::Once::new();
                     NAMED.call_once(|| {
                         if info.software {
                             tracing::warn!("the graphics adapter is software: {info}");
@@ -101,6 +105,9 @@ impl Presenter {
                     });
                     return Ok(Self::Gpu(Box::new(presenter)));
                 }
+                Ok(Err(info)) => NAMED.call_once(|| {
+                    tracing::warn!("the graphics adapter is software: {info}; the processor shows pictures itself, which is faster");
+                }),
                 Err(e) if backend == Backend::Gpu => return Err(e),
                 Err(e) => tracing::warn!("{e}; pictures are shown by the processor"),
             }
@@ -230,12 +237,21 @@ pub struct GpuPresenter {
 }
 
 impl GpuPresenter {
-    fn new(window: &Arc<Window>, display: OwnedDisplayHandle, drawn_by: DrawnBy) -> Result<Self, String> {
+    /// With the best adapter if it is `wanted`; else which one that is.
+    fn new(
+        window: &Arc<Window>,
+        display: OwnedDisplayHandle,
+        drawn_by: DrawnBy,
+        wanted: impl FnOnce(&AdapterInfo) -> bool,
+    ) -> Result<Result<Self, AdapterInfo>, String> {
         let instance = adapter::instance(Some(Box::new(display)));
         let surface = instance.create_surface(window.clone()).map_err(|e| {
             format!("no graphics interface can show a window ({e}); install a Vulkan driver (Debian: `mesa-vulkan-drivers libvulkan1`)")
         })?;
-        let gpu = Gpu::open(&instance, Some(&surface))?;
+        let gpu = match Gpu::open_if(&instance, Some(&surface), wanted)? {
+            Ok(gpu) => gpu,
+            Err(info) => return Ok(Err(info)),
+        };
         let size = window.inner_size();
         let limit = gpu.device.limits().max_texture_dimension_2d;
         let (width, height) = (size.width.clamp(1, limit), size.height.clamp(1, limit));
@@ -257,7 +273,7 @@ impl GpuPresenter {
             DrawnBy::Auto | DrawnBy::Processor => Mirroring::Off,
         };
         let window = window.clone();
-        Ok(Self {
+        Ok(Ok(Self {
             instance,
             window,
             surface,
@@ -267,7 +283,7 @@ impl GpuPresenter {
             mirror,
             loses_surface: false,
             registered: None,
-        })
+        }))
     }
 
     fn mirrored(&mut self) -> Option<(egui::TextureId, [u32; 2])> {

@@ -121,9 +121,24 @@ impl Gpu {
     /// # Errors
     /// Says what was tried and which package would help.
     pub fn open(instance: &wgpu::Instance, surface: Option<&wgpu::Surface<'_>>) -> Result<Self, String> {
+        Self::open_if(instance, surface, |_| true)?.map_err(|info| format!("{info} is not wanted"))
+    }
+
+    /// The same, unless the best adapter is not `wanted`: then which one that is.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_if(
+        instance: &wgpu::Instance,
+        surface: Option<&wgpu::Surface<'_>>,
+        wanted: impl FnOnce(&AdapterInfo) -> bool,
+    ) -> Result<Result<Self, AdapterInfo>, String> {
         guarded(|| {
             let adapter = choose(instance, surface)?;
             let info = AdapterInfo::of(&adapter);
+            if !wanted(&info) {
+                return Ok(Err(info));
+            }
             let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
                 label: Some("foveal"),
                 required_limits: adapter.limits(),
@@ -148,7 +163,7 @@ impl Gpu {
                 #[cfg(test)]
                 std::panic::panic_any(error.to_string());
             }));
-            Ok(Self { info, device, queue, adapter, lost })
+            Ok(Ok(Self { info, device, queue, adapter, lost }))
         })
     }
 

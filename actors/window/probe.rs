@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use super::navigation::Motion;
+use super::panel::FrameTimes;
 use super::walk::{Next, Walk};
 use crate::processor_time::cpu_ns;
 
@@ -13,6 +14,9 @@ pub struct Probe {
     idle: Duration,
     stage: Stage,
     pub(super) measured: Measured,
+    /// When the last picture came, and how long after the one before each did.
+    last: Option<f64>,
+    pictures: FrameTimes,
 }
 
 /// What a probe does now; times in seconds since the start.
@@ -33,6 +37,8 @@ pub struct Measured {
     pub lit: Option<f64>,
     /// Median and 99th percentile of frame times while walking, seconds.
     pub frames: Option<(f32, f32)>,
+    /// The same of the times from one picture in the window to the next.
+    pub pictures: Option<(f32, f32)>,
     /// Share of a core that the still view took, all threads together.
     pub idle_cpu: Option<f64>,
     /// Pictures presented in that time.
@@ -44,12 +50,22 @@ pub struct Measured {
 impl Probe {
     /// One that walks and then looks on for so long.
     pub fn new(walk: Duration, idle: Duration) -> Self {
-        Self { walk, idle, stage: Stage::Opening, measured: Measured::default() }
+        Self {
+            walk,
+            idle,
+            stage: Stage::Opening,
+            measured: Measured::default(),
+            last: None,
+            pictures: FrameTimes::default(),
+        }
     }
 
-    /// Something was presented.
-    pub(super) fn on_presented(&mut self, now: f64, has_picture: bool) {
+    /// Something was presented: a new picture of the walk, or something else beside the one before.
+    pub(super) fn on_presented(&mut self, now: f64, has_picture: bool, is_new: bool) {
         self.measured.presented += 1;
+        if is_new && let Some(last) = self.last.replace(now) {
+            self.pictures.push(Duration::from_secs_f64((now - last).max(0.0)));
+        }
         self.measured.visible.get_or_insert(now);
         if has_picture {
             self.measured.lit.get_or_insert(now);
@@ -62,10 +78,12 @@ impl Probe {
             Stage::Opening if self.measured.lit.is_some() => {
                 walk.navigator.press(Motion::Forward, now);
                 walk.times.clear();
+                self.pictures.clear();
                 self.stage = Stage::Walking { until: now + self.walk.as_secs_f64() };
             }
             Stage::Walking { until } if now >= until => {
                 self.measured.frames = walk.times.median_p99();
+                self.measured.pictures = self.pictures.median_p99();
                 walk.navigator.release(Motion::Forward, now);
                 self.stage = Stage::Settling;
             }

@@ -102,9 +102,8 @@ impl App {
 
     pub(super) fn redraw(&mut self, event_loop: &ActiveEventLoop) {
         let (Some(screen), context) = (&mut self.screen, self.context.clone()) else { return };
-        if std::mem::take(&mut self.picture_is_new)
-            && let Some(walk) = &mut self.walk
-        {
+        let is_new = std::mem::take(&mut self.picture_is_new);
+        if is_new && let Some(walk) = &mut self.walk {
             screen.show(walk, &context);
         }
         let input = screen.egui.take_egui_input(&screen.window);
@@ -148,7 +147,7 @@ impl App {
                 screen.presenter.prepare();
                 let now = self.start.elapsed().as_secs_f64();
                 if let Some(probe) = &mut self.options.probe {
-                    probe.on_presented(now, screen.shown.is_some());
+                    probe.on_presented(now, screen.shown.is_some(), is_new);
                 }
             }
             Presented::Again => screen.repaint_at = Some(Instant::now() + Duration::from_millis(50)),

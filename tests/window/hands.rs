@@ -84,6 +84,17 @@ fn the_wheel_keys_and_hiding_do_what_they_are_for() {
         assert!(start.elapsed() < PATIENCE, "{} is not {}", played.camera("eye"), end.camera("eye"));
     }
 
+    // One pixel, and more than the screen has.
+    view.act("windowsize {} 1 1 sleep 0.3 windowsize {} 7680 4320 sleep 0.5");
+    view.act(&format!(
+        "windowsize {{}} {} {} sleep 0.3 windowfocus {{}} key 1 sleep 0.2",
+        SIZE[0] + 330,
+        SIZE[1]
+    ));
+    let sized = view.converged();
+    assert_eq!(sized.pixels, first.pixels);
+    view.shows(&sized, "after other sizes");
+
     // Hidden, nothing is drawn; shown again, it goes on.
     view.act("windowunmap --sync {} sleep 0.5 windowmap --sync {} sleep 0.5 windowmove {} 0 0 windowfocus {} sleep 0.3");
     view.act("key 1 sleep 0.2");
@@ -125,4 +136,27 @@ fn the_walk_goes_on_while_a_scene_loads_and_light_is_baked() {
     view.act("key 1 sleep 0.3");
     view.until("back in the new scene", |s| s.camera("eye") == first.camera("eye"));
     view.quit();
+}
+
+#[test]
+fn the_window_follows_its_user_whoever_stalls() {
+    let Some(display) = Display::open() else { return };
+    for who in ["tracers", "illuminator", "all"] {
+        let bakes = folder("bakes");
+        let words = format!("--backend cpu --cache {} --stall {who}", bakes.display());
+        let mut view = View::open_unlit(&display, &words, &scene("box"));
+        let first = view.shot();
+        view.act("keydown d sleep 0.4 keyup d sleep 0.2");
+        let walked = view.until(who, |s| s.camera("eye") != first.camera("eye"));
+        assert!(!walked.fact("foveal view").ends_with("converged"), "{who}: {:?}", walked.facts);
+        view.act("mousedown 3 sleep 0.2 mousemove --window {} 150 110 sleep 0.2 mouseup 3 sleep 0.2");
+        view.act("mousemove --window {} 100 100 sleep 0.1");
+        view.until(who, |s| s.camera("target") != walked.camera("target"));
+        if who == "all" {
+            // Nobody adds anything: what the window shows is what was drawn for this camera.
+            let turned = view.shot();
+            view.shows(&turned, who);
+        }
+        view.quit();
+    }
 }

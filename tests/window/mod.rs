@@ -7,6 +7,7 @@ mod drop;
 mod hands;
 
 use std::fs;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -187,8 +188,51 @@ fn a_recording_is_gone_through_in_the_window_and_left_for_a_walk() {
     while at(&view.shot(), "2") {
         assert!(start.elapsed() < PATIENCE, "it does not play");
     }
+    scrub(&display, &mut view, &trace);
     view.act("key b sleep 0.5");
     let walked = view.converged();
     assert!(walked.fact("foveal camera").starts_with("eye"), "{:?}", walked.facts);
     view.quit();
+}
+
+/// Goes through the recording with the mouse on its timeline: wherever the handle is, that frame is shown, while the
+/// button is down as well.
+fn scrub(display: &Display, view: &mut View<'_>, trace: &Path) {
+    let frames = Foveal::new("log stat").arg(trace).json()["frames"].as_u64().expect("a number") as usize;
+    let last = frames - 1;
+    // There is room for all of the timeline. (It may play still, and is at its end soon.)
+    view.act("windowsize --sync {} 900 500 sleep 0.5 key Home sleep 0.5");
+    view.until("the first frame", |s| s.fact("foveal frame") == "0");
+    let [left, right, y] = rail(&display.screen());
+    let of = |frame: usize| {
+        format!("mousemove --window {{}} {} {y} sleep 0.3 ", left + (right - left) * frame / last)
+    };
+    let shows = |view: &mut View<'_>, frame: usize| {
+        view.until("a frame of the timeline", |s| s.fact("foveal frame") == frame.to_string())
+    };
+    view.act(&format!("{}mousedown 1 sleep 0.3", of(0)));
+    for frame in [last, 0, last / 2] {
+        view.act(&of(frame));
+        shows(view, frame);
+    }
+    // Let go, the handle stays where it is, and the mouse moves nothing.
+    view.act(&format!("mouseup 1 sleep 0.3 {}", of(last)));
+    let shot = shows(view, last / 2);
+    let out = folder("shown").join("middle.png");
+    Foveal::new(&format!("replay --show {} --out", last / 2)).arg(&out).arg(trace).ok();
+    assert!(
+        Shot::read(&out).is_some_and(|shown| shown.pixels == shot.pixels),
+        "not the frame as it was shown"
+    );
+}
+
+/// First and last column of the places of the timeline's handle, and their row.
+fn rail(screen: &[Vec<[u8; 3]>]) -> [usize; 3] {
+    let grey = |y: &usize| screen[*y][..580].iter().filter(|p| **p == [60; 3]).count();
+    // (The line above it goes all the way.)
+    let y = (100..500).find(|y| (300..570).contains(&grey(y))).expect("a timeline") + 4;
+    let is_rail = |x: &usize| screen[y][*x] == [60; 3] || screen[y][*x].iter().all(|c| *c > 150);
+    let (first, last) = ((0..580).find(is_rail), (0..580).rev().find(is_rail));
+    // The handle does not go beyond the rail.
+    [first.expect("its begin") + 6, last.expect("its end") - 6, y]
 }

@@ -54,6 +54,36 @@ fn a_bake_that_was_interrupted_goes_on_to_the_same_bits() {
     assert!(read("whole") == read("parts"), "after {parts} interruptions");
 }
 
+/// A scene in which nothing touches anything else, with no time at all: the direct light of some of its 300,000 elements
+/// lights the others, and the next one goes on.
+#[test]
+fn a_soup_of_triangles_is_baked_in_time() {
+    let folder = folder("soup");
+    let mut obj = String::from("mtllib soup.mtl\nusemtl wall\n");
+    for i in 0..100_000u32 {
+        let (x, y, z) = (i % 100, i / 100 % 25, i / 2500);
+        obj += &format!("v {x} {y} {z}\nv {x}.6 {y} {z}.{}\nv {x} {y}.7 {z}.{}\nf -3 -2 -1\n", i % 9, i % 7);
+    }
+    obj += "usemtl lamp\nv 20 30 10\nv 60 30 10\nv 60 30 30\nv 20 30 30\nf -4 -3 -2 -1\n";
+    fs::write(folder.join("soup.obj"), obj).expect("a file");
+    let materials = "newmtl wall\nKd 0.5 0.5 0.5\nnewmtl lamp\nKd 0 0 0\nKe 9 9 9\n";
+    fs::write(folder.join("soup.mtl"), materials).expect("a file");
+    let (file, scene) = (folder.join("soup.fvbake"), folder.join("soup.obj"));
+    let bake = || {
+        let line = "bake --time 1ms --texels 4096 --resume --json --out";
+        let d = Foveal::new(line).arg(&file).arg(&scene).ok().json();
+        assert!(d["complete"] == false && d["particles"] == 0, "{d}");
+        assert!(d["texels"].as_u64() > Some(200_000) && d["mean_irradiance"][1].as_f64() > Some(0.0), "{d}");
+        let said = d["warnings"].to_string();
+        let share = said.split("direct light at ").nth(1).and_then(|s| s.split(' ').next());
+        let share: u32 = share.expect("what was done").parse().expect("a number");
+        (share, d["resumed"] == true)
+    };
+    let ((first, anew), (second, resumed)) = (bake(), bake());
+    assert!(first > 0 && second > first && resumed && !anew, "{first} {second}");
+    Foveal::new("walk --frames 1 --size 32x24 --texels 4096 --bake").arg(&file).arg(&scene).ok();
+}
+
 #[cfg(unix)]
 #[test]
 fn ctrl_c_keeps_a_valid_bake_and_the_way_on() {

@@ -341,7 +341,7 @@ fn report(
     for note in &s.notes {
         print_line(note);
     }
-    if !s.has_indirect {
+    if !s.has_indirect && made.complete {
         print_line("no indirect light: no surface reflects any");
     }
     if !made.complete && !interrupted() {

@@ -8,6 +8,7 @@ use foveal::illumination::bake::{Progress as Baking, Stage};
 use serde_json::json;
 
 use super::Progress;
+use super::session::interrupted;
 
 /// Names of stages in reports, in the order in which they come.
 pub const STAGES: [&str; 6] = ["elements", "direct", "particles", "error", "estimate", "radiosity"];
@@ -17,8 +18,12 @@ const RESERVE: u32 = 6;
 const ESTIMATE_PER_ERROR: u64 = 3;
 /// Share of the time after which what remains is made coarsely.
 const LATE: f32 = 0.95;
+/// After an interruption so long is left for as good a map as ever.
+const PATIENCE: Duration = Duration::from_secs(3);
 /// Milliseconds between two lines of JSON.
 const EVERY: u64 = 250;
+/// Steps of the bar.
+const STEPS: u64 = 1000;
 
 /// A bake's clock: its bar or its lines of JSON, and the time by stage.
 pub struct BakeClock {
@@ -34,6 +39,8 @@ pub struct BakeClock {
     sums: [AtomicU64; STAGES.len()],
     /// Nanoseconds kept for the last estimate.
     reserve: AtomicU64,
+    /// Nanoseconds from the start to when an interruption was noticed; 0 before.
+    interrupted: AtomicU64,
     /// Milliseconds from the start to the last line.
     said: AtomicU64,
 }
@@ -47,16 +54,21 @@ impl BakeClock {
         limit: Option<Duration>,
         aims: (f32, u64),
     ) -> Self {
+        let bar = if jsonl { indicatif::ProgressBar::hidden() } else { progress.bar(STEPS, "bake") };
+        if let Ok(style) = indicatif::ProgressStyle::with_template("{bar:30} {msg}") {
+            bar.set_style(style);
+        }
         Self {
             start,
             limit,
-            bar: if jsonl { indicatif::ProgressBar::hidden() } else { progress.bar(aims.1, "bake") },
+            bar,
             jsonl,
             aims,
             current: AtomicUsize::new(0),
             since: AtomicU64::new(0),
             sums: Default::default(),
             reserve: AtomicU64::new(0),
+            interrupted: AtomicU64::new(0),
             said: AtomicU64::new(0),
         }
     }
@@ -77,7 +89,14 @@ impl BakeClock {
 
     /// Whether all must end now.
     pub fn is_late(&self) -> bool {
-        self.limit.is_some_and(|limit| self.start.elapsed() >= limit.mul_f32(LATE))
+        let elapsed = self.start.elapsed();
+        if interrupted() {
+            let now = elapsed.as_nanos() as u64;
+            let unset = self.interrupted.compare_exchange(0, now, Ordering::Relaxed, Ordering::Relaxed);
+            let since = Duration::from_nanos(unset.err().unwrap_or(now));
+            return elapsed >= since + PATIENCE;
+        }
+        self.limit.is_some_and(|limit| elapsed >= limit.mul_f32(LATE))
     }
 
     /// The bake is about to do `p.stage`.
@@ -94,11 +113,15 @@ impl BakeClock {
             Stage::Density => 3,
             Stage::Estimate => 4,
         });
-        self.say(p.particles, p.relative_error);
+        self.tell(p.particles, (p.direct_rounds, p.direct_share), p.relative_error);
     }
 
-    /// Tells how far it is.
-    pub fn say(&self, particles: u64, error: Option<f32>) {
+    /// Tells how far a bake without particles is.
+    pub fn say(&self, done: u64, error: Option<f32>) {
+        self.tell(done, (0, 0.0), error);
+    }
+
+    fn tell(&self, particles: u64, (rounds, share): (u32, f32), error: Option<f32>) {
         let stage = STAGES[self.current.load(Ordering::Relaxed)];
         let elapsed = self.start.elapsed();
         let eta = self.eta(elapsed.as_secs_f64(), particles, error);
@@ -112,6 +135,7 @@ impl BakeClock {
                     "stage": stage,
                     "seconds": elapsed.as_secs_f64(),
                     "particles": particles,
+                    "direct_rounds": f64::from(rounds) + f64::from(share),
                     "error": error,
                     "eta_seconds": eta,
                 });
@@ -120,27 +144,25 @@ impl BakeClock {
             }
             return;
         }
-        self.bar.set_position(particles.min(self.aims.1));
+        let seconds = elapsed.as_secs_f64();
+        let ahead = eta.map_or(0.0, |left| seconds / (seconds + left).max(1e-9));
+        self.bar.set_position((ahead * STEPS as f64) as u64);
+        let round = if stage == "direct" { format!(" {:.0} %", 100.0 * share) } else { String::new() };
+        let error = error.map_or(String::new(), |e| format!(", error {:.1} %", 100.0 * e));
         let eta = eta.map_or(String::new(), |s| format!(", {s:.0} s left"));
-        self.bar.set_message(match error {
-            Some(e) => format!("{stage}, error {:.1} %{eta}", 100.0 * e),
-            None => stage.to_owned(),
-        });
+        self.bar.set_message(format!("{stage}{round}{error}{eta}"));
     }
 
     /// Seconds left: the error falls with the cube root of the particles (REFERENCE §6.3).
     fn eta(&self, seconds: f64, particles: u64, error: Option<f32>) -> Option<f64> {
         let (aim, most) = (f64::from(self.aims.0.max(1e-6)), self.aims.1 as f64);
         let done = particles as f64;
-        if done <= 0.0 {
-            return None;
-        }
-        let wanted = error.map_or(most, |e| (done * (f64::from(e) / aim).max(1.0).powi(3)).min(most));
-        let left = seconds * (wanted / done - 1.0).max(0.0);
-        Some(match self.limit {
-            Some(limit) => left.min((limit.as_secs_f64() - seconds).max(0.0)),
-            None => left,
-        })
+        let by_particles = (done > 0.0).then(|| {
+            let wanted = error.map_or(most, |e| (done * (f64::from(e) / aim).max(1.0).powi(3)).min(most));
+            seconds * (wanted / done - 1.0).max(0.0)
+        });
+        let by_limit = self.limit.map(|limit| (limit.as_secs_f64() - seconds).max(0.0));
+        by_particles.into_iter().chain(by_limit).min_by(f64::total_cmp)
     }
 
     /// Ends; seconds by stage, without those that never came.

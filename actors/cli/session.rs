@@ -9,7 +9,7 @@ use clap::Args;
 
 use foveal::geometry::Accel;
 use foveal::illumination::Irradiance;
-use foveal::illumination::bake::{BakeSettings, Baked, Baker, Stage, cache_key};
+use foveal::illumination::bake::{BakeSettings, Baked, Baker, cache_key};
 use foveal::illumination::cache::{load_illumination, save};
 use foveal::illumination::quick::quick_direct;
 use foveal::scene::{NamedCamera, Scene, load};
@@ -19,6 +19,7 @@ use foveal::world::World;
 
 use super::Progress;
 use super::arguments::{duration, share};
+use super::bake_progress::BakeClock;
 use super::failure::Failure;
 use crate::illuminator::Refinement;
 use crate::textures::TextureStore;
@@ -274,24 +275,16 @@ pub fn bake_with_progress(
     time: Option<Duration>,
     progress: Progress,
 ) -> Baked {
-    let bar = progress.bar(settings.particles.unwrap_or(0), "bake");
-    let start = Instant::now();
+    let aims = (settings.error.unwrap_or(0.0), settings.particles.unwrap_or(u64::MAX));
+    let clock = BakeClock::new(Instant::now(), progress, false, time, aims);
     let keep_going = |p: &foveal::illumination::bake::Progress| {
-        bar.set_position(p.particles);
-        let stage = match p.stage {
-            Stage::Particles => "particles",
-            Stage::Direct => "direct light",
-            Stage::Density => "error",
-            Stage::Estimate => "irradiance",
-        };
-        bar.set_message(match p.relative_error {
-            Some(e) => format!("{stage}, error {:.1} %", 100.0 * e),
-            None => stage.to_owned(),
-        });
-        !interrupted() && time.is_none_or(|t| start.elapsed() < t)
+        clock.at(p);
+        !interrupted() && !clock.is_over()
     };
-    let baked = Baker::new(scene, transport, settings).run(&keep_going, &mut |_| {});
-    bar.finish_and_clear();
+    // What was interrupted is not looked at.
+    let mut baker = Baker::new(scene, transport, settings).hurried_by(|| interrupted() || clock.is_late());
+    let baked = baker.run(&keep_going, &mut |_| {});
+    clock.finish();
     baked
 }
 

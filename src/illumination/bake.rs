@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::atlas::{Atlas, ConformalCharts};
 use super::bins::{BinState, Bins};
+use super::clusters::ClusterTree;
 use super::direct::{DirectBin, SAMPLES_PER_ROUND, probe};
 use super::estimate::{Estimating, Prepared};
 pub use super::quick::quick_direct;
@@ -28,7 +29,7 @@ const BATCH: u64 = 1 << 15;
 /// Particles of the first pass; every later pass doubles the sum.
 const FIRST_PASS: u64 = 1 << 17;
 /// Blocks of elements at which direct light is gathered between two questions whether to go on.
-const BLOCKS: usize = 256;
+pub(super) const BLOCKS: usize = 256;
 /// Pieces that surfaces are cut into to find where light from afar falls, at least and at most.
 const LIT_PIECES: (usize, usize) = (1 << 13, 1 << 16);
 /// What surfaces out of sight count as places for particles to begin at.
@@ -37,8 +38,6 @@ const UNSEEN: f64 = 0.3;
 const GOLDEN_RATIO: f64 = 0.618_033_988_749_894_9;
 /// Rounds that are waited for at most.
 const ROUNDS_MAX: u32 = 256;
-/// Samples of direct light per element where there is no time for more.
-const HURRIED_SAMPLES: u32 = 2;
 /// Elements that share the decision whether direct light can reach them.
 pub(super) const BLOCK: usize = 64;
 
@@ -119,6 +118,8 @@ pub struct Progress {
     pub bounces: u64,
     /// Rounds of direct light.
     pub direct_rounds: u32,
+    /// Share done of the one that has begun.
+    pub direct_share: f32,
     /// Relative error of the last estimate; `None` before the first.
     pub relative_error: Option<f32>,
 }
@@ -134,7 +135,7 @@ pub struct BakeState {
     direct_goes_on: Vec<[bool; 2]>,
     pass_end: u64,
     bins: Vec<BinState>,
-    direct: Vec<[DirectBin; 2]>,
+    pub(super) direct: Vec<[DirectBin; 2]>,
     importance: ImportanceState,
 }
 
@@ -146,8 +147,6 @@ pub struct Baker<'a> {
     pub(super) atlas: Atlas,
     pub(super) bins: Bins,
     pub(super) direct: Vec<[DirectBin; 2]>,
-    /// Samples of direct light per round, element and side.
-    pub(super) samples_per_round: u32,
     /// Whether estimates are for a first picture only.
     pub(super) coarse: bool,
     /// What the last estimate was made from.
@@ -155,9 +154,12 @@ pub struct Baker<'a> {
     /// An estimate in the making.
     pub(super) estimating: Option<Estimating>,
     /// Whether the rest of an estimate must be coarse.
-    late: Option<Box<dyn Fn() -> bool + Send + Sync + 'a>>,
-    /// Whether the first round of direct light had fewer samples than it should have, for want of time.
-    hurried: bool,
+    pub(super) late: Option<Box<dyn Fn() -> bool + Send + Sync + 'a>>,
+    /// Elements that the first round of direct light came to, if there was no time for more: the others have the light
+    /// of some of them ([`Self::cut_short`]).
+    pub(super) cut: Option<usize>,
+    /// A tree over all elements, if one was made and nobody took it.
+    pub(super) spare_tree: Option<ClusterTree>,
     /// Where particles begin that do not begin with a diffuse reflection of light from afar.
     lit: LitSurfaces,
     /// Where the others begin; `None` until it is known what falls there.
@@ -217,12 +219,12 @@ impl<'a> Baker<'a> {
             direct: vec![[DirectBin::default(); 2]; elements],
             open: vec![[false; 2]; elements],
             watched,
-            samples_per_round: SAMPLES_PER_ROUND,
             coarse: false,
             prepared: None,
             estimating: None,
             late: None,
-            hurried: false,
+            cut: None,
+            spare_tree: None,
             transport: Box::new(transport),
             pass_end: pass_end_after(0, settings),
             relative_error: None,
@@ -236,8 +238,8 @@ impl<'a> Baker<'a> {
         }
     }
 
-    /// `late` is asked while there is nothing to show yet, and while the irradiance is estimated: once it says yes, the
-    /// rest is made coarsely, and so in little time.
+    /// `late` is asked while the irradiance is estimated: once it says yes, the rest is made coarsely, and so in little
+    /// time.
     pub fn hurried_by(mut self, late: impl Fn() -> bool + Send + Sync + 'a) -> Self {
         self.late = Some(Box::new(late));
         self
@@ -269,13 +271,13 @@ impl<'a> Baker<'a> {
 
     /// What has been gathered.
     pub fn state(&self) -> BakeState {
-        if self.hurried {
-            // What has fewer samples than it should have is not gone on with.
+        if let Some(done) = self.cut {
+            // What only stands in for samples is not gone on with.
             return BakeState {
                 direct_rounds_wanted: 1,
+                direct_block: (done / BLOCK) as u64,
                 pass_end: pass_end_after(0, &self.settings),
-                bins: vec![BinState::default(); 2 * self.direct.len()],
-                direct: vec![[DirectBin::default(); 2]; self.direct.len()],
+                direct: self.direct[..done].to_vec(),
                 ..BakeState::default()
             };
         }
@@ -295,10 +297,22 @@ impl<'a> Baker<'a> {
 
     /// Goes on from a saved state. `false`, and nothing changed, if it is of other elements.
     pub fn restore(&mut self, state: &BakeState) -> bool {
-        if state.direct.len() != self.direct.len() || !self.bins.restore(&state.bins) {
+        let elements = self.direct.len();
+        // The first round of direct light was cut short: no particles yet, and only what was done of it.
+        let begun = state.emitted == 0
+            && state.direct_rounds == 0
+            && state.bins.is_empty()
+            && state.direct.len() < elements
+            && (state.direct.len() / BLOCK) as u64 == state.direct_block
+            && state.direct.len().is_multiple_of(BLOCK);
+        if begun {
+            self.bins = Bins::new(elements, self.transport.power());
+        } else if state.direct.len() != elements || !self.bins.restore(&state.bins) {
             return false;
         }
         self.direct.clone_from(&state.direct);
+        self.direct.resize(elements, Default::default());
+        (self.cut, self.prepared) = (None, None);
         (self.emitted, self.bounces) = (state.emitted, state.bounces);
         self.direct_rounds = state.direct_rounds;
         self.direct_rounds_wanted = state.direct_rounds_wanted;
@@ -430,16 +444,13 @@ impl<'a> Baker<'a> {
             return;
         }
         let first = self.direct_rounds == 0;
-        if first && self.samples_per_round > HURRIED_SAMPLES && self.is_late() {
-            (self.samples_per_round, self.hurried) = (HURRIED_SAMPLES, true);
-        }
         if self.direct_block == 0 && !first {
             self.direct_goes_on = self.direct_noise().worth_a_round(self.direct_rounds);
         }
         let begin = self.direct_block * BLOCK;
         let end = begin.saturating_add(count.saturating_mul(BLOCK)).min(self.direct.len());
         let (atlas, transport, seed) = (&self.atlas, &self.transport, self.settings.seed);
-        let (watched, samples, chosen) = (&self.watched, self.samples_per_round, &self.direct_goes_on);
+        let (watched, chosen) = (&self.watched, &self.direct_goes_on);
         let first_block = self.direct_block;
         self.direct[begin..end].par_chunks_mut(BLOCK).enumerate().for_each(|(block, bins)| {
             let begin = begin + block * BLOCK;
@@ -471,7 +482,7 @@ impl<'a> Baker<'a> {
                         if first {
                             bin[side].set_certain(transport.certain(t, b1, b2, back));
                         }
-                        bin[side].gather(key, samples, |u| transport.direct(t, b1, b2, back, u));
+                        bin[side].gather(key, SAMPLES_PER_ROUND, |u| transport.direct(t, b1, b2, back, u));
                     }
                 }
             }
@@ -482,7 +493,7 @@ impl<'a> Baker<'a> {
             self.direct_block = 0;
             self.direct_rounds += 1;
             self.sources = None;
-            if first && !self.hurried {
+            if first {
                 self.average_shadow_edges();
             }
         }
@@ -512,6 +523,7 @@ pub enum Step {
 impl Baker<'_> {
     /// A bounded piece of work: a round of direct light, a batch of particles, or an estimate of the error.
     pub fn step(&mut self) -> Step {
+        assert!(self.cut.is_none(), "a bake that was cut short is gone on with by another one");
         match self.next_stage() {
             Stage::Direct => {
                 self.gather_blocks(BLOCKS);
@@ -563,20 +575,26 @@ impl Baker<'_> {
     }
 
     /// Goes on until the settings are met or `keep_going` says no. `on_pass` is told the estimated error after
-    /// each pass.
+    /// each pass. Where `keep_going` says no during the first round of direct light, a part of it at least is done, and
+    /// the bake is good for a map and its state: to go on, another one takes that up.
     pub fn run(
         &mut self,
         keep_going: &(dyn Fn(&Progress) -> bool + Sync),
         on_pass: &mut dyn FnMut(&Summary),
     ) -> Baked {
+        let mut begun = false;
         loop {
             let stage = self.next_stage();
-            // The first round of direct light is short, and without it there is nothing to show.
+            // Without any direct light there is nothing to show; and who goes on again and again must get somewhere.
             let first = stage == Stage::Direct && self.direct_rounds == 0;
-            if !keep_going(&self.progress(stage)) && !first {
+            if !keep_going(&self.progress(stage)) && (begun || !first) {
+                if first {
+                    self.cut_short();
+                }
                 keep_going(&self.progress(Stage::Estimate));
                 return Baked { illumination: self.illumination(), complete: false };
             }
+            begun = true;
             match self.step() {
                 Step::Going => {}
                 Step::Appraised(summary) => on_pass(&summary),
@@ -599,6 +617,7 @@ impl Baker<'_> {
             particles: self.emitted,
             bounces: self.bounces,
             direct_rounds: self.direct_rounds,
+            direct_share: (self.direct_block * BLOCK) as f32 / self.direct.len().max(1) as f32,
             relative_error: self.relative_error,
         }
     }

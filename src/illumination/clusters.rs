@@ -237,21 +237,8 @@ impl ClusterTree {
         };
         self.leaf_sums = self.order.par_iter().zip(&self.leaves).map(of).collect();
         let mut sums = vec![[Arrived::default(); 2]; self.nodes.len()];
-        // Children stand after their parent.
-        for i in (0..self.nodes.len()).rev() {
-            let node = &self.nodes[i];
-            let parts: Vec<[Arrived; 2]> = match node.second {
-                0 => self.leaf_sums[node.first as usize..(node.first + node.count) as usize].to_vec(),
-                second => vec![sums[i + 1], sums[second as usize]],
-            };
-            for part in parts {
-                for (sum, p) in sums[i].iter_mut().zip(part) {
-                    sum.flux += p.flux;
-                    sum.square += p.square;
-                    sum.count += p.count;
-                    sum.area += p.area;
-                }
-            }
+        if !sums.is_empty() {
+            sum_up(&self.nodes, &self.leaf_sums, 0, &mut sums);
         }
         self.sums = sums;
     }
@@ -330,6 +317,37 @@ impl ClusterTree {
             }
         }
     }
+}
+
+/// Sums of node `index` and those below it, which stand behind it: the first of `sums` is that of the node.
+fn sum_up(nodes: &[Node], leaves: &[[Arrived; 2]], index: usize, sums: &mut [[Arrived; 2]]) {
+    let add = |sum: &mut [Arrived; 2], parts: &[[Arrived; 2]]| {
+        for part in parts {
+            for (sum, p) in sum.iter_mut().zip(part) {
+                sum.flux += p.flux;
+                sum.square += p.square;
+                sum.count += p.count;
+                sum.area += p.area;
+            }
+        }
+    };
+    let node = &nodes[index];
+    let (own, below) = sums.split_at_mut(1);
+    if node.second == 0 {
+        return add(&mut own[0], &leaves[node.first as usize..(node.first + node.count) as usize]);
+    }
+    let second = node.second as usize;
+    let (left, right) = below.split_at_mut(second - index - 1);
+    let right = &mut right[..node_count(node.count as usize - node.count as usize / 2)];
+    let mut sum_left = || sum_up(nodes, leaves, index + 1, left);
+    let mut sum_right = || sum_up(nodes, leaves, second, right);
+    if node.count > 8192 {
+        rayon::join(sum_left, sum_right);
+    } else {
+        sum_left();
+        sum_right();
+    }
+    add(&mut own[0], &[left[0], right[0]]);
 }
 
 /// Builds the node of `order` and those below it by halving along the longest axis.

@@ -135,6 +135,7 @@ impl Baker<'_> {
         let dim = DIM * self.bins.total_count() as f32 / area.max(f32::MIN_POSITIVE);
         let (atlas, bins, direct, transport) = (&self.atlas, &self.bins, &self.direct, &self.transport);
         let near = GAP * self.diagonal;
+        let late = &self.late;
         self.open.par_iter_mut().enumerate().for_each(|(i, open)| {
             let element = &atlas.elements[i];
             let at = SurfacePoint { triangle: element.triangle, b1: element.b1, b2: element.b2 };
@@ -145,6 +146,7 @@ impl Baker<'_> {
                 let buried = element.area > 0.0
                     && bins.arrived(i as u32, back).count <= dim * element.area
                     && !direct[i][usize::from(back)].is_lit()
+                    && !late.as_ref().is_some_and(|late| late())
                     && (0..BURIED_RAYS).all(|ray| {
                         let mut stream = Stream::new(0xb0d1, i as u64, ray);
                         transport.sees_inside(at, back, near, &mut stream)
@@ -192,7 +194,10 @@ impl Baker<'_> {
         let is_open = |e: u32| self.open[e as usize];
         let mut tree = match before {
             Some(p) if self.open == open_before => p.tree,
-            _ => ClusterTree::build_where(&self.atlas.elements, &|e| is_open(e) != [false; 2]),
+            _ => match self.spare_tree.take() {
+                Some(tree) if self.open.iter().all(|&sides| sides != [false; 2]) => tree,
+                _ => ClusterTree::build_where(&self.atlas.elements, &|e| is_open(e) != [false; 2]),
+            },
         };
         let stored = self.bins.total_count();
         tree.update_with(&|e| [self.bins.arrived(e, false), self.bins.arrived(e, true)], &is_open);
@@ -360,7 +365,8 @@ impl Baker<'_> {
             Some(e) => e,
             None => {
                 let with = self.prepare();
-                let smooth = (self.direct_rounds > 0 || self.direct_block > 0).then(|| {
+                let any = self.direct_rounds > 0 || self.direct_block > 0;
+                let smooth = (any && !self.is_late()).then(|| {
                     let open = |e: u32| self.open[e as usize];
                     let (tree, target) = (with.tree.clone(), self.direct_target());
                     SmoothDirect::new(&self.atlas.elements, &self.direct, tree, &open, self.diagonal, target)
@@ -385,11 +391,10 @@ impl Baker<'_> {
                 _ => self.estimate_node(node, with, coarse, hood),
             };
             let direct = match &e.smooth {
-                Some(_) if late => {
+                Some(smooth) if !late => smooth.at_node(&self.atlas.elements, &self.direct, node, hood),
+                _ => {
                     members.iter().map(|&e| [0, 1].map(|side| self.direct[e as usize][side].mean())).collect()
                 }
-                Some(smooth) => smooth.at_node(&self.atlas.elements, &self.direct, node, hood),
-                None => vec![Sides::default(); members.len()],
             };
             particles.into_iter().zip(direct).collect()
         };
@@ -506,6 +511,20 @@ impl Baker<'_> {
         }
     }
 
+    fn notes(&self) -> Vec<String> {
+        let mut notes = self.atlas.notes.clone();
+        if let Some(done) = self.cut {
+            let share = 100.0 * done as f64 / self.direct.len() as f64;
+            notes.push(format!(
+                "there was time for direct light at {share:.0} % of the elements; the others show that of some of them"
+            ));
+        }
+        if self.emitted == 0 && self.transport.power() > 0.0 {
+            notes.push("there was no time for indirect light".into());
+        }
+        notes
+    }
+
     fn summary(&self, values: impl Iterator<Item = (u32, [Option<Parts>; 2])>, with: &Prepared) -> Summary {
         let (mut energy, mut surface) = (0.0f64, 0.0f64);
         let (mut direct, mut particles, mut bias) = (0.0f64, 0.0f64, 0.0f64);
@@ -548,7 +567,7 @@ impl Baker<'_> {
             bias_error: relative(bias),
             mean: mean.map(|m| (m / surface.max(1e-300)) as f32),
             has_indirect: with.stored > 0,
-            notes: self.atlas.notes.clone(),
+            notes: self.notes(),
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::bake::{BakeSettings, Baker, DirectLight};
+use super::bake::{BLOCK, BakeSettings, Baker, DirectLight};
 use super::clusters::ClusterTree;
 use super::direct::{DirectBin, probe};
 use super::stored::Illumination;
@@ -31,7 +31,8 @@ pub fn quick_direct(scene: &Scene, transport: &dyn LightTransport, seed: u64) ->
     };
     let mut baker = Baker::new(scene, transport, &settings);
     baker.coarse = true;
-    baker.gather_sparsely();
+    baker.gather_sparsely(0);
+    baker.direct_rounds = 1;
     baker.emit(PARTICLES);
     let mut map = baker.illumination();
     map.summary.notes.push("a first estimate from few particles".into());
@@ -39,13 +40,25 @@ pub fn quick_direct(scene: &Scene, transport: &dyn LightTransport, seed: u64) ->
 }
 
 impl Baker<'_> {
-    /// Direct light at every so manieth element, which speaks for those beside it.
-    fn gather_sparsely(&mut self) {
+    /// Ends the first round of direct light where it is, in bounded time: what it did not come to is lit sparsely, and
+    /// estimates are coarse.
+    pub(super) fn cut_short(&mut self) {
+        let done = self.direct_block * BLOCK;
+        self.gather_sparsely(done);
+        (self.cut, self.coarse) = (Some(done), true);
+    }
+
+    /// Direct light at every so manieth element from `done` on, which speaks for those beside it; so do elements before
+    /// `done`, which have theirs.
+    fn gather_sparsely(&mut self, done: usize) {
         let tree = ClusterTree::build(&self.atlas.elements);
         let run = tree.len().div_ceil(PLACES).max(1);
         let (atlas, transport, seed) = (&self.atlas, &self.transport, self.settings.seed);
         let at = |members: &[u32]| {
             let index = members[members.len() / 2];
+            if (index as usize) < done || members.iter().all(|&e| (e as usize) < done) {
+                return self.direct[index as usize];
+            }
             let e = &atlas.elements[index as usize];
             [0, 1].map(|side| {
                 let certain = transport.certain(e.triangle, e.b1, e.b2, side == 1);
@@ -61,11 +74,122 @@ impl Baker<'_> {
         };
         let found: Vec<[DirectBin; 2]> = tree.order().par_chunks(run).map(at).collect();
         for (members, bins) in tree.order().chunks(run).zip(found) {
-            for &e in members {
+            for &e in members.iter().filter(|&&e| e as usize >= done) {
                 self.direct[e as usize] = bins;
             }
         }
-        self.direct_rounds = 1;
+        self.spare_tree = Some(tree);
         self.sources = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicU64, Ordering};
+
+    use glam::Vec3;
+
+    use super::*;
+    use crate::geometry::{Hit, Ray};
+    use crate::illumination::bake::{BLOCKS, bake};
+    use crate::illumination::cache;
+    use crate::illumination::test_scenes::{grid, join, lambert, quad, scene};
+    use crate::illumination::test_transport::Lambertian;
+    use crate::rng::Stream;
+    use crate::transport::lit::LitSurfaces;
+    use crate::transport::particle::{Arriving, Deposit};
+
+    /// Light transport that counts how often it is asked for direct light.
+    struct Counting<'a>(Lambertian<'a>, AtomicU64);
+
+    impl LightTransport for Counting<'_> {
+        fn trace(&self, seed: u64, index: u64, deposit: &mut dyn FnMut(Deposit)) -> u32 {
+            self.0.trace(seed, index, deposit)
+        }
+        fn trace_reflected(
+            &self,
+            lit: &LitSurfaces,
+            choice: f64,
+            seed: u64,
+            index: u64,
+            deposit: &mut dyn FnMut(Deposit),
+        ) -> u32 {
+            self.0.trace_reflected(lit, choice, seed, index, deposit)
+        }
+        fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Arriving {
+            self.1.fetch_add(1, Ordering::Relaxed);
+            self.0.direct(triangle, b1, b2, back, u)
+        }
+        fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool {
+            self.0.sees_inside(triangle, b1, b2, near, stream)
+        }
+        fn sees(&self, ray: &Ray) -> Option<Hit> {
+            self.0.sees(ray)
+        }
+        fn is_diffuse(&self, triangle: u32) -> bool {
+            self.0.is_diffuse(triangle)
+        }
+        fn power(&self) -> f32 {
+            self.0.power()
+        }
+    }
+
+    /// A floor of many vertices under a lamp, of which a bake without time gathers direct light at some, and lights the
+    /// others by these; the samples are counted. What was gathered is gone on with, as if nothing had happened.
+    #[test]
+    fn a_first_round_without_time_is_cut_short_and_gone_on_with() {
+        let mut mesh = grid(200, 200, |x, y| Vec3::new(x, y, 0.0));
+        join(&mut mesh, &quad(Vec3::new(0.25, 0.25, 2.0), Vec3::Y * 0.5, Vec3::X * 0.5), 1);
+        let hall = scene(mesh, vec![lambert(0.5, 0.0), lambert(0.1, 5.0)], Vec::new());
+        let transport = Counting(Lambertian::new(&hall), AtomicU64::new(0));
+        let settings = BakeSettings {
+            texels: 64,
+            particles: Some(20_000),
+            everything: true,
+            error: None,
+            ..BakeSettings::default()
+        };
+        let cut = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| {
+                let mut baker = Baker::new(&hall, &transport, &settings);
+                (baker.run(&|_| false, &mut |_| {}), baker.state())
+            })
+        };
+        let ((short, state), asked) = (cut(1), transport.1.swap(0, Ordering::Relaxed));
+        let elements = short.illumination.element_count();
+        let done = BLOCKS * BLOCK;
+        assert!(!short.complete && elements > 2 * done);
+        // Two looks at the back and eight samples; of every second element of the others four.
+        let others = elements.div_ceil(2);
+        assert!((asked as usize) < done * 10 + others * 6 + 100, "{asked} of {elements}");
+        // Nowhere is it dark: the middle of the floor receives as much as under a small square light.
+        let exact = 5.0 * 0.25 / 4.0;
+        for t in [0, 39_999, 40_000, 79_999] {
+            let found = short.illumination.lookup(t, 0.3, 0.3, false).x;
+            assert!((0.5 * exact..1.2 * exact).contains(&found), "{t}: {found} {exact}");
+        }
+        let said = short.illumination.summary.notes.join(" ");
+        assert!(
+            said.contains("direct light at 40 %") && said.contains("no time for indirect light"),
+            "{said}"
+        );
+        let (again, same) = cut(3);
+        assert!(again.illumination == short.illumination && same == state);
+        let whole = bake(&hall, &transport, &settings, &|_| true);
+        transport.1.store(0, Ordering::Relaxed);
+        let mut going_on = Baker::new(&hall, &transport, &settings);
+        assert!(
+            going_on.restore(&cache::decode(&[1; 32], &cache::encode(&[1; 32], &state).unwrap()).unwrap())
+        );
+        let resumed = going_on.run(&|_| true, &mut |_| {});
+        assert!(resumed.complete && resumed.illumination == whole.illumination);
+        let rounds = resumed.illumination.summary.direct_rounds as usize;
+        assert!(transport.1.load(Ordering::Relaxed) as usize <= rounds * 8 * elements - 6 * done);
+        let mut other = Baker::new(&hall, &transport, &BakeSettings { texels: 200_000, ..settings });
+        let mut wrong = state;
+        assert!(other.restore(&wrong));
+        wrong.direct.pop();
+        assert!(!other.restore(&wrong));
     }
 }

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 
-use crate::support::{Foveal, folder, scene};
+use crate::support::{Foveal, Running, folder, scene};
 
 /// A room of 4 × 3 × 4 with a square light of radiance `light` under its ceiling, walls of albedo `wall`.
 fn room(wall: &str, light: &str, more: &str) -> PathBuf {
@@ -81,7 +81,29 @@ fn a_soup_of_triangles_is_baked_in_time() {
     };
     let ((first, anew), (second, resumed)) = (bake(), bake());
     assert!(first > 0 && second > first && resumed && !anew, "{first} {second}");
-    Foveal::new("walk --frames 1 --size 32x24 --texels 4096 --bake").arg(&file).arg(&scene).ok();
+    let walk =
+        || Foveal::new("walk --frames 1 --size 32x24 --texels 4096 --bake").arg(&file).arg(&scene).ok();
+    walk();
+    #[cfg(unix)]
+    {
+        let line = "bake --texels 4096 --error 0.001% --resume --jsonl --out";
+        let mut running = Foveal::new(line).arg(&file).arg(&scene).start();
+        while !running.said().contains("\"direct\"") {
+            assert!(running.is_running(), "{}", running.said());
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        interrupt(&running);
+        let ended = running.wait();
+        assert_eq!(ended.code, Some(130), "{}", ended.err);
+        assert!(file.with_extension("fvstate").exists());
+        walk();
+    }
+}
+
+#[cfg(unix)]
+fn interrupt(running: &Running) {
+    let id = running.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &id]).status().expect("kill").success());
 }
 
 #[cfg(unix)]
@@ -98,11 +120,11 @@ fn ctrl_c_keeps_a_valid_bake_and_the_way_on() {
         assert!(running.is_running(), "{}", running.said());
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
-    let id = running.id().to_string();
-    assert!(Command::new("kill").args(["-INT", &id]).status().expect("kill").success());
+    interrupt(&running);
     let ended = running.wait();
     assert_eq!(ended.code, Some(130), "{}", ended.err);
     assert!(ended.err.contains("--resume"), "{}", ended.err);
+    assert!(ended.err.lines().filter_map(told).any(|d| d["eta_seconds"].is_number()), "{}", ended.err);
     for line in ended.err.lines().filter(|l| l.starts_with('{')) {
         let told: serde_json::Value = serde_json::from_str(line).expect("a line of JSON");
         assert_eq!(told["schema"], "foveal.bake.progress/1");
@@ -117,6 +139,54 @@ fn ctrl_c_keeps_a_valid_bake_and_the_way_on() {
     let again = "bake --particles 20000 --error 50% --texels 4096 --resume --json --out";
     let ended = Foveal::new(again).arg(&out).arg(scene("box")).ok();
     assert!(ended.err.contains("begins anew") && ended.json()["resumed"] == false, "{}", ended.err);
+}
+
+/// A bake is kept under a name of all that decides it, taken again, and made anew where it cannot be trusted.
+#[test]
+fn a_kept_bake_is_taken_again_unless_it_is_damaged() {
+    let cache = folder("kept");
+    let bake = |more: &str| {
+        let line = format!("bake --particles 30000 --error 30% --texels 2048 {more} --json --cache");
+        let ended = Foveal::new(&line).arg(&cache).arg(scene("box")).ok();
+        (ended.json(), ended.err)
+    };
+    let (d, said) = bake("");
+    assert!(d["cached"] == false && d["complete"] == true && said.is_empty(), "{d} {said}");
+    let stages = d["stage_seconds"].as_object().expect("stages");
+    for name in ["elements", "direct", "particles", "error", "estimate"] {
+        assert!(stages[name].as_f64() > Some(0.0), "{name}: {d}");
+    }
+    assert!(
+        stages.values().filter_map(|s| s.as_f64()).sum::<f64>() <= d["seconds"].as_f64().expect("a number")
+    );
+    assert!(d["error_reached"] == true && d["error"].as_f64() < Some(0.3), "{d}");
+    let file = PathBuf::from(d["file"].as_str().expect("a file"));
+    assert_eq!(bake("").0["cached"], true);
+    let whole = fs::read(&file).expect("the bake");
+    let mut of_another_version = whole.clone();
+    of_another_version[8] ^= 1;
+    let broken = [
+        (of_another_version, "version"),
+        (whole[..whole.len() / 2].to_vec(), "cut short"),
+        (vec![], "cut short"),
+    ];
+    for (bytes, why) in broken {
+        fs::write(&file, bytes).expect("a file");
+        let (d, said) = bake("");
+        assert!(d["cached"] == false && said.contains(why) && said.contains("anew"), "{why}: {d} {said}");
+        assert!(fs::read(&file).expect("the bake") == whole);
+    }
+    for other in ["--bake-seed 2", "--everything"] {
+        let (d, _) = bake(other);
+        assert!(d["cached"] == false && d["file"] != file.display().to_string(), "{other}: {d}");
+    }
+    // A part does not stand where a whole one is looked for, and goes where that comes.
+    let (part, _) = bake("--bake-seed 3 --time 1ms");
+    let place = PathBuf::from(part["file"].as_str().expect("a file"));
+    assert!(part["complete"] == false && place.display().to_string().ends_with(".partial.fvbake"), "{part}");
+    let (d, _) = bake("--bake-seed 3 --resume");
+    assert!(d["cached"] == false && d["complete"] == true && d["resumed"] == true, "{d}");
+    assert!(!place.exists() && place.display().to_string().starts_with(&cache.display().to_string()));
 }
 
 #[test]

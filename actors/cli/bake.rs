@@ -115,9 +115,14 @@ pub fn run(a: &BakeArguments, progress: Progress) -> Result<(), Failure> {
     if let Some(folder) = file.parent().filter(|p| *p != Path::new("")) {
         make_folder(folder)?;
     }
+    if file.is_dir() {
+        return Err(Failure::Usage(format!("{} is a folder; --out takes a file", file.display())));
+    }
     let found = match &kept {
         Some(kept) if !a.again && method == Method::Particles && kept.exists() => {
-            load_illumination(kept, &key, scene.mesh.triangles.len()).ok()
+            let found = load_illumination(kept, &key, scene.mesh.triangles.len());
+            // Never trusted, never fatal: it is made anew.
+            found.inspect_err(|e| tracing::warn!("{}: {e}; the bake is made anew", kept.display())).ok()
         }
         _ => None,
     };
@@ -128,11 +133,16 @@ pub fn run(a: &BakeArguments, progress: Progress) -> Result<(), Failure> {
         (None, Method::Radiosity) => radiosity(a, &scene, &settings, start, progress)?,
     };
     // A bake that was cut short is kept beside the place of a whole one, where no walk takes it for that.
+    let partial = file.with_extension("partial.fvbake");
     let file = match (made.complete, &a.out) {
-        (false, None) => file.with_extension("partial.fvbake"),
+        (false, None) => partial.clone(),
         _ => file,
     };
     save(&file, &key, &made.map).map_err(|e| Failure::file(&file, e))?;
+    if made.complete && a.out.is_none() {
+        // The whole one takes its place. That there was none is no failure.
+        let _ = std::fs::remove_file(&partial);
+    }
     report(a, &scene, method, &made, cached, start.elapsed().as_secs_f64(), &file, &warnings);
     if interrupted() {
         return Err(Failure::Interrupted(format!(
@@ -197,7 +207,10 @@ fn particles(
     let mut resumed = false;
     if a.resume {
         match load::<BakeState>(&state, key) {
-            Ok(kept) => resumed = baker.restore(&kept),
+            Ok(kept) => {
+                resumed = baker.restore(&kept);
+                clock.resumed_at(baker.emitted());
+            }
             Err(CacheError::Io(e)) if e.kind() == std::io::ErrorKind::NotFound => {}
             // Never trusted, never fatal: the bake begins anew.
             Err(e) => tracing::warn!("{}: {e}; the bake begins anew", state.display()),

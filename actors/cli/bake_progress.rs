@@ -43,6 +43,8 @@ pub struct BakeClock {
     interrupted: AtomicU64,
     /// Milliseconds from the start to the last line.
     said: AtomicU64,
+    /// Particles that an interrupted bake had before.
+    before: AtomicU64,
 }
 
 impl BakeClock {
@@ -70,6 +72,7 @@ impl BakeClock {
             reserve: AtomicU64::new(0),
             interrupted: AtomicU64::new(0),
             said: AtomicU64::new(0),
+            before: AtomicU64::new(0),
         }
     }
 
@@ -79,6 +82,11 @@ impl BakeClock {
         let before = self.since.swap(now, Ordering::Relaxed);
         let last = self.current.swap(stage, Ordering::Relaxed);
         self.sums[last].fetch_add(now.saturating_sub(before), Ordering::Relaxed);
+    }
+
+    /// The bake goes on from so many particles.
+    pub fn resumed_at(&self, particles: u64) {
+        self.before.store(particles, Ordering::Relaxed);
     }
 
     /// Whether the time is up, but for what the last estimate takes.
@@ -157,9 +165,10 @@ impl BakeClock {
     fn eta(&self, seconds: f64, particles: u64, error: Option<f32>) -> Option<f64> {
         let (aim, most) = (f64::from(self.aims.0.max(1e-6)), self.aims.1 as f64);
         let done = particles as f64;
-        let by_particles = (done > 0.0).then(|| {
+        let traced = done - self.before.load(Ordering::Relaxed) as f64;
+        let by_particles = (traced > 0.0).then(|| {
             let wanted = error.map_or(most, |e| (done * (f64::from(e) / aim).max(1.0).powi(3)).min(most));
-            seconds * (wanted / done - 1.0).max(0.0)
+            seconds * ((wanted - done) / traced).max(0.0)
         });
         let by_limit = self.limit.map(|limit| (limit.as_secs_f64() - seconds).max(0.0));
         by_particles.into_iter().chain(by_limit).min_by(f64::total_cmp)

@@ -122,11 +122,17 @@ pub fn save<T: Serialize>(path: &Path, key: &[u8; 32], value: &T) -> Result<(), 
     let bytes = encode(key, value)?;
     let mut beside = path.as_os_str().to_owned();
     beside.push(".part");
-    let mut file = fs::File::create(&beside)?;
-    file.write_all(&bytes)?;
-    file.sync_all()?;
-    drop(file);
-    Ok(fs::rename(&beside, path)?)
+    let written = || {
+        let mut file = fs::File::create(&beside)?;
+        file.write_all(&bytes)?;
+        file.sync_all()?;
+        fs::rename(&beside, path)
+    };
+    written().map_err(|error| {
+        // Nobody would ever read what was written so far.
+        let _ = fs::remove_file(&beside);
+        error.into()
+    })
 }
 
 /// Reads what [`save`] wrote.
@@ -184,6 +190,11 @@ mod tests {
         assert!(load_illumination(&path, &[7; 32], 3).is_err());
         fs::remove_file(&path).unwrap();
         assert!(matches!(load_illumination(&path, &[7; 32], 2), Err(CacheError::Io(_))));
+        // A folder stands where the file should be: nothing is left beside it.
+        fs::create_dir(&path).unwrap();
+        assert!(matches!(save(&path, &[7; 32], &map), Err(CacheError::Io(_))));
+        assert!(!path.with_extension("fvbake.part").exists());
+        fs::remove_dir(&path).unwrap();
     }
 
     #[test]

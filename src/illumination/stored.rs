@@ -64,8 +64,7 @@ impl Illumination {
     /// their neighbours, so that no lookup reads outside of its chart.
     pub fn new(atlas: &Atlas, mut front: Vec<Value>, mut back: Vec<Value>, summary: Summary) -> Self {
         assert!(front.len() == atlas.elements.len() && back.len() == front.len(), "values per element");
-        fill_unknown(atlas, &mut front);
-        fill_unknown(atlas, &mut back);
+        rayon::join(|| fill_unknown(atlas, &mut front), || fill_unknown(atlas, &mut back));
         let stored = |v: &Value| {
             let v = v.unwrap_or_default();
             if v.is_finite() { v.max(Vec4::ZERO).to_array() } else { [0.0; 4] }
@@ -270,23 +269,25 @@ impl Irradiance for Illumination {
 /// around charts, once: charts are two texels apart, so that none takes from another.
 fn fill_unknown(atlas: &Atlas, values: &mut [Value]) {
     let surface = |e: usize| atlas.elements[e].area > 0.0;
-    let mut open: Vec<usize> =
-        (0..atlas.texel_count()).filter(|&e| values[e].is_none() && surface(e)).collect();
-    while !open.is_empty() {
-        let found: Vec<(usize, Value)> = open.iter().map(|&e| (e, mean_around(atlas, values, e))).collect();
-        let before = open.len();
-        open.clear();
-        for (e, value) in found {
-            values[e] = value;
-            if value.is_none() {
-                open.push(e);
-            }
+    let found = |values: &[Value], e: usize| mean_around(atlas, values, e).map(|value| (e, value));
+    let texels = atlas.texel_count();
+    let unknown = |&e: &usize| values[e].is_none() && surface(e);
+    let mut next: Vec<(usize, Vec4)> =
+        (0..texels).into_par_iter().filter(unknown).filter_map(|e| found(values, e)).collect();
+    while !next.is_empty() {
+        for &(e, value) in &next {
+            values[e] = Some(value);
         }
-        if open.len() == before {
-            break;
-        }
+        // Only beside those just filled is anything new known.
+        let is_open = |&n: &usize| values[n].is_none() && surface(n);
+        let mut open: Vec<usize> =
+            next.iter().flat_map(|&(e, _)| beside(atlas, e, &NEIGHBOURS)).filter(is_open).collect();
+        open.sort_unstable();
+        open.dedup();
+        next = open.into_iter().filter_map(|e| found(values, e)).collect();
     }
-    let border: Vec<(usize, Value)> = (0..atlas.texel_count())
+    let border: Vec<(usize, Value)> = (0..texels)
+        .into_par_iter()
         .filter(|&e| !surface(e))
         .map(|e| (e, mean_around(atlas, values, e)))
         .collect();
@@ -295,21 +296,21 @@ fn fill_unknown(atlas: &Atlas, values: &mut [Value]) {
     }
 }
 
+/// Neighbours of a texel on the page.
+fn beside<'a>(atlas: &'a Atlas, e: usize, ring: &'a [(i32, i32)]) -> impl Iterator<Item = usize> + use<'a> {
+    let (width, height) = (atlas.width as usize, atlas.height as usize);
+    let (x, y) = (e % width, e / width);
+    ring.iter().filter_map(move |&(dx, dy)| {
+        let (x, y) = (x.checked_add_signed(dx as isize)?, y.checked_add_signed(dy as isize)?);
+        (x < width && y < height).then_some(y * width + x)
+    })
+}
+
 /// Mean of the nearest neighbours that are known: those beside, else those across a corner.
 fn mean_around(atlas: &Atlas, values: &[Value], e: usize) -> Value {
-    let width = atlas.width as usize;
-    let (x, y) = ((e % width) as i32, (e / width) as i32);
     for ring in [&NEIGHBOURS[..4], &NEIGHBOURS[4..]] {
         let (mut sum, mut count) = (Vec4::ZERO, 0.0);
-        for &(dx, dy) in ring {
-            let (nx, ny) = (x + dx, y + dy);
-            if nx < 0 || ny < 0 || nx >= atlas.width as i32 || ny >= atlas.height as i32 {
-                continue;
-            }
-            let n = ny as usize * width + nx as usize;
-            if atlas.elements[n].area <= 0.0 {
-                continue;
-            }
+        for n in beside(atlas, e, ring).filter(|&n| atlas.elements[n].area > 0.0) {
             if let Some(v) = values[n] {
                 sum += v;
                 count += 1.0;

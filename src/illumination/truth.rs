@@ -130,32 +130,81 @@ mod tests {
     use crate::illumination::bake::{BakeSettings, Baker, Step};
     use crate::illumination::seen::in_sight;
     use crate::scene::load::load;
+    use crate::scene::{Model, Reflectance};
+
+    /// A bundled scene without what makes caustics, which are sharper than any kernel and noisy by paths: polished
+    /// things lose their polish, mirrors, metal and thick glass are black, panes stay.
+    fn without_caustics(name: &str) -> Scene {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenes/{name}/{name}.toml"));
+        let mut scene = Scene::clone(&load(&path).expect("a scene").scene);
+        for material in &mut scene.materials {
+            let albedo = match &material.model {
+                Model::Lambert { .. } | Model::Dielectric { thin: true, .. } => continue,
+                Model::Plastic { albedo, .. } => albedo.clone(),
+                _ => Reflectance::constant(Vec3::ZERO),
+            };
+            material.model = Model::Lambert { albedo };
+        }
+        scene
+    }
+
+    /// Points of what is in sight, and how noisy they are, relative to what arrives.
+    fn points_in_sight(
+        world: (&Scene, &Accel, &Lights),
+        baker: &Baker,
+        count: usize,
+        samples: u32,
+    ) -> (Vec<Truth>, f64) {
+        let transport = SceneTransport::new(world.0, world.1, world.2);
+        let counts = |e: u32| {
+            let e = &baker.atlas().elements[e as usize];
+            in_sight(world.0, &transport, e.position, e.normal)
+        };
+        let known = truth(world, baker.atlas(), &counts, count, samples, 1);
+        let squares = |of: &dyn Fn(&Truth) -> f32| known.iter().map(|t| f64::from(of(t))).sum::<f64>();
+        let noise = (squares(&|t| t.variance) / squares(&|t| luminance(t.irradiance).powi(2))).sqrt();
+        (known, noise)
+    }
+
+    /// Sun and sky, spots and a lamp with cut-out leaves and screens before them: a short bake of each is as bright as
+    /// paths say, and about as far from them as it says itself.
+    #[test]
+    fn bundled_scenes_are_lit_as_paths_light_them() {
+        for name in ["diffuse", "gallery", "duck"] {
+            let scene = without_caustics(name);
+            let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
+            let transport = SceneTransport::new(&scene, &accel, &lights);
+            let settings =
+                BakeSettings { texels: 64 * 1024, error: None, particles: None, ..BakeSettings::default() };
+            let mut baker = Baker::new(&scene, transport, &settings);
+            let (known, noise) = points_in_sight((&scene, &accel, &lights), &baker, 150, 1024);
+            assert!(noise < 0.04, "{name}: {noise}");
+            for _ in 0..3 {
+                while !matches!(baker.step(), Step::Appraised(_)) {}
+            }
+            let map = baker.illumination();
+            let (error, stated) = (relative_error(&map, &known), f64::from(map.summary.relative_error));
+            assert!(error < 0.05, "{name}: {error} ± {noise}");
+            let most = 2.0 * error.hypot(noise);
+            assert!((0.7 * error..most).contains(&stated), "{name}: {error} ± {noise} stated as {stated}");
+            let sum = |of: &dyn Fn(&Truth) -> Vec3| known.iter().map(|t| luminance(of(t))).sum::<f32>();
+            let found = sum(&|t| map.irradiance(t.triangle, t.b1, t.b2, false));
+            let ratio = found / sum(&|t| t.irradiance);
+            assert!((ratio - 1.0).abs() < 0.02, "{name}: {ratio}");
+        }
+    }
 
     /// What is in sight of the box, shadows, corners and the lamp's own face included: within 2.5 % of paths, and more
     /// particles do not make it worse.
     #[test]
     fn the_box_is_lit_as_paths_light_it() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/box/box.toml");
-        let mut scene = Scene::clone(&load(&path).expect("the box").scene);
-        // Caustics are sharper than any kernel, and noisy by paths.
-        for material in &mut scene.materials {
-            if !matches!(material.model, crate::scene::Model::Lambert { .. }) {
-                let albedo = crate::scene::Reflectance::constant(Vec3::ZERO);
-                material.model = crate::scene::Model::Lambert { albedo };
-            }
-        }
+        let scene = without_caustics("box");
         let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
         let transport = SceneTransport::new(&scene, &accel, &lights);
         let settings = BakeSettings { error: None, particles: None, ..BakeSettings::default() };
         let mut baker = Baker::new(&scene, transport, &settings);
-        let counts = |e: u32| {
-            let e = &baker.atlas().elements[e as usize];
-            in_sight(&scene, &transport, e.position, e.normal)
-        };
-        let known = truth((&scene, &accel, &lights), baker.atlas(), &counts, 200, 1024, 1);
         // Errors below the noise of the truth cannot be told from none.
-        let squares = |of: &dyn Fn(&Truth) -> f32| known.iter().map(|t| f64::from(of(t))).sum::<f64>();
-        let noise = (squares(&|t| t.variance) / squares(&|t| luminance(t.irradiance).powi(2))).sqrt();
+        let (known, noise) = points_in_sight((&scene, &accel, &lights), &baker, 200, 1024);
         assert!(noise < 0.02, "{noise}");
         // After the first pass, the fourth and the sixth: by then particles lie in every gap.
         let mut errors = Vec::new();

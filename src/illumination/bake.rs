@@ -402,17 +402,21 @@ impl<'a> Baker<'a> {
             }
             irradiance * e.area
         };
-        let light = |e: usize, side: usize| luminance(self.direct[e][side].mean().0);
+        let elements = self.direct.len();
+        let all: Vec<[Vec3; 2]> =
+            (0..elements as u32).into_par_iter().map(|e| [false, true].map(|back| flux(e, back))).collect();
+        let flux = |element: u32, back: bool| all[element as usize][usize::from(back)];
+        let light: Vec<[f32; 2]> =
+            self.direct.par_iter().map(|sides| sides.each_ref().map(|b| luminance(b.mean().0))).collect();
         // Where direct light is more than usual, nobody sees the noise of the rest.
         let (mut sum, mut area) = (0.0, 0.0);
         for (e, element) in self.atlas.elements.iter().enumerate().filter(|&(e, _)| self.watched[e]) {
-            sum += f64::from(light(e, 0) * element.area);
+            sum += f64::from(light[e][0] * element.area);
             area += f64::from(element.area);
         }
         let drowning = if area > 0.0 { (sum / area) as f32 } else { 0.0 };
-        let matters = (0..self.direct.len())
-            .map(|e| [0, 1].map(|side| self.watched[e] && light(e, side) <= drowning))
-            .collect();
+        let matters =
+            self.watched.iter().zip(&light).map(|(&w, l)| l.map(|light| w && light <= drowning)).collect();
         let mut sources = Sources::new(&self.importance, &flux, matters);
         if self.emitted == 0 {
             let pilots = sources.pilots(&self.importance);

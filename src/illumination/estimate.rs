@@ -32,6 +32,9 @@ const MEAN_COUNT: f32 = 64.0;
 /// Elements within the first share of the kernel's radius read one neighbourhood, where their normals are within the
 /// angle of this cosine, 0.4 rad; and those of small things, within the second share and 1 rad.
 const TOGETHER: [(f32, f32); 2] = [(0.6, 0.921), (0.2, 0.54)];
+/// In a hurry, where elements within this share of the kernel's radius found too much clutter, no part of them is asked
+/// again.
+const CLUTTERED: f32 = 0.3;
 /// Direct light noisier than this share of itself is smoothed.
 const DIRECT_NOISE: f32 = 0.03;
 /// Width of a gap that counts as closed, as a share of the scene's size.
@@ -57,13 +60,19 @@ pub(super) fn reads_one(extent: &Extent, radius: f32) -> bool {
 struct Parts {
     direct: Vec3,
     direct_variance: f32,
-    particles: Estimate,
+    particles: Vec3,
+    particle_variance: f32,
 }
 
 impl Parts {
     fn value(&self) -> Vec4 {
-        let error = (self.direct_variance + self.particles.variance).sqrt();
-        (self.direct + self.particles.irradiance).extend(error)
+        let error = (self.direct_variance + self.particle_variance).sqrt();
+        self.all().extend(error)
+    }
+
+    /// All irradiance.
+    fn all(&self) -> Vec3 {
+        self.direct + self.particles
     }
 }
 
@@ -118,7 +127,7 @@ pub(super) struct Estimating {
     smooth: Option<SmoothDirect>,
     /// Runs of neighbours, and what was found for the first of them.
     nodes: Vec<u32>,
-    found: Vec<Vec<([Estimate; 2], Sides)>>,
+    found: Vec<Vec<[Option<Parts>; 2]>>,
 }
 
 impl Baker<'_> {
@@ -227,22 +236,28 @@ impl Baker<'_> {
         let tree = &with.tree;
         let bandwidth = &Bandwidth { coarse, ..with.bandwidth.bandwidth };
         let mut found = Vec::with_capacity(tree.range(root).len());
-        let mut open = vec![(root, with.bandwidth.guess, self.means(root, tree, None))];
-        while let Some((node, mut guess, means)) = open.pop() {
+        let mut open = vec![(root, with.bandwidth.guess, self.means(root, tree, None), false)];
+        while let Some((node, mut guess, means, is_cluttered)) = open.pop() {
             let extent = tree.as_element(node);
             let means = if hood.is_hurried() { self.means(node, tree, Some(means)) } else { means };
+            let mut gave_up = is_cluttered;
             // The radius may turn out to be larger than the one before.
-            if reads_one(&extent, 1.6 * guess) {
+            if !gave_up && reads_one(&extent, 1.6 * guess) {
                 guess = bandwidth.focus(hood, tree, &extent, guess);
-                if !hood.gave_up() && reads_one(&extent, guess) {
+                gave_up = hood.gave_up();
+                if !gave_up && reads_one(&extent, guess) {
                     self.estimate_run(node, with, bandwidth, hood, &mut found);
                     continue;
                 }
             }
             let members = &tree.order()[tree.range(node)];
             if coarse && members.len() <= tree.len() / PLACES_COARSELY {
-                bandwidth.focus(hood, tree, &extent, guess);
-                let fits = match hood.gave_up() {
+                // What was too much clutter is so again.
+                if !gave_up {
+                    bandwidth.focus(hood, tree, &extent, guess);
+                    gave_up = hood.gave_up();
+                }
+                let fits = match gave_up {
                     true => means,
                     false => self.fits(&extent.center, members, with, bandwidth, hood),
                 };
@@ -250,13 +265,16 @@ impl Baker<'_> {
                 continue;
             }
             if let Some([first, second]) = tree.halves(node) {
-                open.extend([(second, guess, means), (first, guess, means)]);
+                let is_cluttered = gave_up && extent.reach <= CLUTTERED * guess;
+                open.extend([(second, guess, means, is_cluttered), (first, guess, means, is_cluttered)]);
                 continue;
             }
             for &e in members {
                 let element = &self.atlas.elements[e as usize];
-                guess = bandwidth.focus(hood, tree, &Extent::of(element), guess);
-                found.push(match hood.gave_up() {
+                if !is_cluttered {
+                    guess = bandwidth.focus(hood, tree, &Extent::of(element), guess);
+                }
+                found.push(match is_cluttered || hood.gave_up() {
                     true => means,
                     false => self.fits(element, &[e], with, bandwidth, hood),
                 });
@@ -339,7 +357,8 @@ impl Baker<'_> {
             (side == 0 || with.lit_back[e as usize / BLOCK]).then(|| Parts {
                 direct: direct[side].0,
                 direct_variance: direct[side].1,
-                particles: particles[side],
+                particles: particles[side].irradiance,
+                particle_variance: particles[side].variance,
             })
         })
     }
@@ -396,7 +415,8 @@ impl Baker<'_> {
                     members.iter().map(|&e| [0, 1].map(|side| self.direct[e as usize][side].mean())).collect()
                 }
             };
-            particles.into_iter().zip(direct).collect()
+            let sides = members.iter().zip(particles.into_iter().zip(direct));
+            sides.map(|(&e, (particles, direct))| self.parts(e, particles, direct, with)).collect()
         };
         let found: Vec<Vec<_>> =
             e.nodes[first..last].par_iter().map_init(Neighbourhood::default, work).collect();
@@ -406,11 +426,10 @@ impl Baker<'_> {
             return None;
         }
         let mut values: Vec<[Option<Parts>; 2]> = vec![[None; 2]; self.atlas.elements.len()];
-        let found = e.found.into_iter().flatten();
-        for (&e, (particles, direct)) in with.tree.order().iter().zip(found) {
-            values[e as usize] = self.parts(e, particles, direct, with);
+        for (&e, sides) in with.tree.order().iter().zip(e.found.iter().flatten()) {
+            values[e as usize] = *sides;
         }
-        let summary = self.summary((0..values.len() as u32).zip(values.iter().copied()), with);
+        let summary = self.summary((0..values.len() as u32).zip(&values), with);
         let side = |s: usize| values.iter().map(|v| v[s].map(|p| p.value())).collect::<Vec<Value>>();
         let map = Illumination::new(&self.atlas, side(0), side(1), summary);
         self.prepared = Some(e.with);
@@ -445,7 +464,7 @@ impl Baker<'_> {
                 (e, self.parts(e, particles, direct, &with))
             })
             .collect();
-        let summary = self.summary(values.into_iter(), &with);
+        let summary = self.summary(values.iter().map(|(e, sides)| (*e, sides)), &with);
         self.prepared = Some(with);
         summary
     }
@@ -525,15 +544,18 @@ impl Baker<'_> {
         notes
     }
 
-    fn summary(&self, values: impl Iterator<Item = (u32, [Option<Parts>; 2])>, with: &Prepared) -> Summary {
+    fn summary<'v>(
+        &self,
+        values: impl Iterator<Item = (u32, &'v [Option<Parts>; 2])> + Clone,
+        with: &Prepared,
+    ) -> Summary {
         let (mut energy, mut surface) = (0.0f64, 0.0f64);
         let (mut direct, mut particles, mut bias) = (0.0f64, 0.0f64, 0.0f64);
         let mut mean = [0.0f64; 3];
-        let watched: Vec<(u32, [Option<Parts>; 2])> =
-            values.filter(|&(e, _)| self.watched[e as usize]).collect();
+        let watched = values.filter(|&(e, _)| self.watched[e as usize]);
         // Beside a lamp irradiance has no bound: what is there must not outweigh all the rest.
-        let total = |p: &Parts| luminance(p.direct + p.particles.irradiance);
-        let mut brightness: Vec<f32> = watched.iter().filter_map(|v| v.1[0].as_ref().map(total)).collect();
+        let total = |p: &Parts| luminance(p.all());
+        let mut brightness: Vec<f32> = watched.clone().filter_map(|v| v.1[0].as_ref().map(total)).collect();
         let middle = brightness.len() / 2;
         let cap = match brightness.is_empty() {
             true => 0.0,
@@ -543,12 +565,12 @@ impl Baker<'_> {
             let area = f64::from(self.atlas.elements[e as usize].area);
             surface += area;
             for parts in sides.iter().flatten() {
-                let all = parts.direct + parts.particles.irradiance;
+                let all = parts.all();
                 let counts = if cap > 0.0 && luminance(all) > cap { cap / luminance(all) } else { 1.0 };
                 let weighted = area * f64::from(counts * counts);
                 energy += weighted * f64::from(luminance(all)).powi(2);
                 direct += weighted * f64::from(parts.direct_variance);
-                particles += weighted * f64::from(parts.particles.variance);
+                particles += weighted * f64::from(parts.particle_variance);
                 bias += weighted * with.bias_squared;
                 for (sum, band) in mean.iter_mut().zip(all.to_array()) {
                     *sum += area * f64::from(band);

@@ -23,24 +23,45 @@ pub fn smooth_corners(mesh: &Mesh, part: &[u32], sizes: &[(f32, f32)]) -> (Vec<[
             (b - a).cross(c - a).normalize_or_zero()
         })
         .collect();
-    // (position bits, corner): corners at one position become neighbours, in corner order.
-    let mut corners: Vec<([u32; 3], u32)> = (0..part.len() as u32 * 3)
-        .into_par_iter()
-        .map(|c| {
-            let v = mesh.triangles[part[c as usize / 3] as usize][c as usize % 3];
-            // + 0.0 so that −0 and 0 are one position
-            (mesh.positions[v as usize].to_array().map(|x| (x + 0.0).to_bits()), c)
-        })
-        .collect();
-    corners.par_sort_unstable();
+    // Corners at one position become neighbours, in corner order; positions by their bits. Fewer vertices than corners
+    // need to be sorted for that.
+    let vertex =
+        |corner: u32| mesh.triangles[part[corner as usize / 3] as usize][corner as usize % 3] as usize;
+    // + 0.0 so that −0 and 0 are one position
+    let position = |v: usize| mesh.positions[v].to_array().map(|x| (x + 0.0).to_bits());
+    let corner_count = part.len() as u32 * 3;
+    let mut is_used = vec![false; mesh.positions.len()];
+    (0..corner_count).for_each(|c| is_used[vertex(c)] = true);
+    let mut vertices: Vec<([u32; 3], u32)> =
+        (0..is_used.len()).into_par_iter().filter(|&v| is_used[v]).map(|v| (position(v), v as u32)).collect();
+    vertices.par_sort_unstable();
+    let mut rank = vec![0u32; mesh.positions.len()];
+    let mut positions: Vec<[u32; 3]> = Vec::new();
+    for &(position, v) in &vertices {
+        if positions.last() != Some(&position) {
+            positions.push(position);
+        }
+        rank[v as usize] = positions.len() as u32 - 1;
+    }
+    let mut next = vec![0u32; positions.len() + 1];
+    (0..corner_count).for_each(|c| next[rank[vertex(c)] as usize + 1] += 1);
+    for i in 1..next.len() {
+        next[i] += next[i - 1];
+    }
+    let mut corners = vec![(0u32, 0u32); corner_count as usize];
+    for c in 0..corner_count {
+        let r = rank[vertex(c)];
+        corners[next[r as usize] as usize] = (r, c);
+        next[r as usize] += 1;
+    }
 
     let mut assigned = vec![[0u32; 3]; part.len()];
     let mut elements: Vec<Element> = Vec::new();
     let mut first_normals: Vec<Vec3> = Vec::new();
     let mut largest: Vec<f32> = Vec::new();
     let mut group_start = 0;
-    for (i, &(position, corner)) in corners.iter().enumerate() {
-        if i > 0 && position != corners[i - 1].0 {
+    for (i, &(rank, corner)) in corners.iter().enumerate() {
+        if i > 0 && rank != corners[i - 1].0 {
             group_start = elements.len();
         }
         let (t, k) = (corner as usize / 3, corner as usize % 3);
@@ -53,7 +74,7 @@ pub fn smooth_corners(mesh: &Mesh, part: &[u32], sizes: &[(f32, f32)]) -> (Vec<[
         };
         let e = found.unwrap_or_else(|| {
             elements.push(Element {
-                position: Vec3::from_array(position.map(f32::from_bits)),
+                position: Vec3::from_array(positions[rank as usize].map(f32::from_bits)),
                 ..Element::default()
             });
             first_normals.push(normal);

@@ -8,6 +8,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec3;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::atlas::Element;
@@ -74,7 +75,7 @@ impl Importance {
     /// Nothing learned yet; `expected` is what an element is thought to be good for.
     pub(super) fn new(elements: &[Element], expected: &dyn Fn(u32) -> f64) -> Self {
         let mut order: Vec<u32> = (0..elements.len() as u32).collect();
-        order.sort_by_key(|&e| (elements[e as usize].triangle, e));
+        order.par_sort_unstable_by_key(|&e| (elements[e as usize].triangle, e));
         let mut group = vec![0; elements.len()];
         for (g, members) in order.chunks(GROUP).enumerate() {
             for &e in members {

@@ -97,7 +97,7 @@ mod tests {
     use crate::illumination::test_transport::Lambertian;
     use crate::rng::Stream;
     use crate::transport::lit::LitSurfaces;
-    use crate::transport::particle::{Arriving, Deposit};
+    use crate::transport::particle::{Arriving, Deposit, SurfacePoint};
 
     /// Light transport that counts how often it is asked for direct light.
     struct Counting<'a>(Lambertian<'a>, AtomicU64);
@@ -120,8 +120,8 @@ mod tests {
             self.1.fetch_add(1, Ordering::Relaxed);
             self.0.direct(triangle, b1, b2, back, u)
         }
-        fn sees_inside(&self, triangle: u32, b1: f32, b2: f32, near: f32, stream: &mut Stream) -> bool {
-            self.0.sees_inside(triangle, b1, b2, near, stream)
+        fn sees_inside(&self, at: SurfacePoint, back: bool, near: f32, stream: &mut Stream) -> bool {
+            self.0.sees_inside(at, back, near, stream)
         }
         fn sees(&self, ray: &Ray) -> Option<Hit> {
             self.0.sees(ray)

@@ -358,16 +358,14 @@ impl<'a> Baker<'a> {
         // Additive recurrence: the places where any run of particles begins are spread evenly.
         let start = hash(seed, 0, 0x11e) as f64 / 2f64.powi(64);
         let choice = (start + index as f64 * GOLDEN_RATIO).fract();
-        let share = match (sources.useful_flux(), self.lit.begins()) {
-            (diffuse, _) if diffuse <= 0.0 => 0.0,
-            (_, others) if others <= 0.0 => 1.0,
-            (diffuse, others) => (diffuse / (diffuse + others)).clamp(0.1, 0.9),
-        };
+        let share = sources.share();
         if choice >= share {
             let (choice, weight) = ((choice - share) / (1.0 - share), 1.0 / (1.0 - share) as f32);
-            return self.transport.trace_reflected(&self.lit, choice, seed, index, &mut |d| {
-                self.arrive(&d, weight);
-            });
+            let mut met = 0;
+            let mut deposit = |d: Deposit| met += u64::from(sources.matters(self.arrive(&d, weight), d.back));
+            let bounces = self.transport.trace_reflected(&self.lit, choice, seed, index, &mut deposit);
+            self.importance.count_other(met);
+            return bounces;
         }
         let Some(source) = sources.choose(choice / share) else { return 0 };
         let (mut met, weight) = (0, 1.0 / share as f32);
@@ -417,7 +415,7 @@ impl<'a> Baker<'a> {
         let drowning = if area > 0.0 { (sum / area) as f32 } else { 0.0 };
         let matters =
             self.watched.iter().zip(&light).map(|(&w, l)| l.map(|light| w && light <= drowning)).collect();
-        let mut sources = Sources::new(&self.importance, &flux, matters);
+        let mut sources = Sources::new(&self.importance, self.lit.begins(), &flux, matters);
         if self.emitted == 0 {
             let pilots = sources.pilots(&self.importance);
             let seed = hash(self.settings.seed, 0, 0x9107);
@@ -431,7 +429,7 @@ impl<'a> Baker<'a> {
                 self.importance.count(source.element, source.back, met);
             });
             self.importance.learn();
-            sources = Sources::new(&self.importance, &flux, sources.into_matters());
+            sources = Sources::new(&self.importance, self.lit.begins(), &flux, sources.into_matters());
         }
         self.sources = Some(sources);
     }

@@ -24,6 +24,8 @@ const PRIOR: f64 = 1.0;
 const FLOOR: f64 = 1e-3;
 /// Particles that begin on each side of a lit group, to learn what it is good for.
 pub(super) const PILOTS: u32 = 8;
+/// Least share of particles that begin with a diffuse reflection, and otherwise, where there are both.
+const SHARE_MIN: f64 = 0.1;
 /// Particles before the first lesson; every later one comes after four times as many.
 const FIRST_LESSON: u64 = 8192;
 
@@ -50,6 +52,11 @@ struct Fate {
 }
 
 impl Fate {
+    fn count(&self, met: u64) {
+        self.begun.fetch_add(1, Ordering::Relaxed);
+        self.met.fetch_add(met, Ordering::Relaxed);
+    }
+
     /// Arrivals where they matter, and particles.
     fn seen(&mut self) -> (f64, f64) {
         (*self.met.get_mut() as f64, *self.begun.get_mut() as f64)
@@ -65,11 +72,16 @@ pub(super) struct Importance {
     group: Vec<u32>,
     /// Of the front and the back of each group.
     fates: Vec<[Fate; 2]>,
+    /// Of all particles that begin otherwise: at lamps, on mirrors, on glass.
+    others: Fate,
 }
 
 /// What has been learned, for a bake that will be continued: begun, met, learned.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct ImportanceState(Vec<[(u64, u64, f64); 2]>);
+pub(super) struct ImportanceState {
+    fates: Vec<[(u64, u64, f64); 2]>,
+    others: (u64, u64, f64),
+}
 
 impl Importance {
     /// Nothing learned yet; `expected` is what an element is thought to be good for.
@@ -87,7 +99,8 @@ impl Importance {
             [(); 2].map(|()| Fate { expected, learned: expected.max(FLOOR), ..Fate::default() })
         };
         let fates = order.chunks(GROUP).map(fate).collect();
-        Self { order, group, fates }
+        let others = Fate { expected: 1.0, learned: 1.0, ..Fate::default() };
+        Self { order, group, fates, others }
     }
 
     /// Elements by group.
@@ -98,13 +111,23 @@ impl Importance {
     /// Counts a particle that began at an element, with its arrivals where they matter.
     pub(super) fn count(&self, element: u32, back: bool, met: u64) {
         let fate = &self.fates[self.group[element as usize] as usize][usize::from(back)];
-        fate.begun.fetch_add(1, Ordering::Relaxed);
-        fate.met.fetch_add(met, Ordering::Relaxed);
+        fate.count(met);
+    }
+
+    /// Counts a particle that began otherwise.
+    pub(super) fn count_other(&self, met: u64) {
+        self.others.count(met);
+    }
+
+    /// Of particles that begin otherwise.
+    pub(super) fn of_others(&self) -> f64 {
+        self.others.learned
     }
 
     /// Draws the lesson from what was counted.
     pub(super) fn learn(&mut self) {
         let posterior = |(met, begun): (f64, f64), prior: f64| (met + PRIOR * prior) / (begun + PRIOR);
+        self.others.learned = posterior(self.others.seen(), self.others.expected).max(FLOOR);
         for region in self.fates.chunks_mut(REGION) {
             for side in [0, 1] {
                 let (mut seen, mut expected) = ((0.0, 0.0), 0.0f64);
@@ -129,15 +152,18 @@ impl Importance {
     /// What has been learned.
     pub(super) fn state(&self) -> ImportanceState {
         let of = |f: &Fate| (f.begun.load(Ordering::Relaxed), f.met.load(Ordering::Relaxed), f.learned);
-        ImportanceState(self.fates.iter().map(|[front, back]| [of(front), of(back)]).collect())
+        let fates = self.fates.iter().map(|[front, back]| [of(front), of(back)]).collect();
+        ImportanceState { fates, others: of(&self.others) }
     }
 
     /// Takes up what had been learned; nothing, if it is of other elements.
     pub(super) fn restore(&mut self, state: &ImportanceState) {
-        if state.0.len() != self.fates.len() {
+        if state.fates.len() != self.fates.len() {
             return;
         }
-        for (fate, &(begun, met, learned)) in self.fates.iter_mut().flatten().zip(state.0.iter().flatten()) {
+        let known = state.fates.iter().flatten().chain([&state.others]);
+        let fates = self.fates.iter_mut().flatten().chain([&mut self.others]);
+        for (fate, &(begun, met, learned)) in fates.zip(known) {
             *fate = Fate { begun: begun.into(), met: met.into(), learned, expected: fate.expected };
         }
     }
@@ -166,19 +192,22 @@ struct LitSide {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sources {
     sides: Vec<LitSide>,
-    useful: f64,
+    /// Share of the particles that begin here.
+    here: f64,
     /// Of each element, whether what arrives on its front and on its back matters.
     matters: Vec<[bool; 2]>,
 }
 
 impl Sources {
-    /// `flux` is what light from afar brings to a side of an element, W.
+    /// `flux` is what light from afar brings to a side of an element, `others` what depends on particles that begin
+    /// otherwise, W.
     pub(super) fn new(
         importance: &Importance,
+        others: f64,
         flux: &dyn Fn(u32, bool) -> Vec3,
         matters: Vec<[bool; 2]>,
     ) -> Self {
-        let (mut sides, mut useful, mut total) = (Vec::new(), 0.0, 0.0);
+        let (mut sides, mut total) = (Vec::new(), 0.0);
         for (g, members) in importance.groups().enumerate() {
             for (side, back) in [false, true].into_iter().enumerate() {
                 let important = importance.at(g, side);
@@ -187,7 +216,6 @@ impl Sources {
                     let y = f64::from(luminance(flux));
                     if y > 0.0 && y.is_finite() {
                         total += y * important.sqrt();
-                        useful += y * important;
                         sides.push(LitSide { element, back, flux, share: total });
                     }
                 }
@@ -196,7 +224,14 @@ impl Sources {
         for side in &mut sides {
             side.share /= total;
         }
-        Self { sides, useful, matters }
+        // Both noises are least together where particles are as many as flux times the root of importance.
+        let others = others * importance.of_others().sqrt();
+        let here = match (total > 0.0, others > 0.0) {
+            (false, _) => 0.0,
+            (true, false) => 1.0,
+            (true, true) => (total / (total + others)).clamp(SHARE_MIN, 1.0 - SHARE_MIN),
+        };
+        Self { sides, here, matters }
     }
 
     /// Whether an arrival on an element is one that matters.
@@ -208,9 +243,9 @@ impl Sources {
         self.matters
     }
 
-    /// Flux times arrivals that matter: how much depends on particles that begin here, W.
-    pub(super) fn useful_flux(&self) -> f64 {
-        self.useful
+    /// Share of the particles that begin here.
+    pub(super) fn share(&self) -> f64 {
+        self.here
     }
 
     /// Where a particle begins, for a number in [0, 1).
@@ -245,6 +280,7 @@ mod tests {
     fn house(importance: &Importance) -> Sources {
         Sources::new(
             importance,
+            1.0,
             &|e, back| match (back, e < 576) {
                 (true, _) => Vec3::ZERO,
                 (false, true) => Vec3::ONE,
@@ -279,7 +315,7 @@ mod tests {
             assert!(share > 0.9 * room && share < 0.99, "{share}");
             assert!((flux[0] / 576.0 - 1.0).abs() < 0.02 && (flux[1] / 5.76 - 1.0).abs() < 0.02, "{flux:?}");
         }
-        assert!(learned.useful_flux() < 0.1 * first.useful_flux());
+        assert!(learned.share() < first.share() && learned.share() > 0.1);
     }
 
     #[test]
@@ -303,14 +339,12 @@ mod tests {
     #[test]
     fn darkness_has_no_sources() {
         let importance = Importance::new(&elements(10), &|_| 1.0);
-        let dark = Sources::new(&importance, &|_, _| Vec3::ZERO, Vec::new());
-        assert!(
-            dark.choose(0.5).is_none() && dark.useful_flux() == 0.0 && dark.pilots(&importance).is_empty()
-        );
-        let broken = Sources::new(&importance, &|_, _| Vec3::splat(f32::NAN), Vec::new());
+        let dark = Sources::new(&importance, 1.0, &|_, _| Vec3::ZERO, Vec::new());
+        assert!(dark.choose(0.5).is_none() && dark.share() == 0.0 && dark.pilots(&importance).is_empty());
+        let broken = Sources::new(&importance, 1.0, &|_, _| Vec3::splat(f32::NAN), Vec::new());
         assert!(broken.choose(0.5).is_none());
         assert!(
-            Sources::new(&Importance::new(&[], &|_| 1.0), &|_, _| Vec3::ONE, Vec::new())
+            Sources::new(&Importance::new(&[], &|_| 1.0), 1.0, &|_, _| Vec3::ONE, Vec::new())
                 .choose(0.0)
                 .is_none()
         );

@@ -39,6 +39,8 @@ pub struct Parts {
     pub settings: Settings,
     /// What is walked through.
     pub world: World,
+    /// What each object of it sees around, where somebody has looked already: of many objects that takes seconds.
+    pub probes: Option<Arc<Probes>>,
     /// What the display pass must fill.
     pub passes: Passes,
     /// Whether there is anything to correct; if not, only the renderer is started.
@@ -64,6 +66,7 @@ impl Parts {
             passes: Passes { texture_ids: plan.needs(Part::TextureIdPass) },
             corrects: plan.needs(Part::Tracers),
             world,
+            probes: None,
             textures: None,
             refinement: None,
             insight: None,
@@ -108,9 +111,11 @@ fn batches_on_their_way(settings: &Settings) -> usize {
 
 /// Makes mailboxes and starts actors. The same function for live, recorded, replayed and simulated runs.
 pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
-    let Parts { settings, world, passes, corrects, textures, refinement, insight, stages, sink } = parts;
+    let Parts { settings, world, probes, passes, corrects, textures, refinement, insight, stages, sink } =
+        parts;
     let batches = batches_on_their_way(&settings);
-    let probes = corrects.then(|| Arc::new(Probes::of_world(&world)));
+    let look_around = || probes.unwrap_or_else(|| Arc::new(Probes::of_world(&world)));
+    let probes = corrects.then(look_around);
     wiring.context(Surroundings { world: world.clone(), passes, probes: probes.clone() });
     let renderer: Declared<Renderer> = wiring.declare(Bounds::messages(batches + 64));
     let input = wiring.port("input", &renderer.address());

@@ -15,6 +15,7 @@ use super::mode::ModeArguments;
 use super::output::{print_json, print_line, write_atomic};
 use super::recording::{Hashes, RecordedRun, TRACERS_MAX};
 use super::session::{self, IlluminationArguments};
+use foveal::display::first_approximation::Probes;
 use foveal::image::Map2d;
 use foveal::splatting::supersampling::Supersampling;
 use foveal_runtime::Record;
@@ -307,7 +308,8 @@ pub fn load(
     });
     let session::Session { world, textures, refinement, warnings: _ } = opened;
     let quality = a.mode.least_quality();
-    Ok(Made { world, textures, refinement, settings, fps, quality, facts, recording })
+    let probes = Some(Arc::new(Probes::of_world(&world)));
+    Ok(Made { world, probes, textures, refinement, settings, fps, quality, facts, recording })
 }
 
 /// The file of a session, counted from 1.

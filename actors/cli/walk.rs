@@ -262,6 +262,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         passes,
         corrects,
         textures: session_textures.clone(),
+        probes: None,
         refinement: refinement.clone(),
         insight: Some(insight.clone()),
         stages: stages.clone(),

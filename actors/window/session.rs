@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use crossbeam_queue::{ArrayQueue, SegQueue};
 use foveal::allocation::residency::smallest;
+use foveal::display::first_approximation::Probes;
 use foveal::display::tone::{Encoder, ToneMap};
 use foveal::display::twin::Passes;
 use foveal::image::Map2d;
@@ -74,6 +75,8 @@ impl FrameSink for Newest {
 pub struct Made {
     /// What is walked through.
     pub world: World,
+    /// What each object of it sees around. Without it the window's thread has to look.
+    pub probes: Option<Arc<Probes>>,
     /// Textures, where they do not all fit into their limit.
     pub textures: Option<Arc<TextureStore>>,
     /// What the illumination is refined towards while one walks.
@@ -139,7 +142,7 @@ impl Session {
     /// # Errors
     /// If threads cannot be started.
     pub fn start(made: Made) -> Result<Self, String> {
-        let Made { world, textures, refinement, settings, fps, quality, facts, recording } = made;
+        let Made { world, probes, textures, refinement, settings, fps, quality, facts, recording } = made;
         let (corrects, passes) = parts_of(&world.scene);
         let store = textures.as_ref();
         let controls = Controls {
@@ -170,6 +173,7 @@ impl Session {
         let parts = || Parts {
             settings,
             world: world.clone(),
+            probes: probes.clone(),
             passes,
             corrects,
             textures: textures.clone(),

@@ -20,6 +20,7 @@ fn made(settings: Settings) -> Made {
     let world = World::new(Arc::new(test_scene::room(4)), Arc::new(Uniform(Vec3::ONE)));
     Made {
         world,
+        probes: None,
         textures: None,
         refinement: None,
         settings,
@@ -245,6 +246,17 @@ fn a_recording_is_whole_although_light_is_still_baked_at_its_end() {
         assert!(leaves || trace.complete(), "it has no end");
         assert!(trace.stat().deliveries > 0);
     }
+}
+
+#[test]
+fn the_window_does_not_look_around_objects_when_that_was_done_while_loading() {
+    let mut made = made(Settings::new(64, 48, 2));
+    let probes = Arc::new(Probes::of_world(&made.world));
+    made.probes = Some(probes.clone());
+    let session = Session::start(made).expect("actors");
+    assert!(Arc::strong_count(&probes) > 1, "the actors look at others");
+    drop(session);
+    assert_eq!(Arc::strong_count(&probes), 1);
 }
 
 #[test]

@@ -135,6 +135,7 @@ impl Source {
             passes: self.recorded.passes(),
             corrects: self.recorded.corrects,
             textures: self.session.textures.clone(),
+            probes: None,
             refinement: self.session.refinement.clone(),
             insight: None,
             stages: StageTimes::default(),

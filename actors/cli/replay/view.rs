@@ -173,6 +173,7 @@ impl Timeline for Player {
         }
         let source = window::Session::start(Made {
             world: self.session.look(|r| r.world().clone()).ok_or("nothing is shown yet")?,
+            probes: None,
             textures: None,
             refinement: None,
             settings,

@@ -82,6 +82,7 @@ impl Scenario {
             world: self.world.clone(),
             passes: self.passes,
             corrects: self.corrects,
+            probes: None,
             refinement: None,
             textures: None,
             insight: None,

@@ -122,7 +122,7 @@ fn the_walk_goes_on_while_a_scene_loads_and_light_is_baked() {
 
     // A file that takes long to read: a wall of small triangles.
     let mut obj = fs::OpenOptions::new().append(true).open(files.join("box.obj")).expect("the geometry");
-    let grain: String = (0..8_000)
+    let grain: String = (0..30_000)
         .map(|i| {
             let [x, y] = [-0.5 + 2e-3 * f64::from(i % 500), 0.2 + 2e-3 * f64::from(i / 500)];
             format!("v {x} {y} -0.8\nv {} {y} -0.8\nv {x} {} -0.8\nf -3 -2 -1\n", x + 1e-3, y + 1e-3)

@@ -54,8 +54,12 @@ pub struct Walk {
     /// A display draws by itself, so that frames need no picture.
     mirrored: bool,
     mirror_wanted: bool,
-    /// How long the last frames took.
+    /// How long the last frames took, until they were on show.
     pub times: FrameTimes,
+    /// Begin and end of the last frame, while it is being shown.
+    ended: Option<(f64, f64)>,
+    /// How long frames are shown after their end, before the next can begin: a mean, seconds.
+    showing: f64,
     /// Estimated quality of the picture on show.
     quality: Option<f32>,
     /// When the next frame of a recording is due, while it plays.
@@ -89,6 +93,8 @@ impl Walk {
             mirrored: false,
             mirror_wanted: false,
             times: FrameTimes::default(),
+            ended: None,
+            showing: 0.0,
             quality: None,
             replaying: None,
             notice: None,
@@ -256,7 +262,8 @@ impl Walk {
         };
         // Of a scene that was just loaded something is to be seen soon: the time of the first coarse samples.
         let is_first = self.shown.is_none();
-        let mut deadline = begin + if is_first { 0.3 * period } else { period };
+        let mut deadline =
+            begin + if is_first { 0.3 * period } else { period - self.showing.min(0.5 * period) };
         if let Some(least) = self.controls.set.quality.filter(|_| !is_first && now >= deadline)
             && self.source.quality() < least
         {
@@ -270,7 +277,7 @@ impl Walk {
         self.quality = Some(self.source.quality() + 0.0).filter(|quality| quality.is_finite());
         self.source.end_frame();
         self.frame = None;
-        self.times.push(Duration::from_secs_f64((now - begin).max(0.0)));
+        self.ended = Some((begin, now));
         // A session that hears of its end of frame on this thread shows it while it works.
         self.source.work(Duration::ZERO);
         if !self.mirrored {
@@ -281,6 +288,11 @@ impl Walk {
     }
 
     fn begin(&mut self, now: f64, period: f64) -> Next {
+        if let Some((began, ended)) = self.ended.take() {
+            self.times.push(Duration::from_secs_f64((now - began).max(0.0)));
+            // The picture was composed and painted meanwhile, which is part of the frame's time.
+            self.showing += 0.25 * ((now - ended).clamp(0.0, 0.5 * period) - self.showing);
+        }
         let camera = self.camera_at(now);
         let moved = self.camera != Some(camera);
         let all_shown = self.source.is_done() && self.source.is_shown();

@@ -143,6 +143,25 @@ fn frames_of_a_moving_camera_keep_their_period() {
 }
 
 #[test]
+fn frames_keep_their_period_although_showing_them_takes_time() {
+    let (mut walk, told) = walk();
+    told.borrow_mut().slices = 1 << 20;
+    walk.navigator.press(Motion::Right, 0.0);
+    let mut now = 0.0;
+    while now < 4.0 {
+        now = match walk.tick(now) {
+            (true, _) => now + 0.03,
+            (false, Next::Now) => now + 0.004,
+            (false, Next::At(t)) => t,
+            (false, Next::Input) => panic!("it moves"),
+        };
+    }
+    let frames = told.borrow().cameras.len();
+    assert!((37..=41).contains(&frames), "{frames} frames in 4 s at 10 per second");
+    assert!(walk.times.median_p99().is_some_and(|(median, _)| (median - 0.1).abs() < 0.01));
+}
+
+#[test]
 fn where_quality_is_kept_frames_wait_for_it() {
     let (mut walk, told) = walk();
     let controls = *walk.controls();

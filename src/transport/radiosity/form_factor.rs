@@ -50,22 +50,51 @@ pub struct Facet {
 
 /// Form factor from `p` to `q` without occlusion, and the visible share of it. Each is divided in four:
 /// 16 discs and 16 jittered rays. A patch partly behind the other's plane counts with the parts that are not.
-pub fn form_factor(p: &Facet, q: &Facet, visible: Visible<'_>, mut stream: Stream) -> (f32, f32) {
+///
+/// `expected`: what all rays between two larger patches around these found. Where four rays, one from each part to each,
+/// find the same, no more are asked: with those of its three siblings that is as many as there were between the larger
+/// patches, and others.
+pub fn form_factor(
+    p: &Facet,
+    q: &Facet,
+    expected: Option<bool>,
+    visible: Visible<'_>,
+    mut stream: Stream,
+) -> (f32, f32) {
     let (parts_p, parts_q) = (subdivide(p.corners), subdivide(q.corners));
-    let (mut factor, mut seen) = (0.0, 0.0);
-    for pi in parts_p {
-        for qj in parts_q {
-            let share = disc(centroid(pi), p.normal, centroid(qj), q.normal, q.area / 4.0) / 4.0;
-            if share > 0.0 {
-                factor += share;
-                let (from, to) = (random_point(pi, stream.next_2d()), random_point(qj, stream.next_2d()));
-                if visible(from, to) {
-                    seen += share;
+    let (from, to) = (parts_p.map(centroid), parts_q.map(centroid));
+    let mut shares = [[0.0; 4]; 4];
+    let mut factor = 0.0;
+    for (row, from) in shares.iter_mut().zip(from) {
+        for (share, to) in row.iter_mut().zip(to) {
+            *share = disc(from, p.normal, to, q.normal, q.area / 4.0) / 4.0;
+            factor += *share;
+        }
+    }
+    if factor <= 0.0 {
+        return (0.0, 0.0);
+    }
+    let (mut seen, mut rays, mut seen_rays) = (0.0, 0, 0);
+    for step in 0..4 {
+        for i in 0..4 {
+            // No two of a step share a part.
+            let j = (i + step) % 4;
+            if shares[i][j] > 0.0 {
+                let ends =
+                    (random_point(parts_p[i], stream.next_2d()), random_point(parts_q[j], stream.next_2d()));
+                rays += 1;
+                if visible(ends.0, ends.1) {
+                    seen += shares[i][j];
+                    seen_rays += 1;
                 }
             }
         }
+        if rays >= 4 && expected.is_some_and(|expected| seen_rays == if expected { rays } else { 0 }) {
+            break;
+        }
     }
-    (factor, if factor > 0.0 { seen / factor } else { 0.0 })
+    // Sums in another order are not exactly one.
+    (factor, if seen_rays == rays { 1.0 } else { (seen / factor).min(1.0) })
 }
 
 #[cfg(test)]
@@ -103,11 +132,28 @@ mod tests {
             area: 0.5,
         };
         let (p, q) = (facet(0.0, 1.0), facet(2.0, -1.0));
-        let all = form_factor(&p, &q, &|_, _| true, Stream::new(1, 2, 3));
-        let none = form_factor(&p, &q, &|_, _| false, Stream::new(1, 2, 3));
-        let half = form_factor(&p, &q, &|a, b| a.x + b.x < 0.6, Stream::new(1, 2, 3));
+        let stream = || Stream::new(1, 2, 3);
+        let all = form_factor(&p, &q, None, &|_, _| true, stream());
+        let none = form_factor(&p, &q, None, &|_, _| false, stream());
+        let half = form_factor(&p, &q, None, &|a, b| a.x + b.x < 0.6, stream());
         assert!(all.0 > 0.0 && all.1 == 1.0 && none == (all.0, 0.0));
         assert!(half.1 > 0.2 && half.1 < 0.8);
-        assert_eq!(form_factor(&q, &facet(3.0, 1.0), &|_, _| true, Stream::new(1, 2, 3)).0, 0.0);
+        assert_eq!(form_factor(&q, &facet(3.0, 1.0), None, &|_, _| true, stream()).0, 0.0);
+        // What is expected needs four rays, and what is not all of them.
+        let asked = |expected: bool, seen: bool| {
+            let rays = std::sync::atomic::AtomicU32::new(0);
+            let ray = |_, _| {
+                rays.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+                seen
+            };
+            let found = form_factor(&p, &q, Some(expected), &ray, stream());
+            assert_eq!(found, if seen { all } else { none });
+            rays.into_inner()
+        };
+        assert_eq!(
+            [asked(true, true), asked(false, false), asked(true, false), asked(false, true)],
+            [4, 4, 16, 16]
+        );
+        assert_eq!(form_factor(&p, &q, Some(true), &|a, b| a.x + b.x < 0.6, stream()), half);
     }
 }

@@ -126,7 +126,7 @@ impl<const BANDS: usize> Radiosity<BANDS> {
         let n = solution.nodes.len() as u32;
         let links: Vec<Vec<Link>> = (0..n)
             .into_par_iter()
-            .map(|p| (0..n).filter(|&q| q != p).filter_map(|q| solution.link(p, q, visible)).collect())
+            .map(|p| (0..n).filter(|&q| q != p).filter_map(|q| solution.link(p, q, None, visible)).collect())
             .collect();
         for (node, links) in solution.nodes.iter_mut().zip(links) {
             node.links = links;
@@ -139,11 +139,13 @@ impl<const BANDS: usize> Radiosity<BANDS> {
         Facet { corners: node.corners, normal: self.normals[node.root as usize], area: node.area }
     }
 
-    /// The link over which `p` gathers from `q`, if any of it faces any of the other.
-    fn link(&self, p: u32, q: u32, visible: Visible<'_>) -> Option<Link> {
+    /// The link over which `p` gathers from `q`, if any of it faces any of the other. `above`: the visibility over the link
+    /// that this one is a part of.
+    fn link(&self, p: u32, q: u32, above: Option<f32>, visible: Visible<'_>) -> Option<Link> {
         let (a, b) = (self.facet(p), self.facet(q));
         let stream = Stream::new(0x72ad, u64::from(p), u64::from(q));
-        let (form_factor, visibility) = form_factor(&a, &b, visible, stream);
+        let expected = above.filter(|&v| v <= 0.0 || v >= 1.0).map(|v| v > 0.0);
+        let (form_factor, visibility) = form_factor(&a, &b, expected, visible, stream);
         (form_factor > 0.0).then_some(Link { source: q, form_factor, visibility })
     }
 
@@ -266,10 +268,10 @@ impl<const BANDS: usize> Radiosity<BANDS> {
                     let Some(divides_source) = self.divided(*p, link, area_min) else { continue };
                     if divides_source {
                         let first = self.children_of(link.source);
-                        pairs.extend((first..first + 4).map(|q| (*p, q)));
+                        pairs.extend((first..first + 4).map(|q| (*p, q, link.visibility)));
                     } else {
                         let first = self.children_of(*p);
-                        pairs.extend((first..first + 4).map(|child| (child, link.source)));
+                        pairs.extend((first..first + 4).map(|child| (child, link.source, link.visibility)));
                     }
                 }
                 let mut gone = links.iter().peekable();
@@ -277,9 +279,10 @@ impl<const BANDS: usize> Radiosity<BANDS> {
                 self.nodes[*p as usize].links.retain(|l| gone.next_if(|g| *g == l).is_none());
                 replaced += links.len();
             }
-            let links: Vec<Option<Link>> = pairs.par_iter().map(|&(p, q)| self.link(p, q, visible)).collect();
+            let links: Vec<Option<Link>> =
+                pairs.par_iter().map(|&(p, q, above)| self.link(p, q, Some(above), visible)).collect();
             candidates.clear();
-            for ((p, _), link) in pairs.iter().zip(links) {
+            for ((p, ..), link) in pairs.iter().zip(links) {
                 if let Some(link) = link {
                     self.nodes[*p as usize].links.push(link);
                     candidates.push(*p);

@@ -140,7 +140,7 @@ mod tests {
         for material in &mut scene.materials {
             let albedo = match &material.model {
                 Model::Lambert { .. } | Model::Dielectric { thin: true, .. } => continue,
-                Model::Plastic { albedo, .. } => albedo.clone(),
+                Model::Plastic { albedo, .. } => *albedo,
                 _ => Reflectance::constant(Vec3::ZERO),
             };
             material.model = Model::Lambert { albedo };

@@ -252,7 +252,17 @@ fn plot(curves: &[Curve]) -> Option<String> {
             .y_label_area_size(56)
             .build_cartesian_2d(times.log_scale(), errors.log_scale())
             .ok()?;
-        chart.configure_mesh().x_desc("seconds").y_desc("relative error").draw().ok()?;
+        // Ticks are sums of steps: what rounding left of them is cut off.
+        let rounded = |v: f64| (1e5 * v).round() / 1e5;
+        chart
+            .configure_mesh()
+            .x_desc("seconds of all cores")
+            .y_desc("error of irradiance")
+            .x_label_formatter(&|t| rounded(*t).to_string())
+            .y_label_formatter(&|e| format!("{} %", rounded(100.0 * e)))
+            .light_line_style(TRANSPARENT)
+            .draw()
+            .ok()?;
         for (i, curve) in curves.iter().enumerate() {
             let color = Palette99::pick(i).to_rgba();
             let points = curve.points.iter().filter(|p| p.0 > 0.0 && p.1 > 0.0).map(|p| (p.0, p.1));
@@ -260,12 +270,12 @@ fn plot(curves: &[Curve]) -> Option<String> {
                 .draw_series(LineSeries::new(points, color.stroke_width(2)).point_size(3))
                 .ok()?
                 .label(&curve.name)
-                .legend(move |(x, y)| PathElement::new(vec![(x, y), (x + 16, y)], color));
+                .legend(move |(x, y)| PathElement::new(vec![(x, y), (x + 16, y)], color.stroke_width(2)));
         }
-        // Errors fall: the upper right is free.
+        // Errors fall from the upper left, and none is small at once.
         chart
             .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
+            .position(SeriesLabelPosition::LowerLeft)
             .background_style(WHITE)
             .border_style(BLACK)
             .draw()
@@ -273,4 +283,23 @@ fn plot(curves: &[Curve]) -> Option<String> {
         root.present().ok()?;
     }
     Some(svg)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_plot_names_its_curves_and_has_short_ticks() {
+        let curve = |name: &str, scale: f64| {
+            let points = (0..9).map(|i| 3f64.powi(i - 5)).map(|t| (t, scale / t.cbrt(), 0.0)).collect();
+            Curve { name: name.to_owned(), points }
+        };
+        let svg = plot(&[curve("one by particles", 0.02), curve("two by radiosity", 0.1)]).expect("a plot");
+        for said in ["one by particles", "two by radiosity", "10 %", "seconds of all cores"] {
+            assert!(svg.contains(said), "{said}");
+        }
+        assert!(!svg.contains("0000000") && !svg.contains("9999999"));
+        assert!(plot(&[]).is_none());
+    }
 }

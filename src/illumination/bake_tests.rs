@@ -394,3 +394,42 @@ fn bodies_wound_inside_out_are_lit_from_behind() {
         }
     }
 }
+
+/// A roof in the plane of a ceiling, out of sight and stored in few large elements, brightly lit from below outside.
+#[test]
+fn large_elements_out_of_sight_do_not_shine_into_rooms() {
+    // A closed room of 2 m; beside it a lit yard. Just above the ceiling one pair of triangles goes on over the yard,
+    // looks up and also covers the room.
+    let mut mesh = cube(Vec3::ZERO, 2.0, false);
+    join(&mut mesh, &quad(Vec3::new(0.9, 1.9, 0.9), Vec3::X * 0.2, Vec3::Z * 0.2), 1);
+    join(&mut mesh, &quad(Vec3::new(0.0, 2.001, 2.0), Vec3::X * 8.0, Vec3::NEG_Z * 2.0), 0);
+    join(&mut mesh, &quad(Vec3::new(2.0, 0.0, 2.0), Vec3::X * 6.0, Vec3::NEG_Z * 2.0), 2);
+    let mut house = scene(mesh, vec![lambert(0.5, 0.0), lambert(0.1, 100.0), lambert(0.5, 3.0)], Vec::new());
+    house.cameras = vec![NamedCamera {
+        name: "inside".into(),
+        camera: Camera {
+            eye: Vec3::new(0.5, 1.0, 0.5),
+            target: Vec3::new(1.5, 1.0, 1.5),
+            up: Vec3::Y,
+            fov_y: 1.0,
+        },
+    }];
+    let settings = BakeSettings { everything: false, ..settings(3000, 40_000, DirectLight::NextEvent) };
+    let transport = Lambertian::new(&house);
+    let mut baker = Baker::new(&house, &transport, &settings);
+    let map = baker.run(&|_| true, &mut |_| {}).illumination;
+    let (mut least, mut most, mut roofs) = (f32::INFINITY, 0.0f32, 0);
+    for (e, element) in baker.atlas.elements.iter().enumerate().filter(|(_, e)| e.area > 0.0) {
+        let is_roof = element.normal.y > 0.9 && element.position.y > 2.0;
+        if is_roof {
+            // No part of kernels, and lit all the same.
+            assert!(!baker.watched[e] && baker.open[e] == [false; 2], "{e}");
+            assert!(map.irradiance(element.triangle, element.b1, element.b2, true).y > 0.1, "{e}");
+            roofs += 1;
+        } else if element.normal.y < -0.9 && element.position.y > 1.95 {
+            let value = map.irradiance(element.triangle, element.b1, element.b2, false).y;
+            (least, most) = (least.min(value), most.max(value));
+        }
+    }
+    assert!(roofs > 0 && least > 0.0 && most < 3.0 * least, "{least} {most}");
+}

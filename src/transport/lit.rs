@@ -45,8 +45,9 @@ pub struct LitSurfaces {
 }
 
 impl LitSurfaces {
-    /// Cuts triangles of these `areas` (0 for those that no particle shall begin on) into `pieces`. `irradiance` is a sample of the luminance of distant light on the
-    /// side of a point, `weight` what a triangle counts, `near` the power of all other lights.
+    /// Cuts triangles of these `areas` (0 for those that no particle shall begin on) into `pieces`. `irradiance` is a
+    /// sample of the luminance of distant light on the side of a point, `weight` what a triangle counts, `near` the power
+    /// of all other lights.
     pub fn new(
         areas: impl Iterator<Item = f32>,
         pieces: usize,

@@ -19,8 +19,7 @@ use crate::renderer::{Renderer, Splats};
 /// Just noticeable differences that the overlay of errors shows white. Below, by the square root, since most are small.
 const ERROR_MAX: f32 = 4.0;
 
-/// The renderer's last picture as `controls` want it seen. In a recording that stands between two frames, the picture as
-/// it has become since.
+/// The renderer's last picture as `controls` want it seen; `between_frames` the picture as it has become since.
 pub fn picture(
     renderer: &Renderer,
     world: &World,

@@ -372,7 +372,9 @@ impl FrameSource for Session {
     fn picture(&mut self) -> Option<Map2d<[u8; 3]>> {
         self.listen();
         let (controls, insight) = (self.controls, self.insight.as_ref());
-        self.look(|renderer| look::picture(renderer, &self.world, &controls, insight, &self.encoder, false))?
+        // A mirror draws what has come since the frame was shown, too.
+        let newest = self.newest.mirrored.load(Ordering::Relaxed);
+        self.look(|renderer| look::picture(renderer, &self.world, &controls, insight, &self.encoder, newest))?
     }
 
     fn set_mirrored(&mut self, mirrored: bool) {

@@ -287,7 +287,8 @@ fn every_control_is_a_message_and_no_new_actors_start() {
     assert_eq!(walk.picture().cloned(), plain, "whatever the order of the samples");
 }
 
-/// Pixels of the mirror's picture that are not as the walk's, and of how many.
+/// Pixels of the mirror's picture that are not as the walk's, and of how many. Both show what came since the last frame,
+/// too: on a busy machine that may be much.
 fn differing(walk: &mut Walk, mirror: &mut Mirror) -> (usize, usize) {
     walk.set_mirrored(true);
     assert!(walk.draw_on(mirror));
@@ -315,8 +316,8 @@ fn an_adapter_shows_the_same_picture_by_itself() {
         if shown {
             frames += 1;
             let (off, all) = differing(&mut walk, &mut mirror);
-            // Edges of surfaces: the rasteriser rounds otherwise than rays do.
-            assert!(off * 100 < all * 2, "frame {frames}: {off} of {all} pixels differ");
+            // A few at edges of surfaces, where the rasteriser rounds otherwise than rays do.
+            assert!(off * 1000 < all, "frame {frames}: {off} of {all} pixels differ");
         }
         if frames == 6 {
             walk.navigator.release(Motion::Right, now);

@@ -174,7 +174,8 @@ impl OfScene {
         let (width, objects) = (colors.width().max(1), drawn.buffers.object.data());
         let pixels = ranks.data().iter().zip(colors.data()).zip(objects).zip(&mut self.approximated);
         let new = pixels.enumerate().filter_map(|(i, (((rank, color), object), before))| {
-            if *rank != APPROXIMATED || before == color {
+            // Those that a better map will replace are shown until then.
+            if *rank > APPROXIMATED || before == color {
                 return None;
             }
             // Where nothing lies nothing is shown, so that the many diffuse pixels stay here.
@@ -205,5 +206,42 @@ impl OfScene {
             self.tiles.fill(0);
             self.display.unrefine();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::renderer::gpu::{readback, test_scene};
+    use foveal::display::{FrameBuffers, twin};
+    use foveal::illumination::Uniform;
+    use foveal::world::World;
+
+    /// What an adapter shows that first looks at the view now.
+    fn shown(drawn: &Arc<DrawnView>, layer: &SplatLayer, gpu: &Gpu) -> Vec<u8> {
+        let mut mirror = Mirror::new(gpu.clone());
+        mirror.take_scene(drawn, 2, Footprint::Tile).expect("it fits");
+        let scene = mirror.scene.as_mut().expect("a scene");
+        scene.take_view(drawn);
+        scene.take_approximations(drawn, layer);
+        scene.display.draw(&ToneMap::default(), Overlay::None);
+        readback::read(gpu, mirror.picture().expect("drawn")).expect("an adapter")
+    }
+
+    #[test]
+    fn first_approximations_are_shown_until_a_better_map_replaces_them() {
+        let Ok(gpu) = Gpu::headless() else { return };
+        let world = World::new(Arc::new(test_scene::room(4)), Arc::new(Uniform(Vec3::ONE)));
+        let frame = world.scene.cameras[0].camera.frame(80, 60);
+        let mut buffers = FrameBuffers::new(80, 60);
+        twin::draw(&world, &frame, twin::Passes { texture_ids: false }, &mut buffers);
+        let drawn = Arc::new(DrawnView { view: View(1), frame, buffers, world, object_count: 3, hash: 0 });
+        let mut layer = SplatLayer::new(80, 60, 2, Footprint::Tile);
+        let without = shown(&drawn, &layer, &gpu);
+        layer.approximate(|x, y| Vec3::splat(if drawn.buffers.object.at(x, y) == 0 { 0.0 } else { 0.25 }));
+        let with = shown(&drawn, &layer, &gpu);
+        assert_ne!(with, without);
+        layer.disapprove(|_, _| true);
+        assert!(layer.is_bare(40, 30) && shown(&drawn, &layer, &gpu) == with, "nothing better is there yet");
     }
 }

@@ -1,6 +1,7 @@
 //! Measurements on tiny input, so that they never rot; what they say of time is nobody's business here.
 
 use std::fs;
+use std::path::Path;
 
 use serde_json::Value;
 
@@ -79,6 +80,30 @@ fn errors_beside_plain_alternatives() {
     let csv = fs::read_to_string(out.join("error-plain.csv")).expect("a table");
     assert!(csv.lines().count() > 100 && !csv.contains("NaN"), "{csv}");
     let page = fs::read_to_string(out.join("report.html")).expect("a page");
-    assert!(page.contains("<svg") && page.matches("<img").count() >= 5);
-    assert!(out.join("error-box.svg").exists());
+    assert!(page.matches("<svg").count() == 2 && page.matches("<img").count() >= 12);
+    assert!(out.join("error-box-still.svg").exists() && out.join("error-box-walking.svg").exists());
+}
+
+/// Whoever doubts our figures measures in a scene of theirs.
+#[test]
+fn errors_of_every_order_in_a_scene_of_ones_own() {
+    let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes");
+    let measure = |scene: &Path| {
+        Foveal::new("bench error --size 24x18 --frames 2 --runs 2 --policies utility,uniform").arg(scene)
+    };
+    let out = folder("own");
+    let d = measure(&scenes.join("duck/duck.toml")).arg("--out").arg(&out).json();
+    for what in ["duck, still: utility", "duck, walking: uniform", "all scenes, still and walking: utility"] {
+        let found = row(&d, what);
+        assert!(found["runs"] == 2 && found["band"].as_array().is_some_and(|b| b.len() == 2), "{found}");
+    }
+    assert_eq!(d["rows"].as_array().expect("rows").iter().filter(|r| r["unit"] == "JOD").count(), 2);
+    let csv = fs::read_to_string(out.join("error-curves.csv")).expect("a table");
+    assert_eq!(csv.lines().count(), 1 + 2 * 2 * (17 + 2));
+    let page = fs::read_to_string(out.join("report.html")).expect("a page");
+    assert!(page.contains("duck, walking") && page.matches("<img").count() == 4);
+    let d = measure(&scenes.join("diffuse/diffuse.toml")).json();
+    assert!(d["notes"].to_string().contains("nothing that its first camera sees is corrected"), "{d}");
+    measure(Path::new("nowhere.obj")).fails(3, &["nowhere.obj"]);
+    measure(Path::new("nowhere")).fails(2, &["nowhere", "box"]);
 }

@@ -328,6 +328,7 @@ pub fn page(
             .collect(),
         plots: [super::texture_page::rate_and_quality(document), super::texture_page::plots(document)]
             .concat(),
+        sections: Vec::new(),
         frames: walked.points.clone(),
         deadline_ms: 1e3 / fps,
     })

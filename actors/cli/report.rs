@@ -56,6 +56,19 @@ pub struct Plot {
     pub limit: Option<f32>,
 }
 
+/// A part of a page: a plot and pictures that belong together.
+#[derive(Clone, Debug, Default)]
+pub struct Section {
+    /// Title.
+    pub title: String,
+    /// A plot.
+    pub svg: Option<String>,
+    /// What it shows.
+    pub caption: String,
+    /// Pictures.
+    pub figures: Vec<Figure>,
+}
+
 /// Everything on the page.
 #[derive(Clone, Debug, Default)]
 pub struct Page {
@@ -69,6 +82,8 @@ pub struct Page {
     pub tables: Vec<Table>,
     /// Plots behind that of the frames' times.
     pub plots: Vec<Plot>,
+    /// Parts behind all of that.
+    pub sections: Vec<Section>,
     /// Frames.
     pub frames: Vec<FramePoint>,
     /// The deadline of a frame.
@@ -263,7 +278,23 @@ pub fn html(page: &Page) -> String {
     if !page.figures.is_empty() {
         out.push_str("<h2>Pictures</h2>");
     }
-    for figure in &page.figures {
+    write_figures(&mut out, &page.figures);
+    for section in &page.sections {
+        let svg = section.svg.as_deref().unwrap_or_default();
+        let _ = write!(
+            out,
+            "<h2>{}</h2><figure style=\"max-width:none\">{svg}<figcaption>{}</figcaption></figure><br>",
+            escape(&section.title),
+            escape(&section.caption)
+        );
+        write_figures(&mut out, &section.figures);
+    }
+    out.push_str("</html>\n");
+    out
+}
+
+fn write_figures(out: &mut String, figures: &[Figure]) {
+    for figure in figures {
         let _ = write!(
             out,
             "<figure><img alt=\"{0}\" src=\"data:image/png;base64,{1}\"><figcaption><b>{0}</b> {2}</figcaption></figure>",
@@ -272,8 +303,6 @@ pub fn html(page: &Page) -> String {
             escape(&figure.caption),
         );
     }
-    out.push_str("</html>\n");
-    out
 }
 
 #[cfg(test)]
@@ -293,6 +322,11 @@ mod tests {
                 rows: vec![vec!["<script>".into()]],
             }],
             summary: vec!["s".into()],
+            sections: vec![Section {
+                title: "<i>".into(),
+                svg: Some("<svg></svg>".into()),
+                ..Section::default()
+            }],
             plots: vec![Plot {
                 title: "p".into(),
                 caption: "c".into(),
@@ -302,8 +336,8 @@ mod tests {
             }],
         };
         let html = html(&page);
-        assert!(html.contains("a&lt;b&gt;") && !html.contains("<script>") && html.contains("<svg"));
-        assert_eq!(html.matches("<svg").count(), 2);
+        assert!(html.contains("a&lt;b&gt;") && !html.contains("<script>") && !html.contains("<i>"));
+        assert_eq!(html.matches("<svg").count(), 3);
         assert!(!html.contains("src=\"http") && !html.contains("href="), "nothing is fetched");
     }
 }

@@ -1,45 +1,20 @@
 //! `foveal bench error`: how fast the error of the corrected pixels falls under each policy, standing still and walking.
-//!
-//! Every sample of every view is traced once, with its time; the policies then order the same samples, so that they
-//! differ in nothing but their order, and time is the sum of what each object's samples were measured to cost.
 
-use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use clap::Args;
+use foveal::allocation::policy::Policy;
+use foveal::metrics::curve::ErrorCurve;
 use rayon::prelude::*;
 
-use foveal::allocation::jobs::job_pixels;
-use foveal::allocation::policy::{Policy, RayPolicy};
-use foveal::allocation::ray_order::{RayOrder, residual_of_batch};
-use foveal::display::FrameBuffers;
-use foveal::display::environment_map::{EnvironmentMap, capture, phong_exponent, texel_count};
-use foveal::display::first_approximation::{FirstApproximation, Probes};
-use foveal::display::tone::{Encoder, ToneMap};
-use foveal::display::twin::{self, Passes};
-use foveal::image::Map2d;
-use foveal::metrics::curve::ErrorCurve;
-use foveal::metrics::{flip, video};
-use foveal::perception::importance::{ObjectScan, ObjectStatistics, Weights, priorities};
-use foveal::perception::saliency::SaliencyModel;
-use foveal::perception::tvi::TviTable;
-use foveal::perception::viewing::Viewing;
-use foveal::sampling::Lattice;
-use foveal::scene::camera::CameraFrame;
-use foveal::splatting::trace::{Owner, trace_samples};
-use foveal::splatting::{AgeingRules, Footprint, Sample, SampleBatch, SampleCache, SplatLayer, warp};
-use foveal::world::World;
-use glam::Vec3;
-
-use super::made::MadeScene;
+use super::error_curves::{CSV_HEAD, Judge, Point, Way, csv, sections_of, write_page};
+use super::made::Subject;
 use super::stages::quick_world;
-use super::table::{Aim, CommonArguments, Row, finish};
-use crate::cache_ager::angle_limit;
+use super::study::{Entrant, FRAMES_PER_SECOND, Study, policies};
+use super::table::{Aim, CommonArguments, Row, finish, median};
 use crate::cli::Progress;
 use crate::cli::arguments::Size;
 use crate::cli::failure::Failure;
-use crate::processor_time::cpu_ns;
-use crate::settings::Settings;
 
 /// Arguments of `foveal bench error`.
 #[derive(Args, Debug)]
@@ -53,8 +28,12 @@ pub struct ErrorArguments {
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "400x300")]
     pub(super) size: Size,
-    /// Bundled scenes (default: box,duck,table,gallery,chess; of the illumination box,diffuse,table)
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    /// Scene files, or names of bundled scenes (default: box duck table gallery chess; of the illumination
+    /// box diffuse table)
+    #[arg(value_name = "SCENE")]
+    subjects: Vec<String>,
+    /// The same with commas between
+    #[arg(long, value_name = "SCENES", value_delimiter = ',')]
     scenes: Vec<String>,
     /// Policies to compare; all: the first paper's, black mirrors and all; its attention on
     /// environment maps; attention as here, uniform, utility
@@ -62,10 +41,10 @@ pub struct ErrorArguments {
     pub(super) policies: Vec<String>,
     /// Frames of the walk, a tenth of a second apart
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(2..=1000))]
-    frames: u32,
+    pub(super) frames: u32,
     /// Share of a view's samples that one frame of the walk has time for
     #[arg(long, value_name = "SHARE", default_value = "0.1", value_parser = crate::cli::arguments::unit)]
-    share: f32,
+    pub(super) share: f32,
     /// Show only the coarsest environment maps
     #[arg(long)]
     coarse_maps: bool,
@@ -96,450 +75,184 @@ enum What {
     Illumination,
 }
 
-/// Frames of the walk.
-const FRAMES_PER_SECOND: f32 = 10.0;
 /// Steps of the still view's curve.
 const STEPS: u32 = 16;
-/// Texels along an edge of the maps that a walk of some seconds would have captured.
-const MAP_SIDE: usize = 64;
+/// Share of the time of all samples after which pictures of still views are shown.
+const SHOWN_AT: f64 = 0.1;
 
-/// One of the orders that are compared.
-#[derive(Clone)]
-pub(super) struct Entrant {
-    pub(super) name: String,
-    pub(super) policy: RayPolicy,
-    /// Without any first approximation, as both papers draw what is not diffuse.
-    black: bool,
-}
-
-/// A view with all of its samples.
-pub(super) struct Traced {
-    frame: CameraFrame,
-    pub(super) buffers: FrameBuffers,
-    statistics: Vec<ObjectStatistics>,
-    /// Index of each pixel's sample in its object's batch.
-    index: Map2d<u32>,
-    /// All samples, by object id.
-    samples: Vec<SampleBatch>,
-    /// Seconds per sample, by object id.
-    pub(super) cost: Vec<f64>,
-    pub(super) reference: Map2d<Vec3>,
-    /// What the splat layer begins with.
-    first: Map2d<Vec3>,
-}
-
-impl Traced {
-    /// Seconds that all samples take.
-    pub(super) fn seconds(&self) -> f64 {
-        self.samples.iter().zip(&self.cost).map(|(s, c)| s.len() as f64 * c).sum()
-    }
-}
-
-/// What one policy came to in one scene.
-struct Result {
+/// What one policy came to in one run in one scene.
+struct Outcome {
+    /// Mean FLIP of the corrected pixels over the time of all samples.
     still: f64,
+    /// Mean over the frames of the walk.
     walking: f64,
     /// The walk beside its traced pictures, in just objectionable differences.
-    jod: f32,
-    curve: ErrorCurve,
+    jod: f64,
+    curves: [Vec<Point>; 2],
     /// Share of time spent deciding.
     deciding: f64,
 }
 
 /// Runs the benchmark.
-pub fn run(a: &ErrorArguments, progress: Progress) -> std::result::Result<(), Failure> {
-    let names = |default: &str| match a.scenes.is_empty() {
-        true => default.split(',').map(str::to_owned).collect(),
-        false => a.scenes.clone(),
+pub fn run(a: &ErrorArguments, progress: Progress) -> Result<(), Failure> {
+    let named: Vec<String> = a.subjects.iter().chain(&a.scenes).cloned().collect();
+    let or = |default: &str| match named.is_empty() {
+        true => default.split(' ').map(str::to_owned).collect(),
+        false => named.clone(),
     };
     if a.what == What::Illumination {
-        return super::illumination::run(
-            &names("box,diffuse,table"),
-            a.time.as_secs_f64(),
-            &a.common,
-            progress,
-        );
+        return super::illumination::run(&or("box diffuse table"), a.time.as_secs_f64(), &a.common, progress);
     }
-    let scenes: Vec<String> = names("box,duck,table,gallery,chess");
+    let scenes: Vec<String> = or("box duck table gallery chess");
     if a.plain {
         return super::error_plain::run(a, &scenes, progress);
     }
     let entrants = policies(&a.policies)?;
-    let bar = progress.bar(scenes.len() as u64, "scenes");
-    let mut rows = Vec::new();
-    let mut sums = vec![[0.0f64; 2]; entrants.len()];
-    let mut csv = String::from("scene,policy,seconds,flip\n");
-    let (mut deciding, mut worst) = (Vec::new(), 0.0f64);
-    for name in &scenes {
-        let world = quick_world(MadeScene::bundled(name)?.path())?;
-        let study = Study::new(a, world);
-        let results: std::result::Result<Vec<Result>, Failure> =
-            entrants.par_iter().map(|e| study.run(a, e)).collect();
-        let results = results?;
-        for motion in 0..2 {
-            let of = |r: &Result| [r.still, r.walking][motion];
-            let best_other = entrants
-                .iter()
-                .zip(&results)
-                .filter(|(e, _)| e.policy.policy != Policy::Utility)
-                .map(|(_, r)| of(r))
-                .fold(f64::INFINITY, f64::min);
-            for (i, (entrant, result)) in entrants.iter().zip(&results).enumerate() {
-                sums[i][motion] += of(result);
-                let what = format!("{name}, {}: {}", ["still", "walking"][motion], entrant.name);
-                let mut row = Row::new(what, "mean FLIP", &[of(result)]);
-                if entrant.policy.policy == Policy::Utility {
-                    row = row
-                        .against("best other", Some(best_other).filter(|v| v.is_finite()))
-                        .aim(Aim::RatioAtMost(1.05));
-                    worst = worst.max(of(result) / best_other);
-                    deciding.push(result.deciding);
-                }
-                rows.push(row);
-            }
+    let runs = a.common.runs as usize;
+    let bar = progress.bar((scenes.len() * runs) as u64, "scenes");
+    let (mut rows, mut sections, mut table) = (Vec::new(), Vec::new(), String::from(CSV_HEAD));
+    // By entrant and run, over scenes and motions.
+    let mut sums = vec![vec![0.0f64; runs]; entrants.len()];
+    let (mut deciding, mut notes, mut corrected) = (Vec::new(), Vec::new(), 0);
+    for word in &scenes {
+        let name = Subject::name(word);
+        let mut study = Study::new(quick_world(Subject::of(word)?.path())?, a.size, a.frames, a.coarse_maps)?;
+        if study.still().seconds() <= 0.0 {
+            notes.push(format!("{name}: nothing that its first camera sees is corrected"));
+            bar.inc(runs as u64);
+            continue;
         }
-        for (entrant, result) in entrants.iter().zip(&results) {
-            rows.push(Row::new(
-                format!("{name}, walking: {}", entrant.name),
-                "JOD",
-                &[f64::from(result.jod)],
-            ));
-            for (time, error) in result.curve.points() {
-                csv += &format!("{name},{},{time},{error}\n", entrant.name);
+        corrected += 1;
+        // By entrant, then by run.
+        let mut outcomes: Vec<Vec<Outcome>> = entrants.iter().map(|_| Vec::new()).collect();
+        for run in 0..runs {
+            if run > 0 {
+                study.retrace();
             }
+            let found: Result<Vec<Outcome>, Failure> = entrants
+                .par_iter()
+                .map(|e| outcome(&study, a, e, run == 0 && a.common.out.is_some()))
+                .collect();
+            outcomes.iter_mut().zip(found?).for_each(|(all, one)| all.push(one));
+            bar.inc(1);
         }
-        bar.inc(1);
+        rows.extend(rows_of(name, &entrants, &outcomes));
+        for (sums, outcomes) in sums.iter_mut().zip(&outcomes) {
+            sums.iter_mut().zip(outcomes).for_each(|(sum, o)| *sum += o.still + o.walking);
+        }
+        let ours = entrants.iter().position(|e| e.policy.policy == Policy::Utility);
+        deciding.extend(ours.iter().flat_map(|i| outcomes[*i].iter().map(|o| o.deciding)));
+        let [still, walking] = ways(&entrants, outcomes);
+        table += &csv(name, "still", &still);
+        table += &csv(name, "walking", &walking);
+        if let Some(out) = &a.common.out {
+            let end = f64::from(a.frames - 1) / f64::from(FRAMES_PER_SECOND);
+            let shown = [SHOWN_AT * study.still().seconds(), end];
+            sections.extend(sections_of(out, name, [&still, &walking], None, shown, &study.tone)?);
+        }
     }
-    let total = |name: &str| {
-        let i = entrants.iter().position(|e| e.name == name)?;
-        Some((sums[i][0] + sums[i][1]) / (2 * scenes.len()) as f64)
-    };
-    if let Some(utility) = total("utility") {
-        for (peer, aim) in [("as published in 2001", 0.7), ("attention of 2001", 0.7), ("uniform", 0.8)] {
-            if let Some(theirs) = total(peer) {
-                let row = Row::new("all scenes, still and walking: utility", "mean FLIP", &[utility]);
-                rows.push(row.against(peer, Some(theirs)).aim(Aim::RatioAtMost(aim)));
-            }
-        }
-        rows.push(Row::new("share of time spent deciding: utility", "", &deciding).aim(Aim::AtMost(0.02)));
+    let worst = rows.iter().filter_map(Row::ratio).fold(f64::NAN, f64::max);
+    rows.extend(totals(&entrants, &sums, &deciding, corrected));
+    if worst.is_finite() {
+        let what = "worst of all scenes, still or walking: utility beside the best other";
+        rows.push(Row::new(what, "×", &[worst]).aim(Aim::AtMost(1.05)));
     }
     bar.finish_and_clear();
-    let notes = vec![format!(
+    notes.push(format!(
         "mean FLIP of the non-diffuse pixels over time, {}; a frame of the walk has time for {} of its samples",
         if a.coarse_maps { "before environment maps are captured" } else { "with environment maps" },
         a.share
-    )];
+    ));
+    notes.push("held against what the views converge to, one sample per pixel".into());
     if let Some(out) = &a.common.out {
-        crate::cli::output::make_folder(out)?;
-        crate::cli::output::write_atomic(&out.join("error-curves.csv"), csv.as_bytes())?;
+        write_page(out, "error-curves.csv", &table, &rows, &notes, sections)?;
     }
     finish("error", &rows, &notes, &a.common)
 }
 
-/// The orders by their names.
-pub(super) fn policies(names: &[String]) -> std::result::Result<Vec<Entrant>, Failure> {
-    let of = |name: &str, policy: RayPolicy| Entrant { name: name.to_owned(), policy, black: false };
-    let paper = RayPolicy { reduction: RayPolicy::HABER_REDUCTION, ..RayPolicy::new(Policy::Attention, 0) };
-    let published = Entrant { black: true, ..of("as published in 2001", paper) };
-    let mut all = vec![published, of("attention of 2001", paper)];
-    for policy in [Policy::Attention, Policy::Uniform, Policy::Utility] {
-        all.push(of(policy.name(), RayPolicy::new(policy, 0)));
-    }
-    if names.iter().any(|n| n == "all") {
-        return Ok(all);
-    }
-    let one = |name: &String| {
-        let policy: Policy = name.parse().map_err(Failure::Usage)?;
-        Ok(of(policy.name(), RayPolicy::new(policy, 0)))
+fn outcome(study: &Study, a: &ErrorArguments, entrant: &Entrant, keeps: bool) -> Result<Outcome, Failure> {
+    let judged = |i: usize, seconds: f64, picture| {
+        let view = &study.views[i];
+        let judge =
+            Judge { objects: &view.buffers.object, tone: &study.tone, reference: &view.reference, keeps };
+        judge.point(seconds, picture)
     };
-    names.iter().map(one).collect()
+    let mut still = Vec::new();
+    let shares = (1..=STEPS).map(|step| f64::from(step) / f64::from(STEPS));
+    let stood = study.stand(entrant, shares, |seconds, picture| still.push(judged(0, seconds, picture)));
+    let mut curve = ErrorCurve::new(still.first().map_or(0.0, |p| p.corrected.flip));
+    still.iter().for_each(|p| curve.push(p.seconds, p.corrected.flip));
+    let (walked, shown) = study.walk(entrant, f64::from(a.share));
+    let jod = study.jod(&shown)?;
+    let at = |i: usize| i as f64 / f64::from(FRAMES_PER_SECOND);
+    let walking: Vec<Point> =
+        shown.into_iter().enumerate().map(|(i, picture)| judged(i, at(i), picture)).collect();
+    let [deciding, traced] = [stood.times(), walked.times()]
+        .into_iter()
+        .fold([0.0, 0.0], |[d, t], times| [d + times[0], t + times[1]]);
+    Ok(Outcome {
+        still: curve.area(study.still().seconds()) * curve.points()[0].1,
+        walking: walking.iter().map(|p| p.corrected.flip).sum::<f64>() / walking.len().max(1) as f64,
+        jod,
+        curves: [still, walking],
+        deciding: deciding / (deciding + traced),
+    })
 }
 
-impl Entrant {
-    /// All pixels level by level over nothing, as a plain ray tracer would on this lattice.
-    pub(super) fn plain_lattice() -> Self {
-        Self { name: "√5 order".into(), policy: RayPolicy::new(Policy::Uniform, 0), black: true }
-    }
-}
-
-/// A scene with all views traced.
-pub(super) struct Study {
-    world: World,
-    tone: ToneMap,
-    views: Vec<Traced>,
-    limits: Vec<f32>,
-    settings: Settings,
-}
-
-impl Study {
-    fn new(a: &ErrorArguments, world: World) -> Self {
-        let still = world.scene.cameras[0].camera;
-        let camera = |i: u32| match world.scene.paths.first() {
-            Some(path) => path.at(i as f32 / FRAMES_PER_SECOND, still.up, still.fov_y),
-            None => still,
-        };
-        let cameras = (0..a.frames).map(camera).collect();
-        Self::of_cameras(a, world, cameras, a.coarse_maps)
-    }
-
-    /// The start view, before environment maps are captured.
-    pub(super) fn of_view(a: &ErrorArguments, world: World) -> Self {
-        let still = world.scene.cameras[0].camera;
-        Self::of_cameras(a, world, vec![still], true)
-    }
-
-    /// Its first view.
-    pub(super) fn first_view(&self) -> &Traced {
-        &self.views[0]
-    }
-
-    fn of_cameras(
-        a: &ErrorArguments,
-        world: World,
-        cameras: Vec<foveal::scene::Camera>,
-        coarse_maps: bool,
-    ) -> Self {
-        let settings = Settings::new(a.size.width, a.size.height, 1);
-        let probes = Arc::new(Probes::of_world(&world));
-        let mut first = FirstApproximation::new(probes.clone());
-        if !coarse_maps {
-            let map = |(id, object): (usize, &foveal::scene::Object)| {
-                let model = &world.scene.materials[object.material.0 as usize].model;
-                let (exponent, centre) = (phong_exponent(model.lobe_alpha()), probes.probes[id].centre);
-                let texels = 0..texel_count(MAP_SIDE);
-                let seen = capture(&world, &probes.split_sum, id as u32, centre, MAP_SIDE, texels);
-                Arc::new(EnvironmentMap::of_capture(centre, MAP_SIDE, &seen, exponent))
-            };
-            let objects: Vec<_> = world.scene.objects.iter().enumerate().skip(1).collect();
-            let maps: Vec<_> = objects.into_par_iter().map(map).collect();
-            for (i, map) in maps.into_iter().enumerate() {
-                first.set(i as u32 + 1, Some(map));
-            }
-        }
-        let views = cameras.into_iter().map(|c| traced(&world, &first, c, &settings)).collect();
-        let limits = world.scene.objects.iter().map(|o| angle_limit(&world, o.material)).collect();
-        Self { tone: ToneMap::from(&world.scene.display), world, views, limits, settings }
-    }
-
-    fn run(&self, a: &ErrorArguments, entrant: &Entrant) -> std::result::Result<Result, Failure> {
-        let mut walk = Walk::new(self, entrant);
-        let view = &self.views[0];
-        walk.begin(1, view);
-        let total = view.seconds();
-        let mut curve = ErrorCurve::new(walk.error(view));
-        for step in 1..=STEPS {
-            let until = total * f64::from(step) / f64::from(STEPS);
-            walk.attend(view);
-            walk.correct(view, until);
-            curve.push(until, walk.error(view));
-        }
-        let still = curve.area(total) * curve.points()[0].1;
-        let mut walk = Walk { deciding: walk.deciding, traced: walk.traced, ..Walk::new(self, entrant) };
-        let (mut sum, mut shown) = (0.0, Vec::new());
-        for (i, view) in self.views.iter().enumerate() {
-            walk.begin(i as u32 + 1, view);
-            walk.correct(view, f64::from(a.share) * view.seconds());
-            sum += walk.error(view);
-            shown.push(walk.picture(view));
-            walk.attend(view);
-        }
-        let walking = sum / self.views.len() as f64;
-        let deciding = walk.deciding / (walk.deciding + walk.traced);
-        let display = &self.world.scene.display;
-        let camera = &self.world.scene.cameras[0].camera;
-        let fov_x = 2.0 * ((0.5 * camera.fov_y).tan() * a.size.width as f32 / a.size.height as f32).atan();
-        let viewing = Viewing::from_centre_of_projection(display.white_cd_m2, a.size.width as usize, fov_x);
-        let references: Vec<_> = self.views.iter().map(|v| v.reference.clone()).collect();
-        let jod = video::jod(&shown, &references, FRAMES_PER_SECOND, &self.tone, &viewing)
-            .map_err(Failure::Check)?;
-        Ok(Result { still, walking, jod, curve, deciding })
-    }
-}
-
-/// Traces all samples of a view, object by object.
-fn traced(world: &World, first: &FirstApproximation, camera: foveal::scene::Camera, s: &Settings) -> Traced {
-    let frame = camera.frame(s.width, s.height);
-    let (width, height) = (s.width as usize, s.height as usize);
-    let mut buffers = FrameBuffers::new(width, height);
-    twin::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
-    let mut approximation = Map2d::new(width, height, Vec3::ZERO);
-    first.draw(world, &frame, &buffers, &mut approximation);
-    let mut statistics = Vec::new();
-    ObjectScan::default().gather(&buffers.object, None, world.scene.objects.len(), &mut statistics);
-    let of_object = |id: usize| {
-        let s = &statistics[id];
-        let pixels = (s.y0 as i32..s.y1 as i32).flat_map(|y| (s.x0 as i32..s.x1 as i32).map(move |x| (x, y)));
-        let pixels =
-            pixels.filter(|&(x, y)| id > 0 && buffers.object.at(x as usize, y as usize) == id as u32);
-        let owner = Owner { view: 0, object: id as u32, k: 0 };
-        // Processor time: what else the machine does is none of the policies' business.
-        let start = cpu_ns();
-        let batch = trace_samples(world, &frame, &buffers, owner, pixels, 0);
-        let cost = 1e-9 * (cpu_ns() - start) / batch.len().max(1) as f64;
-        (batch, cost)
+/// A scene's medians.
+fn rows_of(name: &str, entrants: &[Entrant], outcomes: &[Vec<Outcome>]) -> Vec<Row> {
+    let mut rows = Vec::new();
+    let values = |of: fn(&Outcome) -> f64| -> Vec<Vec<f64>> {
+        outcomes.iter().map(|runs| runs.iter().map(of).collect()).collect()
     };
-    let (samples, cost): (Vec<_>, Vec<_>) = (0..statistics.len()).map(of_object).unzip();
-    let mut index = Map2d::new(width, height, u32::MAX);
-    let mut reference = buffers.color.clone();
-    for batch in &samples {
-        for (i, (pixel, color)) in batch.pixels.iter().zip(&batch.colors).enumerate() {
-            let (x, y) = (usize::from(pixel[0]), usize::from(pixel[1]));
-            *index.at_mut(x, y) = i as u32;
-            *reference.at_mut(x, y) += *color;
+    for (motion, of) in
+        [("still", (|o| o.still) as fn(&Outcome) -> f64), ("walking", |o: &Outcome| o.walking)]
+    {
+        let values = values(of);
+        let others = entrants.iter().zip(&values).filter(|(e, _)| e.policy.policy != Policy::Utility);
+        let best = others.filter_map(|(_, v)| median(v)).fold(f64::INFINITY, f64::min);
+        for (entrant, values) in entrants.iter().zip(&values) {
+            let what = format!("{name}, {motion}: {}", entrant.name);
+            let row = Row::new(what, "mean FLIP", values).with_band(values);
+            rows.push(match entrant.policy.policy {
+                Policy::Utility if best.is_finite() => {
+                    row.against("best other", Some(best)).aim(Aim::RatioAtMost(1.05))
+                }
+                _ => row,
+            });
         }
     }
-    Traced { frame, buffers, statistics, index, samples, cost, reference, first: approximation }
+    for (entrant, values) in entrants.iter().zip(values(|o| o.jod)) {
+        rows.push(Row::new(format!("{name}, walking: {}", entrant.name), "JOD", &values).with_band(&values));
+    }
+    rows
 }
 
-/// Seconds since `start`, of a decision of some microseconds. Longer than a millisecond it was something else: the
-/// machine's other work. (A clock of the processor's time would cost more than what is measured.)
-fn undisturbed(start: Instant) -> f64 {
-    let seconds = start.elapsed().as_secs_f64();
-    if seconds < 1e-3 { seconds } else { 0.0 }
+/// Our order beside the others over all scenes.
+fn totals(entrants: &[Entrant], sums: &[Vec<f64>], deciding: &[f64], scenes: usize) -> Vec<Row> {
+    let total = |name: &str| -> Option<Vec<f64>> {
+        let i = entrants.iter().position(|e| e.name == name)?;
+        Some(sums[i].iter().map(|sum| sum / (2 * scenes.max(1)) as f64).collect())
+    };
+    let mut rows = Vec::new();
+    let Some(utility) = total("utility").filter(|_| scenes > 0) else { return rows };
+    for (peer, aim) in [("as published in 2001", 0.7), ("attention of 2001", 0.7), ("uniform", 0.8)] {
+        if let Some(theirs) = total(peer) {
+            let row = Row::new("all scenes, still and walking: utility", "mean FLIP", &utility);
+            rows.push(row.with_band(&utility).against(peer, median(&theirs)).aim(Aim::RatioAtMost(aim)));
+        }
+    }
+    rows.push(Row::new("share of time spent deciding: utility", "", deciding).aim(Aim::AtMost(0.02)));
+    rows
 }
 
-/// One policy on its way.
-pub(super) struct Walk<'s> {
-    study: &'s Study,
-    black: bool,
-    order: RayOrder,
-    layer: SplatLayer,
-    cache: SampleCache,
-    lattice: Lattice,
-    model: SaliencyModel,
-    saliency: Vec<f32>,
-    attention: Vec<f32>,
-    thresholds: TviTable,
-    encoder: Encoder,
-    view: u32,
-    /// Seconds of samples of the view.
-    time: f64,
-    /// Seconds of deciding.
-    deciding: f64,
-    /// Seconds of all samples.
-    traced: f64,
-}
-
-impl<'s> Walk<'s> {
-    pub(super) fn new(study: &'s Study, entrant: &Entrant) -> Self {
-        let s = &study.settings;
-        let (width, height) = (s.width as usize, s.height as usize);
-        let lattice = s.lattice();
-        Self {
-            order: RayOrder::new(entrant.policy, false, lattice, s.samples_per_job, width * height),
-            layer: SplatLayer::new(width, height, s.k_max, Footprint::Tile),
-            cache: SampleCache::new(s.cache_capacity),
-            lattice,
-            model: SaliencyModel::default(),
-            saliency: Vec::new(),
-            attention: Vec::new(),
-            thresholds: TviTable::default(),
-            encoder: Encoder::default(),
-            view: 0,
-            time: 0.0,
-            deciding: 0.0,
-            traced: 0.0,
-            study,
-            black: entrant.black,
-        }
+/// Curves by entrant and run: standing still and walking.
+fn ways(entrants: &[Entrant], outcomes: Vec<Vec<Outcome>>) -> [Vec<Way>; 2] {
+    let mut ways = [Vec::new(), Vec::new()];
+    for (entrant, outcomes) in entrants.iter().zip(outcomes) {
+        let (still, walking) = outcomes.into_iter().map(|o| o.curves.into()).unzip();
+        ways[0].push(Way { name: entrant.name.clone(), runs: still });
+        ways[1].push(Way { name: entrant.name.clone(), runs: walking });
     }
-
-    pub(super) fn begin(&mut self, view: u32, traced: &Traced) {
-        (self.view, self.time) = (view, 0.0);
-        let limits = &self.study.limits;
-        self.cache.age(view, traced.frame.eye, &AgeingRules::default(), |object| {
-            limits.get(object as usize).copied().unwrap_or(-1.0)
-        });
-        let warped = warp(&self.cache, view, &traced.frame);
-        self.layer.restart(|out| match self.black {
-            true => out.data_mut().fill(Vec3::ZERO),
-            false => out.data_mut().copy_from_slice(traced.first.data()),
-        });
-        self.layer.splat_warped(&warped, &traced.buffers.object, &traced.buffers.depth);
-        self.update_attention(traced);
-        self.order.start_view(u64::from(view), &traced.statistics, &self.attention);
-    }
-
-    fn update_attention(&mut self, traced: &Traced) {
-        let mut statistics = traced.statistics.clone();
-        for (id, s) in statistics.iter_mut().enumerate() {
-            s.saliency = self.saliency.get(id).copied().unwrap_or(0.0);
-        }
-        let (w, h) = (traced.buffers.width(), traced.buffers.height());
-        priorities(&statistics, w, h, &Weights::default(), &mut self.attention);
-    }
-
-    pub(super) fn picture(&self, traced: &Traced) -> Map2d<Vec3> {
-        let (base, layer) = (&traced.buffers.color, self.layer.colors());
-        let sum = base.data().iter().zip(layer.data()).map(|(&b, &s)| b + s).collect();
-        Map2d::from_vec(base.width(), base.height(), sum)
-    }
-
-    /// What the analyzer does after a frame.
-    pub(super) fn attend(&mut self, traced: &Traced) {
-        let mut bytes = Vec::new();
-        let picture = self.picture(traced);
-        self.encoder.encode(&self.study.tone, &picture, &mut bytes);
-        let map = &self.model.compute_rgb8(&bytes, picture.width(), picture.height()).map;
-        let mut statistics = Vec::new();
-        let objects = traced.statistics.len();
-        ObjectScan::default().gather(&traced.buffers.object, Some(map), objects, &mut statistics);
-        self.saliency = statistics.iter().map(|s| s.saliency).collect();
-        self.update_attention(traced);
-        self.order.attend(&self.attention);
-    }
-
-    /// Traces what the policy asks for until the view has had so many seconds.
-    pub(super) fn correct(&mut self, traced: &Traced, until: f64) {
-        let display = &self.study.world.scene.display;
-        let viewing = Viewing::from_centre_of_projection(display.white_cd_m2, traced.buffers.width(), 1.0);
-        while self.time < until {
-            let start = Instant::now();
-            let Some((job, _)) = self.order.next(&traced.buffers.object) else { break };
-            self.deciding += undisturbed(start);
-            let all = &traced.samples[job.object as usize];
-            let k = self.lattice.k_of(job.level);
-            let mut batch = SampleBatch::new(self.view, job.object, k, job.count as usize);
-            for (x, y) in job_pixels(&self.lattice, &job, &traced.buffers.object) {
-                let i = traced.index.at(x as usize, y as usize) as usize;
-                batch.push(Sample {
-                    pixel: all.pixels[i],
-                    position: all.positions[i],
-                    normal: all.normals[i],
-                    view: all.views[i],
-                    color: all.colors[i],
-                    pixel_width: all.pixel_widths[i],
-                });
-            }
-            let seconds = traced.cost[job.object as usize] * batch.len() as f64;
-            let start = Instant::now();
-            if self.order.learns() {
-                let base = &traced.buffers.color;
-                let residual = residual_of_batch(
-                    &batch,
-                    base,
-                    |x, y| self.layer.color(x, y),
-                    &self.study.tone,
-                    &viewing,
-                    &self.thresholds,
-                );
-                self.order.record_time(job.object, batch.len() as u32, seconds as f32);
-                let pixel = batch.pixels.first().copied().unwrap_or_default();
-                self.order.record(u64::from(self.view), job.object, job.level, pixel, &residual);
-            }
-            self.deciding += undisturbed(start);
-            self.layer.splat_fresh(&batch, &traced.buffers.object, 1);
-            self.time += seconds;
-            self.traced += seconds;
-            self.cache.insert(Arc::new(batch));
-        }
-    }
-
-    /// Mean FLIP of the non-diffuse pixels.
-    fn error(&self, traced: &Traced) -> f64 {
-        let map = flip::flip(&traced.reference, &self.picture(traced), &self.study.tone);
-        let corrected = || map.data().iter().zip(traced.buffers.object.data()).filter(|(_, id)| **id != 0);
-        let sum: f64 = corrected().map(|(e, _)| f64::from(*e)).sum();
-        sum / corrected().count().max(1) as f64
-    }
+    ways
 }

@@ -21,7 +21,7 @@ use foveal::transport::particle::SceneTransport;
 use glam::Vec3;
 use plotters::prelude::*;
 
-use super::made::MadeScene;
+use super::made::{MadeScene, Subject};
 use super::table::{Aim, CommonArguments, Row, finish};
 use crate::cli::Progress;
 use crate::cli::failure::Failure;
@@ -87,12 +87,12 @@ pub fn run(scenes: &[String], time: f64, a: &CommonArguments, progress: Progress
     let bar = progress.bar(scenes.len() as u64 + 1, "scenes");
     let (mut rows, mut curves) = (Vec::new(), Vec::new());
     let mut studies = Vec::new();
-    for name in scenes {
-        let (scene, _) = load_scene(MadeScene::bundled(name)?.path())?;
-        if name == "box" {
+    for word in scenes {
+        let (scene, _) = load_scene(Subject::of(word)?.path())?;
+        if word == "box" {
             studies.push((DIFFUSE_BOX.to_owned(), Arc::new(without_reflections(&scene))));
         }
-        studies.push((name.clone(), scene));
+        studies.push((Subject::name(word).to_owned(), scene));
     }
     for (name, scene) in &studies {
         let (accel, lights) = (Accel::build(scene), Lights::build(scene));

@@ -17,13 +17,46 @@ pub struct MadeScene {
     pub triangles: usize,
 }
 
+/// A scene to measure in.
+pub enum Subject {
+    /// One of ours.
+    Bundled(MadeScene),
+    /// A file.
+    File(PathBuf),
+}
+
+impl Subject {
+    /// A file, or one of ours by name.
+    ///
+    /// # Errors
+    /// If there is neither.
+    pub fn of(word: &str) -> Result<Self, Failure> {
+        let path = Path::new(word);
+        let is_name = path.extension().is_none() && path.components().count() == 1;
+        Ok(if is_name { Self::Bundled(MadeScene::bundled(word)?) } else { Self::File(path.to_owned()) })
+    }
+
+    /// What it is called in tables: of a file its name without extension.
+    pub fn name(word: &str) -> &str {
+        Path::new(word).file_stem().and_then(|s| s.to_str()).unwrap_or(word)
+    }
+
+    /// Its file.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Bundled(made) => made.path(),
+            Self::File(path) => path,
+        }
+    }
+}
+
 impl MadeScene {
     /// A bundled scene by name.
     pub fn bundled(name: &str) -> Result<Self, Failure> {
         let Some((_, make)) = generate::BUNDLED.iter().find(|(n, _)| *n == name) else {
             let names: Vec<&str> = generate::BUNDLED.iter().map(|(n, _)| *n).collect();
             return Err(Failure::Usage(format!(
-                "no bundled scene \"{name}\"; there are {}",
+                "no bundled scene \"{name}\"; there are {}; a scene of yours is named with its extension",
                 names.join(", ")
             )));
         };

@@ -1,6 +1,7 @@
 //! `foveal bench WHAT`: medians of repeated runs, each beside its aim and its peer, the machine named.
 
 pub mod error;
+mod error_curves;
 mod error_plain;
 pub mod first_light;
 pub mod illumination;
@@ -14,6 +15,7 @@ pub mod simplify;
 pub mod skips;
 pub mod soak;
 pub mod stages;
+mod study;
 pub mod table;
 pub mod texture_walks;
 mod textures;

@@ -5,9 +5,11 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde_json::{Value, json};
 
+use super::messages::load::quantile;
 use crate::cli::doctor::machine;
 use crate::cli::failure::Failure;
 use crate::cli::output::{make_folder, print_json, print_line, write_atomic};
+use crate::cli::report::Table;
 
 /// Arguments that all benchmarks share.
 #[derive(Args, Clone, Debug)]
@@ -53,6 +55,8 @@ pub struct Row {
     pub peer_value: Option<f64>,
     /// What it should be.
     pub aim: Option<Aim>,
+    /// 10 and 90 % of the runs, where those are told.
+    pub band: Option<[f64; 2]>,
 }
 
 impl Row {
@@ -66,7 +70,15 @@ impl Row {
             peer: None,
             peer_value: None,
             aim: None,
+            band: None,
         }
+    }
+
+    /// With the 10 and 90 % quantiles of the values that the median is of.
+    pub fn with_band(mut self, values: &[f64]) -> Self {
+        let mut values = values.to_vec();
+        self.band = (values.len() > 1).then(|| [0.1, 0.9].map(|share| quantile(&mut values, share)));
+        self
     }
 
     /// With a peer's median.
@@ -113,6 +125,7 @@ impl Row {
             "value": self.value,
             "unit": self.unit,
             "runs": self.runs,
+            "band": self.band,
             "peer": self.peer,
             "peer_value": self.peer_value,
             "ratio": self.ratio(),
@@ -125,7 +138,12 @@ impl Row {
         let with_unit = |v: Option<f64>| v.map_or("–".into(), |v| format!("{} {}", figure(v), self.unit));
         [
             self.what.clone(),
-            with_unit(self.value),
+            match self.band {
+                Some([low, high]) => {
+                    format!("{} ({} – {})", with_unit(self.value), figure(low), figure(high))
+                }
+                None => with_unit(self.value),
+            },
             match (&self.peer, self.peer_value) {
                 (Some(peer), Some(_)) => format!("{} ({peer})", with_unit(self.peer_value)),
                 (Some(peer), None) => peer.clone(),
@@ -142,6 +160,9 @@ impl Row {
         ]
     }
 }
+
+/// Columns of a table.
+const HEAD: [&str; 6] = ["what", "value", "beside", "ratio", "aim", ""];
 
 /// Median of the finite values; `None` of none.
 pub fn median(values: &[f64]) -> Option<f64> {
@@ -184,8 +205,8 @@ pub fn finish(name: &str, rows: &[Row], notes: &[String], a: &CommonArguments) -
         print_json(&document);
         return Ok(());
     }
-    let head = ["what", "value", "beside", "ratio", "aim", ""].map(String::from);
-    let lines: Vec<[String; 6]> = std::iter::once(head).chain(rows.iter().map(Row::cells)).collect();
+    let lines: Vec<[String; 6]> =
+        std::iter::once(HEAD.map(String::from)).chain(rows.iter().map(Row::cells)).collect();
     let widths: [usize; 6] =
         std::array::from_fn(|c| lines.iter().map(|l| l[c].chars().count()).max().unwrap_or(0));
     for line in &lines {
@@ -201,13 +222,22 @@ pub fn finish(name: &str, rows: &[Row], notes: &[String], a: &CommonArguments) -
     Ok(())
 }
 
+/// The rows as a report shows them.
+pub fn table_of(title: &str, rows: &[Row]) -> Table {
+    Table {
+        title: title.to_owned(),
+        header: HEAD.map(String::from).to_vec(),
+        rows: rows.iter().map(|r| r.cells().to_vec()).collect(),
+    }
+}
+
 fn write_csv(path: &Path, rows: &[Row]) -> Result<(), Failure> {
     let quoted = |s: &str| format!("\"{}\"", s.replace('"', "\"\""));
     let number = |v: Option<f64>| v.map(|v| v.to_string()).unwrap_or_default();
-    let mut text = String::from("what,value,unit,runs,peer,peer_value,ratio,aim,met\n");
+    let mut text = String::from("what,value,unit,runs,peer,peer_value,ratio,aim,met,low,high\n");
     for r in rows {
         text += &format!(
-            "{},{},{},{},{},{},{},{},{}\n",
+            "{},{},{},{},{},{},{},{},{},{},{}\n",
             quoted(&r.what),
             number(r.value),
             quoted(r.unit),
@@ -217,6 +247,8 @@ fn write_csv(path: &Path, rows: &[Row]) -> Result<(), Failure> {
             number(r.ratio()),
             quoted(&r.aim_text().unwrap_or_default()),
             r.met().map(|m| m.to_string()).unwrap_or_default(),
+            number(r.band.map(|b| b[0])),
+            number(r.band.map(|b| b[1])),
         );
     }
     write_atomic(path, text.as_bytes())

@@ -114,8 +114,10 @@ pub(super) fn csv(scene: &str, motion: &str, ways: &[Way]) -> String {
 /// What a plot shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Plot {
-    /// A picture that becomes better; both axes are logarithmic. A dashed line where it counts as right, if anywhere.
-    Still { right: Option<f64> },
+    /// A picture that becomes better; errors on a logarithmic axis.
+    Still,
+    /// The same, with a dashed line where it counts as right; time on a logarithmic axis, too.
+    UntilRight(f64),
     /// The frames of a walk.
     Walking,
 }
@@ -139,11 +141,15 @@ fn plot(ways: &[Way], plot: Plot) -> Option<String> {
         };
         let (times, errors) = (range(&|p| p.seconds)?, range(&|p| p.corrected.flip.max(LEAST))?);
         match plot {
-            Plot::Still { right } => {
-                let bottom = right.map_or(errors.0, |r| errors.0.min(r));
-                let (x, y) = (0.8 * times.0..1.25 * times.1, 0.8 * bottom..1.25 * errors.1);
+            Plot::Still => {
+                let y = 0.8 * errors.0..1.25 * errors.1;
+                let chart = builder.build_cartesian_2d(0.0..times.1, y.log_scale()).ok()?;
+                draw(chart, ways, None, "processor seconds")?;
+            }
+            Plot::UntilRight(right) => {
+                let (x, y) = (0.8 * times.0..1.25 * times.1, 0.8 * errors.0.min(right)..1.25 * errors.1);
                 let chart = builder.build_cartesian_2d(x.log_scale(), y.log_scale()).ok()?;
-                draw(chart, ways, right.map(|r| (times, r)), "processor seconds")?;
+                draw(chart, ways, Some((times, right)), "processor seconds")?;
             }
             Plot::Walking => {
                 let chart = builder.build_cartesian_2d(0.0..times.1, 0.0..1.1 * errors.1).ok()?;
@@ -222,7 +228,7 @@ pub(super) fn sections_of(
         Ok(section)
     };
     Ok([
-        part("still", still, Plot::Still { right }, still_at)?,
+        part("still", still, right.map_or(Plot::Still, Plot::UntilRight), still_at)?,
         part("walking", walking, Plot::Walking, walking_at)?,
     ])
 }
@@ -291,7 +297,7 @@ mod tests {
     #[test]
     fn plots_name_their_curves_and_have_short_ticks() {
         let ways = [way("one"), way("two")];
-        for what in [Plot::Still { right: Some(0.05) }, Plot::Still { right: None }, Plot::Walking] {
+        for what in [Plot::Still, Plot::UntilRight(0.05), Plot::Walking] {
             let svg = plot(&ways, what).expect("a plot");
             assert!(svg.contains("one") && svg.contains("two") && svg.matches("<polygon").count() >= 2);
             assert!(!svg.contains("0000000") && !svg.contains("NaN"), "{svg}");

@@ -110,8 +110,8 @@ pub fn run(a: &ErrorArguments, scenes: &[String], progress: Progress) -> Result<
     }
     bar.finish_and_clear();
     notes.push(format!(
-        "still views of {} × {}; corrections held against {} samples per pixel, paths against {}; frames of walks have \
-         time for {} of their samples and are held against 1 sample per pixel",
+        "still views of {} × {}; samples per pixel: corrections are held against {}, paths against {}; frames of walks \
+         have time for {} of their samples and are held against all of these",
         a.size.width, a.size.height, a.traced_spp, a.reference_spp, a.share
     ));
     if let Some(out) = &a.common.out {

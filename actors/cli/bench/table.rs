@@ -177,6 +177,9 @@ pub fn median(values: &[f64]) -> Option<f64> {
 
 /// Three significant digits.
 pub fn figure(v: f64) -> String {
+    if v.is_infinite() {
+        return "∞".into();
+    }
     let digits = match v.abs() {
         a if a >= 99.95 || a == 0.0 => 0,
         a if a >= 9.995 => 1,

@@ -306,31 +306,39 @@ fn particles_that_begin_where_light_falls_are_those_that_come_from_the_lights() 
     let (accel, lights) = (Accel::build(&yard), Lights::build(&yard));
     let transport = SceneTransport::new(&yard, &accel, &lights);
     let n = 300_000u64;
-    let triangles = yard.mesh.triangles.len();
-    let mut emitted = vec![[0.0f64; 2]; 2 * triangles];
-    for i in 0..n {
-        transport.trace(2, i, &mut |d| {
-            if d.bounce > 0 {
-                let flux = f64::from(luminance(d.flux)) / n as f64;
-                let sum = &mut emitted[2 * d.triangle as usize + usize::from(d.back)];
-                (sum[0], sum[1]) = (sum[0] + flux, sum[1] + flux * flux);
-            }
-        });
-    }
     let settings = BakeSettings { texels: 6000, everything: true, error: None, ..BakeSettings::default() };
     let mut baker = Baker::new(&yard, transport, &settings);
     for _ in 0..8 {
         baker.gather_direct();
     }
     baker.emit(n);
+    let sources = baker.sources.as_ref().expect("the sky shines");
+    let triangles = yard.mesh.triangles.len();
+    let mut emitted = vec![[0.0f64; 2]; 2 * triangles];
+    let mut noise_emitted = 0.0;
+    for i in 0..n {
+        transport.trace(2, i, &mut |d| {
+            if d.bounce > 0 {
+                let flux = f64::from(luminance(d.flux)) / n as f64;
+                let sum = &mut emitted[2 * d.triangle as usize + usize::from(d.back)];
+                (sum[0], sum[1]) = (sum[0] + flux, sum[1] + flux * flux);
+                if sources.matters(baker.atlas.element_at(d.triangle, d.b1, d.b2), d.back) {
+                    noise_emitted += flux * flux;
+                }
+            }
+        });
+    }
     // Elements of the lightmap cross the diagonals of quads: two triangles at a time.
     let mut begun = vec![[0.0f64; 2]; triangles];
+    let mut noise_begun = 0.0;
     for (e, element) in baker.atlas.elements.iter().enumerate() {
         for back in [false, true] {
             let arrived = baker.bins.arrived(e as u32, back);
             let sum = &mut begun[element.triangle as usize / 2 * 2 + usize::from(back)];
             sum[0] += f64::from(luminance(arrived.flux)) / n as f64;
-            sum[1] += f64::from(arrived.square) / (n * n) as f64;
+            let noise = f64::from(arrived.square) / (n * n) as f64;
+            sum[1] += noise;
+            noise_begun += if sources.matters(e as u32, back) { noise } else { 0.0 };
         }
     }
     for (i, b) in begun.iter().enumerate() {
@@ -340,6 +348,8 @@ fn particles_that_begin_where_light_falls_are_those_that_come_from_the_lights() 
         let error = 5.0 * (a[1] + b[1]).sqrt() + 0.004 * a[0];
         assert!((a[0] - b[0]).abs() <= error, "{i}: {} {} ± {error}", a[0], b[0]);
     }
+    // More of them come to where they matter.
+    assert!(noise_begun < 0.7 * noise_emitted, "{noise_begun} {noise_emitted}");
 }
 
 /// A room under a large roof, lit by the sun through a small window: particles come into the room.
@@ -376,11 +386,11 @@ fn particles_begin_where_they_matter() {
 fn bodies_wound_inside_out_are_lit_from_behind() {
     let mut mesh = cube(Vec3::ZERO, 2.0, false);
     join(&mut mesh, &quad(Vec3::new(0.5, 1.9, 0.5), Vec3::X, Vec3::Z), 1);
-    // A thin board whose elements are vertices, seen from all sides.
+    // A board whose elements are vertices, seen from all sides, and so thin that all of its fronts are buried.
     let first = mesh.triangles.len() as u32;
     let mut board = cube(Vec3::ZERO, 1.0, false);
     for p in &mut board.positions {
-        *p = Vec3::new(0.5, 0.7, 0.6) + *p * Vec3::new(1.0, 0.01, 0.6);
+        *p = Vec3::new(0.5, 0.7, 0.6) + *p * Vec3::new(1.0, 0.002, 0.6);
     }
     join(&mut mesh, &board, 0);
     let room = scene(mesh, vec![lambert(0.5, 0.0), lambert(0.1, 1.0)], Vec::new());

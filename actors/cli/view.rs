@@ -57,8 +57,8 @@ pub struct ViewArguments {
     #[arg(long, value_name = "SECONDS", hide = true)]
     lose_surface: Option<f64>,
     /// Somebody stops at once, to see that the walk goes on
-    #[arg(long, value_enum, default_value_t = StalledName::Nobody, hide = true)]
-    stall: StalledName,
+    #[arg(long, value_enum, default_value_t = Stalled::Nobody, hide = true)]
+    stall: Stalled,
     /// Refine what has converged until the standard error of displayed values, 0 to 1, is below this; 0 leaves it
     /// (default: 0.01, with --headless 0)
     #[arg(long, value_name = "NOISE", value_parser = clap::value_parser!(f32))]
@@ -155,32 +155,6 @@ impl From<BackendName> for Backend {
     }
 }
 
-/// Names of who stops.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum StalledName {
-    Nobody,
-    Tracers,
-    CacheAger,
-    Analyzer,
-    Allocator,
-    Illuminator,
-    All,
-}
-
-impl From<StalledName> for Stalled {
-    fn from(name: StalledName) -> Self {
-        match name {
-            StalledName::Nobody => Self::Nobody,
-            StalledName::Tracers => Self::Tracers,
-            StalledName::CacheAger => Self::CacheAger,
-            StalledName::Analyzer => Self::Analyzer,
-            StalledName::Allocator => Self::Allocator,
-            StalledName::Illuminator => Self::Illuminator,
-            StalledName::All => Self::All,
-        }
-    }
-}
-
 /// Names of overlays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum OverlayName {
@@ -266,7 +240,7 @@ fn loader(a: ViewArguments) -> Loader {
         // The bar is for terminals; the window says itself that it loads.
         let quiet = Progress { shown: false };
         let made = load(&a, &path, &sessions, quiet).map_err(|e| e.to_string())?;
-        let stalled = a.stall.into();
+        let stalled = a.stall;
         let build: Build = Box::new(move || {
             let session = Session::start(made)?;
             session.stall(stalled);

@@ -94,7 +94,7 @@ pub struct Made {
 }
 
 /// Who stops where it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Stalled {
     /// Nobody.
     Nobody,

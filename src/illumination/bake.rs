@@ -5,24 +5,20 @@
 //! No clock in here: the caller's `keep_going` decides when the time is over. The result depends on
 //! the number of particles and rounds only, not on threads or on where a bake was interrupted.
 
-use glam::Vec3;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::atlas::{Atlas, ConformalCharts};
 use super::bins::{BinState, Bins};
 use super::clusters::ClusterTree;
-use super::direct::{DirectBin, SAMPLES_PER_ROUND, probe};
+use super::direct::DirectBin;
 use super::estimate::{Estimating, Prepared};
 pub use super::quick::quick_direct;
 use super::seen::seen;
-use super::sources::{Importance, ImportanceState, Source, Sources, next_lesson};
+use super::sources::{Importance, ImportanceState, Sources};
 use super::stored::{Illumination, Summary};
-use crate::image::luminance;
-use crate::rng::hash;
 use crate::scene::Scene;
 use crate::transport::lit::LitSurfaces;
-use crate::transport::particle::{Deposit, LightTransport, Reflected, SurfacePoint};
+use crate::transport::particle::LightTransport;
 
 /// Particles between two questions whether to go on.
 const BATCH: u64 = 1 << 15;
@@ -34,8 +30,6 @@ pub(super) const BLOCKS: usize = 256;
 const LIT_PIECES: (usize, usize) = (1 << 13, 1 << 16);
 /// What surfaces out of sight count as places for particles to begin at.
 const UNSEEN: f64 = 0.3;
-/// The irrational number that multiples spread most evenly of (modulo 1).
-const GOLDEN_RATIO: f64 = 0.618_033_988_749_894_9;
 /// Rounds that are waited for at most.
 const ROUNDS_MAX: u32 = 256;
 /// Elements that share the decision whether direct light can reach them.
@@ -161,10 +155,10 @@ pub struct Baker<'a> {
     /// A tree over all elements, if one was made and nobody took it.
     pub(super) spare_tree: Option<ClusterTree>,
     /// Where particles begin that do not begin with a diffuse reflection of light from afar.
-    lit: LitSurfaces,
+    pub(super) lit: LitSurfaces,
     /// Where the others begin; `None` until it is known what falls there.
     pub(super) sources: Option<Sources>,
-    importance: Importance,
+    pub(super) importance: Importance,
     /// Elements that a walk can see, whose error counts.
     pub(super) watched: Vec<bool>,
     /// Sides of elements known not to lie inside of a body or in a gap.
@@ -175,7 +169,7 @@ pub struct Baker<'a> {
     /// Blocks done of the round that has begun.
     pub(super) direct_block: usize,
     /// Per block and side whether it takes part in it.
-    direct_goes_on: Vec<[bool; 2]>,
+    pub(super) direct_goes_on: Vec<[bool; 2]>,
     /// Rounds due before the next particles.
     direct_rounds_wanted: u32,
     /// Particles at which the error is asked for next.
@@ -323,183 +317,6 @@ impl<'a> Baker<'a> {
         self.sources = None;
         true
     }
-
-    /// Emits the next `count` particles.
-    pub fn emit(&mut self, count: u64) {
-        let end = self.emitted + count;
-        while self.emitted < end {
-            if self.gathers_direct() && self.sources.is_none() {
-                self.find_sources();
-            }
-            let lesson = next_lesson(self.emitted);
-            let first = self.emitted;
-            let bounces: u64 = (0..(end.min(lesson) - first) as usize)
-                .into_par_iter()
-                .with_min_len(128)
-                .map(|index| u64::from(self.emit_one(first + index as u64)))
-                .sum();
-            self.emitted = end.min(lesson);
-            self.bounces += bounces;
-            if self.emitted == lesson && self.gathers_direct() {
-                self.importance.learn();
-                self.sources = None;
-            }
-        }
-    }
-
-    /// Emits particle `index`. Returns the number of surfaces it met.
-    fn emit_one(&self, index: u64) -> u32 {
-        let seed = self.settings.seed;
-        let Some(sources) = &self.sources else {
-            return self.transport.trace(seed, index, &mut |d| {
-                self.arrive(&d, 1.0);
-            });
-        };
-        // Additive recurrence: the places where any run of particles begins are spread evenly.
-        let start = hash(seed, 0, 0x11e) as f64 / 2f64.powi(64);
-        let choice = (start + index as f64 * GOLDEN_RATIO).fract();
-        let share = sources.share();
-        if choice >= share {
-            let (choice, weight) = ((choice - share) / (1.0 - share), 1.0 / (1.0 - share) as f32);
-            let mut met = 0;
-            let mut deposit = |d: Deposit| met += u64::from(sources.matters(self.arrive(&d, weight), d.back));
-            let bounces = self.transport.trace_reflected(&self.lit, choice, seed, index, &mut deposit);
-            self.importance.count_other(met);
-            return bounces;
-        }
-        let Some(source) = sources.choose(choice / share) else { return 0 };
-        let (mut met, weight) = (0, 1.0 / share as f32);
-        let mut deposit = |d: Deposit| met += u64::from(sources.matters(self.arrive(&d, weight), d.back));
-        let bounces = self.transport.reflect(&self.reflected(&source), seed, index, &mut deposit);
-        self.importance.count(source.element, source.back, met);
-        bounces
-    }
-
-    /// Counts what a particle brings. Returns the element.
-    fn arrive(&self, d: &Deposit, weight: f32) -> u32 {
-        let element = self.atlas.element_at(d.triangle, d.b1, d.b2);
-        self.bins.add(element, d.back, d.flux * weight);
-        element
-    }
-
-    fn reflected(&self, source: &Source) -> Reflected {
-        let e = &self.atlas.elements[source.element as usize];
-        let at = SurfacePoint { triangle: e.triangle, b1: e.b1, b2: e.b2 };
-        Reflected { at, back: source.back, width: e.area.sqrt(), flux: source.flux }
-    }
-
-    /// Where light from afar falls, by what has been gathered of it; the first time, what it is good for there.
-    fn find_sources(&mut self) {
-        let flux = |element: u32, back: bool| {
-            let bin = &self.direct[element as usize][usize::from(back)];
-            let e = &self.atlas.elements[element as usize];
-            let mut irradiance = bin.sampled_from_afar();
-            if bin.certain() != Vec3::ZERO {
-                let near = self.transport.certain_from_near(e.triangle, e.b1, e.b2, back);
-                irradiance += (bin.certain() - near).max(Vec3::ZERO);
-            }
-            irradiance * e.area
-        };
-        let elements = self.direct.len();
-        let all: Vec<[Vec3; 2]> =
-            (0..elements as u32).into_par_iter().map(|e| [false, true].map(|back| flux(e, back))).collect();
-        let flux = |element: u32, back: bool| all[element as usize][usize::from(back)];
-        let light: Vec<[f32; 2]> =
-            self.direct.par_iter().map(|sides| sides.each_ref().map(|b| luminance(b.mean().0))).collect();
-        // Where direct light is more than usual, nobody sees the noise of the rest.
-        let (mut sum, mut area) = (0.0, 0.0);
-        for (e, element) in self.atlas.elements.iter().enumerate().filter(|&(e, _)| self.watched[e]) {
-            sum += f64::from(light[e][0] * element.area);
-            area += f64::from(element.area);
-        }
-        let drowning = if area > 0.0 { (sum / area) as f32 } else { 0.0 };
-        let matters =
-            self.watched.iter().zip(&light).map(|(&w, l)| l.map(|light| w && light <= drowning)).collect();
-        let mut sources = Sources::new(&self.importance, self.lit.begins(), &flux, matters);
-        if self.emitted == 0 {
-            let pilots = sources.pilots(&self.importance);
-            let seed = hash(self.settings.seed, 0, 0x9107);
-            pilots.par_iter().enumerate().with_min_len(128).for_each(|(i, source)| {
-                let mut met = 0;
-                let mut deposit = |d: Deposit| {
-                    let element = self.atlas.element_at(d.triangle, d.b1, d.b2);
-                    met += u64::from(sources.matters(element, d.back));
-                };
-                self.transport.reflect(&self.reflected(source), seed, i as u64, &mut deposit);
-                self.importance.count(source.element, source.back, met);
-            });
-            self.importance.learn();
-            sources = Sources::new(&self.importance, self.lit.begins(), &flux, sources.into_matters());
-        }
-        self.sources = Some(sources);
-    }
-
-    /// One more round of direct light at all elements that may receive some. Does nothing where particles
-    /// bring it.
-    pub fn gather_direct(&mut self) {
-        self.gather_blocks(usize::MAX);
-    }
-
-    /// The same at the next `count` blocks of elements.
-    fn gather_blocks(&mut self, count: usize) {
-        if !self.gathers_direct() {
-            return;
-        }
-        let first = self.direct_rounds == 0;
-        if self.direct_block == 0 && !first {
-            self.direct_goes_on = self.direct_noise().worth_a_round(self.direct_rounds);
-        }
-        let begin = self.direct_block * BLOCK;
-        let end = begin.saturating_add(count.saturating_mul(BLOCK)).min(self.direct.len());
-        let (atlas, transport, seed) = (&self.atlas, &self.transport, self.settings.seed);
-        let (watched, chosen) = (&self.watched, &self.direct_goes_on);
-        let first_block = self.direct_block;
-        self.direct[begin..end].par_chunks_mut(BLOCK).enumerate().for_each(|(block, bins)| {
-            let begin = begin + block * BLOCK;
-            let goes_on = [0, 1].map(|side| {
-                match (first, side) {
-                    (true, 0) => true,
-                    // Most backs are inside of bodies: a few samples each, and none finds light.
-                    (true, _) => (begin..begin + bins.len()).any(|index| {
-                        let e = &atlas.elements[index];
-                        e.area > 0.0
-                            && (transport.certain(e.triangle, e.b1, e.b2, true) != Vec3::ZERO
-                                || probe(hash(seed, index as u64, 2), |u| {
-                                    transport.direct(e.triangle, e.b1, e.b2, true, u)
-                                }))
-                    }),
-                    (false, _) => chosen[first_block + block][side],
-                }
-            });
-            for (i, bin) in bins.iter_mut().enumerate() {
-                let index = begin + i;
-                let e = &atlas.elements[index];
-                if e.area <= 0.0 || !(first || watched[index]) {
-                    continue;
-                }
-                for side in [0, 1] {
-                    if goes_on[side] {
-                        let key = hash(seed, index as u64, side as u64);
-                        let (t, b1, b2, back) = (e.triangle, e.b1, e.b2, side == 1);
-                        if first {
-                            bin[side].set_certain(transport.certain(t, b1, b2, back));
-                        }
-                        bin[side].gather(key, SAMPLES_PER_ROUND, |u| transport.direct(t, b1, b2, back, u));
-                    }
-                }
-            }
-        });
-        if end < self.direct.len() {
-            self.direct_block = end / BLOCK;
-        } else {
-            self.direct_block = 0;
-            self.direct_rounds += 1;
-            self.sources = None;
-            if first {
-                self.average_shadow_edges();
-            }
-        }
-    }
 }
 
 /// What [`Baker::run`] came to.
@@ -609,7 +426,7 @@ impl Baker<'_> {
         }
     }
 
-    fn gathers_direct(&self) -> bool {
+    pub(super) fn gathers_direct(&self) -> bool {
         self.settings.direct == DirectLight::NextEvent
     }
 

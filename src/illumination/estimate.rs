@@ -3,7 +3,7 @@
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
-use super::atlas::{Atlas, Element};
+use super::atlas::Element;
 use super::bake::{BLOCK, Baker};
 use super::clusters::{ClusterTree, Extent};
 use super::density::{Bandwidth, Estimate};
@@ -11,8 +11,6 @@ use super::neighbourhood::{Neighbourhood, along_tangents};
 use super::smooth_direct::{Sides, SmoothDirect};
 use super::stored::{Illumination, Summary, Value};
 use crate::image::luminance;
-use crate::rng::Stream;
-use crate::transport::particle::SurfacePoint;
 
 /// Elements that decide on the bandwidth.
 const PILOTS: usize = 3000;
@@ -37,28 +35,12 @@ const TOGETHER: [(f32, f32); 2] = [(0.6, 0.921), (0.2, 0.54)];
 const CLUTTERED: f32 = 0.3;
 /// Direct light noisier than this share of itself is smoothed.
 const DIRECT_NOISE: f32 = 0.03;
-/// Width of a gap that counts as closed, as a share of the scene's size.
-const GAP: f32 = 0.01;
-/// An element that gets less than this share of the mean irradiance may lie inside a body or a gap.
-const DIM: f32 = 0.1;
 /// Elements brighter than so many times the median count less, as if they were not brighter.
 const BRIGHT: f32 = 8.0;
-/// A block of elements on which fewer particles arrived than this is judged by the blocks around it.
-const FEW_ARRIVALS: f32 = 64.0;
-/// As many blocks of neighbours in storage are judged together.
-const BLOCKS_AROUND: usize = 64;
-/// An element out of sight that is so many times larger than a texel is no part of kernels.
-const COARSE: f32 = 16.0;
-/// Rays that decide whether an element lies inside a body.
-const BURIED_RAYS: u64 = 8;
 
 /// Whether elements of this extent read one neighbourhood for kernels of `radius`.
 pub(super) fn reads_one(extent: &Extent, radius: f32) -> bool {
     TOGETHER.iter().any(|&(share, cosine)| extent.reach <= share * radius && extent.cosine > cosine)
-}
-
-fn is_coarse(atlas: &Atlas, watched: &[bool], e: usize) -> bool {
-    !watched[e] && atlas.elements[e].area * atlas.texels_per_unit.powi(2) > COARSE
 }
 
 /// What the irradiance at one side of an element is made of.
@@ -137,87 +119,22 @@ pub(super) struct Estimating {
 }
 
 impl Baker<'_> {
-    /// Sides of elements inside a body, such as the floor under a box, or in a gap, such as the cupboard behind its door:
-    /// next to nothing arrives there, and in all directions the inside of something or something near is seen. A kernel
-    /// that held them would darken what lies before them. What is seen of bodies wound inside out are their backs.
-    fn update_open(&mut self, lit_back: &[bool]) {
-        if self.coarse {
-            // A first picture has no time to ask.
-            let (atlas, watched) = (&self.atlas, &self.watched);
-            self.open.par_iter_mut().enumerate().for_each(|(i, open)| {
-                let fine = !is_coarse(atlas, watched, i);
-                *open = [fine, fine && lit_back[i / BLOCK]];
-            });
-            return;
-        }
-        let area: f32 = self.atlas.elements.iter().map(|e| e.area).sum();
-        let dim = DIM * self.bins.total_count() as f32 / area.max(f32::MIN_POSITIVE);
-        let (atlas, bins, direct, transport) = (&self.atlas, &self.bins, &self.direct, &self.transport);
-        let watched = &self.watched;
-        let near = GAP * self.diagonal;
-        let late = &self.late;
-        self.open.par_iter_mut().enumerate().for_each(|(i, open)| {
-            let element = &atlas.elements[i];
-            let at = SurfacePoint { triangle: element.triangle, b1: element.b1, b2: element.b2 };
-            *open = [false, true].map(|back| {
-                if back && !lit_back[i / BLOCK] || is_coarse(atlas, watched, i) {
-                    return false;
-                }
-                let buried = element.area > 0.0
-                    && bins.arrived(i as u32, back).count <= dim * element.area
-                    && !direct[i][usize::from(back)].is_lit()
-                    && !late.as_ref().is_some_and(|late| late())
-                    && (0..BURIED_RAYS).all(|ray| {
-                        let mut stream = Stream::new(0xb0d1, i as u64, ray);
-                        transport.sees_inside(at, back, near, &mut stream)
-                    });
-                !buried
-            });
-        });
-    }
-
-    /// Per block of elements, whether anything arrives on their backs. A block that is too small to tell, such as the
-    /// mouldings of a window, is like the blocks around it.
-    fn lit_backs(&self) -> Vec<bool> {
-        let elements = self.atlas.elements.len();
-        let of_block = |block: usize| {
-            let members = block * BLOCK..((block + 1) * BLOCK).min(elements);
-            let count = |back: bool| -> f32 {
-                members.clone().map(|e| self.bins.arrived(e as u32, back).count).sum()
-            };
-            let direct = members.clone().any(|e| self.direct[e][1].is_lit());
-            (direct, count(false), count(true))
-        };
-        // Rounding lets one particle in a million slip out through an edge where walls meet.
-        let more = |front: f32, back: f32| back > 1e-3 * front;
-        let found: Vec<(bool, f32, f32)> =
-            (0..elements.div_ceil(BLOCK)).into_par_iter().map(of_block).collect();
-        let mut lit = Vec::with_capacity(found.len());
-        for region in found.chunks(BLOCKS_AROUND) {
-            let around = region.iter().fold((0.0, 0.0), |sum, b| (sum.0 + b.1, sum.1 + b.2));
-            lit.extend(region.iter().map(|&(direct, front, back)| {
-                let few = front + back < FEW_ARRIVALS;
-                direct || more(front, back) || few && more(around.0, around.1)
-            }));
-        }
-        lit
-    }
-
     fn prepare(&mut self) -> Prepared {
         let before = match self.prepared.take() {
             Some(p) if p.emitted == self.emitted && p.direct_rounds == self.direct_rounds => return p,
             before => before,
         };
-        let open_before = self.open.clone();
         let lit_back = self.lit_backs();
-        self.update_open(&lit_back);
+        let open = self.open_sides(&lit_back);
+        let unchanged = open == self.open;
+        self.open = open;
         let is_open = |e: u32| self.open[e as usize];
         let mut tree = match before {
-            Some(p) if self.open == open_before => p.tree,
+            Some(p) if unchanged => p.tree,
             _ => match self.spare_tree.take() {
                 // What is coarse lies in it without counting.
                 Some(tree)
-                    if (0..self.open.len() as u32).all(|e| is_open(e) != [false; 2] || self.is_coarse(e)) =>
+                    if (0..self.open.len()).all(|e| self.open[e] != [false; 2] || self.is_coarse(e)) =>
                 {
                     tree
                 }
@@ -453,14 +370,9 @@ impl Baker<'_> {
         Some(map)
     }
 
-    /// Out of sight and so large that most of it lies elsewhere than the kernels that would hold it.
-    fn is_coarse(&self, e: u32) -> bool {
-        is_coarse(&self.atlas, &self.watched, e as usize)
-    }
-
     /// Large elements out of sight need no kernels: they show the mean of what arrived on them.
     fn add_coarse(&self, values: &mut [[Option<Parts>; 2]], with: &Prepared) {
-        for e in (0..values.len() as u32).filter(|&e| self.is_coarse(e)) {
+        for e in (0..values.len() as u32).filter(|&e| self.is_coarse(e as usize)) {
             let per_flux = 1.0 / (self.atlas.elements[e as usize].area * self.emitted.max(1) as f32);
             let particles = [false, true].map(|back| {
                 let sum = self.bins.arrived(e, back);

@@ -85,54 +85,15 @@ impl Baker<'_> {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::atomic::{AtomicU64, Ordering};
+    use std::sync::atomic::Ordering;
 
     use glam::Vec3;
 
     use super::*;
-    use crate::geometry::{Hit, Ray};
     use crate::illumination::bake::{BLOCKS, bake};
     use crate::illumination::cache;
     use crate::illumination::test_scenes::{grid, join, lambert, quad, scene};
     use crate::illumination::test_transport::Lambertian;
-    use crate::rng::Stream;
-    use crate::transport::lit::LitSurfaces;
-    use crate::transport::particle::{Arriving, Deposit, SurfacePoint};
-
-    /// Light transport that counts how often it is asked for direct light.
-    struct Counting<'a>(Lambertian<'a>, AtomicU64);
-
-    impl LightTransport for Counting<'_> {
-        fn trace(&self, seed: u64, index: u64, deposit: &mut dyn FnMut(Deposit)) -> u32 {
-            self.0.trace(seed, index, deposit)
-        }
-        fn trace_reflected(
-            &self,
-            lit: &LitSurfaces,
-            choice: f64,
-            seed: u64,
-            index: u64,
-            deposit: &mut dyn FnMut(Deposit),
-        ) -> u32 {
-            self.0.trace_reflected(lit, choice, seed, index, deposit)
-        }
-        fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Arriving {
-            self.1.fetch_add(1, Ordering::Relaxed);
-            self.0.direct(triangle, b1, b2, back, u)
-        }
-        fn sees_inside(&self, at: SurfacePoint, back: bool, near: f32, stream: &mut Stream) -> bool {
-            self.0.sees_inside(at, back, near, stream)
-        }
-        fn sees(&self, ray: &Ray) -> Option<Hit> {
-            self.0.sees(ray)
-        }
-        fn is_diffuse(&self, triangle: u32) -> bool {
-            self.0.is_diffuse(triangle)
-        }
-        fn power(&self) -> f32 {
-            self.0.power()
-        }
-    }
 
     /// A floor of many vertices under a lamp, of which a bake without time gathers direct light at some, and lights the
     /// others by these; the samples are counted. What was gathered is gone on with, as if nothing had happened.
@@ -141,7 +102,7 @@ mod tests {
         let mut mesh = grid(200, 200, |x, y| Vec3::new(x, y, 0.0));
         join(&mut mesh, &quad(Vec3::new(0.25, 0.25, 2.0), Vec3::Y * 0.5, Vec3::X * 0.5), 1);
         let hall = scene(mesh, vec![lambert(0.5, 0.0), lambert(0.1, 5.0)], Vec::new());
-        let transport = Counting(Lambertian::new(&hall), AtomicU64::new(0));
+        let transport = Lambertian::new(&hall);
         let settings = BakeSettings {
             texels: 64,
             particles: Some(20_000),
@@ -157,7 +118,7 @@ mod tests {
             })
         };
         let (short, state) = cut(1);
-        let asked = transport.1.load(Ordering::Relaxed);
+        let asked = transport.asked.load(Ordering::Relaxed);
         let elements = short.illumination.element_count();
         let done = BLOCKS * BLOCK;
         assert!(!short.complete && elements > 2 * done);
@@ -177,16 +138,16 @@ mod tests {
         );
         let (again, same) = cut(3);
         assert!(again.illumination == short.illumination && same == state);
-        transport.1.store(0, Ordering::Relaxed);
+        transport.asked.store(0, Ordering::Relaxed);
         let whole = bake(&hall, &transport, &settings, &|_| true);
-        let in_all = transport.1.swap(0, Ordering::Relaxed);
+        let in_all = transport.asked.swap(0, Ordering::Relaxed);
         let mut going_on = Baker::new(&hall, &transport, &settings);
         assert!(
             going_on.restore(&cache::decode(&[1; 32], &cache::encode(&[1; 32], &state).unwrap()).unwrap())
         );
         let resumed = going_on.run(&|_| true, &mut |_| {});
         assert!(resumed.complete && resumed.illumination == whole.illumination);
-        let still = transport.1.load(Ordering::Relaxed);
+        let still = transport.asked.load(Ordering::Relaxed);
         assert!(still + done as u64 * 8 <= in_all, "{still} {in_all}");
         let mut other = Baker::new(&hall, &transport, &BakeSettings { texels: 200_000, ..settings });
         let mut wrong = state;

@@ -2,6 +2,7 @@
 //! without the BSDF and light code that the program uses.
 
 use std::f32::consts::PI;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec3;
 
@@ -20,6 +21,8 @@ pub struct Lambertian<'a> {
     /// Emissive triangles with their share of the power, summed up.
     lights: Vec<(u32, f32)>,
     power: f32,
+    /// How often it was asked for direct light.
+    pub asked: AtomicU64,
 }
 
 impl<'a> Lambertian<'a> {
@@ -36,7 +39,7 @@ impl<'a> Lambertian<'a> {
         for light in &mut lights {
             light.1 /= power;
         }
-        Self { scene, accel: Accel::build(scene), lights, power }
+        Self { scene, accel: Accel::build(scene), lights, power, asked: AtomicU64::new(0) }
     }
 
     /// A light, a point and the power over the probability of the light.
@@ -119,6 +122,7 @@ impl LightTransport for Lambertian<'_> {
     }
 
     fn direct(&self, triangle: u32, b1: f32, b2: f32, back: bool, u: [f32; 3]) -> Arriving {
+        self.asked.fetch_add(1, Ordering::Relaxed);
         let Some((light, q, nq, probability)) = self.choose(u) else { return Vec3::ZERO.into() };
         let [a, b, c] = self.scene.mesh.corners(triangle);
         let n = if back { -self.normal(triangle) } else { self.normal(triangle) };

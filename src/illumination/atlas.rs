@@ -110,6 +110,8 @@ pub struct Element {
     pub normal: Vec3,
     /// Area, square scene units; 0 where there is no surface.
     pub area: f32,
+    /// The part of it that no mask cuts out.
+    pub opaque: f32,
     /// The triangle that holds the point at which direct light is gathered.
     pub triangle: u32,
     /// Barycentric coordinate of that point at the second corner.

@@ -189,7 +189,8 @@ impl<'a> Baker<'a> {
         };
         let is_diffuse = |t: u32| transport.is_diffuse(t);
         let is_seen = |t: u32| seen[t as usize];
-        let atlas = Atlas::build(&scene.mesh, settings.texels, &is_diffuse, &is_seen, &ConformalCharts);
+        let mut atlas = Atlas::build(&scene.mesh, settings.texels, &is_diffuse, &is_seen, &ConformalCharts);
+        atlas.cut_out(scene);
         let elements = atlas.elements.len();
         // What nobody sees may light what somebody does, but less.
         let weight = |t: u32| if is_seen(t) { 1.0 } else { UNSEEN };

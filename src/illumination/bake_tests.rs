@@ -1,16 +1,19 @@
 //! Bakes with closed forms (REFERENCE §6.6).
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 use super::bake::{BakeSettings, Baker, DirectLight, bake};
 use super::quick::quick_direct;
 use super::stored::Illumination;
-use super::test_scenes::{cube, join, lambert, quad, scene};
+use super::test_scenes::{cube, grid, join, lambert, quad, scene};
 use super::test_transport::Lambertian;
 use super::{Irradiance, cache};
 use crate::geometry::Accel;
 use crate::image::luminance;
-use crate::scene::{Camera, Light, Material, Mesh, Model, NamedCamera, Reflectance, Roughness, Scene};
+use crate::scene::texture::MipChain;
+use crate::scene::{
+    Camera, Light, Material, Mesh, Model, NamedCamera, Reflectance, Roughness, Scene, Texture, TextureId,
+};
 use crate::transport::light::Lights;
 use crate::transport::particle::{LightTransport, SceneTransport};
 
@@ -119,6 +122,54 @@ fn a_furnace_with_direct_light_at_the_elements_agrees() {
     let map = baker.run(&|_| true, &mut |_| {}).illumination;
     let mean = map.summary.mean[0];
     assert!((mean / 2.0 - 1.0).abs() < 0.006, "{mean}");
+}
+
+/// A furnace with a white sheet in it, of which stripes are cut out: what is left is as bright as without holes, since
+/// light comes from all sides, wherever it is stored and however it is found.
+#[test]
+fn half_a_sheet_receives_as_much_per_area_as_a_whole_one() {
+    let mut mesh = cube(Vec3::ZERO, 1.0, false);
+    let first = mesh.triangles.len() as u32;
+    let sheet = grid(12, 12, |x, y| Vec3::new(0.2 + 0.6 * x, 0.2 + 0.6 * y, 0.5));
+    let uvs: Vec<Vec2> = sheet.positions.iter().map(|p| 5.0 * p.truncate()).collect();
+    let vertices = mesh.positions.len();
+    join(&mut mesh, &sheet, 1);
+    mesh.uvs[vertices..].copy_from_slice(&uvs);
+    let white = Material { opacity_map: Some(TextureId(0)), ..lambert(1.0, 0.0) };
+    let stripes = MipChain::from_rgba8(2, 1, vec![[255; 4], [0, 0, 0, 255]], false);
+    let mask = Texture { is_color: false, ..Texture::new("stripes", stripes) };
+    let whole = scene(mesh, vec![lambert(0.5, 1.0 / std::f32::consts::PI), white], Vec::new());
+    let room = whole.with_resident(vec![mask]);
+    let (accel, lights) = (Accel::build(&room), Lights::build(&room));
+    let points: Vec<(u32, f32, f32)> = (0..2000)
+        .map(|i| {
+            let mut stream = crate::rng::Stream::new(5, i, 0);
+            let [u, v] = stream.next_2d();
+            let t = first + (stream.next_u64() % 288) as u32;
+            (t, u.sqrt() * (1.0 - v), u.sqrt() * v)
+        })
+        .filter(|&(t, b1, b2)| room.is_opaque_at(t, b1, b2))
+        .collect();
+    assert!((900..1100).contains(&points.len()), "{}", points.len());
+    for (texels, direct) in [
+        (0, DirectLight::NextEvent),
+        (6000, DirectLight::NextEvent),
+        (0, DirectLight::Particles),
+        (6000, DirectLight::Particles),
+    ] {
+        let settings = settings(texels, 1 << 18, direct);
+        let mut baker = Baker::new(&room, SceneTransport::new(&room, &accel, &lights), &settings);
+        for _ in 0..4 {
+            baker.gather_direct();
+        }
+        let map = baker.run(&|_| true, &mut |_| {}).illumination;
+        for back in [false, true] {
+            let values = points.iter().map(|&(t, b1, b2)| map.irradiance(t, b1, b2, back).x / 2.0);
+            let mean = values.clone().sum::<f32>() / points.len() as f32;
+            let worst = values.map(|v| (v - 1.0).abs()).fold(0.0, f32::max);
+            assert!((mean - 1.0).abs() < 0.03 && worst < 0.25, "{texels} {direct:?} {back}: {mean} {worst}");
+        }
+    }
 }
 
 #[test]

@@ -219,26 +219,25 @@ impl ClusterTree {
         self.order.is_empty()
     }
 
-    /// Takes the sums of `bins`.
-    pub fn update(&mut self, bins: &Bins) {
-        self.update_with(&|e| [bins.arrived(e, false), bins.arrived(e, true)], &|_| [true; 2]);
+    /// Takes the sums of `bins`, of these elements.
+    pub fn update(&mut self, elements: &[Element], bins: &Bins) {
+        let area = |e: u32| elements[e as usize].opaque;
+        let arrived = |e: u32, back: bool| Arrived { area: area(e), ..bins.arrived(e, back) };
+        self.update_with(&|e| [arrived(e, false), arrived(e, true)], &|_| [true; 2]);
     }
 
-    /// Takes what `arrived` at the two sides of each element. Sides that are not `open` have no area and count for nothing:
+    /// Takes what `arrived` at the two sides of each element, and on which area. Sides that are not `open` have no area and count for nothing:
     /// the inner ones of closed bodies, which would darken whatever they touch.
     pub fn update_with(
         &mut self,
         arrived: &(dyn Fn(u32) -> [Arrived; 2] + Sync),
         open: &(dyn Fn(u32) -> [bool; 2] + Sync),
     ) {
-        let of = |(&e, leaf): (&u32, &(Vec3, Vec3, f32))| {
+        let of = |&e: &u32| {
             let (sides, open) = (arrived(e), open(e));
-            [0, 1].map(|side| match open[side] {
-                true => Arrived { area: leaf.2, ..sides[side] },
-                false => Arrived::default(),
-            })
+            [0, 1].map(|side| if open[side] { sides[side] } else { Arrived::default() })
         };
-        self.leaf_sums = self.order.par_iter().zip(&self.leaves).map(of).collect();
+        self.leaf_sums = self.order.par_iter().map(of).collect();
         let mut sums = vec![[Arrived::default(); 2]; self.nodes.len()];
         if !sums.is_empty() {
             sum_up(&self.nodes, &self.leaf_sums, 0, &mut sums);
@@ -429,6 +428,7 @@ mod tests {
                     position: Vec3::new(x, y, 0.0),
                     normal: if flipped { Vec3::NEG_Z } else { Vec3::Z },
                     area: 1.0 / n as f32,
+                    opaque: 1.0 / n as f32,
                     ..Element::default()
                 }
             })
@@ -449,7 +449,7 @@ mod tests {
             for e in 0..n {
                 bins.add(e, false, Vec3::ONE);
             }
-            tree.update(&bins);
+            tree.update(&elements, &bins);
             let (center, radius) = (Vec3::new(0.4, 0.6, 0.0), 0.3);
             let (mut inside, mut all) = (0.0, 0.0);
             let mut found = Vec::new();
@@ -474,7 +474,7 @@ mod tests {
         }
         let mut tree = ClusterTree::build(&flat);
         let bins = Bins::new(flat.len(), 1.0);
-        tree.update(&bins);
+        tree.update(&flat, &bins);
         let mut found = Vec::new();
         let middle = Vec3::new(0.5, 0.5, 0.0);
         assert!(tree.collect(&query(middle, 10.0, 0.2), usize::MAX, usize::MAX, &mut found));

@@ -185,6 +185,10 @@ fn refined(
         return wide;
     }
     let near = hood.estimate(narrow, back, emitted);
+    // Nor is it asked where masks leave it less than half of its share of the surface.
+    if near.own <= 0.0 || near.own > 2.0 * (radius / narrow).powi(2) * wide.own {
+        return wide;
+    }
     // Few particles cannot tell their noise: that of the wide kernel can, for the smaller area.
     let expected = wide.variance * (radius / narrow).powi(2);
     let trusted = TRUSTED * near.variance.max(expected);
@@ -305,6 +309,7 @@ mod tests {
                 position: Vec3::new((i % n) as f32 + 0.5, (i / n) as f32 + 0.5, 0.0) * side,
                 normal: Vec3::Z,
                 area: side * side,
+                opaque: side * side,
                 ..Element::default()
             })
             .collect();
@@ -315,7 +320,7 @@ mod tests {
             }
         }
         let mut tree = ClusterTree::build(&elements);
-        tree.update(&bins);
+        tree.update(&elements, &bins);
         (elements, tree)
     }
 
@@ -356,6 +361,7 @@ mod tests {
                 position: Vec3::new((i % 24) as f32 + 0.5, (i / 24) as f32 + 0.5, 0.0) * side,
                 normal: Vec3::Z,
                 area: side * side,
+                opaque: side * side,
                 ..Element::default()
             })
             .collect();
@@ -370,7 +376,7 @@ mod tests {
                     let e = crate::rng::Stream::new(trial, i, 0).next_u64() % 576;
                     bins.add(e as u32, false, Vec3::ONE);
                 }
-                tree.update(&bins);
+                tree.update(&elements, &bins);
                 let found = estimate(&tree, &elements[at], false, 0.25, n);
                 sum += f64::from(found.irradiance.x);
                 squares += f64::from(found.irradiance.x).powi(2);

@@ -90,9 +90,9 @@ impl Baker<'_> {
                     if e.area > 0.0 && self.watched[index] {
                         let (mean, variance) = bin[side].mean();
                         let particles = luminance(self.bins.arrived(index as u32, side == 1).flux) / emitted;
-                        block.area += e.area;
-                        block.power += luminance(mean) * e.area + particles;
-                        block.variance += variance * e.area;
+                        block.area += e.opaque;
+                        block.power += luminance(mean) * e.opaque + particles;
+                        block.variance += variance * e.opaque;
                         block.is_lit |= cells.contains(e, side);
                     }
                 }

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use super::atlas::Element;
 use super::bake::{BLOCK, Baker};
+use super::bins::Arrived;
 use super::clusters::{ClusterTree, Extent};
 use super::density::{Bandwidth, Estimate};
 use super::neighbourhood::{Neighbourhood, along_tangents};
@@ -41,6 +42,16 @@ const BRIGHT: f32 = 8.0;
 /// Whether elements of this extent read one neighbourhood for kernels of `radius`.
 pub(super) fn reads_one(extent: &Extent, radius: f32) -> bool {
     TOGETHER.iter().any(|&(share, cosine)| extent.reach <= share * radius && extent.cosine > cosine)
+}
+
+/// The mean irradiance of what arrived of `emitted` particles.
+fn mean_of(sum: &Arrived, emitted: u64) -> Estimate {
+    if sum.area <= 0.0 || emitted == 0 {
+        return Estimate::default();
+    }
+    let per_flux = 1.0 / (sum.area * emitted as f32);
+    let (irradiance, variance) = (per_flux * sum.flux, per_flux * per_flux * sum.square);
+    Estimate { irradiance, variance, ..Estimate::default() }
 }
 
 /// What the irradiance at one side of an element is made of.
@@ -142,7 +153,7 @@ impl Baker<'_> {
             },
         };
         let stored = self.bins.total_count();
-        tree.update_with(&|e| [self.bins.arrived(e, false), self.bins.arrived(e, true)], &is_open);
+        tree.update_with(&|e| [self.arrived(e, false), self.arrived(e, true)], &is_open);
         let bandwidth = self.bandwidth(&tree, stored);
         let (emitted, direct_rounds) = (self.emitted, self.direct_rounds);
         let mut with = Prepared {
@@ -156,6 +167,11 @@ impl Baker<'_> {
         };
         with.bias_squared = with.bias_squared.max(self.cross_validated_bias(&with));
         with
+    }
+
+    /// What arrived at one side of an element, and on which area.
+    fn arrived(&self, e: u32, back: bool) -> Arrived {
+        Arrived { area: self.atlas.elements[e as usize].opaque, ..self.bins.arrived(e, back) }
     }
 
     /// Estimates of particles at the elements of a node of the tree, in its order, front and back.
@@ -223,12 +239,7 @@ impl Baker<'_> {
             let (sum, _) = tree.sums(node, side);
             match above {
                 Some(above) if sum.count < MEAN_COUNT => above[side],
-                _ if sum.area <= 0.0 || self.emitted == 0 => Estimate::default(),
-                _ => {
-                    let per_flux = 1.0 / (sum.area * self.emitted as f32);
-                    let irradiance = per_flux * sum.flux;
-                    Estimate { irradiance, variance: per_flux * per_flux * sum.square, ..Estimate::default() }
-                }
+                _ => mean_of(&sum, self.emitted),
             }
         })
     }
@@ -373,12 +384,7 @@ impl Baker<'_> {
     /// Large elements out of sight need no kernels: they show the mean of what arrived on them.
     fn add_coarse(&self, values: &mut [[Option<Parts>; 2]], with: &Prepared) {
         for e in (0..values.len() as u32).filter(|&e| self.is_coarse(e as usize)) {
-            let per_flux = 1.0 / (self.atlas.elements[e as usize].area * self.emitted.max(1) as f32);
-            let particles = [false, true].map(|back| {
-                let sum = self.bins.arrived(e, back);
-                let (irradiance, variance) = (per_flux * sum.flux, per_flux * per_flux * sum.square);
-                Estimate { irradiance, variance, ..Estimate::default() }
-            });
+            let particles = [false, true].map(|back| mean_of(&self.arrived(e, back), self.emitted));
             let direct = self.direct[e as usize].map(|bin| bin.mean());
             values[e as usize] = self.parts(e, particles, direct, with);
         }
@@ -423,7 +429,7 @@ impl Baker<'_> {
     fn bandwidth(&self, tree: &ClusterTree, stored: u64) -> ChosenBandwidth {
         let base = Bandwidth { coarse: self.coarse, ..Bandwidth::new(stored, self.diagonal) };
         let elements = &self.atlas.elements;
-        let area: f32 = elements.iter().map(|e| e.area).sum();
+        let area: f32 = elements.iter().map(|e| e.opaque).sum();
         if tree.is_empty() || stored == 0 {
             return ChosenBandwidth { bandwidth: base, bias_squared: 0.0, guess: 0.0 };
         }
@@ -454,7 +460,7 @@ impl Baker<'_> {
                 };
                 let (narrow, v1, r1) = at(&base);
                 let (wide, v2, r2) = at(&wide);
-                let area = f64::from(element.area);
+                let area = f64::from(element.opaque);
                 // Where the radius is at a limit nothing can be learned.
                 if r2 < 1.2 * r1 {
                     return (0.0, area * v1, area);
@@ -510,7 +516,7 @@ impl Baker<'_> {
             false => BRIGHT * *brightness.select_nth_unstable_by(middle, f32::total_cmp).1,
         };
         for (e, sides) in watched {
-            let area = f64::from(self.atlas.elements[e as usize].area);
+            let area = f64::from(self.atlas.elements[e as usize].opaque);
             surface += area;
             for parts in sides.iter().flatten() {
                 let all = parts.all();

@@ -7,6 +7,7 @@ mod bake_tests;
 pub mod bins;
 pub mod cache;
 pub mod clusters;
+mod cut_outs;
 pub mod density;
 pub mod direct;
 mod direct_rounds;

@@ -314,7 +314,13 @@ mod tests {
                 let mut s = Stream::new(9, i, 0);
                 let position = Vec3::new(s.next_f32(), s.next_f32(), 0.3 * s.next_f32());
                 let normal = Vec3::new(s.next_f32() - 0.5, s.next_f32() - 0.5, s.next_f32() - 0.5);
-                Element { position, normal: normal.normalize(), area: 1e-4, ..Element::default() }
+                Element {
+                    position,
+                    normal: normal.normalize(),
+                    area: 1e-4,
+                    opaque: 1e-4,
+                    ..Element::default()
+                }
             })
             .collect();
         let bins = Bins::new(elements.len(), 1.0);
@@ -323,7 +329,7 @@ mod tests {
             bins.add(e, true, Vec3::splat(1e-4));
         }
         let mut tree = ClusterTree::build(&elements);
-        tree.update(&bins);
+        tree.update(&elements, &bins);
         let mut hood = Neighbourhood::default();
         for nominal in [0.05, 0.2, 0.4] {
             for node in tree.subtrees(8).into_iter().step_by(61) {

@@ -30,7 +30,7 @@ impl Baker<'_> {
     /// next to nothing arrives there, and in all directions the inside of something or something near is seen. A kernel
     /// that held them would darken what lies before them. What is seen of bodies wound inside out are their backs.
     pub(super) fn open_sides(&self, lit_back: &[bool]) -> Vec<[bool; 2]> {
-        let area: f32 = self.atlas.elements.iter().map(|e| e.area).sum();
+        let area: f32 = self.atlas.elements.iter().map(|e| e.opaque).sum();
         let dim = DIM * self.bins.total_count() as f32 / area.max(f32::MIN_POSITIVE);
         let elements = (0..self.atlas.elements.len()).into_par_iter();
         elements.map(|e| [false, true].map(|back| self.is_open(e, back, dim, lit_back))).collect()
@@ -47,7 +47,7 @@ impl Baker<'_> {
         // A first picture has no time to ask.
         let buried = !self.coarse
             && element.area > 0.0
-            && self.bins.arrived(e as u32, back).count <= dim * element.area
+            && self.bins.arrived(e as u32, back).count <= dim * element.opaque
             && !self.direct[e][usize::from(back)].is_lit()
             && !self.is_late()
             && (0..BURIED_RAYS).all(|ray| {

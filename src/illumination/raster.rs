@@ -26,6 +26,7 @@ impl Coverage {
             position: self.position / self.area,
             normal: self.normal.normalize_or_zero(),
             area: self.area,
+            opaque: self.area,
             triangle: self.triangle,
             b1: self.b.x,
             b2: self.b.y,

@@ -94,6 +94,7 @@ pub fn smooth_corners(mesh: &Mesh, part: &[u32], sizes: &[(f32, f32)]) -> (Vec<[
     }
     for element in &mut elements {
         element.normal = element.normal.normalize_or_zero();
+        element.opaque = element.area;
     }
     (assigned, elements)
 }

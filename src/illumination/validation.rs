@@ -64,8 +64,8 @@ impl Baker<'_> {
         }
         hood.reset();
         let (estimate, radius) = with.estimate_at(&extent, hood, self.emitted);
-        let (arrived, area) = tree.sums(node, 0);
-        let (area, n) = (f64::from(area), self.emitted as f64);
+        let (arrived, _) = tree.sums(node, 0);
+        let (area, n) = (f64::from(arrived.area), self.emitted as f64);
         let flux = f64::from(luminance(arrived.flux));
         let square = f64::from(arrived.square);
         let f = f64::from(luminance(estimate.irradiance));

@@ -209,6 +209,11 @@ impl Material {
         }
     }
 
+    /// Whether there may be points at which it is not there ([`super::Scene::is_opaque_at`]).
+    pub fn may_vanish(&self) -> bool {
+        self.opacity < 1.0 || self.opacity_map.is_some()
+    }
+
     /// Whether it emits light.
     pub fn is_emissive(&self) -> bool {
         self.emission.color.max_element() > 0.0

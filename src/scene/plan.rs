@@ -140,7 +140,7 @@ impl Facts {
             objects: scene.objects.len().saturating_sub(1),
             glossy: materials.iter().filter(|m| m.is_glossy()).count(),
             transparent: materials.iter().filter(|m| matches!(m.model, Model::Dielectric { .. })).count(),
-            cut_outs: materials.iter().filter(|m| m.opacity < 1.0 || m.opacity_map.is_some()).count(),
+            cut_outs: materials.iter().filter(|m| m.may_vanish()).count(),
             textured: scene.textures.len(),
             diffuse_triangles: scene.objects.first().map_or(0, |o| o.triangles.len()),
             lights: emissive + scene.lights.len() + usize::from(scene.environment.is_some()),

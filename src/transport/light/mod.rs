@@ -341,7 +341,7 @@ fn uniform_barycentrics(u: [f32; 2]) -> (f32, f32) {
 /// Radiance of a triangle's front at a point; zero where it is cut out.
 fn emitted(scene: &Scene, t: TriangleIndex, b1: f32, b2: f32) -> Vec3 {
     let material = &scene.materials[scene.mesh.materials[t as usize].0 as usize];
-    if (material.opacity < 1.0 || material.opacity_map.is_some()) && !scene.is_opaque_at(t, b1, b2) {
+    if material.may_vanish() && !scene.is_opaque_at(t, b1, b2) {
         return Vec3::ZERO;
     }
     let color = material.emission.color;

@@ -94,7 +94,7 @@ pub struct Made {
 }
 
 /// Who stops where it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stalled {
     /// Nobody.
     Nobody,
@@ -110,6 +110,32 @@ pub enum Stalled {
     Illuminator,
     /// All but the renderer.
     All,
+}
+
+impl Stalled {
+    /// Each of them.
+    pub const EACH: [Self; 7] = [
+        Self::Nobody,
+        Self::Tracers,
+        Self::CacheAger,
+        Self::Analyzer,
+        Self::Allocator,
+        Self::Illuminator,
+        Self::All,
+    ];
+
+    /// As it is written on a command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Nobody => "nobody",
+            Self::Tracers => "tracers",
+            Self::CacheAger => "cache-ager",
+            Self::Analyzer => "analyzer",
+            Self::Allocator => "allocator",
+            Self::Illuminator => "illuminator",
+            Self::All => "all",
+        }
+    }
 }
 
 /// Actors at work, and what they are made of.

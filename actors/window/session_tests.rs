@@ -176,8 +176,7 @@ fn sees_input_in_each_frame(walk: &mut Walk, what: &str) {
 
 #[test]
 fn input_reaches_its_frame_whoever_stalls() {
-    use Stalled::{All, Allocator, Analyzer, CacheAger, Illuminator, Nobody, Tracers};
-    for who in [Nobody, Tracers, CacheAger, Analyzer, Allocator, Illuminator, All] {
+    for who in Stalled::EACH {
         let mut made = made(Settings::new(64, 48, 2));
         // Light that is being baked all the time.
         let settings = BakeSettings { particles: Some(1 << 40), error: None, ..BakeSettings::default() };
@@ -187,7 +186,7 @@ fn input_reaches_its_frame_whoever_stalls() {
         let mut walk = Walk::new(Box::new(session), 0.0);
         sees_input_in_each_frame(&mut walk, &format!("{who:?}"));
         assert!(!walk.status().lit);
-        assert!(who != All || walk.status().traced == 0, "nobody else did anything");
+        assert!(who != Stalled::All || walk.status().traced == 0, "nobody else did anything");
     }
 }
 

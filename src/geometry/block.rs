@@ -1,6 +1,8 @@
-//! The watertight ray–triangle test of Woop, Benthin and Wald 2013, four triangles at a time.
+//! The watertight ray–triangle test of Woop, Benthin and Wald 2013, eight triangles at a time.
 
-use glam::{Vec3, Vec4};
+use glam::Vec3;
+
+use super::eight::Eight;
 
 /// A ray's own coordinate frame: its direction is the third axis, by a shear instead of a rotation.
 ///
@@ -8,18 +10,19 @@ use glam::{Vec3, Vec4};
 /// products are formed in f64, where they are exact. A fused multiply–add would break this, so none
 /// is used (REFERENCE §5.2).
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Shear {
-    pub kx: usize,
-    pub ky: usize,
-    pub kz: usize,
-    pub sx: f32,
-    pub sy: f32,
-    pub sz: f32,
+pub(super) struct Shear<E: Eight> {
+    /// Axes of the scene, the direction's largest last.
+    axes: [usize; 3],
+    /// The origin in their order.
+    origin: [E::Lanes; 3],
+    x: E::Lanes,
+    y: E::Lanes,
+    z: f32,
 }
 
-impl Shear {
-    #[inline]
-    pub fn new(direction: Vec3) -> Self {
+impl<E: Eight> Shear<E> {
+    #[inline(always)]
+    pub fn new(e: E, origin: Vec3, direction: Vec3) -> Self {
         let a = direction.abs();
         let kz = if a.x > a.y {
             if a.x > a.z { 0 } else { 2 }
@@ -29,30 +32,59 @@ impl Shear {
             2
         };
         let (mut kx, mut ky) = ((kz + 1) % 3, (kz + 2) % 3);
-        let d = direction.to_array();
+        let (d, o) = (direction.to_array(), origin.to_array());
         if d[kz] < 0.0 {
             std::mem::swap(&mut kx, &mut ky); // keeps the winding
         }
-        Self { kx, ky, kz, sx: d[kx] / d[kz], sy: d[ky] / d[kz], sz: 1.0 / d[kz] }
+        Self {
+            axes: [kx, ky, kz],
+            origin: [e.splat(o[kx]), e.splat(o[ky]), e.splat(o[kz])],
+            x: e.splat(d[kx] / d[kz]),
+            y: e.splat(d[ky] / d[kz]),
+            z: 1.0 / d[kz],
+        }
+    }
+
+    /// Corners of eight triangles in this frame.
+    #[inline(always)]
+    fn sheared(&self, e: E, corner: &[[f32; LEAF]; 3]) -> (E::Lanes, E::Lanes, E::Lanes) {
+        let [kx, ky, kz] = self.axes;
+        let z = e.sub(e.load(&corner[kz]), self.origin[2]);
+        let x = e.sub(e.sub(e.load(&corner[kx]), self.origin[0]), e.mul(self.x, z));
+        let y = e.sub(e.sub(e.load(&corner[ky]), self.origin[1]), e.mul(self.y, z));
+        (x, y, z)
     }
 }
 
-/// Up to four triangles, corner by corner and axis by axis. Unused lanes are NaN, which no ray hits.
+/// Most triangles of a block.
+pub(super) const LEAF: usize = 8;
+
+/// Up to eight triangles, corner by corner and axis by axis. Unused lanes are NaN, which no ray hits.
 #[derive(Clone, Copy, Debug)]
-#[repr(C, align(32))]
+#[repr(C, align(64))]
 pub(super) struct Block {
-    /// `corner[c][axis]` of the four triangles.
-    pub corner: [[Vec4; 3]; 3],
-    /// Index of each in the order of the leaves.
-    pub index: [u32; 4],
+    /// `corner[c][axis]` of the triangles.
+    pub corner: [[[f32; LEAF]; 3]; 3],
+    /// Each in the mesh, with [`CUT_OUT`] where it may not be there; `u32::MAX` after the last.
+    pub index: [u32; LEAF],
 }
+
+/// Flag of triangles that may be cut out.
+pub(super) const CUT_OUT: u32 = 1 << 31;
 
 impl Block {
     /// No triangle at all.
-    pub const EMPTY: Self = Self { corner: [[Vec4::NAN; 3]; 3], index: [u32::MAX; 4] };
+    pub const EMPTY: Self = Self { corner: [[[f32::NAN; LEAF]; 3]; 3], index: [u32::MAX; LEAF] };
 
-    /// Puts a triangle into a lane.
-    pub fn set(&mut self, lane: usize, corners: [Vec3; 3], index: u32) {
+    /// Adds a triangle, once.
+    ///
+    /// # Panics
+    /// If there are eight others.
+    pub fn push(&mut self, (corners, index): ([Vec3; 3], u32)) {
+        if self.index.contains(&index) {
+            return;
+        }
+        let lane = self.index.iter().position(|&i| i == u32::MAX).expect("at most eight");
         for (c, p) in corners.iter().enumerate() {
             for axis in 0..3 {
                 self.corner[c][axis][lane] = p[axis];
@@ -65,70 +97,80 @@ impl Block {
     /// is hit with `t_min < t <= t_max`.
     /// `None` where it is none of them.
     #[inline(always)]
-    pub fn intersect(&self, origin: [Vec4; 3], s: &Shear, t_min: f32, t_max: f32) -> Option<Lanes> {
-        let (sx, sy, sz) = (Vec4::splat(s.sx), Vec4::splat(s.sy), Vec4::splat(s.sz));
-        let sheared = |c: usize| {
-            let z = self.corner[c][s.kz] - origin[s.kz];
-            let x = (self.corner[c][s.kx] - origin[s.kx]) - sx * z;
-            let y = (self.corner[c][s.ky] - origin[s.ky]) - sy * z;
-            (x, y, z)
-        };
-        let (ax, ay, az) = sheared(0);
-        let (bx, by, bz) = sheared(1);
-        let (cx, cy, cz) = sheared(2);
-        let u = cx * by - cy * bx;
-        let v = ax * cy - ay * cx;
-        let w = bx * ay - by * ax;
-        let zero = Vec4::ZERO;
-        let negative = u.min(v).min(w).cmplt(zero);
-        let positive = u.max(v).max(w).cmpgt(zero);
-        let on_edge = (u.cmpeq(zero) | v.cmpeq(zero) | w.cmpeq(zero)).bitmask();
-        let det = u + v + w;
+    pub fn intersect<E: Eight>(&self, e: E, s: &Shear<E>, t_min: f32, t_max: f32) -> Option<Lanes> {
+        let (ax, ay, az) = s.sheared(e, &self.corner[0]);
+        let (bx, by, bz) = s.sheared(e, &self.corner[1]);
+        let (cx, cy, cz) = s.sheared(e, &self.corner[2]);
+        let u = e.sub(e.mul(cx, by), e.mul(cy, bx));
+        let v = e.sub(e.mul(ax, cy), e.mul(ay, cx));
+        let w = e.sub(e.mul(bx, ay), e.mul(by, ax));
+        let zero = e.splat(0.0);
+        let outside = e.and(e.below(e.min(e.min(u, v), w), zero), e.below(zero, e.max(e.max(u, v), w)));
+        let on_edge = e.bits(e.or(e.or(e.equal(u, zero), e.equal(v, zero)), e.equal(w, zero)));
+        let det = e.add(e.add(u, v), w);
         // Unused lanes are not a number.
-        let candidates = !(negative & positive) & det.cmpeq(det);
-        if candidates.bitmask() | on_edge == 0 {
+        let candidates = e.without(e.equal(det, det), outside);
+        if e.bits(candidates) | on_edge == 0 {
             return None;
         }
-        let r = det.recip();
-        let t = (u * az + v * bz + w * cz) * sz * r;
-        let inside = candidates & t.cmpgt(Vec4::splat(t_min)) & t.cmple(Vec4::splat(t_max));
+        let r = e.div(e.splat(1.0), det);
+        let along = e.add(e.add(e.mul(u, az), e.mul(v, bz)), e.mul(w, cz));
+        let t = e.mul(e.mul(along, e.splat(s.z)), r);
+        let inside = e.and(e.below(e.splat(t_min), t), e.at_most(t, e.splat(t_max)));
         let mut lanes = Lanes {
-            mask: inside.bitmask() & !on_edge,
-            t: t.to_array(),
-            b1: (v * r).to_array(),
-            b2: (w * r).to_array(),
+            mask: e.bits(e.and(candidates, inside)) & !on_edge,
+            t: e.store(t),
+            b1: e.store(e.mul(v, r)),
+            b2: e.store(e.mul(w, r)),
         };
         if on_edge != 0 {
-            let a = [ax, ay, az].map(|v| v.to_array());
-            let b = [bx, by, bz].map(|v| v.to_array());
-            let c = [cx, cy, cz].map(|v| v.to_array());
-            for lane in 0..4 {
-                if on_edge & (1 << lane) != 0 {
-                    let at = |p: &[[f32; 4]; 3]| [p[0][lane], p[1][lane], p[2][lane]].map(f64::from);
-                    if let Some((t, b1, b2)) = exact(at(&a), at(&b), at(&c), f64::from(s.sz))
-                        && t > t_min
-                        && t <= t_max
-                    {
-                        lanes.mask |= 1 << lane;
-                        (lanes.t[lane], lanes.b1[lane], lanes.b2[lane]) = (t, b1, b2);
-                    }
-                }
-            }
+            let a = [e.store(ax), e.store(ay), e.store(az)];
+            let b = [e.store(bx), e.store(by), e.store(bz)];
+            let c = [e.store(cx), e.store(cy), e.store(cz)];
+            lanes.add_exact(on_edge, &a, &b, &c, s.z, t_min, t_max);
         }
         (lanes.mask != 0).then_some(lanes)
     }
 }
 
-/// The result for four triangles; lanes outside of `mask` hold nothing of use.
+/// The result for eight triangles; lanes outside of `mask` hold nothing of use.
 pub(super) struct Lanes {
     pub mask: u32,
-    pub t: [f32; 4],
-    pub b1: [f32; 4],
-    pub b2: [f32; 4],
+    pub t: [f32; LEAF],
+    pub b1: [f32; LEAF],
+    pub b2: [f32; LEAF],
+}
+
+/// A sheared corner of eight triangles, axis by axis.
+type Corners = [[f32; LEAF]; 3];
+
+impl Lanes {
+    #[cold]
+    #[expect(clippy::too_many_arguments, reason = "all of them what the test in f32 had at hand")]
+    fn add_exact(
+        &mut self,
+        on_edge: u32,
+        a: &Corners,
+        b: &Corners,
+        c: &Corners,
+        sz: f32,
+        t_min: f32,
+        t_max: f32,
+    ) {
+        for lane in (0..LEAF).filter(|lane| on_edge >> lane & 1 != 0) {
+            let at = |p: &Corners| [p[0][lane], p[1][lane], p[2][lane]].map(f64::from);
+            if let Some((t, b1, b2)) = exact(at(a), at(b), at(c), f64::from(sz))
+                && t > t_min
+                && t <= t_max
+            {
+                self.mask |= 1 << lane;
+                (self.t[lane], self.b1[lane], self.b2[lane]) = (t, b1, b2);
+            }
+        }
+    }
 }
 
 /// The test in f64 for sheared corners on an edge as seen in f32: the products of f32 are exact.
-#[cold]
 fn exact(a: [f64; 3], b: [f64; 3], c: [f64; 3], sz: f64) -> Option<(f32, f32, f32)> {
     let u = c[0] * b[1] - c[1] * b[0];
     let v = a[0] * c[1] - a[1] * c[0];
@@ -146,15 +188,15 @@ fn exact(a: [f64; 3], b: [f64; 3], c: [f64; 3], sz: f64) -> Option<(f32, f32, f3
 
 #[cfg(test)]
 mod tests {
+    use super::super::level::Portable;
     use super::*;
 
     fn one(corners: [Vec3; 3], origin: Vec3, direction: Vec3) -> Option<(f32, f32, f32)> {
         let mut block = Block::EMPTY;
-        block.set(2, corners, 7);
-        let o = origin.to_array().map(Vec4::splat);
-        let l = block.intersect(o, &Shear::new(direction), 0.0, f32::INFINITY)?;
-        assert_eq!(l.mask & !4, 0, "empty lanes are never hit");
-        (l.mask != 0).then(|| (l.t[2], l.b1[2], l.b2[2]))
+        block.push((corners, 7));
+        let l = block.intersect(Portable, &Shear::new(Portable, origin, direction), 0.0, f32::INFINITY)?;
+        assert_eq!(l.mask & !1, 0, "empty lanes are never hit");
+        (l.mask != 0).then(|| (l.t[0], l.b1[0], l.b2[0]))
     }
 
     const T: [Vec3; 3] = [Vec3::ZERO, Vec3::X, Vec3::Y];
@@ -207,9 +249,9 @@ mod tests {
                 faces.push([p[i], p[(i + 1) % 4], p[4]]);
                 faces.push([p[(i + 1) % 4], p[i], p[5]]);
             }
-            let mut blocks = [Block::EMPTY; 2];
+            let mut block = Block::EMPTY;
             for (i, &f) in faces.iter().enumerate() {
-                blocks[i / 4].set(i % 4, f, i as u32);
+                block.push((f, i as u32));
             }
             let mut rng = crate::rng::Stream::new(3, offset as u64, 0);
             for _ in 0..100_000 {
@@ -218,9 +260,8 @@ mod tests {
                 let face = &faces[((r() + 1.0) * 4.0) as usize % 8];
                 let f = (r() + 1.0) * 0.5;
                 let target = face[0] + (face[1] - face[0]) * f;
-                let shear = Shear::new(target - origin);
-                let o = origin.to_array().map(Vec4::splat);
-                let hit = blocks.iter().any(|b| b.intersect(o, &shear, 0.0, f32::INFINITY).is_some());
+                let shear = Shear::new(Portable, origin, target - origin);
+                let hit = block.intersect(Portable, &shear, 0.0, f32::INFINITY).is_some();
                 assert!(hit, "{origin} → {target}");
             }
         }

@@ -4,11 +4,12 @@ use glam::{Vec3, Vec3A};
 use obvhs::BvhBuildParams;
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
-use obvhs::bvh2::leaf_collapser::collapse;
 use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
 use obvhs::ploc::PlocBuilder;
 
-use super::packet::{self, FlatNode, LANES};
+use super::block::CUT_OUT;
+use super::collapse::BinaryNode;
+use super::packet::{self, LANES};
 use super::wide::{LeafHit, Wide};
 use super::{Hit, Ray};
 use crate::scene::{Material, Scene};
@@ -17,20 +18,12 @@ use crate::scene::{Material, Scene};
 const LARGEST: f32 = 1e18;
 
 /// Index over all triangles of a scene.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Accel {
-    nodes: Vec<FlatNode>,
-    /// Corners in the order of the leaves.
-    corners: Vec<[Vec3; 3]>,
-    /// Mesh triangle of each, with the top bit set where it may be cut out.
-    triangles: Vec<u32>,
-    /// Whether the tree is shallow enough for packets.
-    packets: bool,
-    /// The same tree for single rays.
     wide: Wide,
+    /// Number of triangles in it.
+    count: usize,
 }
-
-const CUT_OUT: u32 = 1 << 31;
 
 impl Accel {
     /// Builds the index. Triangles with a corner that is not finite are left out; a scene without triangles is
@@ -52,56 +45,46 @@ impl Accel {
             kept.push(t);
         }
         if kept.is_empty() {
-            return Self {
-                nodes: Vec::new(),
-                corners: Vec::new(),
-                triangles: Vec::new(),
-                packets: false,
-                wide: Wide::default(),
-            };
+            return Self::default();
         }
         let bvh = build_binary(&boxes);
-        let order: Vec<u32> = bvh.primitive_indices.iter().map(|&i| kept[i as usize]).collect();
         let may_vanish = |m: &Material| m.opacity < 1.0 || m.opacity_map.is_some();
         let vanishing: Vec<bool> = scene.materials.iter().map(may_vanish).collect();
-        let nodes: Vec<FlatNode> = bvh
+        let nodes: Vec<BinaryNode> = bvh
             .nodes
             .iter()
-            .map(|n| FlatNode {
-                min: Vec3::from(n.aabb().min).to_array(),
+            .map(|n| BinaryNode {
+                min: Vec3::from(n.aabb().min),
+                max: Vec3::from(n.aabb().max),
                 first: n.first_index,
-                max: Vec3::from(n.aabb().max).to_array(),
-                count: n.prim_count,
+                is_leaf: n.is_leaf(),
             })
             .collect();
-        let corners: Vec<[Vec3; 3]> = order.iter().map(|&t| mesh.corners(t)).collect();
-        let triangles = order
-            .iter()
-            .map(|&t| t | if vanishing[mesh.materials[t as usize].0 as usize] { CUT_OUT } else { 0 })
-            .collect();
-        let wide = Wide::new(&nodes, &corners);
-        let packets = depth(&nodes) < packet::STACK;
-        Self { nodes, corners, triangles, packets, wide }
+        let triangle = |leaf: u32| {
+            let t = kept[bvh.primitive_indices[leaf as usize] as usize];
+            let flag = if vanishing[mesh.materials[t as usize].0 as usize] { CUT_OUT } else { 0 };
+            (mesh.corners(t), t | flag)
+        };
+        Self { wide: Wide::new(&nodes, triangle), count: kept.len() }
     }
 
     /// Number of triangles.
     pub fn len(&self) -> usize {
-        self.triangles.len()
+        self.count
     }
 
     /// Whether there is nothing to hit.
     pub fn is_empty(&self) -> bool {
-        self.triangles.is_empty()
+        self.count == 0
     }
 
     /// Bytes held.
     pub fn size_bytes(&self) -> usize {
-        self.nodes.len() * size_of::<FlatNode>() + self.triangles.len() * (36 + 4) + self.wide.size_bytes()
+        self.wide.size_bytes()
     }
 }
 
-/// As `obvhs::bvh2::builder::build_bvh2` with its fast or medium preset, but without the clock and the full check
-/// that it does in debug builds; leaves hold what one block of triangles holds.
+/// A tree with one box in each leaf.
 fn build_binary(boxes: &[Aabb]) -> Bvh2 {
     let params =
         if boxes.len() > 1_500_000 { BvhBuildParams::fast_build() } else { BvhBuildParams::medium_build() };
@@ -112,25 +95,8 @@ fn build_binary(boxes: &[Aabb]) -> Bvh2 {
         params.sort_precision,
         params.search_depth_threshold,
     );
-    let ratio = params.reinsertion_batch_ratio;
-    let mut optimizer = ReinsertionOptimizer::default();
-    optimizer.run(&mut bvh, ratio, None);
-    collapse(&mut bvh, 4, params.collapse_traversal_cost);
-    optimizer.run(&mut bvh, ratio * params.post_collapse_reinsertion_batch_ratio_multiplier, None);
+    ReinsertionOptimizer::default().run(&mut bvh, 2.0 * params.reinsertion_batch_ratio, None);
     bvh
-}
-
-/// Nodes on the longest way from the root to a leaf.
-fn depth(nodes: &[FlatNode]) -> usize {
-    let mut deepest = 0;
-    let mut open = vec![(0usize, 1usize)];
-    while let Some((at, depth)) = open.pop() {
-        deepest = deepest.max(depth);
-        let Some(node) = nodes.get(at).filter(|n| n.count == 0) else { continue };
-        let first = node.first as usize;
-        open.extend([(first, depth + 1), (first + 1, depth + 1)]);
-    }
-    deepest
 }
 
 impl Accel {
@@ -184,57 +150,33 @@ impl Accel {
     /// The hit in the scene's terms, unless the ray ignores the triangle or it is cut out there.
     #[inline(always)]
     fn accepted(&self, scene: &Scene, ray: &Ray, found: &LeafHit) -> Option<Hit> {
-        let triangle = self.triangles[found.index as usize] & !CUT_OUT;
+        let LeafHit { t, triangle: flagged, b1, b2 } = *found;
+        let triangle = flagged & !CUT_OUT;
         let is_there =
-            triangle != ray.ignore && self.is_there(scene, found.index as usize, found.b1, found.b2);
-        is_there.then_some(Hit { t: found.t, triangle, b1: found.b1, b2: found.b2 })
+            triangle != ray.ignore && (flagged & CUT_OUT == 0 || scene.is_opaque_at(triangle, b1, b2));
+        is_there.then_some(Hit { t, triangle, b1, b2 })
     }
 
-    /// Closest hits of sixteen rays from one point along unit directions.
+    /// Closest hits of sixteen rays from one point along unit directions; of hits at one distance that of the lowest
+    /// triangle.
     pub fn intersect_packet(
         &self,
         scene: &Scene,
         origin: Vec3,
         directions: &[Vec3; LANES],
     ) -> [Option<Hit>; LANES] {
-        if !self.packets {
-            return directions.map(|d| self.intersect(scene, &Ray::new(origin, d)));
-        }
-        let wide = (self.wide.stack() <= packet::BEAM_STACK).then_some(&self.wide);
-        let cut = Cut { accel: self, scene };
-        let hit = packet::intersect(&self.nodes, wide, &self.corners, origin, directions, &cut);
+        let is_there = |triangle: u32, b1: f32, b2: f32| scene.is_opaque_at(triangle, b1, b2);
+        let hit = packet::intersect(&self.wide, origin, directions, &is_there);
         std::array::from_fn(|l| {
-            let triangle = self.triangles.get(hit.index[l] as usize)? & !CUT_OUT;
-            Some(Hit { t: hit.t[l], triangle, b1: hit.b1[l], b2: hit.b2[l] })
+            let (t, triangle) = (hit.t[l], hit.triangle[l]);
+            (t < f32::INFINITY).then_some(Hit { t, triangle, b1: hit.b1[l], b2: hit.b2[l] })
         })
-    }
-
-    #[inline(always)]
-    fn is_there(&self, scene: &Scene, index: usize, b1: f32, b2: f32) -> bool {
-        let t = self.triangles[index];
-        t & CUT_OUT == 0 || scene.is_opaque_at(t & !CUT_OUT, b1, b2)
-    }
-}
-
-/// The cut-out surfaces of a scene.
-struct Cut<'a> {
-    accel: &'a Accel,
-    scene: &'a Scene,
-}
-
-impl packet::CutOut for Cut<'_> {
-    #[inline(always)]
-    fn may_vanish(&self, index: u32) -> bool {
-        self.accel.triangles[index as usize] & CUT_OUT != 0
-    }
-
-    fn is_there(&self, index: u32, b1: f32, b2: f32) -> bool {
-        self.accel.is_there(self.scene, index as usize, b1, b2)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::level::Level;
     use super::*;
     use crate::rng::Stream;
     use crate::scene::test_scenes::of_triangles;
@@ -290,8 +232,7 @@ mod tests {
             pool.install(|| Accel::build(&scene))
         };
         let (one, three) = (build(1), build(3));
-        assert_eq!(one.nodes, three.nodes);
-        assert_eq!(one.triangles, three.triangles);
+        assert_eq!(format!("{:?}", one.wide), format!("{:?}", three.wide));
         for i in 0..2000 {
             let mut s = Stream::new(5, i, 0);
             let origin = Vec3::new(s.next_f32(), s.next_f32(), s.next_f32()) * 6.0 - 3.0;
@@ -308,13 +249,17 @@ mod tests {
         }
     }
 
-    /// Whatever the processor has and whichever tree a packet takes, hits have the same bits.
+    /// Whatever the processor has, hits have the same bits.
     #[test]
     fn all_ways_find_the_same_bits() {
         let scene = of_triangles(&sphere(30, 1.0, Vec3::splat(0.3)));
         let best = Accel::build(&scene);
-        let mut portable = best.clone();
-        portable.wide.make_portable();
+        let others = Level::all().into_iter().skip(1).map(|level| {
+            let mut other = best.clone();
+            other.wide.set_level(level);
+            other
+        });
+        let others: Vec<Accel> = others.collect();
         let bits = |h: Option<Hit>| h.map(|h| (h.triangle, [h.t, h.b1, h.b2].map(f32::to_bits)));
         let mut hits = 0;
         for i in 0..3000 {
@@ -322,22 +267,18 @@ mod tests {
             let mut v = || Vec3::new(s.next_f32(), s.next_f32(), s.next_f32()) * 2.0 - 1.0;
             let (origin, axis) = (v() * 2.0, v());
             let ray = Ray::new(origin, axis);
-            let (one, other) = (best.intersect(&scene, &ray), portable.intersect(&scene, &ray));
-            assert_eq!(bits(one), bits(other), "ray {i}");
-            assert_eq!(best.occluded(&scene, &ray), one.is_some());
-            assert_eq!(portable.occluded(&scene, &ray), one.is_some());
             let directions: [Vec3; LANES] =
                 std::array::from_fn(|_| (axis + 0.05 * v()).try_normalize().unwrap_or(Vec3::X));
-            let beam = best.intersect_packet(&scene, origin, &directions);
-            assert_eq!(beam.map(bits), portable.intersect_packet(&scene, origin, &directions).map(bits));
-            let cut = Cut { accel: &best, scene: &scene };
-            let binary = packet::intersect(&best.nodes, None, &best.corners, origin, &directions, &cut);
-            let of_binary = |l: usize| {
-                let triangle = best.triangles.get(binary.index[l] as usize)? & !CUT_OUT;
-                Some(Hit { t: binary.t[l], triangle, b1: binary.b1[l], b2: binary.b2[l] })
-            };
-            assert_eq!(beam.map(bits), std::array::from_fn(|l| bits(of_binary(l))), "packet {i}");
-            hits += beam.iter().flatten().count();
+            let (one, packet) =
+                (best.intersect(&scene, &ray), best.intersect_packet(&scene, origin, &directions));
+            assert_eq!(best.occluded(&scene, &ray), one.is_some());
+            for other in &others {
+                assert_eq!(bits(one), bits(other.intersect(&scene, &ray)), "ray {i}");
+                assert_eq!(other.occluded(&scene, &ray), one.is_some());
+                let others = other.intersect_packet(&scene, origin, &directions);
+                assert_eq!(packet.map(bits), others.map(bits), "packet {i}");
+            }
+            hits += packet.iter().flatten().count();
         }
         assert!(hits > 5000, "{hits}");
     }

@@ -1,30 +1,43 @@
 //! Eight numbers at once: with AVX2 where the processor has it, else as two times four; the same bits either way.
-//!
-//! What is there is asked once per tree. `pulp`'s token stands for the answer, so that its intrinsics are safe to call.
 
-use glam::Vec4;
+use glam::{BVec4A, Vec4};
+
+use super::level::Portable;
 
 /// Operations on eight f32. `min` and `max` return the second operand where one is not a number, as SSE and AVX do.
 pub(super) trait Eight: Copy {
     /// Eight of them.
     type Lanes: Copy;
+    /// Yes or no for each.
+    type Mask: Copy;
     fn load(self, values: &[f32; 8]) -> Self::Lanes;
     fn splat(self, value: f32) -> Self::Lanes;
+    fn store(self, a: Self::Lanes) -> [f32; 8];
+    fn add(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes;
     fn sub(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes;
     fn mul(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes;
+    fn div(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes;
     fn min(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes;
     fn max(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes;
-    /// A bit for each lane with a ≤ b.
-    fn at_most(self, a: Self::Lanes, b: Self::Lanes) -> u32;
-    fn store(self, a: Self::Lanes) -> [f32; 8];
+    /// a < b.
+    fn below(self, a: Self::Lanes, b: Self::Lanes) -> Self::Mask;
+    /// a ≤ b.
+    fn at_most(self, a: Self::Lanes, b: Self::Lanes) -> Self::Mask;
+    /// a = b.
+    fn equal(self, a: Self::Lanes, b: Self::Lanes) -> Self::Mask;
+    fn and(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    fn or(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// a and not b.
+    fn without(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// A bit for each.
+    fn bits(self, mask: Self::Mask) -> u32;
+    /// `yes` where the mask holds, else `no`.
+    fn select(self, mask: Self::Mask, yes: Self::Lanes, no: Self::Lanes) -> Self::Lanes;
 }
-
-/// Two times four, on any processor.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Portable;
 
 impl Eight for Portable {
     type Lanes = [Vec4; 2];
+    type Mask = [BVec4A; 2];
 
     #[inline(always)]
     fn load(self, v: &[f32; 8]) -> [Vec4; 2] {
@@ -34,6 +47,16 @@ impl Eight for Portable {
     #[inline(always)]
     fn splat(self, value: f32) -> [Vec4; 2] {
         [Vec4::splat(value); 2]
+    }
+
+    #[inline(always)]
+    fn store(self, a: [Vec4; 2]) -> [f32; 8] {
+        bytemuck::cast(a.map(|v| v.to_array()))
+    }
+
+    #[inline(always)]
+    fn add(self, a: [Vec4; 2], b: [Vec4; 2]) -> [Vec4; 2] {
+        [a[0] + b[0], a[1] + b[1]]
     }
 
     #[inline(always)]
@@ -47,6 +70,11 @@ impl Eight for Portable {
     }
 
     #[inline(always)]
+    fn div(self, a: [Vec4; 2], b: [Vec4; 2]) -> [Vec4; 2] {
+        [a[0] / b[0], a[1] / b[1]]
+    }
+
+    #[inline(always)]
     fn min(self, a: [Vec4; 2], b: [Vec4; 2]) -> [Vec4; 2] {
         [a[0].min(b[0]), a[1].min(b[1])]
     }
@@ -57,126 +85,150 @@ impl Eight for Portable {
     }
 
     #[inline(always)]
-    fn at_most(self, a: [Vec4; 2], b: [Vec4; 2]) -> u32 {
-        a[0].cmple(b[0]).bitmask() | a[1].cmple(b[1]).bitmask() << 4
+    fn below(self, a: [Vec4; 2], b: [Vec4; 2]) -> [BVec4A; 2] {
+        [a[0].cmplt(b[0]), a[1].cmplt(b[1])]
     }
 
     #[inline(always)]
-    fn store(self, a: [Vec4; 2]) -> [f32; 8] {
-        bytemuck::cast(a.map(|v| v.to_array()))
+    fn at_most(self, a: [Vec4; 2], b: [Vec4; 2]) -> [BVec4A; 2] {
+        [a[0].cmple(b[0]), a[1].cmple(b[1])]
+    }
+
+    #[inline(always)]
+    fn equal(self, a: [Vec4; 2], b: [Vec4; 2]) -> [BVec4A; 2] {
+        [a[0].cmpeq(b[0]), a[1].cmpeq(b[1])]
+    }
+
+    #[inline(always)]
+    fn and(self, a: [BVec4A; 2], b: [BVec4A; 2]) -> [BVec4A; 2] {
+        [a[0] & b[0], a[1] & b[1]]
+    }
+
+    #[inline(always)]
+    fn or(self, a: [BVec4A; 2], b: [BVec4A; 2]) -> [BVec4A; 2] {
+        [a[0] | b[0], a[1] | b[1]]
+    }
+
+    #[inline(always)]
+    fn without(self, a: [BVec4A; 2], b: [BVec4A; 2]) -> [BVec4A; 2] {
+        [a[0] & !b[0], a[1] & !b[1]]
+    }
+
+    #[inline(always)]
+    fn bits(self, mask: [BVec4A; 2]) -> u32 {
+        mask[0].bitmask() | mask[1].bitmask() << 4
+    }
+
+    #[inline(always)]
+    fn select(self, mask: [BVec4A; 2], yes: [Vec4; 2], no: [Vec4; 2]) -> [Vec4; 2] {
+        [Vec4::select(mask[0], yes[0], no[0]), Vec4::select(mask[1], yes[1], no[1])]
     }
 }
 
-/// AVX2.
+/// The operations of AVX2 for a token that has it.
 #[cfg(target_arch = "x86_64")]
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Avx2(pub pulp::x86::V3);
+macro_rules! eight_in_one {
+    ($token:ty) => {
+        impl Eight for $token {
+            type Lanes = core::arch::x86_64::__m256;
+            type Mask = core::arch::x86_64::__m256;
 
-#[cfg(target_arch = "x86_64")]
-impl Eight for Avx2 {
-    type Lanes = core::arch::x86_64::__m256;
-
-    #[inline(always)]
-    fn load(self, values: &[f32; 8]) -> Self::Lanes {
-        bytemuck::cast(*values)
-    }
-
-    #[inline(always)]
-    fn splat(self, value: f32) -> Self::Lanes {
-        self.0.avx._mm256_set1_ps(value)
-    }
-
-    #[inline(always)]
-    fn sub(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes {
-        self.0.avx._mm256_sub_ps(a, b)
-    }
-
-    #[inline(always)]
-    fn mul(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes {
-        self.0.avx._mm256_mul_ps(a, b)
-    }
-
-    #[inline(always)]
-    fn min(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes {
-        self.0.avx._mm256_min_ps(a, b)
-    }
-
-    #[inline(always)]
-    fn max(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes {
-        self.0.avx._mm256_max_ps(a, b)
-    }
-
-    #[inline(always)]
-    fn at_most(self, a: Self::Lanes, b: Self::Lanes) -> u32 {
-        let ordered = self.0.avx._mm256_cmp_ps::<{ core::arch::x86_64::_CMP_LE_OQ }>(a, b);
-        self.0.avx._mm256_movemask_ps(ordered) as u32
-    }
-
-    #[inline(always)]
-    fn store(self, a: Self::Lanes) -> [f32; 8] {
-        bytemuck::cast(a)
-    }
-}
-
-/// What this processor has.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Level {
-    #[cfg(target_arch = "x86_64")]
-    avx2: Option<pulp::x86::V3>,
-}
-
-/// Work to be compiled for each set of instructions.
-pub(super) trait Work {
-    type Output;
-    fn run<E: Eight>(self, eight: E) -> Self::Output;
-}
-
-impl Level {
-    /// Asks the processor.
-    pub fn detect() -> Self {
-        Self {
-            #[cfg(target_arch = "x86_64")]
-            avx2: pulp::x86::V3::try_new(),
-        }
-    }
-
-    /// What every processor has.
-    #[cfg(test)]
-    pub fn portable() -> Self {
-        Self {
-            #[cfg(target_arch = "x86_64")]
-            avx2: None,
-        }
-    }
-
-    /// Runs the best copy.
-    #[inline(always)]
-    pub fn run<W: Work>(self, work: W) -> W::Output {
-        #[cfg(target_arch = "x86_64")]
-        if let Some(avx2) = self.avx2 {
-            struct Compiled<W>(W, pulp::x86::V3);
-            impl<W: Work> pulp::NullaryFnOnce for Compiled<W> {
-                type Output = W::Output;
-
-                #[inline(always)]
-                fn call(self) -> W::Output {
-                    self.0.run(Avx2(self.1))
-                }
+            #[inline(always)]
+            fn load(self, values: &[f32; 8]) -> Self::Lanes {
+                bytemuck::cast(*values)
             }
-            return avx2.vectorize(Compiled(work, avx2));
+
+            #[inline(always)]
+            fn splat(self, value: f32) -> Self::Lanes {
+                self.0.avx._mm256_set1_ps(value)
+            }
+
+            #[inline(always)]
+            fn store(self, a: Self::Lanes) -> [f32; 8] {
+                bytemuck::cast(a)
+            }
+
+            #[inline(always)]
+            fn add(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes {
+                self.0.avx._mm256_add_ps(a, b)
+            }
+
+            #[inline(always)]
+            fn sub(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes {
+                self.0.avx._mm256_sub_ps(a, b)
+            }
+
+            #[inline(always)]
+            fn mul(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes {
+                self.0.avx._mm256_mul_ps(a, b)
+            }
+
+            #[inline(always)]
+            fn div(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes {
+                self.0.avx._mm256_div_ps(a, b)
+            }
+
+            #[inline(always)]
+            fn min(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes {
+                self.0.avx._mm256_min_ps(a, b)
+            }
+
+            #[inline(always)]
+            fn max(self, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes {
+                self.0.avx._mm256_max_ps(a, b)
+            }
+
+            #[inline(always)]
+            fn below(self, a: Self::Lanes, b: Self::Lanes) -> Self::Mask {
+                self.0.avx._mm256_cmp_ps::<{ core::arch::x86_64::_CMP_LT_OQ }>(a, b)
+            }
+
+            #[inline(always)]
+            fn at_most(self, a: Self::Lanes, b: Self::Lanes) -> Self::Mask {
+                self.0.avx._mm256_cmp_ps::<{ core::arch::x86_64::_CMP_LE_OQ }>(a, b)
+            }
+
+            #[inline(always)]
+            fn equal(self, a: Self::Lanes, b: Self::Lanes) -> Self::Mask {
+                self.0.avx._mm256_cmp_ps::<{ core::arch::x86_64::_CMP_EQ_OQ }>(a, b)
+            }
+
+            #[inline(always)]
+            fn and(self, a: Self::Mask, b: Self::Mask) -> Self::Mask {
+                self.0.avx._mm256_and_ps(a, b)
+            }
+
+            #[inline(always)]
+            fn or(self, a: Self::Mask, b: Self::Mask) -> Self::Mask {
+                self.0.avx._mm256_or_ps(a, b)
+            }
+
+            #[inline(always)]
+            fn without(self, a: Self::Mask, b: Self::Mask) -> Self::Mask {
+                self.0.avx._mm256_andnot_ps(b, a)
+            }
+
+            #[inline(always)]
+            fn bits(self, mask: Self::Mask) -> u32 {
+                self.0.avx._mm256_movemask_ps(mask) as u32
+            }
+
+            #[inline(always)]
+            fn select(self, mask: Self::Mask, yes: Self::Lanes, no: Self::Lanes) -> Self::Lanes {
+                self.0.avx._mm256_blendv_ps(no, yes, mask)
+            }
         }
-        work.run(Portable)
-    }
+    };
 }
 
-impl Default for Level {
-    fn default() -> Self {
-        Self::detect()
-    }
-}
+#[cfg(target_arch = "x86_64")]
+eight_in_one!(super::level::Avx2);
+#[cfg(target_arch = "x86_64")]
+eight_in_one!(super::level::Avx512);
 
 #[cfg(test)]
 mod tests {
+    use super::super::level::{Level, Vectors, Work};
     use super::*;
 
     struct All([f32; 8], [f32; 8]);
@@ -184,15 +236,35 @@ mod tests {
     impl Work for All {
         type Output = Vec<u32>;
 
-        fn run<E: Eight>(self, e: E) -> Vec<u32> {
+        fn run<V: Vectors>(self, v: V) -> Vec<u32> {
+            self.of_eight(v)
+        }
+    }
+
+    impl All {
+        fn of_eight<E: Eight>(&self, e: E) -> Vec<u32> {
             let (a, b) = (e.load(&self.0), e.load(&self.1));
-            let results = [e.sub(a, b), e.mul(a, b), e.min(a, b), e.max(a, b), e.splat(self.0[0])];
-            let mut bits: Vec<u32> = results
-                .iter()
-                .flat_map(|&r| e.store(r).map(|v| if v.is_nan() { 1 } else { v.to_bits() }))
-                .collect();
-            bits.push(e.at_most(a, b));
-            bits
+            let masks = [e.below(a, b), e.at_most(a, b), e.equal(a, b)];
+            let masks = [
+                masks[0],
+                masks[1],
+                masks[2],
+                e.and(masks[0], masks[1]),
+                e.or(masks[0], masks[2]),
+                e.without(masks[1], masks[0]),
+            ];
+            let results = [
+                e.add(a, b),
+                e.sub(a, b),
+                e.mul(a, b),
+                e.div(a, b),
+                e.min(a, b),
+                e.max(a, b),
+                e.splat(self.0[0]),
+                e.select(masks[0], a, b),
+            ];
+            let bits_of = |v: f32| if v.is_nan() { 1 } else { v.to_bits() };
+            results.iter().flat_map(|&r| e.store(r).map(bits_of)).chain(masks.map(|m| e.bits(m))).collect()
         }
     }
 
@@ -202,8 +274,9 @@ mod tests {
         for shift in 0..8 {
             let mut other = values;
             other.rotate_left(shift);
-            let best = Level::detect().run(All(values, other));
-            assert_eq!(best, Level::portable().run(All(values, other)), "{shift}");
+            let all = Level::all().into_iter().map(|level| level.run(All(values, other)));
+            let all: Vec<Vec<u32>> = all.collect();
+            assert!(all.iter().all(|found| *found == all[0]), "{shift}: {all:?}");
         }
     }
 }

@@ -1,18 +1,22 @@
 //! Rays, watertight triangles and the BVH.
 //!
 //! In: the scene's mesh. Out: closest hits and occlusion, watertight at any scale (nothing here knows an absolute
-//! length). `obvhs` builds a binary tree in [`bvh`]; primary rays go through it sixteen at a time ([`packet`]),
-//! single rays through the same tree with its nodes joined eight by eight. Sources: Woop, Benthin & Wald 2013
+//! length). `obvhs` builds a binary tree in [`bvh`], whose nodes are joined eight by eight; primary rays go through it
+//! sixteen at a time ([`packet`]), others one by one. Sources: Woop, Benthin & Wald 2013
 //! (triangles), Ize 2013 (boxes), PBRT §6.8 (origins of secondary rays). Absent on purpose: motion, instances.
 
 mod block;
 pub mod bvh;
 pub mod bvh_peers;
+mod collapse;
 mod eight;
+mod level;
 mod node;
 mod offset;
 pub mod packet;
 pub mod ray;
+mod sixteen;
+mod stack;
 mod wide;
 
 pub use bvh::Accel;

@@ -1,6 +1,6 @@
 //! Nodes with eight children, whose boxes are tested at once.
 
-use glam::{Vec3, Vec4};
+use glam::Vec3;
 
 use super::eight::Eight;
 use super::offset::gamma;
@@ -18,44 +18,35 @@ pub(super) struct Node {
     pub child: [Child; CHILDREN],
 }
 
-/// A reference to a node, or to a few blocks of triangles in a row.
+/// A reference to a node, or to a block of triangles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Child(pub u32);
 
 impl Child {
     const LEAF: u32 = 1 << 31;
-    const COUNT_SHIFT: u32 = 28;
-    /// Most blocks of a leaf.
-    pub const BLOCKS_MAX: usize = 8;
     /// Most nodes, and most blocks.
-    pub const INDEX_MAX: usize = (1 << Self::COUNT_SHIFT) - 1;
+    pub const INDEX_MAX: usize = Self::LEAF as usize;
 
     /// A node.
     pub fn node(index: usize) -> Self {
         Self(index as u32)
     }
 
-    /// The blocks `first … first + count`, 1 to [`Self::BLOCKS_MAX`] of them.
-    pub fn leaf(first: usize, count: usize) -> Self {
-        Self(Self::LEAF | (count as u32 - 1) << Self::COUNT_SHIFT | first as u32)
+    /// A block.
+    pub fn leaf(index: usize) -> Self {
+        Self(Self::LEAF | index as u32)
     }
 
-    /// Whether it is a leaf.
+    /// Whether it is a block.
     #[inline]
     pub fn is_leaf(self) -> bool {
         self.0 & Self::LEAF != 0
     }
 
-    /// Index of the node or of the first block.
+    /// Index of the node or the block.
     #[inline]
     pub fn index(self) -> usize {
-        self.0 as usize & Self::INDEX_MAX
-    }
-
-    /// Number of blocks of a leaf.
-    #[inline]
-    pub fn block_count(self) -> usize {
-        (self.0 >> Self::COUNT_SHIFT & 7) as usize + 1
+        (self.0 & !Self::LEAF) as usize
     }
 }
 
@@ -74,14 +65,17 @@ impl Node {
     };
 }
 
+/// Exits are enlarged by this, so that a box is never missed by rounding: 1 + 2γ(3) (Ize 2013), and one more rounding,
+/// since it is the inverse of the direction that is enlarged.
+const FAR: f32 = 1.0 + 2.0 * gamma(4);
+
 /// A ray prepared for boxes.
 #[derive(Clone, Copy)]
 pub(super) struct Slabs<E: Eight> {
     eight: E,
-    /// For triangles, which are tested four at a time.
-    pub origin: [Vec4; 3],
     start: [E::Lanes; 3],
-    inverse: [E::Lanes; 3],
+    /// Inverse of the direction, for where the ray enters a slab and, a little larger, for where it leaves.
+    inverse: [[E::Lanes; 3]; 2],
     t_min: E::Lanes,
     near: [usize; 3],
     far: [usize; 3],
@@ -92,34 +86,34 @@ impl<E: Eight> Slabs<E> {
     pub fn new(eight: E, origin: Vec3, direction: Vec3, t_min: f32) -> Self {
         let inverse = direction.recip();
         let side =
-            |v: f32, axis: usize, near: bool| if v.is_sign_negative() == near { axis + 3 } else { axis };
+            |v: f32, axis: usize| if v.is_sign_negative() { [axis + 3, axis] } else { [axis, axis + 3] };
+        let [x, y, z] = [side(inverse.x, 0), side(inverse.y, 1), side(inverse.z, 2)];
+        let lanes = |v: Vec3| [eight.splat(v.x), eight.splat(v.y), eight.splat(v.z)];
         Self {
             eight,
-            origin: origin.to_array().map(Vec4::splat),
-            start: [eight.splat(origin.x), eight.splat(origin.y), eight.splat(origin.z)],
-            inverse: [eight.splat(inverse.x), eight.splat(inverse.y), eight.splat(inverse.z)],
+            start: lanes(origin),
+            inverse: [lanes(inverse), lanes(inverse * FAR)],
             t_min: eight.splat(t_min),
-            near: [side(inverse.x, 0, true), side(inverse.y, 1, true), side(inverse.z, 2, true)],
-            far: [side(inverse.x, 0, false), side(inverse.y, 1, false), side(inverse.z, 2, false)],
+            near: [x[0], y[0], z[0]],
+            far: [x[1], y[1], z[1]],
         }
     }
 
     /// Entry distances of the boxes, and a bit for each that the ray meets in `[t_min, t_max]`.
     ///
-    /// The exit is enlarged by 1 + 2γ(3), so that a box is never missed by rounding (Ize 2013). Where
-    /// the origin lies on a slab that is parallel to the ray, 0·∞ is NaN; `max` and `min` then return
-    /// their second operand, so that the axis sets no bound.
+    /// Where the origin lies on a slab that is parallel to the ray, 0·∞ is NaN; `max` and `min` then return their second
+    /// operand, so that the axis (or both of a pair) sets no bound.
     #[inline(always)]
     pub fn intersect(&self, node: &Node, t_max: f32) -> ([f32; CHILDREN], u32) {
         let e = self.eight;
-        let plane = |axis: usize, side: usize| {
-            e.mul(e.sub(e.load(&node.bounds[side]), self.start[axis]), self.inverse[axis])
+        let plane = |axis: usize, side: usize, inverse: &[E::Lanes; 3]| {
+            e.mul(e.sub(e.load(&node.bounds[side]), self.start[axis]), inverse[axis])
         };
-        let enter = e.max(plane(2, self.near[2]), self.t_min);
-        let enter = e.max(plane(0, self.near[0]), e.max(plane(1, self.near[1]), enter));
-        let leave = e.min(plane(2, self.far[2]), e.splat(f32::MAX));
-        let leave = e.min(plane(0, self.far[0]), e.min(plane(1, self.far[1]), leave));
-        let leave = e.min(e.mul(leave, e.splat(1.0 + 2.0 * gamma(3))), e.splat(t_max));
-        (e.store(enter), e.at_most(enter, leave))
+        let ([x, y, z], [to_x, to_y, to_z], [near, far]) = (self.near, self.far, &self.inverse);
+        // In pairs, since what follows waits for the result.
+        let enter = e.max(e.max(plane(0, x, near), plane(1, y, near)), e.max(plane(2, z, near), self.t_min));
+        let leave = e
+            .min(e.min(plane(0, to_x, far), plane(1, to_y, far)), e.min(plane(2, to_z, far), e.splat(t_max)));
+        (e.store(enter), e.bits(e.at_most(enter, leave)))
     }
 }

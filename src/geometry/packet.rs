@@ -1,238 +1,247 @@
 //! Sixteen primary rays at once.
 //!
-//! All rays of a packet leave one eye. Where they also point into one octant, the packet goes through the tree of eight
-//! children as one beam: interval bounds of its directions decide for eight boxes at once whether any ray can meet them,
-//! so that a packet visits nodes at the price of a single ray; only triangles are tested for each ray. Other packets take
-//! the binary tree and test each box for each ray. What they find does not depend on the way. The triangle test is the watertight one of Woop, Benthin & Wald 2013 (REFERENCE §5.2) with one shear axis for the packet: each
-//! ray meets all triangles with the same shear, which is what watertightness needs.
-//!
-//! The lanes are plain arrays, which the compiler turns into vectors: of 4 lanes where nothing is known of the
-//! processor, of 8 or 16 in the copies that `pulp` chooses at run time. No copy fuses or reorders an operation, so
-//! all of them find the same bits.
+//! All rays of a packet leave one eye. Those that point into one octant go through the tree as one beam: interval bounds
+//! of their directions decide for eight boxes at once whether any ray can meet them, so that a packet visits nodes at the
+//! price of a single ray; only triangles are tested for each ray. The triangle test is the watertight one of Woop,
+//! Benthin & Wald 2013 (REFERENCE §5.2) with one shear axis for the packet: each ray meets all triangles with the same
+//! shear, which is what watertightness needs.
 
-use bytemuck::{Pod, Zeroable};
+use arrayvec::ArrayVec;
 use glam::Vec3;
 
-use super::eight::{Eight, Work};
+use super::block::CUT_OUT;
+use super::eight::Eight;
+use super::level::{Vectors, Work};
 use super::node::{CHILDREN, Child, Node};
 use super::offset::gamma;
-use super::wide::{Entry, Wide};
-
-/// Nodes on the way to a leaf that the stack has room for.
-pub const STACK: usize = 128;
+use super::sixteen::Sixteen;
+use super::stack::{STACK, Stack};
+use super::wide::Wide;
 
 /// Rays of a packet.
 pub const LANES: usize = 16;
-
-/// A node in 32 bytes: inner nodes have `count` 0 and their children at `first` and `first + 1`, leaves
-/// hold the triangles `first … first + count`.
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-#[repr(C)]
-pub struct FlatNode {
-    /// Lower corner of the (padded) box.
-    pub min: [f32; 3],
-    /// First child or first triangle.
-    pub first: u32,
-    /// Upper corner.
-    pub max: [f32; 3],
-    /// Number of triangles, 0 in inner nodes.
-    pub count: u32,
-}
 
 /// Hits of a packet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PacketHit {
     /// Distances; infinite where a ray misses.
     pub t: [f32; LANES],
-    /// Index in the order of the leaves; `u32::MAX` where a ray misses.
-    pub index: [u32; LANES],
+    /// Triangles; of no meaning where a ray misses.
+    pub triangle: [u32; LANES],
     /// Barycentric weight of the second corner.
     pub b1: [f32; LANES],
     /// Barycentric weight of the third corner.
     pub b2: [f32; LANES],
 }
 
-const MISS: PacketHit =
-    PacketHit { t: [f32::INFINITY; LANES], index: [u32::MAX; LANES], b1: [0.0; LANES], b2: [0.0; LANES] };
+/// A bit for each ray.
+const ALL: u32 = (1 << LANES) - 1;
 
 /// Components along the packet's dominant axis below this are traced in packets of their own.
 const SHALLOW: f32 = 1e-2;
 
-/// A number for each ray.
-#[derive(Clone, Copy)]
-#[repr(align(64))]
-struct Lanes([f32; LANES]);
-
-impl Lanes {
-    #[inline(always)]
-    fn of(mut f: impl FnMut(usize) -> f32) -> Self {
-        let mut lanes = [0.0; LANES];
-        for (i, lane) in lanes.iter_mut().enumerate() {
-            *lane = f(i);
-        }
-        Self(lanes)
-    }
-}
-
-/// Surfaces that may be cut out.
-pub(super) trait CutOut {
-    /// Whether the triangle at an index in the order of the leaves has places that are not there.
-    fn may_vanish(&self, index: u32) -> bool;
-    /// Whether it is there at barycentric weights of the second and third corner.
-    fn is_there(&self, index: u32, b1: f32, b2: f32) -> bool;
-}
-
-/// Closest hits of sixteen rays from `origin` along unit `directions`. `corners` are in the order of the
-/// leaves; `cut` refuses hits of a cut-out surface.
+/// Closest hits of sixteen rays from `origin` along unit `directions`. Cut-out triangles are hit where `is_there` is true
+/// of their barycentric weights of the second and third corner.
 pub(super) fn intersect(
-    nodes: &[FlatNode],
-    wide: Option<&Wide>,
-    corners: &[[Vec3; 3]],
+    wide: &Wide,
     origin: Vec3,
     directions: &[Vec3; LANES],
-    cut: &impl CutOut,
+    is_there: &impl Fn(u32, f32, f32) -> bool,
 ) -> PacketHit {
-    if nodes.is_empty() || corners.is_empty() {
-        return MISS;
-    }
-    let mean: Vec3 = directions.iter().sum();
-    let kz = dominant_axis(mean);
-    if !directions.iter().all(|d| d[kz].abs() > SHALLOW) {
-        // A wide packet (a tiny picture, a huge field of view): one ray at a time.
-        let mut hit = MISS;
-        for (lane, &d) in directions.iter().enumerate() {
-            let packet = Packet::new(origin, &[d; LANES], dominant_axis(d), d);
-            let single = traverse(nodes, corners, &packet, cut);
-            hit.t[lane] = single.t[0];
-            hit.index[lane] = single.index[0];
-            hit.b1[lane] = single.b1[0];
-            hit.b2[lane] = single.b2[0];
-        }
-        return hit;
-    }
-    let packet = Packet::new(origin, directions, kz, mean);
-    if let (Some(wide), Some(beam)) = (wide, packet.beam()) {
-        return wide.level().run(Through { wide, corners, packet: &packet, beam, cut });
-    }
-    pulp::Arch::new().dispatch(Traverse { nodes, corners, packet: &packet, cut })
+    wide.level().run(Through { wide, origin, directions, is_there })
 }
 
-/// The traversal, to be compiled for each set of instructions.
-struct Traverse<'a, F> {
-    nodes: &'a [FlatNode],
-    corners: &'a [[Vec3; 3]],
-    packet: &'a Packet,
-    cut: &'a F,
-}
-
-impl<F: CutOut> pulp::WithSimd for Traverse<'_, F> {
-    type Output = PacketHit;
-
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) -> PacketHit {
-        traverse(self.nodes, self.corners, self.packet, self.cut)
-    }
-}
-
-/// Bounds of the rays of a packet that point into one octant.
-#[derive(Clone, Copy)]
-struct Beam {
-    origin: [f32; 3],
-    /// Least and largest inverse of the directions.
-    inverse: [[f32; 2]; 3],
-}
-
-/// The way of a beam through the tree of eight children.
+/// The way of a packet through the tree, to be compiled for each set of instructions.
 struct Through<'a, F> {
     wide: &'a Wide,
-    corners: &'a [[Vec3; 3]],
-    packet: &'a Packet,
-    beam: Beam,
-    cut: &'a F,
+    origin: Vec3,
+    directions: &'a [Vec3; LANES],
+    is_there: &'a F,
 }
 
-/// Entries of a beam's stack; trees that may need more take the binary way.
-pub(super) const BEAM_STACK: usize = 128;
-
-impl<F: CutOut> Work for Through<'_, F> {
+impl<F: Fn(u32, f32, f32) -> bool> Work for Through<'_, F> {
     type Output = PacketHit;
 
     #[inline(always)]
-    fn run<E: Eight>(self, e: E) -> PacketHit {
-        let mut hit = MISS;
-        let mut nearest = Lanes(hit.t);
-        let mut farthest = f32::INFINITY;
-        let Beam { origin, inverse } = self.beam;
-        let start = [e.splat(origin[0]), e.splat(origin[1]), e.splat(origin[2])];
-        let least = [e.splat(inverse[0][0]), e.splat(inverse[1][0]), e.splat(inverse[2][0])];
-        let most = [e.splat(inverse[0][1]), e.splat(inverse[1][1]), e.splat(inverse[2][1])];
-        let is_up = [inverse[0][0] > 0.0, inverse[1][0] > 0.0, inverse[2][0] > 0.0];
+    fn run<V: Vectors>(self, v: V) -> PacketHit {
+        if self.wide.stack() <= STACK {
+            self.go(v, &mut ArrayVec::<_, STACK>::new())
+        } else {
+            self.go(v, &mut Vec::with_capacity(self.wide.stack()))
+        }
+    }
+}
+
+impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
+    #[inline(always)]
+    fn go<V: Vectors>(&self, v: V, stack: &mut impl Stack) -> PacketHit {
+        let mut hits = Hits::new(v);
+        if self.wide.is_empty() {
+            return hits.store(v);
+        }
+        let axis = dominant_axis(self.directions.iter().sum());
+        if self.directions.iter().all(|d| d[axis].abs() > SHALLOW) {
+            self.all(v, self.directions, axis, &mut hits, stack);
+            return hits.store(v);
+        }
+        self.one_by_one(v, stack)
+    }
+
+    /// A wide packet (a tiny picture, a huge field of view): each ray as a packet of its own.
+    #[cold]
+    #[inline(never)]
+    fn one_by_one<V: Vectors>(&self, v: V, stack: &mut impl Stack) -> PacketHit {
+        let mut found = Hits::new(v).store(v);
+        for (lane, &d) in self.directions.iter().enumerate() {
+            let mut hits = Hits::new(v);
+            self.all(v, &[d; LANES], dominant_axis(d), &mut hits, stack);
+            let one = hits.store(v);
+            (found.t[lane], found.triangle[lane]) = (one.t[0], one.triangle[0]);
+            (found.b1[lane], found.b2[lane]) = (one.b1[0], one.b2[0]);
+        }
+        found
+    }
+
+    /// Beam after beam.
+    #[inline(always)]
+    fn all<V: Vectors>(
+        &self,
+        v: V,
+        directions: &[Vec3; LANES],
+        axis: usize,
+        hits: &mut Hits<V>,
+        stack: &mut impl Stack,
+    ) {
+        let packet = Packet::new(v, directions, axis);
+        let up = packet.up(v);
+        if up.iter().all(|&bits| bits == 0 || bits == ALL) {
+            let beam = Beam::of(v, self.origin, &packet.inverse);
+            self.travel(v, &packet, &beam, Sixteen::splat(v, f32::INFINITY), hits, stack);
+            return;
+        }
+        let mut left = ALL;
+        while left != 0 {
+            let lane = left.trailing_zeros();
+            let alike = |bits: u32| if bits >> lane & 1 != 0 { bits } else { !bits };
+            let members = up.iter().fold(left, |members, &bits| members & alike(bits));
+            left &= !members;
+            let is_member = |l: usize| members >> l & 1 != 0;
+            let theirs = std::array::from_fn(|l| directions[if is_member(l) { l } else { lane as usize }]);
+            let beam = Beam::of(v, self.origin, &inverses(v, transposed(v, &theirs)));
+            // No ray but its own keeps a beam going.
+            let reach = std::array::from_fn(|l| if is_member(l) { f32::INFINITY } else { 0.0 });
+            self.travel(v, &packet, &beam, Sixteen::load(v, &reach), hits, stack);
+        }
+    }
+
+    #[inline(always)]
+    fn travel<V: Vectors>(
+        &self,
+        v: V,
+        packet: &Packet<V>,
+        beam: &Beam<V>,
+        reach: <V as Sixteen>::Lanes,
+        hits: &mut Hits<V>,
+        stack: &mut impl Stack,
+    ) {
         let (nodes, blocks) = self.wide.parts();
-        // Each ray's own bounds lie within these, since rounding is monotone.
-        let meet = |node: &Node, farthest: f32| {
-            let (mut enter, mut leave) = (e.splat(0.0), e.splat(f32::MAX));
-            for axis in 0..3 {
-                let (near, far) = if is_up[axis] { (axis, axis + 3) } else { (axis + 3, axis) };
-                let near = e.sub(e.load(&node.bounds[near]), start[axis]);
-                let far = e.sub(e.load(&node.bounds[far]), start[axis]);
-                enter = e.max(e.min(e.mul(near, least[axis]), e.mul(near, most[axis])), enter);
-                leave = e.min(e.max(e.mul(far, least[axis]), e.mul(far, most[axis])), leave);
-            }
-            let leave = e.min(e.mul(leave, e.splat(1.0 + 2.0 * gamma(3))), e.splat(farthest));
-            (e.store(enter), e.at_most(enter, leave))
-        };
-        let mut stack = [Entry::default(); BEAM_STACK];
-        let mut top = 0;
+        let [kx, ky, kz] = packet.axes;
+        let origin = [beam.origin[kx], beam.origin[ky], beam.origin[kz]];
+        let mut farthest = hits.farthest(v, reach);
         let mut current = Child::node(0);
         loop {
             if current.is_leaf() {
-                let first = current.index();
-                for block in &blocks[first..first + current.block_count()] {
-                    for &index in block.index.iter().take_while(|&&i| i != u32::MAX) {
-                        let triangle = &self.corners[index as usize];
-                        triangle_test(index, triangle, self.packet, &mut nearest, &mut hit, self.cut);
+                let block = &blocks[current.index()];
+                let from_eye = |c: usize, k: usize| {
+                    let corners = Eight::load(v, &block.corner[c][packet.axes[k]]);
+                    Eight::store(v, Eight::sub(v, corners, origin[k]))
+                };
+                // Written out, since what goes through `map` stays in no register.
+                let a = [from_eye(0, 0), from_eye(0, 1), from_eye(0, 2)];
+                let b = [from_eye(1, 0), from_eye(1, 1), from_eye(1, 2)];
+                let c = [from_eye(2, 0), from_eye(2, 1), from_eye(2, 2)];
+                let mut closer = false;
+                for (lane, &index) in block.index.iter().enumerate() {
+                    if index == u32::MAX {
+                        break;
                     }
+                    let corners = [
+                        [a[0][lane], a[1][lane], a[2][lane]],
+                        [b[0][lane], b[1][lane], b[2][lane]],
+                        [c[0][lane], c[1][lane], c[2][lane]],
+                    ];
+                    closer |= packet.meet(v, corners, index, hits, self.is_there);
                 }
-                farthest = nearest.0.iter().copied().fold(0.0, f32::max);
+                if closer {
+                    farthest = hits.farthest(v, reach);
+                }
             } else {
                 let node = &nodes[current.index()];
-                let (enter, mut mask) = meet(node, farthest);
+                let (enter, mask) = beam.meet(v, node, farthest);
                 if mask != 0 {
-                    let slot = mask.trailing_zeros() as usize & (CHILDREN - 1);
-                    mask &= mask - 1;
-                    let mut closest = Entry::new(enter[slot], node.child[slot]);
-                    let base = top;
-                    while mask != 0 {
-                        let slot = mask.trailing_zeros() as usize & (CHILDREN - 1);
-                        mask &= mask - 1;
-                        let mut entry = Entry::new(enter[slot], node.child[slot]);
-                        if entry < closest {
-                            std::mem::swap(&mut entry, &mut closest);
-                        }
-                        let mut i = top;
-                        while i > base && stack[i - 1] < entry {
-                            stack[i] = stack[i - 1];
-                            i -= 1;
-                        }
-                        stack[i] = entry;
-                        top += 1;
-                    }
-                    current = closest.child();
+                    current = stack.visit::<true>(node, &enter, mask);
                     continue;
                 }
             }
             loop {
-                if top == 0 {
-                    return hit;
-                }
-                top -= 1;
-                if stack[top].t() <= farthest {
-                    current = stack[top].child();
+                let Some(next) = stack.pop() else { return };
+                if next.t() <= farthest {
+                    current = next.child();
                     break;
                 }
             }
         }
     }
+}
+
+/// Bounds of rays that point into one octant.
+struct Beam<E: Eight> {
+    origin: [E::Lanes; 3],
+    /// Least inverse of the directions.
+    lower: [E::Lanes; 3],
+    /// Largest.
+    upper: [E::Lanes; 3],
+    /// The sides of a box where the rays enter and leave.
+    sides: [[usize; 2]; 3],
+}
+
+impl<V: Vectors> Beam<V> {
+    #[inline(always)]
+    fn of(v: V, origin: Vec3, inverse: &[<V as Sixteen>::Lanes; 3]) -> Self {
+        let [x, y, z] = *inverse;
+        let lower = [least(v, x), least(v, y), least(v, z)];
+        let upper = [most(v, x), most(v, y), most(v, z)];
+        Self {
+            origin: splat3(v, origin.to_array()),
+            lower: splat3(v, lower),
+            upper: splat3(v, upper),
+            sides: std::array::from_fn(|k| if lower[k] > 0.0 { [k, k + 3] } else { [k + 3, k] }),
+        }
+    }
+}
+
+impl<E: Eight> Beam<E> {
+    /// Entry distances of the boxes, and a bit for each that any ray may meet before `farthest`. Each ray's own bounds
+    /// lie within these, since rounding is monotone.
+    #[inline(always)]
+    fn meet(&self, e: E, node: &Node, farthest: f32) -> ([f32; CHILDREN], u32) {
+        let (mut enter, mut leave) = (e.splat(0.0), e.splat(f32::MAX));
+        for axis in 0..3 {
+            let [near, far] = self.sides[axis];
+            let near = e.sub(e.load(&node.bounds[near]), self.origin[axis]);
+            let far = e.sub(e.load(&node.bounds[far]), self.origin[axis]);
+            let (lower, upper) = (self.lower[axis], self.upper[axis]);
+            enter = e.max(e.min(e.mul(near, lower), e.mul(near, upper)), enter);
+            leave = e.min(e.max(e.mul(far, lower), e.mul(far, upper)), leave);
+        }
+        let leave = e.min(e.mul(leave, e.splat(1.0 + 2.0 * gamma(3))), e.splat(farthest));
+        (e.store(enter), e.bits(e.at_most(enter, leave)))
+    }
+}
+
+#[inline(always)]
+fn splat3<E: Eight>(e: E, v: [f32; 3]) -> [E::Lanes; 3] {
+    [e.splat(v[0]), e.splat(v[1]), e.splat(v[2])]
 }
 
 fn dominant_axis(d: Vec3) -> usize {
@@ -246,262 +255,261 @@ fn dominant_axis(d: Vec3) -> usize {
     }
 }
 
-/// Rays prepared for boxes and triangles.
-struct Packet {
-    origin: [f32; 3],
-    inverse: [Lanes; 3],
-    mean: Vec3,
-    axes: [usize; 3],
-    shear_x: Lanes,
-    shear_y: Lanes,
-    scale_z: Lanes,
+/// Pairs, pairs of pairs, and so on. What is not a number counts for nothing unless all is.
+#[inline(always)]
+fn fold<S: Sixteen>(s: S, lanes: S::Lanes, choose: impl Fn(f32, f32) -> f32) -> f32 {
+    let lanes = s.store(lanes);
+    let eight: [f32; 8] = std::array::from_fn(|i| choose(lanes[i], lanes[i + 8]));
+    let four: [f32; 4] = std::array::from_fn(|i| choose(eight[i], eight[i + 4]));
+    choose(choose(four[0], four[2]), choose(four[1], four[3]))
 }
 
-impl Packet {
+#[inline(always)]
+fn least<S: Sixteen>(s: S, lanes: S::Lanes) -> f32 {
+    fold(s, lanes, |a, b| if a < b { a } else { b })
+}
+
+#[inline(always)]
+fn most<S: Sixteen>(s: S, lanes: S::Lanes) -> f32 {
+    fold(s, lanes, |a, b| if a > b { a } else { b })
+}
+
+/// Directions axis by axis.
+#[inline(always)]
+fn transposed<S: Sixteen>(s: S, directions: &[Vec3; LANES]) -> [S::Lanes; 3] {
+    let mut lanes = [[0.0; LANES]; 3];
+    for (i, d) in directions.iter().enumerate() {
+        (lanes[0][i], lanes[1][i], lanes[2][i]) = (d.x, d.y, d.z);
+    }
+    [s.load(&lanes[0]), s.load(&lanes[1]), s.load(&lanes[2])]
+}
+
+#[inline(always)]
+fn inverses<S: Sixteen>(s: S, [x, y, z]: [S::Lanes; 3]) -> [S::Lanes; 3] {
+    [inverse(s, x), inverse(s, y), inverse(s, z)]
+}
+
+/// A component of zero would make 0 · ∞; boxes are padded by far more than this moves them.
+#[inline(always)]
+fn inverse<S: Sixteen>(s: S, d: S::Lanes) -> S::Lanes {
+    let tiny = s.and(s.below(d, s.splat(1e-20)), s.below(s.splat(-1e-20), d));
+    s.div(s.splat(1.0), s.select(tiny, s.splat(1e-20), d))
+}
+
+/// Rays prepared for triangles.
+struct Packet<S: Sixteen> {
+    inverse: [S::Lanes; 3],
+    axes: [usize; 3],
+    shear_x: S::Lanes,
+    shear_y: S::Lanes,
+    scale_z: S::Lanes,
+}
+
+impl<S: Sixteen> Packet<S> {
     #[inline(always)]
-    fn new(origin: Vec3, directions: &[Vec3; LANES], kz: usize, mean: Vec3) -> Self {
-        // A component of zero would make 0 · ∞; the boxes are padded by far more than this moves them.
-        let inverse = |axis: usize| {
-            Lanes::of(|i| {
-                let d = directions[i][axis];
-                1.0 / if d.abs() < 1e-20 { 1e-20 } else { d }
-            })
-        };
+    fn new(s: S, directions: &[Vec3; LANES], kz: usize) -> Self {
+        let d = transposed(s, directions);
         let (kx, ky) = ((kz + 1) % 3, (kz + 2) % 3);
         Self {
-            origin: origin.to_array(),
-            inverse: [inverse(0), inverse(1), inverse(2)],
-            mean,
+            inverse: inverses(s, d),
             axes: [kx, ky, kz],
-            shear_x: Lanes::of(|i| directions[i][kx] / directions[i][kz]),
-            shear_y: Lanes::of(|i| directions[i][ky] / directions[i][kz]),
-            scale_z: Lanes::of(|i| 1.0 / directions[i][kz]),
+            shear_x: s.div(d[kx], d[kz]),
+            shear_y: s.div(d[ky], d[kz]),
+            scale_z: s.div(s.splat(1.0), d[kz]),
         }
     }
-}
 
-impl Packet {
-    /// Bounds of its rays, if all point into one octant.
+    /// A corner seen along the rays.
     #[inline(always)]
-    fn beam(&self) -> Option<Beam> {
-        let mut inverse = [[0.0; 2]; 3];
-        for (bounds, lanes) in inverse.iter_mut().zip(&self.inverse) {
-            let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
-            for &v in &lanes.0 {
-                low = least(v, low);
-                high = most(v, high);
-            }
-            // Also where one is not a number.
-            if !(low > 0.0 || high < 0.0) {
-                return None;
-            }
-            *bounds = [low, high];
+    fn sheared(&self, s: S, corner: [f32; 3], z: S::Lanes) -> (S::Lanes, S::Lanes) {
+        let x = s.sub(s.splat(corner[0]), s.mul(self.shear_x, z));
+        (x, s.sub(s.splat(corner[1]), s.mul(self.shear_y, z)))
+    }
+
+    /// For each axis a bit for each ray that goes up it.
+    #[inline(always)]
+    fn up(&self, s: S) -> [u32; 3] {
+        let [x, y, z] = self.inverse;
+        let zero = s.splat(0.0);
+        [s.bits(s.below(zero, x)), s.bits(s.below(zero, y)), s.bits(s.below(zero, z))]
+    }
+
+    /// Tests a triangle, given from the eye in the packet's order of axes; says whether any ray has found it closer.
+    #[inline(always)]
+    fn meet(
+        &self,
+        s: S,
+        corners: [[f32; 3]; 3],
+        index: u32,
+        hits: &mut Hits<S>,
+        is_there: &impl Fn(u32, f32, f32) -> bool,
+    ) -> bool {
+        let zero = s.splat(0.0);
+        let [a, b, c] = corners;
+        let (az, bz, cz) = (s.splat(a[2]), s.splat(b[2]), s.splat(c[2]));
+        let (ax, ay) = self.sheared(s, a, az);
+        let (bx, by) = self.sheared(s, b, bz);
+        let (cx, cy) = self.sheared(s, c, cz);
+        let mut u = s.sub(s.mul(cx, by), s.mul(cy, bx));
+        let mut v = s.sub(s.mul(ax, cy), s.mul(ay, cx));
+        let mut w = s.sub(s.mul(bx, ay), s.mul(by, ax));
+        let mut out = outside(s, u, v, w);
+        if s.bits(out) == ALL {
+            return false;
         }
-        Some(Beam { origin: self.origin, inverse })
+        let on_edge = s.bits(s.or(s.or(s.equal(u, zero), s.equal(v, zero)), s.equal(w, zero)));
+        if on_edge != 0 {
+            let x = [s.store(ax), s.store(bx), s.store(cx)];
+            let y = [s.store(ay), s.store(by), s.store(cy)];
+            let exact = exact_edges(x, y, [s.store(u), s.store(v), s.store(w)], on_edge);
+            (u, v, w) = (s.load(&exact[0]), s.load(&exact[1]), s.load(&exact[2]));
+            out = outside(s, u, v, w);
+        }
+        let determinant = s.add(s.add(u, v), w);
+        let along = s.add(s.add(s.mul(u, az), s.mul(v, bz)), s.mul(w, cz));
+        let t = s.div(s.mul(self.scale_z, along), determinant);
+        let out = s.or(out, s.equal(determinant, zero));
+        let in_front = s.without(s.below(zero, t), out);
+        let mut closer = s.and(in_front, s.below(t, hits.t));
+        let triangle = index & !CUT_OUT;
+        let ties = s.bits(s.and(in_front, s.equal(t, hits.t)));
+        if ties != 0 {
+            // Of hits at one distance the lowest triangle counts, in whatever order they come.
+            let bound = s.load(&lower_ties(s.store(hits.t), s.store(hits.triangle), triangle, ties));
+            closer = s.and(in_front, s.below(t, bound));
+        }
+        if s.bits(closer) == 0 {
+            return false;
+        }
+        let (b1, b2) = (s.div(v, determinant), s.div(w, determinant));
+        if index & CUT_OUT != 0 {
+            let (b1, b2, bits) = (s.store(b1), s.store(b2), s.bits(closer));
+            let bound = std::array::from_fn(|l| {
+                if bits >> l & 1 != 0 && is_there(triangle, b1[l], b2[l]) { f32::INFINITY } else { 0.0 }
+            });
+            closer = s.and(closer, s.below(t, s.load(&bound)));
+        }
+        hits.t = s.select(closer, t, hits.t);
+        hits.triangle = s.select(closer, s.splat(f32::from_bits(triangle)), hits.triangle);
+        hits.b1 = s.select(closer, b1, hits.b1);
+        hits.b2 = s.select(closer, b2, hits.b2);
+        true
     }
 }
 
+/// Rays with edge functions of both signs.
 #[inline(always)]
-fn least(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
+fn outside<S: Sixteen>(s: S, u: S::Lanes, v: S::Lanes, w: S::Lanes) -> S::Mask {
+    let zero = s.splat(0.0);
+    let negative = s.below(s.min(s.min(u, v), w), zero);
+    s.and(negative, s.below(zero, s.max(s.max(u, v), w)))
 }
 
-#[inline(always)]
-fn most(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
+/// Edge functions where one of them seems to be zero: only exact products tell the side.
+#[cold]
+#[inline(never)]
+fn exact_edges(
+    x: [[f32; LANES]; 3],
+    y: [[f32; LANES]; 3],
+    mut edges: [[f32; LANES]; 3],
+    lanes: u32,
+) -> [[f32; LANES]; 3] {
+    for l in (0..LANES).filter(|l| lanes >> l & 1 != 0) {
+        let product = |a: f32, b: f32| f64::from(a) * f64::from(b);
+        for (edge, [p, q]) in edges.iter_mut().zip([[2, 1], [0, 2], [1, 0]]) {
+            edge[l] = (product(x[p][l], y[q][l]) - product(y[p][l], x[q][l])) as f32;
+        }
+    }
+    edges
 }
 
-#[inline(always)]
-fn traverse(nodes: &[FlatNode], corners: &[[Vec3; 3]], packet: &Packet, cut: &impl CutOut) -> PacketHit {
-    let mut hit = MISS;
-    let mut nearest = Lanes(hit.t);
-    let mut stack = [0u32; STACK];
-    let mut depth = 1;
-    while depth > 0 {
-        depth -= 1;
-        let node = &nodes[stack[depth] as usize];
-        let min: [f32; 3] = std::array::from_fn(|axis| node.min[axis] - packet.origin[axis]);
-        let max: [f32; 3] = std::array::from_fn(|axis| node.max[axis] - packet.origin[axis]);
-        // Entry where positive: the ray meets the box before what it has hit. The factor is 1 + 3 ulp
-        // (REFERENCE §5.3).
-        let mut any = false;
-        for i in 0..LANES {
-            let (mut enter, mut leave) = (0.0, nearest.0[i]);
-            for axis in 0..3 {
-                let a = min[axis] * packet.inverse[axis].0[i];
-                let b = max[axis] * packet.inverse[axis].0[i];
-                enter = most(least(a, b), enter);
-                leave = least(most(a, b), leave);
-            }
-            any |= enter <= leave * 1.000_000_4;
-        }
-        if !any {
-            continue;
-        }
-        if node.count > 0 {
-            for index in node.first..node.first + node.count {
-                triangle_test(index, &corners[index as usize], packet, &mut nearest, &mut hit, cut);
-            }
-            continue;
-        }
-        let (left, right) = (&nodes[node.first as usize], &nodes[node.first as usize + 1]);
-        let between = |axis: usize| right.min[axis] + right.max[axis] - left.min[axis] - left.max[axis];
-        let mean = packet.mean;
-        let right_is_far = between(0) * mean.x + between(1) * mean.y + between(2) * mean.z >= 0.0;
-        let (near, far) =
-            if right_is_far { (node.first, node.first + 1) } else { (node.first + 1, node.first) };
-        debug_assert!(depth + 2 <= stack.len(), "a tree deeper than the stack");
-        if depth + 2 <= stack.len() {
-            stack[depth] = far;
-            stack[depth + 1] = near;
-            depth += 2;
+/// Distances below which a hit of `triangle` counts: just above what was found where it is a tie with a higher triangle.
+#[cold]
+#[inline(never)]
+fn lower_ties(mut t: [f32; LANES], found: [f32; LANES], triangle: u32, ties: u32) -> [f32; LANES] {
+    for l in 0..LANES {
+        if ties >> l & 1 != 0 && triangle < found[l].to_bits() {
+            t[l] = t[l].next_up();
         }
     }
-    hit
+    t
 }
 
-#[inline(always)]
-fn triangle_test(
-    index: u32,
-    triangle: &[Vec3; 3],
-    packet: &Packet,
-    nearest: &mut Lanes,
-    hit: &mut PacketHit,
-    cut: &impl CutOut,
-) {
-    let [kx, ky, kz] = packet.axes;
-    let [a, b, c] = triangle.map(|p| {
-        let p = p.to_array();
-        [p[kx] - packet.origin[kx], p[ky] - packet.origin[ky], p[kz] - packet.origin[kz]]
-    });
-    let sheared =
-        |p: [f32; 3], i: usize| (p[0] - packet.shear_x.0[i] * p[2], p[1] - packet.shear_y.0[i] * p[2]);
-    let (mut u, mut v, mut w) = (Lanes([0.0; LANES]), Lanes([0.0; LANES]), Lanes([0.0; LANES]));
-    let mut any = false;
-    let mut on_edge = false;
-    for i in 0..LANES {
-        let ((ax, ay), (bx, by), (cx, cy)) = (sheared(a, i), sheared(b, i), sheared(c, i));
-        u.0[i] = cx * by - cy * bx;
-        v.0[i] = ax * cy - ay * cx;
-        w.0[i] = bx * ay - by * ax;
-        let (low, high) = (least(least(u.0[i], v.0[i]), w.0[i]), most(most(u.0[i], v.0[i]), w.0[i]));
-        any |= !((low < 0.0) & (high > 0.0));
-        on_edge |= (u.0[i] == 0.0) | (v.0[i] == 0.0) | (w.0[i] == 0.0);
-    }
-    if !any {
-        return;
-    }
-    if on_edge {
-        // Only exact products tell the side.
-        for i in 0..LANES {
-            if u.0[i] == 0.0 || v.0[i] == 0.0 || w.0[i] == 0.0 {
-                let ((ax, ay), (bx, by), (cx, cy)) = (sheared(a, i), sheared(b, i), sheared(c, i));
-                let edge = |p: f32, q: f32, r: f32, s: f32| {
-                    (f64::from(p) * f64::from(q) - f64::from(r) * f64::from(s)) as f32
-                };
-                u.0[i] = edge(cx, by, cy, bx);
-                v.0[i] = edge(ax, cy, ay, cx);
-                w.0[i] = edge(bx, ay, by, ax);
-            }
-        }
-    }
-    let mut found = Found { t: Lanes([0.0; LANES]), b1: [0.0; LANES], b2: [0.0; LANES], closer: [0; LANES] };
-    for i in 0..LANES {
-        let (low, high) = (least(least(u.0[i], v.0[i]), w.0[i]), most(most(u.0[i], v.0[i]), w.0[i]));
-        let determinant = u.0[i] + v.0[i] + w.0[i];
-        let scaled = packet.scale_z.0[i] * (u.0[i] * a[2] + v.0[i] * b[2] + w.0[i] * c[2]);
-        let t = scaled / determinant;
-        // Of hits at one distance the lowest index counts, in whatever order they come.
-        let is_first = (t < nearest.0[i]) | ((t == nearest.0[i]) & (index < hit.index[i]));
-        let closer = !((low < 0.0) & (high > 0.0)) & (determinant != 0.0) & (t > 0.0) & is_first;
-        found.t.0[i] = t;
-        found.b1[i] = v.0[i] / determinant;
-        found.b2[i] = w.0[i] / determinant;
-        found.closer[i] = u32::from(closer);
-    }
-    if cut.may_vanish(index) {
-        for i in 0..LANES {
-            found.closer[i] &=
-                u32::from(found.closer[i] != 0 && cut.is_there(index, found.b1[i], found.b2[i]));
-        }
-    }
-    for i in 0..LANES {
-        let closer = found.closer[i] != 0;
-        let pick = |new: f32, old: f32| if closer { new } else { old };
-        nearest.0[i] = pick(found.t.0[i], nearest.0[i]);
-        hit.t[i] = pick(found.t.0[i], hit.t[i]);
-        hit.b1[i] = pick(found.b1[i], hit.b1[i]);
-        hit.b2[i] = pick(found.b2[i], hit.b2[i]);
-        hit.index[i] = if closer { index } else { hit.index[i] };
-    }
+/// What the rays have found so far.
+struct Hits<S: Sixteen> {
+    t: S::Lanes,
+    /// Triangles, as bits.
+    triangle: S::Lanes,
+    b1: S::Lanes,
+    b2: S::Lanes,
 }
 
-/// What the rays find of one triangle.
-struct Found {
-    t: Lanes,
-    b1: [f32; LANES],
-    b2: [f32; LANES],
-    /// 1 where it is the closest so far.
-    closer: [u32; LANES],
+impl<S: Sixteen> Hits<S> {
+    #[inline(always)]
+    fn new(s: S) -> Self {
+        let zero = s.splat(0.0);
+        Self { t: s.splat(f32::INFINITY), triangle: zero, b1: zero, b2: zero }
+    }
+
+    /// Up to where something may still be closer, for rays that have `reach`.
+    #[inline(always)]
+    fn farthest(&self, s: S, reach: S::Lanes) -> f32 {
+        most(s, s.min(self.t, reach))
+    }
+
+    #[inline(always)]
+    fn store(&self, s: S) -> PacketHit {
+        PacketHit {
+            t: s.store(self.t),
+            triangle: bytemuck::cast(s.store(self.triangle)),
+            b1: s.store(self.b1),
+            b2: s.store(self.b2),
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::collapse::BinaryNode;
     use super::*;
     use crate::rng::Stream;
 
-    /// Every triangle is there.
-    struct Whole;
-
-    impl CutOut for Whole {
-        fn may_vanish(&self, _: u32) -> bool {
-            false
-        }
-
-        fn is_there(&self, _: u32, _: f32, _: f32) -> bool {
-            true
-        }
-    }
-
-    /// Every fifth is not.
-    struct Fifths;
-
-    impl CutOut for Fifths {
-        fn may_vanish(&self, _: u32) -> bool {
-            true
-        }
-
-        fn is_there(&self, index: u32, _: f32, _: f32) -> bool {
-            !index.is_multiple_of(5)
-        }
-    }
-
-    /// A flat tree: one leaf, or halves split by index (bad but valid).
-    fn tree(corners: &[[Vec3; 3]], leaf: usize) -> Vec<FlatNode> {
-        fn bounds(corners: &[[Vec3; 3]]) -> ([f32; 3], [f32; 3]) {
+    /// A tree of leaves with one triangle each, split where `at` says of a number of triangles (bad but valid); `flag`
+    /// goes to each.
+    fn tree(corners: &[[Vec3; 3]], flag: u32, at: fn(usize) -> usize) -> Wide {
+        fn fill(
+            nodes: &mut Vec<BinaryNode>,
+            to: usize,
+            corners: &[[Vec3; 3]],
+            first: usize,
+            at: fn(usize) -> usize,
+        ) {
             let points = || corners.iter().flatten();
             let min = points().fold(Vec3::INFINITY, |m, &p| m.min(p));
             let max = points().fold(Vec3::NEG_INFINITY, |m, &p| m.max(p));
             let pad = min.abs().max(max.abs()).max_element() / 1_048_576.0;
-            ((min - pad).to_array(), (max + pad).to_array())
-        }
-        fn fill(nodes: &mut Vec<FlatNode>, at: usize, corners: &[[Vec3; 3]], first: usize, leaf: usize) {
-            let (min, max) = bounds(corners);
-            if corners.len() <= leaf {
-                nodes[at] = FlatNode { min, max, first: first as u32, count: corners.len() as u32 };
+            let (min, max, children) = (min - pad, max + pad, nodes.len());
+            if corners.len() == 1 {
+                nodes[to] = BinaryNode { min, max, first: first as u32, is_leaf: true };
                 return;
             }
-            let children = nodes.len();
-            nodes[at] = FlatNode { min, max, first: children as u32, count: 0 };
-            nodes.extend([FlatNode::zeroed(); 2]);
-            let half = corners.len() / 2;
-            fill(nodes, children, &corners[..half], first, leaf);
-            fill(nodes, children + 1, &corners[half..], first + half, leaf);
+            nodes[to] = BinaryNode { min, max, first: children as u32, is_leaf: false };
+            nodes.extend([nodes[to]; 2]);
+            let middle = at(corners.len());
+            fill(nodes, children, &corners[..middle], first, at);
+            fill(nodes, children + 1, &corners[middle..], first + middle, at);
         }
-        let mut nodes = vec![FlatNode::zeroed()];
-        fill(&mut nodes, 0, corners, 0, leaf);
-        nodes
+        let mut nodes = vec![BinaryNode { min: Vec3::ZERO, max: Vec3::ZERO, first: 0, is_leaf: true }];
+        fill(&mut nodes, 0, corners, 0, at);
+        Wide::new(&nodes, |leaf| (corners[leaf as usize], leaf | flag))
     }
+
+    fn halves(count: usize) -> usize {
+        count / 2
+    }
+
+    /// Every triangle is there.
+    const WHOLE: fn(u32, f32, f32) -> bool = |_, _, _| true;
 
     fn random_directions(i: u64, spread: f32) -> [Vec3; LANES] {
         let mut s = Stream::new(3, i, 0);
@@ -529,7 +537,7 @@ mod tests {
                 [my, mx, mz],
                 [px, my, mz],
             ];
-            let nodes = tree(&corners, 2);
+            let wide = tree(&corners, 0, halves);
             let vertices = [px, mx, py, my, pz, mz];
             for i in 0..4000u64 {
                 let mut s = Stream::new(11, i, 0);
@@ -542,13 +550,13 @@ mod tests {
                     let f = if l % 8 == 7 { 0.0 } else { s.next_f32() };
                     (pair.0 + (pair.1 - pair.0) * f - eye).normalize()
                 });
-                let hit = intersect(&nodes, None, &corners, eye, &directions, &Whole);
-                assert!(hit.index.iter().all(|&i| i != u32::MAX), "offset {offset}, packet {i}: {hit:?}");
+                let hit = intersect(&wide, eye, &directions, &WHOLE);
+                assert!(hit.t.iter().all(|&t| t < f32::INFINITY), "offset {offset}, packet {i}: {hit:?}");
             }
         }
     }
 
-    /// The packet finds what eight one-ray packets over all triangles find, for any tree.
+    /// A packet finds what packets of one ray find, for any tree.
     #[test]
     fn packets_agree_with_single_rays() {
         let corners: Vec<[Vec3; 3]> = (0..300)
@@ -559,19 +567,24 @@ mod tests {
                 [c, c + p() * 0.3, c + p() * 0.3]
             })
             .collect();
-        let (deep, flat) = (tree(&corners, 2), tree(&corners, 1000));
+        let shapes = [tree(&corners, CUT_OUT, halves), tree(&corners, CUT_OUT, |_| 1)];
+        assert!(shapes[0].stack() <= STACK && shapes[1].stack() > STACK, "both kinds of stacks");
+        let is_there = |triangle: u32, _: f32, _: f32| triangle % 5 != 0;
         let mut hits = 0;
         for i in 0..2000 {
             let directions = random_directions(i, if i % 3 == 0 { 3.0 } else { 0.05 });
             let eye = Vec3::new(0.1, 0.0, -0.2);
-            let packet = intersect(&deep, None, &corners, eye, &directions, &Fifths);
+            let [packet, same] = [0, 1].map(|shape| intersect(&shapes[shape], eye, &directions, &is_there));
+            assert_eq!(packet, same, "packet {i}");
             for (l, &direction) in directions.iter().enumerate() {
-                let single = intersect(&flat, None, &corners, eye, &[direction; LANES], &Fifths);
+                let single = intersect(&shapes[1], eye, &[direction; LANES], &is_there);
                 let close =
                     (packet.t[l] - single.t[0]).abs() <= 1e-4 * single.t[0] || packet.t[l] == single.t[0];
                 assert!(close, "packet {i}, lane {l}: {} against {}", packet.t[l], single.t[0]);
-                assert_ne!(packet.index[l] % 5, if packet.index[l] == u32::MAX { 9 } else { 0 });
-                hits += usize::from(packet.index[l] != u32::MAX);
+                if packet.t[l] < f32::INFINITY {
+                    assert_ne!(packet.triangle[l] % 5, 0);
+                    hits += 1;
+                }
             }
         }
         assert!(hits > 4000);
@@ -586,9 +599,9 @@ mod tests {
             [p - Vec3::X, p, p + Vec3::X],
             [p, p + Vec3::Z, p + Vec3::Z * 2.0],
         ];
-        let nodes = tree(&corners, 1);
-        let hit = intersect(&nodes, None, &corners, Vec3::ZERO, &[Vec3::Z; LANES], &Whole);
-        assert_eq!(hit, MISS);
-        assert_eq!(intersect(&[], None, &[], Vec3::ZERO, &[Vec3::Z; LANES], &Whole), MISS);
+        for wide in [tree(&corners, 0, halves), Wide::default()] {
+            let hit = intersect(&wide, Vec3::ZERO, &[Vec3::Z; LANES], &WHOLE);
+            assert_eq!(hit.t, [f32::INFINITY; LANES]);
+        }
     }
 }

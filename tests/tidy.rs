@@ -292,6 +292,27 @@ fn every_source_is_used() {
     }
 }
 
+/// Links of our texts lead to files; those of the book to files of the book, since nothing else goes with it.
+#[test]
+fn links_lead_somewhere() {
+    let mut texts = vec!["README.md".to_owned(), "ARCHITECTURE.md".into(), "scenes/README.md".into()];
+    let book = fs::read_dir(root().join("docs/src")).expect("the book").flatten();
+    let pages = book.map(|e| e.file_name().to_string_lossy().into_owned()).filter(|n| n.ends_with(".md"));
+    texts.extend(pages.map(|n| format!("docs/src/{n}")));
+    let mut links = 0;
+    for text in &texts {
+        let content = fs::read_to_string(root().join(text)).expect("a text");
+        let targets = content.split("](").skip(1).filter_map(|rest| rest.split(')').next());
+        for target in targets.filter(|t| !t.starts_with("http")) {
+            let folder = Path::new(text).parent().unwrap_or(Path::new(""));
+            assert!(root().join(folder).join(target).is_file(), "{text} links to {target}");
+            assert!(!(text.starts_with("docs/") && target.starts_with("..")), "{text} links to {target}");
+            links += 1;
+        }
+    }
+    assert!(links > 12, "{links} links in {texts:?}");
+}
+
 /// Files and options that the README names exist.
 #[test]
 fn the_readme_is_true() {

@@ -96,7 +96,7 @@ pub(super) fn csv(scene: &str, motion: &str, ways: &[Way]) -> String {
             for Point { seconds, corrected: c, all: a, picture: _ } in points {
                 let _ = writeln!(
                     out,
-                    "{scene},{motion},{},{run},{seconds},{},{},{},{},{},{}",
+                    "{scene},{motion},\"{}\",{run},{seconds},{},{},{},{},{},{}",
                     way.name,
                     c.flip,
                     a.flip,

@@ -122,10 +122,8 @@ impl Scheduler {
             }
             Class::Light => match &thread.local {
                 Some(local) => {
-                    // A single actor runs next on this very thread; a second one is work for somebody else.
-                    let waiting = !local.is_empty();
                     local.push(actor);
-                    if waiting {
+                    if local.len() > self.in_a_row() {
                         self.notify();
                     }
                 }
@@ -137,6 +135,11 @@ impl Scheduler {
         }
     }
 
+    /// Light actors that run next on the very thread that activated them; more are work for somebody else.
+    fn in_a_row(&self) -> usize {
+        if self.heavy_running.load(Ordering::Relaxed) > 0 { LIGHT_IN_A_ROW } else { 1 }
+    }
+
     /// Queues an active actor again after a turn that left work.
     fn again(&self, class: Class, actor: u32, thread: &ThreadCx) {
         match (class, &thread.local) {
@@ -144,7 +147,7 @@ impl Scheduler {
             (Class::Heavy, _) => self.heavy.push(actor),
             (Class::Light, Some(local)) => {
                 local.push(actor);
-                if local.len() > 1 {
+                if local.len() > self.in_a_row() {
                     self.notify();
                 }
             }
@@ -338,6 +341,11 @@ impl Scheduler {
     }
 }
 
+/// Light turns that a thread makes one after the other, while heavy ones take the cores, before it wakes another thread for
+/// what waits behind them: most take a few microseconds, less than waking; and a thread that is woken beside busy ones
+/// shares a core with one of them for milliseconds, while the core of the one that woke it may fall idle.
+const LIGHT_IN_A_ROW: usize = 2;
+
 /// Repeats a steal until it is decided.
 #[inline]
 fn steal(mut attempt: impl FnMut() -> Steal<u32>) -> Option<u32> {
@@ -397,7 +405,7 @@ fn worker(env: &Env, nodes: &[Box<dyn Runnable>], local: Worker<u32>, index: usi
     let mut tick = 0_u32;
     // This thread ran a heavy actor and is the one to run the next, unless it finds something else to do. Were another
     // one woken each time, many threads would take turns, each of them rested and so preferred to the main thread.
-    let mut freed = false;
+    let (mut freed, mut light) = (false, 0);
     while !scheduler.stopping.load(Ordering::Relaxed) {
         tick = tick.wrapping_add(1);
         if env.halted() {
@@ -412,16 +420,18 @@ fn worker(env: &Env, nodes: &[Box<dyn Runnable>], local: Worker<u32>, index: usi
         }
         // Every so often a heavy actor goes first, so that a flood of light ones cannot starve it.
         if tick.is_multiple_of(61) && run_heavy(env, nodes, &thread) {
-            freed = true;
+            (freed, light) = (true, 0);
             continue;
         }
         if let Some(actor) = scheduler.find(&thread, index, tick) {
-            if std::mem::take(&mut freed) {
+            scheduler.run(nodes, actor, &thread);
+            light += 1;
+            if light >= LIGHT_IN_A_ROW && std::mem::take(&mut freed) {
                 scheduler.offer_heavy();
             }
-            scheduler.run(nodes, actor, &thread);
             continue;
         }
+        light = 0;
         freed = run_heavy(env, nodes, &thread);
         if freed {
             continue;

@@ -310,8 +310,8 @@ fn objects(a: &ScalingArguments) -> Result<Vec<Curve>, Failure> {
     Ok(vec![ranking, deciding])
 }
 
-/// Seconds on the wall until a view has converged.
-fn convergence(world: &World, tracers: u32, runs: u32) -> Result<f64, Failure> {
+/// Seconds until a view has converged: on the wall, and of all processors.
+fn convergence(world: &World, tracers: u32, runs: u32) -> Result<[f64; 2], Failure> {
     let start = camera(&world.scene, None)?.camera;
     // Maps of the surroundings are work that is not repeated; without them every run has the same.
     let settings = Settings { environment_bytes: 0, ..Settings::new(384, 384, tracers) };
@@ -321,22 +321,23 @@ fn convergence(world: &World, tracers: u32, runs: u32) -> Result<f64, Failure> {
     };
     let (mut runtime, actors) = Runtime::build(Config::live(tracers as usize + 1), |w| wire(w, parts))
         .map_err(|e| Failure::Environment(format!("the actors cannot be started: {e}")))?;
-    let mut seconds = Vec::new();
+    let (mut seconds, mut worked) = (Vec::new(), Vec::new());
     for run in 0..runs + 1 {
         // Far enough apart that nothing is carried along.
         let aside = (start.target - start.eye).cross(start.up).normalize_or_zero() * (0.2 * (run % 2) as f32);
         let camera = foveal::scene::Camera { eye: start.eye + aside, ..start };
-        let began = Instant::now();
+        let (began, before) = (Instant::now(), cpu_ns());
         let _ = actors.input.send(RendererInput::FrameBegan { frame: FrameIndex(run), camera });
         runtime.pump_until(Limit::time(Duration::from_secs(120)), |r| {
             r.inspect(actors.renderer, |r| r.camera() == Some(camera) && Renderer::is_converged(r))
                 == Some(true)
         });
         seconds.push(began.elapsed().as_secs_f64());
+        worked.push((cpu_ns() - before) * 1e-9);
         let _ = actors.input.send(RendererInput::DeadlineReached { frame: FrameIndex(run) });
     }
     runtime.shutdown(Duration::from_secs(10));
-    Ok(median(&seconds[1..]).unwrap_or(f64::NAN))
+    Ok([seconds, worked].map(|s| median(&s[1..]).unwrap_or(f64::NAN)))
 }
 
 fn workers(a: &ScalingArguments) -> Result<Vec<Row>, Failure> {
@@ -348,12 +349,13 @@ fn workers(a: &ScalingArguments) -> Result<Vec<Row>, Failure> {
         if !(1..=64).contains(&tracers) {
             return Err(Failure::Usage("--workers: 1 to 64".into()));
         }
-        let seconds = convergence(&world, tracers, a.common.runs)?;
+        let [seconds, worked] = convergence(&world, tracers, a.common.runs)?;
         let row = Row::new(format!("a view until it has converged, {tracers} tracers"), "s", &[seconds]);
         if tracers == 1 {
             one = Some(seconds);
         }
         rows.push(row);
+        rows.push(Row::new("  processor time of it", "s", &[worked]));
         if let Some(one) = one.filter(|_| tracers > 1) {
             let row = Row::new(format!("  {tracers} tracers against 1"), "×", &[one / seconds]);
             rows.push(if tracers == 2 && cores >= 2 { row.aim(Aim::AtLeast(1.85)) } else { row });

@@ -29,6 +29,35 @@ fn walk(name: &str) -> Value {
         .json()
 }
 
+/// What is skipped is said beforehand, part by part, and why.
+#[test]
+fn a_scene_s_plan_is_explained() {
+    const PARTS: [&str; 8] = [
+        "tracers",
+        "analyzer",
+        "sample cache",
+        "object-id pass",
+        "distributed rays",
+        "transparent shadows",
+        "environment maps",
+        "elevation maps",
+    ];
+    for (name, needed) in [
+        ("diffuse", [false; 8]),
+        ("box", [true, true, true, true, false, true, true, false]),
+        ("gallery", [true, true, true, true, true, true, true, false]),
+    ] {
+        let d = Foveal::new("explain").arg(scene(name)).json();
+        let parts = d["parts"].as_array().expect("parts");
+        assert!(parts.iter().all(|p| p["why"].as_str().is_some_and(|why| !why.is_empty())), "{d}");
+        for (part, needed) in PARTS.into_iter().zip(needed) {
+            let found =
+                parts.iter().find(|p| p["part"] == part).unwrap_or_else(|| panic!("no {part} in {d}"));
+            assert_eq!(found["needed"], needed, "{name}: {part}");
+        }
+    }
+}
+
 /// With diffuse surfaces only, the renderer is alone: it hears of each frame's begin and deadline.
 #[test]
 fn a_diffuse_scene_starts_one_actor() {

@@ -15,11 +15,15 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use foveal::display::FrameBuffers;
+use foveal::display::environment_map::{capture, texel_count};
 use foveal::display::first_approximation::{FirstApproximation, Probes};
+use foveal::display::tone::{Encoder, ToneMap};
 use foveal::display::twin::{self, Passes};
 use foveal::geometry::Accel;
 use foveal::illumination::bake::{BakeSettings, bake};
 use foveal::image::Map2d;
+use foveal::perception::importance::{ObjectScan, Weights, priorities};
+use foveal::perception::saliency::SaliencyModel;
 use foveal::scene::Scene;
 use foveal::scene::load::load;
 use foveal::splatting::trace::pixel_stream;
@@ -246,8 +250,17 @@ fn look(world: &World, size: [u32; 2], what: &str) -> Seen {
     assert_sound(&buffers.color, &format!("{what}: display"));
     assert!(buffers.depth.data().iter().all(|d| *d >= 0.0), "{what}: depth");
     let mut layer = Map2d::new(width, height, Vec3::ZERO);
-    FirstApproximation::new(Arc::new(Probes::of_world(world))).draw(world, &frame, &buffers, &mut layer);
+    let probes = Arc::new(Probes::of_world(world));
+    for (id, object) in world.scene.objects.iter().enumerate().skip(1) {
+        let centre = probes.probes[id].centre;
+        let map = capture(world, &probes.split_sum, id as u32, centre, 4, 0..texel_count(4));
+        // Where nothing is seen, that is infinitely far.
+        let sound = map.iter().all(|seen| seen.radiance.is_finite() && seen.distance >= 0.0);
+        assert!(sound, "{what}: surroundings of {}", object.name);
+    }
+    FirstApproximation::new(probes).draw(world, &frame, &buffers, &mut layer);
     assert!(layer.data().iter().all(|c| c.is_finite()), "{what}: first approximation");
+    attend(world, &buffers, what);
     let tracer = world.tracer();
     let (mut traced, mut paths) = (buffers.color.clone(), Map2d::new(width, height, Vec3::ZERO));
     for y in 0..height {
@@ -270,6 +283,20 @@ fn look(world: &World, size: [u32; 2], what: &str) -> Seen {
     assert_eq!(tracer.broken_count(), 0, "{what}: results that were not finite");
     assert_sound(&paths, &format!("{what}: paths"));
     Seen { buffers, traced, paths }
+}
+
+/// What the model of attention makes of a picture: numbers, and every visible object's priority among them.
+fn attend(world: &World, buffers: &FrameBuffers, what: &str) {
+    let (width, height) = (buffers.width(), buffers.height());
+    let mut bytes = Vec::new();
+    Encoder::default().encode(&ToneMap::from(&world.scene.display), &buffers.color, &mut bytes);
+    let mut model = SaliencyModel::default();
+    let map = &model.compute_rgb8(&bytes, width, height).map;
+    assert!(map.data().iter().all(|s| s.is_finite()), "{what}: saliency");
+    let (mut statistics, mut found) = (Vec::new(), Vec::new());
+    ObjectScan::default().gather(&buffers.object, Some(map), world.scene.objects.len(), &mut statistics);
+    priorities(&statistics, width, height, &Weights::default(), &mut found);
+    assert!(found.iter().all(|p| (0.0..=1.0).contains(p)), "{what}: priorities {found:?}");
 }
 
 /// Writes, loads, bakes and looks.

@@ -48,9 +48,12 @@ fn the_coarsest_and_the_finest_levels() {
     }
 }
 
-/// Samples that never age and samples that always do.
+/// Samples that never age and samples that always do; whatever was kept, the view converges to the reference.
 #[test]
 fn ageing_at_its_ends() {
+    for options in ["--delta 0", "--delta 1"] {
+        converges(&scene("box"), "40x30", &format!("{options} --fps 40"));
+    }
     for options in ["--delta 0", "--delta 1", "--max-age 0", "--n-min 0", "--saliency 0", "--reduction 0"] {
         let line = format!("walk --frames 8 --fps 40 --until-converged --size 40x30 {options} {CHEAP_BAKE}");
         let d = Foveal::new(&line).arg(scene("box")).json();

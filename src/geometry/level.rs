@@ -37,6 +37,8 @@ pub(super) struct Level {
 /// Work to be compiled for each set of instructions.
 pub(super) trait Work {
     type Output;
+    /// Whether registers of sixteen numbers are of use; work on eight is no faster with them and takes long to compile.
+    const SIXTEEN: bool;
     fn run<V: Vectors>(self, vectors: V) -> Self::Output;
 }
 
@@ -80,7 +82,9 @@ impl Level {
                     self.0.run(self.1)
                 }
             }
-            if let Some(avx512) = self.avx512 {
+            if W::SIXTEEN
+                && let Some(avx512) = self.avx512
+            {
                 return avx512.vectorize(Compiled(work, Avx512(avx512)));
             }
             if let Some(avx2) = self.avx2 {

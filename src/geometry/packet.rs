@@ -61,6 +61,7 @@ struct Through<'a, F> {
 
 impl<F: Fn(u32, f32, f32) -> bool> Work for Through<'_, F> {
     type Output = PacketHit;
+    const SIXTEEN: bool = true;
 
     #[inline(always)]
     fn run<V: Vectors>(self, v: V) -> PacketHit {
@@ -569,7 +570,7 @@ mod tests {
             .collect();
         let shapes = [tree(&corners, CUT_OUT, halves), tree(&corners, CUT_OUT, |_| 1)];
         assert!(shapes[0].stack() <= STACK && shapes[1].stack() > STACK, "both kinds of stacks");
-        let is_there = |triangle: u32, _: f32, _: f32| triangle % 5 != 0;
+        let is_there = |triangle: u32, _: f32, _: f32| !triangle.is_multiple_of(5);
         let mut hits = 0;
         for i in 0..2000 {
             let directions = random_directions(i, if i % 3 == 0 { 3.0 } else { 0.05 });

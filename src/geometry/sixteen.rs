@@ -237,6 +237,7 @@ mod tests {
 
     impl Work for All {
         type Output = Vec<u32>;
+        const SIXTEEN: bool = true;
 
         fn run<V: Vectors>(self, v: V) -> Vec<u32> {
             self.of_sixteen(v)

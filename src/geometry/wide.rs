@@ -139,6 +139,7 @@ struct Walk<'a, const ORDERED: bool, F> {
 
 impl<const ORDERED: bool, F: FnMut(LeafHit) -> Option<f32>> Work for Walk<'_, ORDERED, F> {
     type Output = ();
+    const SIXTEEN: bool = false;
 
     #[inline(always)]
     fn run<V: Vectors>(self, v: V) {

@@ -40,7 +40,7 @@ const ALL: u32 = (1 << LANES) - 1;
 /// Components along the packet's dominant axis below this are traced in packets of their own.
 const SHALLOW: f32 = 1e-2;
 
-/// Closest hits of sixteen rays from `origin` along unit `directions`. Cut-out triangles are hit where `is_there` is true
+/// Closest hits of sixteen rays from `origin` along unit `directions`; those that are none hit nothing. Cut-out triangles are hit where `is_there` is true
 /// of their barycentric weights of the second and third corner.
 pub(super) fn intersect(
     wide: &Wide,
@@ -77,23 +77,27 @@ impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
     #[inline(always)]
     fn go<V: Vectors>(&self, v: V, stack: &mut impl Stack) -> PacketHit {
         let mut hits = Hits::new(v);
-        if self.wide.is_empty() {
+        if self.wide.is_empty() || !self.origin.is_finite() {
             return hits.store(v);
         }
-        let axis = dominant_axis(self.directions.iter().sum());
-        if self.directions.iter().all(|d| d[axis].abs() > SHALLOW) {
+        // Finite only if all of them are.
+        let sum: Vec3 = self.directions.iter().sum();
+        let axis = dominant_axis(sum);
+        if sum.is_finite() && self.directions.iter().all(|d| d[axis].abs() > SHALLOW) {
             self.all(v, self.directions, axis, &mut hits, stack);
             return hits.store(v);
         }
         self.one_by_one(v, stack)
     }
 
-    /// A wide packet (a tiny picture, a huge field of view): each ray as a packet of its own.
+    /// A wide packet (a tiny picture, a huge field of view): each ray as a packet of its own. What is not a number would
+    /// meet every box, those of children that there are not as well.
     #[cold]
     #[inline(never)]
     fn one_by_one<V: Vectors>(&self, v: V, stack: &mut impl Stack) -> PacketHit {
         let mut found = Hits::new(v).store(v);
-        for (lane, &d) in self.directions.iter().enumerate() {
+        let is_direction = |d: &Vec3| d.is_finite() && *d != Vec3::ZERO;
+        for (lane, &d) in self.directions.iter().enumerate().filter(|(_, d)| is_direction(d)) {
             let mut hits = Hits::new(v);
             self.all(v, &[d; LANES], dominant_axis(d), &mut hits, stack);
             let one = hits.store(v);
@@ -554,6 +558,27 @@ mod tests {
                 let hit = intersect(&wide, eye, &directions, &WHOLE);
                 assert!(hit.t.iter().all(|&t| t < f32::INFINITY), "offset {offset}, packet {i}: {hit:?}");
             }
+        }
+    }
+
+    /// Rays that are none hit nothing and keep no other from what it hits.
+    #[test]
+    fn directions_that_are_none_hit_nothing() {
+        let corners: Vec<[Vec3; 3]> = (0..40)
+            .map(|i| Vec3::new(0.0, 0.0, 1.0 + i as f32))
+            .map(|at| [at - Vec3::ONE, at + Vec3::X * 3.0, at + Vec3::Y * 3.0])
+            .collect();
+        for at in [halves as fn(usize) -> usize, |_| 1] {
+            let wide = tree(&corners, 0, at);
+            for none in [Vec3::NAN, Vec3::ZERO, Vec3::INFINITY, Vec3::new(0.0, f32::NAN, 1.0)] {
+                let some = std::array::from_fn(|l| if l % 3 == 0 { none } else { Vec3::Z });
+                let hit = intersect(&wide, Vec3::ZERO, &some, &WHOLE);
+                assert!((0..LANES).all(|l| hit.t[l].is_finite() == (l % 3 != 0)), "{none}: {hit:?}");
+                let hit = intersect(&wide, Vec3::ZERO, &[none; LANES], &WHOLE);
+                assert_eq!(hit.t, [f32::INFINITY; LANES], "{none}");
+            }
+            let hit = intersect(&wide, Vec3::NAN, &[Vec3::Z; LANES], &WHOLE);
+            assert_eq!(hit.t, [f32::INFINITY; LANES]);
         }
     }
 

@@ -81,7 +81,8 @@ impl<'a> Collapse<'a> {
                 for first in 1..roots {
                     let second = roots - first;
                     let cost = a.cost[first - 1] + b.cost[second - 1];
-                    if cost < shared[roots - 2] {
+                    // Areas that are no numbers any more still make a tree.
+                    if first == 1 || cost < shared[roots - 2] {
                         shared[roots - 2] = cost;
                         here.first[roots - 2] = first as u8;
                     }

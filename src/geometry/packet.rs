@@ -561,6 +561,24 @@ mod tests {
         }
     }
 
+    /// Squares of such lengths are infinite.
+    #[test]
+    fn trees_of_any_size_are_whole() {
+        for scale in [1e-25f32, 1e25, 1e30] {
+            let corners: Vec<[Vec3; 3]> = (0..40)
+                .map(|i| Vec3::new(0.0, 0.0, 1.0 + i as f32))
+                .map(|at| [at - Vec3::ONE, at + Vec3::X * 3.0, at + Vec3::Y * 3.0].map(|p| p * scale))
+                .collect();
+            for at in [halves as fn(usize) -> usize, |_| 1] {
+                let wide = tree(&corners, 0, at);
+                let mut held: Vec<u32> = wide.parts().1.iter().flat_map(|b| b.index).collect();
+                held.retain(|&index| index != u32::MAX);
+                held.sort_unstable();
+                assert_eq!(held, (0..40).collect::<Vec<_>>(), "{scale}");
+            }
+        }
+    }
+
     /// Rays that are none hit nothing and keep no other from what it hits.
     #[test]
     fn directions_that_are_none_hit_nothing() {

@@ -331,8 +331,9 @@ fn samples_of_level(pixels: u32, k: u32, k_max: u32) -> u32 {
     (pixels as f32 * share).ceil() as u32
 }
 
-/// How far the samples of a batch are from what their pixels show (`shown_on_it` on the `base`), in just noticeable differences of the displayed,
-/// tone-mapped light, seen by an eye adapted to the brighter of the two. To be asked before the batch is splatted.
+/// How far the samples of a batch are from what their pixels show (`shown_on_it` on the `base`), in just noticeable
+/// differences of the displayed, tone-mapped light, seen by an eye adapted to the brighter of the two. To be asked
+/// before the batch is splatted.
 pub fn residual_of_batch(
     batch: &SampleBatch,
     base: &Map2d<Vec3>,

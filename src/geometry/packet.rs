@@ -40,8 +40,8 @@ const ALL: u32 = (1 << LANES) - 1;
 /// Components along the packet's dominant axis below this are traced in packets of their own.
 const SHALLOW: f32 = 1e-2;
 
-/// Closest hits of sixteen rays from `origin` along unit `directions`; those that are none hit nothing. Cut-out triangles are hit where `is_there` is true
-/// of their barycentric weights of the second and third corner.
+/// Closest hits of sixteen rays from `origin` along unit `directions`; those that are none hit nothing. Cut-out
+/// triangles are hit where `is_there` is true of their barycentric weights of the second and third corner.
 pub(super) fn intersect(
     wide: &Wide,
     origin: Vec3,

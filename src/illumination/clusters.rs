@@ -226,8 +226,8 @@ impl ClusterTree {
         self.update_with(&|e| [arrived(e, false), arrived(e, true)], &|_| [true; 2]);
     }
 
-    /// Takes what `arrived` at the two sides of each element, and on which area. Sides that are not `open` have no area and count for nothing:
-    /// the inner ones of closed bodies, which would darken whatever they touch.
+    /// Takes what `arrived` at the two sides of each element, and on which area. Sides that are not `open` have no
+    /// area and count for nothing: the inner ones of closed bodies, which would darken whatever they touch.
     pub fn update_with(
         &mut self,
         arrived: &(dyn Fn(u32) -> [Arrived; 2] + Sync),

@@ -70,8 +70,8 @@ pub fn truth(
         .collect()
 }
 
-/// Irradiance on the front of one point, from `samples` light samples and as many paths. Light straight from lights comes from light samples, all other from paths
-/// whose first emission is left out.
+/// Irradiance on the front of one point, from `samples` light samples and as many paths. Light straight from lights
+/// comes from light samples, all other from paths whose first emission is left out.
 pub fn at_point(
     (scene, accel, lights): (&Scene, &Accel, &Lights),
     triangle: u32,

@@ -16,6 +16,7 @@ mod offset;
 pub mod packet;
 pub mod ray;
 mod sixteen;
+mod split;
 mod stack;
 mod wide;
 

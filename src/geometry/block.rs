@@ -1,5 +1,6 @@
 //! The watertight ray–triangle test of Woop, Benthin and Wald 2013, eight triangles at a time.
 
+use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
 use super::eight::Eight;
@@ -59,8 +60,9 @@ impl<E: Eight> Shear<E> {
 /// Most triangles of a block.
 pub(super) const LEAF: usize = 8;
 
-/// Up to eight triangles, corner by corner and axis by axis. Unused lanes are NaN, which no ray hits.
-#[derive(Clone, Copy, Debug)]
+/// Up to eight triangles in five lines of the cache, corner by corner and axis by axis. Unused lanes are NaN, which no ray
+/// hits.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C, align(64))]
 pub(super) struct Block {
     /// `corner[c][axis]` of the triangles.

@@ -1,5 +1,6 @@
 //! Nodes with eight children, whose boxes are tested at once.
 
+use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
 use super::eight::Eight;
@@ -8,18 +9,21 @@ use super::offset::gamma;
 /// Children of a node.
 pub(super) const CHILDREN: usize = 8;
 
-/// Eight children.
-#[derive(Clone, Copy, Debug)]
-#[repr(C, align(32))]
+/// Eight children, in four lines of the cache.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C, align(64))]
 pub(super) struct Node {
     /// Lower x, y, z, then upper x, y, z of the boxes. An unused child's box is (+∞, −∞).
     pub bounds: [[f32; CHILDREN]; 6],
     /// What they are.
     pub child: [Child; CHILDREN],
+    /// Fills the line.
+    pub unused: [u32; CHILDREN],
 }
 
 /// A reference to a node, or to a block of triangles.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+#[repr(transparent)]
 pub(super) struct Child(pub u32);
 
 impl Child {
@@ -62,6 +66,7 @@ impl Node {
             [f32::NEG_INFINITY; CHILDREN],
         ],
         child: [Child(0); CHILDREN],
+        unused: [0; CHILDREN],
     };
 }
 

@@ -38,12 +38,19 @@ pub(super) trait Stack: DerefMut<Target = [Entry]> {
     fn pop(&mut self) -> Option<Entry>;
 
     /// Takes the children of `node` that `mask` names, which is not 0: returns one, the nearest if `ORDERED`, and puts the
-    /// others on top, near ones last if `ORDERED`. `enter`: where the ray enters each.
+    /// others on top, near ones last if `ORDERED`. `enter`: where the ray enters each; `meet` is told of all of them.
     #[inline(always)]
-    fn visit<const ORDERED: bool>(&mut self, node: &Node, enter: &[f32; CHILDREN], mut mask: u32) -> Child {
+    fn visit<const ORDERED: bool>(
+        &mut self,
+        node: &Node,
+        enter: &[f32; CHILDREN],
+        mut mask: u32,
+        meet: impl Fn(Child),
+    ) -> Child {
         let mut next = || {
             let slot = mask.trailing_zeros() as usize & (CHILDREN - 1);
             mask &= mask - 1;
+            meet(node.child[slot]);
             (Entry::new(enter[slot], node.child[slot]), mask != 0)
         };
         let (mut nearest, mut more) = next();

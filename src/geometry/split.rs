@@ -153,7 +153,7 @@ mod tests {
                     let p = a + (b - a) * u + (c - a) * v;
                     let slack = 1e-6 * p.abs().max_element() + 1e-7;
                     let inside = |q: &&Part| (p + slack).cmpge(q.min).all() && (p - slack).cmple(q.max).all();
-                    assert!(own.iter().any(|q| inside(&q)), "triangle {t}, {u} {v}");
+                    assert!(own.iter().any(inside), "triangle {t}, {u} {v}");
                 }
             }
         }

@@ -68,20 +68,58 @@ fn rays_of_files() {
     }
 }
 
-/// Curves and pictures at equal time, of orders and of plain alternatives.
+/// Curves and pictures at equal time, of orders and of plain alternatives, against both kinds of reference.
 #[test]
 fn errors_beside_plain_alternatives() {
     let out = folder("error");
-    let line = "bench error --plain --scenes box --size 24x18 --runs 2 --reference-spp 4 --path-spp 4 --out";
+    let line = "bench error --plain --quick --scenes box --size 24x18 --frames 3 --runs 2 --reference-spp 8 \
+                --walk-spp 4 --path-spp 4 --out";
     let d = Foveal::new(line).arg(&out).json();
-    for what in ["utility", "√5 order", "scan order", "path tracing, full frame"] {
-        assert!(row(&d, what)["unit"].is_string());
+    let references = |what: &str| row(&d, what)["reference"].as_str().map(str::to_owned);
+    let [traced, path] =
+        ["traced, 1 sample per pixel", "path, 8 samples per pixel"].map(|r| Some(r.to_owned()));
+    for way in ["utility", "√5 order", "scan order"] {
+        assert_eq!(references(&format!("box, against traced: {way}, time to")), traced);
+        assert_eq!(references(&format!("box, against path: {way}, time to")), path);
+        assert_eq!(references(&format!("box, walking, against traced: {way}")), traced);
     }
+    assert_eq!(references("box, against path: path tracing, full frame, time to FLIP ≤ 0.05"), path);
+    let value =
+        |what: &str| row(&d, what)["value"].as_f64().unwrap_or_else(|| panic!("no value of {what}: {d}"));
+    // Orders end where the converged view is.
+    let floor = value("box, against path: converged view (floor)");
+    assert!(floor > 0.0 && row(&d, "utility, time to FLIP ≤ 0")["value"].is_number());
+    assert!(value("box, against path: refined view, 8 samples per pixel") > 0.0);
+    // Walks: of non-diffuse pixels, of all, and in JOD; the floor is better than paths that fit into a frame.
+    let of = |way: &str, unit: &str| -> Vec<f64> {
+        let begins = format!("box, walking, against path: {way}");
+        let rows = d["rows"].as_array().expect("rows").iter();
+        let rows =
+            rows.filter(|r| r["what"].as_str().is_some_and(|w| w.starts_with(&begins)) && r["unit"] == unit);
+        rows.map(|r| r["value"].as_f64().expect("a value")).collect()
+    };
+    let (paths, converged) = ("path tracing, full frame", "converged view (floor)");
+    for (unit, count) in [("mean FLIP", 2), ("JOD", 1)] {
+        assert_eq!([of(paths, unit).len(), of(converged, unit).len()], [count; 2], "{d}");
+    }
+    assert!(of(converged, "mean FLIP")[1] < of(paths, "mean FLIP")[1], "{d}");
+    assert!(value("paths per pixel that a frame has time for") > 0.0);
     let csv = fs::read_to_string(out.join("error-plain.csv")).expect("a table");
     assert!(csv.lines().count() > 100 && !csv.contains("NaN"), "{csv}");
+    for (motion, reference, spp) in
+        [("still", "traced", 1), ("still", "path", 8), ("walking", "traced", 1), ("walking", "path", 4)]
+    {
+        let ends = format!(",{reference},{spp}");
+        assert!(
+            csv.lines().any(|l| l.starts_with(&format!("box,{motion},")) && l.ends_with(&ends)),
+            "{ends}"
+        );
+    }
     let page = fs::read_to_string(out.join("report.html")).expect("a page");
-    assert!(page.matches("<svg").count() == 2 && page.matches("<img").count() >= 12);
-    assert!(out.join("error-box-still.svg").exists() && out.join("error-box-walking.svg").exists());
+    assert!(page.matches("<svg").count() == 4 && page.matches("<img").count() >= 30);
+    for file in ["still", "still-path", "walking", "walking-path"] {
+        assert!(out.join(format!("error-box-{file}.svg")).exists());
+    }
 }
 
 /// Whoever doubts our figures measures in a scene of theirs.
@@ -101,7 +139,7 @@ fn errors_of_every_order_in_a_scene_of_ones_own() {
     let csv = fs::read_to_string(out.join("error-curves.csv")).expect("a table");
     assert_eq!(csv.lines().count(), 1 + 2 * 2 * (17 + 2));
     let page = fs::read_to_string(out.join("report.html")).expect("a page");
-    assert!(page.contains("duck, walking") && page.matches("<img").count() == 4);
+    assert!(page.contains("duck, walking") && page.matches("<img").count() == 6);
     let d = measure(&scenes.join("diffuse/diffuse.toml")).json();
     assert!(d["notes"].to_string().contains("nothing that its first camera sees is corrected"), "{d}");
     measure(Path::new("nowhere.obj")).fails(3, &["nowhere.obj"]);

@@ -233,7 +233,7 @@ pub fn html(page: &Page) -> String {
          <meta name=\"viewport\" content=\"width=device-width\"><style>\
          body{font:15px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222}\
          figure{display:inline-block;margin:.5rem 1rem 1rem 0;vertical-align:top;max-width:32rem}\
-         img{max-width:100%;image-rendering:pixelated}figcaption{font-size:13px;color:#555}\
+         img{max-width:100%;min-width:16rem;image-rendering:pixelated}figcaption{font-size:13px;color:#555}\
          table{border-collapse:collapse;margin:.5rem 0 1.5rem}td,th{padding:.15rem .8rem .15rem 0;text-align:right}\
          td:first-child,th:first-child{text-align:left}tr+tr{border-top:1px solid #ddd}\
          @media(prefers-color-scheme:dark){body{background:#161616;color:#ddd}figcaption{color:#aaa}}\

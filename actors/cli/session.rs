@@ -43,8 +43,19 @@ pub fn interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }
 
+/// Nothing, until Ctrl-C was pressed.
+///
+/// # Errors
+/// From then on.
+pub fn uninterrupted() -> Result<(), Failure> {
+    match interrupted() {
+        false => Ok(()),
+        true => Err(Failure::Interrupted("interrupted; what was done is kept".into())),
+    }
+}
+
 /// Where illumination comes from; part of a recording's header.
-#[derive(Args, Clone, Debug, serde::Serialize, serde::Deserialize)]
+#[derive(Args, Clone, Debug, Default, serde::Serialize, serde::Deserialize)]
 pub struct IlluminationArguments {
     /// Illumination made by `foveal bake --out`; without it one is taken from the cache, or refined while walking
     #[arg(long, value_name = "FILE")]

@@ -7,7 +7,8 @@ use foveal::allocation::policy::Policy;
 use foveal::metrics::curve::ErrorCurve;
 use rayon::prelude::*;
 
-use super::error_curves::{CSV_HEAD, Judge, Point, Way, csv, sections_of, write_page};
+use super::error_curves::{Against, CSV_HEAD, Judge, Kind, Point, Way, csv};
+use super::error_page::{Axes, Panel, sections_of, write_page};
 use super::made::Subject;
 use super::stages::quick_world;
 use super::study::{Entrant, FRAMES_PER_SECOND, Study, policies};
@@ -15,6 +16,7 @@ use super::table::{Aim, CommonArguments, Row, finish, median};
 use crate::cli::Progress;
 use crate::cli::arguments::Size;
 use crate::cli::failure::Failure;
+use crate::cli::session::{end_on_interrupt, interrupted, uninterrupted};
 
 /// Arguments of `foveal bench error`.
 #[derive(Args, Debug)]
@@ -25,8 +27,8 @@ pub struct ErrorArguments {
     /// Seconds of all cores for each scene and method: --what illumination
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = crate::cli::arguments::duration)]
     time: Duration,
-    /// Picture size
-    #[arg(long, value_name = "WxH", default_value = "400x300")]
+    /// Picture size; with --plain 128x96 if none is given, since references by paths take long
+    #[arg(long, value_name = "WxH", default_value = "400x300", default_value_if("plain", "true", "128x96"))]
     pub(super) size: Size,
     /// Scene files, or names of bundled scenes (default: box duck table gallery chess; of the illumination
     /// box diffuse table)
@@ -48,23 +50,33 @@ pub struct ErrorArguments {
     /// Show only the coarsest environment maps
     #[arg(long)]
     coarse_maps: bool,
-    /// The time until still views look right, beside scan order, √5 order and path tracing of full frames; best with a
-    /// small --size, since references take long
+    /// Beside plain alternatives in this program: scan order, √5 order, and path tracing of full frames, still and
+    /// walking; everything against `traced` references, and against `path` references, which know of no baked light. A
+    /// scene takes one to four minutes on two cores; --size, --frames, --reference-spp and --walk-spp make it longer
     #[arg(long)]
     pub(super) plain: bool,
-    /// With --plain: samples per pixel of what corrections are held against; 1 is what a still view converges to, more
-    /// have other random numbers
+    /// With --plain: samples per pixel of the still view's `traced` reference; 1 is what it converges to, more have
+    /// other random numbers
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     pub(super) traced_spp: u32,
-    /// With --plain: samples per pixel of what paths are held against
-    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    /// With --plain: samples per pixel of the still view's `path` reference
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     pub(super) reference_spp: u32,
-    /// With --plain: most samples per pixel of path tracing
+    /// With --plain: samples per pixel of the `path` reference of each frame of the walk
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    pub(super) walk_spp: u32,
+    /// With --plain: most samples per pixel of path tracing the still view
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     pub(super) path_spp: u32,
+    /// With --plain: under the first estimate of light instead of a bake
+    #[arg(long)]
+    pub(super) quick: bool,
     #[command(flatten)]
     pub(super) common: CommonArguments,
 }
+
+/// What views converge to, as they are held against it.
+const CONVERGED: Against = Against { kind: Kind::Traced, spp: 1 };
 
 /// Whose error is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -103,6 +115,7 @@ pub fn run(a: &ErrorArguments, progress: Progress) -> Result<(), Failure> {
     if a.what == What::Illumination {
         return super::illumination::run(&or("box diffuse table"), a.time.as_secs_f64(), &a.common, progress);
     }
+    end_on_interrupt();
     let scenes: Vec<String> = or("box duck table gallery chess");
     if a.plain {
         return super::error_plain::run(a, &scenes, progress);
@@ -116,13 +129,16 @@ pub fn run(a: &ErrorArguments, progress: Progress) -> Result<(), Failure> {
     let (mut deciding, mut notes, mut corrected) = (Vec::new(), Vec::new(), 0);
     for word in &scenes {
         let name = Subject::name(word);
-        let mut study = Study::new(quick_world(Subject::of(word)?.path())?, a.size, a.frames, a.coarse_maps)?;
+        let world = quick_world(Subject::of(word)?.path())?;
+        let mut study = match Study::new(world, a.size, a.frames, a.coarse_maps) {
+            Err(Failure::Interrupted(_)) => break,
+            study => study?,
+        };
         if study.still().seconds() <= 0.0 {
             notes.push(format!("{name}: nothing that its first camera sees is corrected"));
             bar.inc(runs as u64);
             continue;
         }
-        corrected += 1;
         // By entrant, then by run.
         let mut outcomes: Vec<Vec<Outcome>> = entrants.iter().map(|_| Vec::new()).collect();
         for run in 0..runs {
@@ -133,11 +149,21 @@ pub fn run(a: &ErrorArguments, progress: Progress) -> Result<(), Failure> {
                 .par_iter()
                 .map(|e| outcome(&study, a, e, run == 0 && a.common.out.is_some()))
                 .collect();
-            outcomes.iter_mut().zip(found?).for_each(|(all, one)| all.push(one));
+            let found = found?;
+            // A run that Ctrl-C fell into does not count.
+            if interrupted() {
+                break;
+            }
+            outcomes.iter_mut().zip(found).for_each(|(all, one)| all.push(one));
             bar.inc(1);
         }
+        if outcomes.iter().any(Vec::is_empty) {
+            break;
+        }
+        corrected += 1;
         rows.extend(rows_of(name, &entrants, &outcomes));
         for (sums, outcomes) in sums.iter_mut().zip(&outcomes) {
+            sums.truncate(outcomes.len());
             sums.iter_mut().zip(outcomes).for_each(|(sum, o)| *sum += o.still + o.walking);
         }
         let ours = entrants.iter().position(|e| e.policy.policy == Policy::Utility);
@@ -147,8 +173,21 @@ pub fn run(a: &ErrorArguments, progress: Progress) -> Result<(), Failure> {
         table += &csv(name, "walking", &walking);
         if let Some(out) = &a.common.out {
             let end = f64::from(a.frames - 1) / f64::from(FRAMES_PER_SECOND);
-            let shown = [SHOWN_AT * study.still().seconds(), end];
-            sections.extend(sections_of(out, name, [&still, &walking], None, shown, &study.tone)?);
+            let soon = SHOWN_AT * study.still().seconds();
+            let parts = [
+                ("still", &still, Axes::Still, soon, study.views.first()),
+                ("walking", &walking, Axes::Walking, end, study.views.last()),
+            ];
+            let panels = parts.map(|(motion, ways, axes, at, view)| Panel {
+                title: format!("{name}, {motion}"),
+                file: format!("error-{name}-{motion}"),
+                against: CONVERGED.to_string(),
+                ways: ways.iter().collect(),
+                axes,
+                at,
+                references: view.iter().map(|v| (format!("reference: {CONVERGED}"), &v.reference)).collect(),
+            });
+            sections.extend(sections_of(out, &panels, &study.tone)?);
         }
     }
     let worst = rows.iter().filter_map(Row::ratio).fold(f64::NAN, f64::max);
@@ -163,19 +202,24 @@ pub fn run(a: &ErrorArguments, progress: Progress) -> Result<(), Failure> {
         if a.coarse_maps { "before environment maps are captured" } else { "with environment maps" },
         a.share
     ));
-    notes.push("held against what the views converge to, one sample per pixel".into());
+    notes.push(format!(
+        "held against what the views converge to: {CONVERGED}; --plain holds against paths, too"
+    ));
+    if interrupted() {
+        notes.push("interrupted: fewer scenes or runs than asked for".into());
+    }
     if let Some(out) = &a.common.out {
         write_page(out, "error-curves.csv", &table, &rows, &notes, sections)?;
     }
-    finish("error", &rows, &notes, &a.common)
+    finish("error", &rows, &notes, &a.common)?;
+    uninterrupted()
 }
 
 fn outcome(study: &Study, a: &ErrorArguments, entrant: &Entrant, keeps: bool) -> Result<Outcome, Failure> {
     let judged = |i: usize, seconds: f64, picture| {
         let view = &study.views[i];
-        let judge =
-            Judge { objects: &view.buffers.object, tone: &study.tone, reference: &view.reference, keeps };
-        judge.point(seconds, picture)
+        let judge = Judge { objects: &view.buffers.object, tone: &study.tone, keeps };
+        judge.point(&view.reference, seconds, &picture)
     };
     let mut still = Vec::new();
     let shares = (1..=STEPS).map(|step| f64::from(step) / f64::from(STEPS));
@@ -183,7 +227,7 @@ fn outcome(study: &Study, a: &ErrorArguments, entrant: &Entrant, keeps: bool) ->
     let mut curve = ErrorCurve::new(still.first().map_or(0.0, |p| p.corrected.flip));
     still.iter().for_each(|p| curve.push(p.seconds, p.corrected.flip));
     let (walked, shown) = study.walk(entrant, f64::from(a.share));
-    let jod = study.jod(&shown)?;
+    let jod = study.jod(&shown, &study.converged())?;
     let at = |i: usize| i as f64 / f64::from(FRAMES_PER_SECOND);
     let walking: Vec<Point> =
         shown.into_iter().enumerate().map(|(i, picture)| judged(i, at(i), picture)).collect();
@@ -213,7 +257,7 @@ fn rows_of(name: &str, entrants: &[Entrant], outcomes: &[Vec<Outcome>]) -> Vec<R
         let best = others.filter_map(|(_, v)| median(v)).fold(f64::INFINITY, f64::min);
         for (entrant, values) in entrants.iter().zip(&values) {
             let what = format!("{name}, {motion}: {}", entrant.name);
-            let row = Row::new(what, "mean FLIP", values).with_band(values);
+            let row = Row::new(what, "mean FLIP", values).with_band(values).held_against(CONVERGED);
             rows.push(match entrant.policy.policy {
                 Policy::Utility if best.is_finite() => {
                     row.against("best other", Some(best)).aim(Aim::RatioAtMost(1.05))
@@ -223,7 +267,8 @@ fn rows_of(name: &str, entrants: &[Entrant], outcomes: &[Vec<Outcome>]) -> Vec<R
         }
     }
     for (entrant, values) in entrants.iter().zip(values(|o| o.jod)) {
-        rows.push(Row::new(format!("{name}, walking: {}", entrant.name), "JOD", &values).with_band(&values));
+        let row = Row::new(format!("{name}, walking: {}", entrant.name), "JOD", &values).with_band(&values);
+        rows.push(row.held_against(CONVERGED));
     }
     rows
 }
@@ -251,8 +296,9 @@ fn ways(entrants: &[Entrant], outcomes: Vec<Vec<Outcome>>) -> [Vec<Way>; 2] {
     let mut ways = [Vec::new(), Vec::new()];
     for (entrant, outcomes) in entrants.iter().zip(outcomes) {
         let (still, walking) = outcomes.into_iter().map(|o| o.curves.into()).unzip();
-        ways[0].push(Way { name: entrant.name.clone(), runs: still });
-        ways[1].push(Way { name: entrant.name.clone(), runs: walking });
+        for (ways, runs) in ways.iter_mut().zip([still, walking]) {
+            ways.push(Way { runs, ..Way::new(entrant.name.clone(), CONVERGED) });
+        }
     }
     ways
 }

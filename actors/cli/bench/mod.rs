@@ -2,7 +2,11 @@
 
 pub mod error;
 mod error_curves;
+mod error_page;
+mod error_paths;
 mod error_plain;
+mod error_plain_rows;
+mod error_references;
 pub mod first_light;
 pub mod illumination;
 pub mod made;

@@ -33,6 +33,7 @@ use glam::Vec3;
 use crate::cache_ager::angle_limit;
 use crate::cli::arguments::Size;
 use crate::cli::failure::Failure;
+use crate::cli::session::{interrupted, uninterrupted};
 use crate::processor_time::cpu_ns;
 use crate::settings::Settings;
 
@@ -62,6 +63,8 @@ pub(super) struct Traced {
     samples: Vec<SampleBatch>,
     /// Seconds per sample, by object id.
     pub(super) cost: Vec<f64>,
+    /// Seconds of drawing the base layer.
+    pub(super) drawing: f64,
     pub(super) reference: Map2d<Vec3>,
     /// What the splat layer begins with.
     first: Map2d<Vec3>,
@@ -114,7 +117,7 @@ impl Study {
     /// `frames` views along the scene's first path, or from its first camera where it has none.
     ///
     /// # Errors
-    /// If the scene has no camera.
+    /// If the scene has no camera, or Ctrl-C was pressed before all were traced.
     pub(super) fn new(world: World, size: Size, frames: u32, coarse_maps: bool) -> Result<Self, Failure> {
         let nowhere = || Failure::Input(format!("{}: it has no camera", world.scene.name));
         let still = world.scene.cameras.first().ok_or_else(nowhere)?.camera;
@@ -139,7 +142,11 @@ impl Study {
                 first.set(i as u32 + 1, Some(map));
             }
         }
-        let views = (0..frames).map(|i| traced(&world, &first, camera(i), &settings)).collect();
+        let mut views = Vec::new();
+        for i in 0..frames {
+            uninterrupted()?;
+            views.push(traced(&world, &first, camera(i), &settings));
+        }
         let limits = world.scene.objects.iter().map(|o| angle_limit(&world, o.material)).collect();
         Ok(Self { tone: ToneMap::from(&world.scene.display), world, first, views, limits, settings })
     }
@@ -149,6 +156,11 @@ impl Study {
         for view in &mut self.views {
             *view = traced(&self.world, &self.first, view.camera, &self.settings);
         }
+    }
+
+    /// What each view converges to.
+    pub(super) fn converged(&self) -> Vec<Map2d<Vec3>> {
+        self.views.iter().map(|v| v.reference.clone()).collect()
     }
 
     /// Where the walk begins and stands still.
@@ -188,14 +200,13 @@ impl Study {
         (walk, shown)
     }
 
-    /// How near the pictures of a walk come to traced ones, in just objectionable differences: 10 is the same.
-    pub(super) fn jod(&self, shown: &[Map2d<Vec3>]) -> Result<f64, Failure> {
+    /// How near the pictures of a walk come to references, in just objectionable differences: 10 is the same.
+    pub(super) fn jod(&self, shown: &[Map2d<Vec3>], references: &[Map2d<Vec3>]) -> Result<f64, Failure> {
         let (display, camera) = (&self.world.scene.display, &self.still().camera);
         let [width, height] = [self.settings.width, self.settings.height];
         let fov_x = 2.0 * ((0.5 * camera.fov_y).tan() * width as f32 / height as f32).atan();
         let viewing = Viewing::from_centre_of_projection(display.white_cd_m2, width as usize, fov_x);
-        let references: Vec<_> = self.views.iter().map(|v| v.reference.clone()).collect();
-        let jod = video::jod(shown, &references, FRAMES_PER_SECOND, &self.tone, &viewing);
+        let jod = video::jod(shown, references, FRAMES_PER_SECOND, &self.tone, &viewing);
         jod.map(f64::from).map_err(Failure::Check)
     }
 }
@@ -205,7 +216,9 @@ fn traced(world: &World, first: &FirstApproximation, camera: Camera, s: &Setting
     let frame = camera.frame(s.width, s.height);
     let (width, height) = (s.width as usize, s.height as usize);
     let mut buffers = FrameBuffers::new(width, height);
+    let start = cpu_ns();
     twin::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
+    let drawing = 1e-9 * (cpu_ns() - start);
     let mut approximation = Map2d::new(width, height, Vec3::ZERO);
     first.draw(world, &frame, &buffers, &mut approximation);
     let mut statistics = Vec::new();
@@ -232,7 +245,8 @@ fn traced(world: &World, first: &FirstApproximation, camera: Camera, s: &Setting
             *reference.at_mut(x, y) += *color;
         }
     }
-    Traced { camera, frame, buffers, statistics, index, samples, cost, reference, first: approximation }
+    let first = approximation;
+    Traced { camera, frame, buffers, statistics, index, samples, cost, drawing, reference, first }
 }
 
 /// Seconds since `start`, of a decision of some microseconds. Longer than a millisecond it was something else: the
@@ -337,7 +351,8 @@ impl<'s> Walk<'s> {
     fn correct(&mut self, traced: &Traced, until: f64) {
         let display = &self.study.world.scene.display;
         let viewing = Viewing::from_centre_of_projection(display.white_cd_m2, traced.buffers.width(), 1.0);
-        while self.time < until {
+        // A run that was interrupted is thrown away.
+        while self.time < until && !interrupted() {
             let start = Instant::now();
             let Some((job, _)) = self.order.next(&traced.buffers.object) else { break };
             self.deciding += undisturbed(start);

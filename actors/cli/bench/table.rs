@@ -57,6 +57,8 @@ pub struct Row {
     pub aim: Option<Aim>,
     /// 10 and 90 % of the runs, where those are told.
     pub band: Option<[f64; 2]>,
+    /// Of an error: what pictures are held against.
+    pub reference: Option<String>,
 }
 
 impl Row {
@@ -71,13 +73,15 @@ impl Row {
             peer_value: None,
             aim: None,
             band: None,
+            reference: None,
         }
     }
 
     /// With the 10 and 90 % quantiles of the values that the median is of.
     pub fn with_band(mut self, values: &[f64]) -> Self {
         let mut values = values.to_vec();
-        self.band = (values.len() > 1).then(|| [0.1, 0.9].map(|share| quantile(&mut values, share)));
+        self.band = (values.len() > 1 && self.value.is_some())
+            .then(|| [0.1, 0.9].map(|share| quantile(&mut values, share)));
         self
     }
 
@@ -91,6 +95,12 @@ impl Row {
     /// With an aim.
     pub fn aim(mut self, aim: Aim) -> Self {
         self.aim = Some(aim);
+        self
+    }
+
+    /// An error's reference.
+    pub fn held_against(mut self, reference: impl ToString) -> Self {
+        self.reference = Some(reference.to_string());
         self
     }
 
@@ -131,6 +141,7 @@ impl Row {
             "ratio": self.ratio(),
             "aim": self.aim_text(),
             "met": self.met(),
+            "reference": self.reference,
         })
     }
 
@@ -237,10 +248,10 @@ pub fn table_of(title: &str, rows: &[Row]) -> Table {
 fn write_csv(path: &Path, rows: &[Row]) -> Result<(), Failure> {
     let quoted = |s: &str| format!("\"{}\"", s.replace('"', "\"\""));
     let number = |v: Option<f64>| v.map(|v| v.to_string()).unwrap_or_default();
-    let mut text = String::from("what,value,unit,runs,peer,peer_value,ratio,aim,met,low,high\n");
+    let mut text = String::from("what,value,unit,runs,peer,peer_value,ratio,aim,met,low,high,reference\n");
     for r in rows {
         text += &format!(
-            "{},{},{},{},{},{},{},{},{},{},{}\n",
+            "{},{},{},{},{},{},{},{},{},{},{},{}\n",
             quoted(&r.what),
             number(r.value),
             quoted(r.unit),
@@ -252,6 +263,7 @@ fn write_csv(path: &Path, rows: &[Row]) -> Result<(), Failure> {
             r.met().map(|m| m.to_string()).unwrap_or_default(),
             number(r.band.map(|b| b[0])),
             number(r.band.map(|b| b[1])),
+            quoted(r.reference.as_deref().unwrap_or("")),
         );
     }
     write_atomic(path, text.as_bytes())

@@ -172,6 +172,49 @@ fn half_a_sheet_receives_as_much_per_area_as_a_whole_one() {
     }
 }
 
+/// What is reflected is half of the light in this furnace: it is there however soon the time was over.
+#[test]
+fn a_bake_that_was_cut_short_has_indirect_light() {
+    let scene = furnace(0.5);
+    let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
+    let transport = SceneTransport::new(&scene, &accel, &lights);
+    let settings = settings(40_000, 1 << 19, DirectLight::NextEvent);
+    let cut = bake(&scene, &transport, &settings, &|_| false);
+    let summary = &cut.illumination.summary;
+    assert!(!cut.complete && summary.direct_rounds == 0 && summary.has_indirect, "{summary:?}");
+    assert!((summary.mean[0] / 2.0 - 1.0).abs() < 0.03, "{summary:?}");
+}
+
+/// A sheet over two chambers, of which one has a lamp: below the sheet it is dark over the other chamber, everywhere.
+#[test]
+fn dark_backs_stay_dark_beside_lit_ones() {
+    let mut mesh = grid(1, 1, |x, y| Vec3::new(3.0 * x, y, 0.0));
+    for x in [0.0, 1.0, 3.0] {
+        join(&mut mesh, &quad(Vec3::new(x, 0.0, -1.0), Vec3::Y, Vec3::Z), 0);
+    }
+    for y in [0.0, 1.0] {
+        join(&mut mesh, &quad(Vec3::new(0.0, y, -1.0), Vec3::X * 3.0, Vec3::Z), 0);
+    }
+    join(&mut mesh, &quad(Vec3::NEG_Z, Vec3::X * 3.0, Vec3::Y), 0);
+    join(&mut mesh, &quad(Vec3::new(0.4, 0.4, -0.95), Vec3::X * 0.2, Vec3::Y * 0.2), 1);
+    let room = scene(mesh, vec![lambert(0.5, 0.0), lambert(0.5, 5.0)], Vec::new());
+    let map = baked(&room, &settings(20_000, 1 << 17, DirectLight::NextEvent));
+    // Of the two triangles of the sheet.
+    let at = |x: f32, y: f32| {
+        let (t, b1, b2) = if y < x { (0, x - y, y) } else { (1, x, y - x) };
+        let [a, b, c] = room.mesh.corners(t);
+        let p = a * (1.0 - b1 - b2) + b * b1 + c * b2;
+        assert!((p - Vec3::new(3.0 * x, y, 0.0)).length() < 1e-5);
+        map.irradiance(t, b1, b2, true).x
+    };
+    assert!(at(0.5 / 3.0, 0.5) > 0.1);
+    for i in 0..400 {
+        let [x, y] = [(i % 20) as f32, (i / 20) as f32].map(|i| (i + 0.5) / 20.0);
+        // A kernel's width away from the wall.
+        assert_eq!(at((1.6 + 1.4 * x) / 3.0, y), 0.0, "{x} {y}");
+    }
+}
+
 #[test]
 fn a_cube_lit_by_its_ceiling_has_its_means_per_face() {
     let mut scene = furnace(0.5);

@@ -375,8 +375,14 @@ impl Baker<'_> {
         }
         self.add_coarse(&mut values, with);
         let summary = self.summary((0..values.len() as u32).zip(&values), with);
-        let side = |s: usize| values.iter().map(|v| v[s].map(|p| p.value())).collect::<Vec<Value>>();
-        let map = Illumination::new(&self.atlas, side(0), side(1), summary);
+        let front: Vec<Value> = values.iter().map(|v| v[0].map(|p| p.value())).collect();
+        // Where nothing arrives it is dark: no neighbour's light is theirs, as it is that of what nothing is known of.
+        let back = |(i, v): (usize, &[Option<Parts>; 2])| match with.lit_back[i / BLOCK] {
+            true => v[1].map(|p| p.value()),
+            false => Some(Vec4::ZERO),
+        };
+        let back: Vec<Value> = values.iter().enumerate().map(back).collect();
+        let map = Illumination::new(&self.atlas, front, back, summary);
         self.prepared = Some(e.with);
         Some(map)
     }
@@ -489,7 +495,8 @@ impl Baker<'_> {
         if let Some(done) = self.cut {
             let share = 100.0 * done as f64 / self.direct.len() as f64;
             notes.push(format!(
-                "there was time for direct light at {share:.0} % of the elements; the others show that of some of them"
+                "there was time for direct light at {share:.0} % of the elements; the others show that of some of \
+                 them, and indirect light is a first estimate"
             ));
         }
         if self.emitted == 0 && self.transport.power() > 0.0 {

@@ -1,5 +1,6 @@
 //! The first illumination of a scene, within a second: coarse elements, direct light at some of them, some particles.
 
+use glam::Vec3;
 use rayon::prelude::*;
 
 use super::bake::{BLOCK, BakeSettings, Baker, DirectLight};
@@ -18,6 +19,8 @@ const PARTICLES: u64 = 1 << 16;
 const PLACES: usize = 32 * 1024;
 /// Samples of direct light at each of them: what is noisy is smoothed.
 const SAMPLES: u32 = 4;
+/// Particles of a bake that was cut short before it came to any: some hundredths of a second.
+const PARTICLES_CUT_SHORT: u64 = 1 << 14;
 
 /// The first picture: direct light sampled at coarse elements, all other light from few particles with wide
 /// kernels. Nothing in it is guessed: it is a short bake.
@@ -40,12 +43,13 @@ pub fn quick_direct(scene: &Scene, transport: &dyn LightTransport, seed: u64) ->
 }
 
 impl Baker<'_> {
-    /// Ends the first round of direct light where it is, in bounded time: what it did not come to is lit sparsely, and
-    /// estimates are coarse.
+    /// Ends the first round of direct light where it is, in bounded time: what it did not come to is lit sparsely,
+    /// indirect light is that of few particles, and estimates are coarse.
     pub(super) fn cut_short(&mut self) {
         let done = self.direct_block * BLOCK;
         self.gather_sparsely(done);
         (self.cut, self.coarse) = (Some(done), true);
+        self.emit(self.settings.particles.map_or(PARTICLES_CUT_SHORT, |most| most.min(PARTICLES_CUT_SHORT)));
     }
 
     /// Direct light at every so manieth element from `done` on, which speaks for those beside it; so do elements before
@@ -54,26 +58,44 @@ impl Baker<'_> {
         let tree = ClusterTree::build(&self.atlas.elements);
         let run = tree.len().div_ceil(PLACES).max(1);
         let (atlas, transport, seed) = (&self.atlas, &self.transport, self.settings.seed);
-        let at = |members: &[u32]| {
+        // The element that speaks for these, and whether it has been gathered before.
+        let speaker = |members: &[u32]| {
             let index = members[members.len() / 2];
-            if (index as usize) < done || members.iter().all(|&e| (e as usize) < done) {
-                return self.direct[index as usize];
-            }
-            let e = &atlas.elements[index as usize];
+            (index, (index as usize) < done || members.iter().all(|&e| (e as usize) < done))
+        };
+        let light = |index: u32, side: u64| {
+            let (e, back) = (&atlas.elements[index as usize], side == 1);
+            let certain = transport.certain(e.triangle, e.b1, e.b2, back);
+            (certain, move |u| transport.direct(e.triangle, e.b1, e.b2, back, u))
+        };
+        let reaches_back = |members: &[u32]| {
+            let (index, is_done) = speaker(members);
+            let (certain, sample) = light(index, 1);
+            !is_done && (certain != Vec3::ZERO || probe(hash(seed, index.into(), 2), sample))
+        };
+        let gathered = |index: u32, reached: [bool; 2]| {
             [0, 1].map(|side| {
-                let certain = transport.certain(e.triangle, e.b1, e.b2, side == 1);
-                let sample = |u| transport.direct(e.triangle, e.b1, e.b2, side == 1, u);
+                let (certain, sample) = light(index, side);
                 let mut bin = DirectBin::default();
                 bin.set_certain(certain);
-                // Most backs are inside of bodies.
-                if side == 0 || probe(hash(seed, index.into(), 2), sample) {
+                if reached[side as usize] {
                     bin.gather(hash(seed, index.into(), side), SAMPLES, sample);
                 }
                 bin
             })
         };
-        let found: Vec<[DirectBin; 2]> = tree.order().par_chunks(run).map(at).collect();
-        for (members, bins) in tree.order().chunks(run).zip(found) {
+        // Most backs are inside of bodies. Neighbours decide together: an element whose own two looks decided would be
+        // dark wherever they happened to find nothing, and so too dark on the average.
+        let at = |neighbours: &[u32]| -> Vec<[DirectBin; 2]> {
+            let reached = [true, neighbours.chunks(run).any(reaches_back)];
+            let bins = neighbours.chunks(run).map(|members| match speaker(members) {
+                (index, true) => self.direct[index as usize],
+                (index, false) => gathered(index, reached),
+            });
+            bins.collect()
+        };
+        let found: Vec<Vec<[DirectBin; 2]>> = tree.order().par_chunks(run * BLOCK).map(at).collect();
+        for (members, bins) in tree.order().chunks(run).zip(found.into_iter().flatten()) {
             for &e in members.iter().filter(|&&e| e as usize >= done) {
                 self.direct[e as usize] = bins;
             }
@@ -86,8 +108,6 @@ impl Baker<'_> {
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::Ordering;
-
-    use glam::Vec3;
 
     use super::*;
     use crate::illumination::bake::{BLOCKS, bake};
@@ -131,9 +151,12 @@ mod tests {
             let found = short.illumination.lookup(t, 0.3, 0.3, false).x;
             assert!((0.5 * exact..1.2 * exact).contains(&found), "{t}: {found} {exact}");
         }
-        let said = short.illumination.summary.notes.join(" ");
+        // The lamp receives what the floor reflects.
+        let summary = &short.illumination.summary;
+        assert!(summary.has_indirect && summary.particles > 0, "{summary:?}");
+        let said = summary.notes.join(" ");
         assert!(
-            said.contains("direct light at 40 %") && said.contains("no time for indirect light"),
+            said.contains("direct light at 40 %") && said.contains("indirect light is a first estimate"),
             "{said}"
         );
         let (again, same) = cut(3);
@@ -154,5 +177,34 @@ mod tests {
         assert!(other.restore(&wrong));
         wrong.direct.pop();
         assert!(!other.restore(&wrong));
+    }
+
+    /// A thin sheet half-way between two small lamps, the upper one seven times as bright: samples at the back find their
+    /// lamp in one of eight cases only, so that two looks at an element mostly miss it.
+    #[test]
+    fn the_back_of_a_thin_sheet_receives_what_its_lamp_sends() {
+        let mut mesh = grid(60, 60, |x, y| Vec3::new(x - 0.5, y - 0.5, 0.0));
+        let sheet = mesh.triangles.len() as u32;
+        // Squares of 0.1, 2 above and 2 below, facing the sheet.
+        join(&mut mesh, &quad(Vec3::new(-0.05, -0.05, 2.0), Vec3::Y * 0.1, Vec3::X * 0.1), 1);
+        join(&mut mesh, &quad(Vec3::new(-0.05, -0.05, -2.0), Vec3::X * 0.1, Vec3::Y * 0.1), 2);
+        let materials = vec![lambert(0.5, 0.0), lambert(0.1, 2800.0), lambert(0.1, 400.0)];
+        let room = scene(mesh, materials, Vec::new());
+        let transport = Lambertian::new(&room);
+        // L A cos⁴ / d² of a point, all over the sheet.
+        let exact = |x: f32, y: f32, radiance: f32| radiance * 0.01 * 4.0 / (x * x + y * y + 4.0).powi(2);
+        for seed in [1, 2, 3] {
+            let map = quick_direct(&room, &transport, seed);
+            for back in [false, true] {
+                let (mut sum, mut expected) = (0.0, 0.0);
+                for t in 0..sheet {
+                    let [a, b, c] = room.mesh.corners(t);
+                    let p = (a + b + c) / 3.0;
+                    sum += map.lookup(t, 1.0 / 3.0, 1.0 / 3.0, back).x;
+                    expected += exact(p.x, p.y, if back { 400.0 } else { 2800.0 });
+                }
+                assert!((sum / expected - 1.0).abs() < 0.03, "{seed} {back}: {}", sum / expected);
+            }
+        }
     }
 }

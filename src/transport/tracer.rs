@@ -6,9 +6,10 @@
 //! [`Tracer::radiance`] adds the same two terms at every surface that a ray ends on.
 //!
 //! Mirrors and clear glass branch; glossy lobes send distributed rays and light samples, joined by multiple
-//! importance sampling. Below `Settings::min_contribution` of the pixel, Russian roulette decides, so the
-//! expectation does not change. Random numbers come from the given stream alone. Absent on purpose: diffuse
-//! bounces (the stored illumination has them) and light through refracting glass from lights without area.
+//! importance sampling. Below `Settings::min_contribution` of the pixel, Russian roulette decides, and chance chooses
+//! between reflection and refraction, so the expectation does not change. Random numbers come from the given stream
+//! alone. Absent on purpose: diffuse bounces (the stored illumination has them) and light through refracting glass from
+//! lights without area.
 
 use std::f32::consts::FRAC_1_PI;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -29,16 +30,17 @@ use crate::scene::Scene;
 /// How much is traced for one sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Distributed rays of a glossy lobe on the surface that is looked at, fewer where it returns less than half of the
-    /// light; 1 on what it reflects.
+    /// Distributed rays of a glossy lobe on the surface that is looked at; 1 on what it reflects. A coat returns little
+    /// of the light, but over a dark base it is most of what is seen.
     pub glossy_samples: u32,
-    /// Light samples of a glossy lobe there, fewer likewise; 1 on what it reflects. 0: none anywhere.
+    /// Light samples of a glossy lobe there, fewer where it returns less than half of the light; 1 on what it reflects.
+    /// 0: none anywhere.
     pub light_samples: u32,
-    /// Surfaces along a ray at which both reflection and refraction are followed; later ones choose one.
-    pub split_depth: u32,
     /// Surfaces that one ray may meet in a row.
     pub max_depth: u32,
-    /// Share of the sample's value below which a ray goes on with a probability only.
+    /// Share of the sample's value below which a ray goes on with a probability only, carrying this share. Where a ray
+    /// carries no more than that, either reflection or refraction is followed, else both: a bright light that is seen
+    /// over many surfaces shows as noise of this strength, not of its own.
     pub min_contribution: f32,
     /// Most that one chain glossy → mirror or glass → light may add, in units of display white. No light sampling
     /// finds such chains, so that they come as lone bright pixels; the bound makes them a little too dark instead.
@@ -56,9 +58,8 @@ impl Default for Settings {
         Self {
             glossy_samples: 4,
             light_samples: 2,
-            split_depth: 2,
             max_depth: 64,
-            min_contribution: 1.0 / 32.0,
+            min_contribution: 1.0 / 200.0,
             caustic_bound: 0.1,
             repeats_max: 16,
             outlier: 0.02,
@@ -246,7 +247,7 @@ impl<'a> Tracer<'a> {
     fn scatter(&self, at: &Interaction, bsdf: &Bsdf, branch: Branch, mut stream: Stream) -> Vec3 {
         let mut sum = Vec3::ZERO;
         let lobes = bsdf.delta_lobes(at.wo);
-        if lobes.iter().all(Option::is_some) && branch.depth >= self.settings.split_depth {
+        if lobes.iter().all(Option::is_some) && branch.contribution <= self.settings.min_contribution {
             return match bsdf.sample(at.wo, stream.next_2d(), stream.next_f32()) {
                 Some(sample) => self.follow_sample(at, &sample, branch, None, stream),
                 None => Vec3::ZERO,
@@ -272,12 +273,19 @@ impl<'a> Tracer<'a> {
         let is_unconfirmed = |largest: f32, sum: Vec3, estimates: f32| {
             largest * added > self.settings.outlier * estimates && 2.0 * largest > sum.max_element()
         };
-        while !branch.repeats && estimates < most && is_unconfirmed(largest, sum, estimates) {
+        let repeats = !branch.repeats && self.settings.repeats_max > 1;
+        while repeats && estimates < most && is_unconfirmed(largest, sum, estimates) {
             let again = stream.split(u64::MAX - estimates as u64).independent();
             let (more, brightest) = self.glossy(at, bsdf, next, again);
             sum += more;
             largest = largest.max(brightest);
             estimates += 1.0;
+        }
+        if repeats && is_unconfirmed(largest, sum, estimates) {
+            // Nothing found it again: it counts no more than all else, or than what needs no confirmation.
+            let others = sum.max_element() - largest;
+            let bound = others.max(self.settings.outlier * estimates / added);
+            sum *= (others + bound) / (others + largest);
         }
         sum / estimates
     }
@@ -325,15 +333,18 @@ impl<'a> Tracer<'a> {
         (sum, largest)
     }
 
-    /// Distributed rays and light samples of a glossy lobe. A lobe that returns little of the light adds as little
-    /// noise, so that a coat is sampled less than a metal.
+    /// Distributed rays and light samples of a glossy lobe, on the surface that is looked at (`first`) or beyond.
     fn sample_counts(&self, at: &Interaction, bsdf: &Bsdf, first: bool) -> (u32, u32) {
-        /// The share of light from which on all are taken.
+        /// The share of light from which on all light samples are taken.
         const ALL: f32 = 0.5;
-        let share = if first { bsdf.view_dependent_albedo(at.wo).max_element() / ALL } else { 0.0 };
-        let of = |all: u32| ((all as f32 * share).ceil() as u32).clamp(1, all.max(1));
-        let lights = if bsdf.is_delta() || self.lights.is_empty() { 0 } else { self.settings.light_samples };
-        (of(self.settings.glossy_samples), of(lights).min(lights))
+        let none = bsdf.is_delta() || self.lights.is_empty();
+        let lights = if none { 0 } else { self.settings.light_samples };
+        if !first {
+            return (1, lights.min(1));
+        }
+        let share = bsdf.view_dependent_albedo(at.wo).max_element() / ALL;
+        let some = (lights as f32 * share).ceil() as u32;
+        (self.settings.glossy_samples.max(1), some.max(1).min(lights))
     }
 
     /// Radiance that arrives along a sampled direction, times its weight.

@@ -33,7 +33,6 @@ impl Prepared {
 const EXACT: Settings = Settings {
     glossy_samples: 4,
     light_samples: 2,
-    split_depth: 64,
     max_depth: 64,
     min_contribution: 0.0,
     caustic_bound: f32::INFINITY,
@@ -213,7 +212,8 @@ fn closed_rooms_do_not_leak_at_any_scale() {
     }
 }
 
-/// Choosing between reflection and refraction, at once or further on, gives the mean of following both.
+/// Choosing between reflection and refraction, at once or further on, gives the mean of following both, with the less
+/// noise the less is left to chance.
 #[test]
 fn choosing_a_branch_keeps_the_mean() {
     let mut b = Builder::default();
@@ -226,9 +226,18 @@ fn choosing_a_branch_keeps_the_mean() {
     let p = Prepared::new(b.scene(), 1.0);
     let ray = Ray::new(Vec3::new(0.5, 0.3, -3.0), Vec3::Z);
     let (exact, _) = p.trace(ray, 1, Settings { min_contribution: 1e-5, ..EXACT });
-    for split_depth in [0, 1, 2] {
-        let (value, error) = p.trace(ray, 20_000, Settings { split_depth, ..EXACT });
-        assert!((value - exact).abs() < 4.0 * error + 1e-4, "{split_depth}: {value} ± {error}, not {exact}");
-        assert!(error > 0.0, "chance decides nothing at depth {split_depth}");
+    let mut last = f64::INFINITY;
+    for min_contribution in [1.0, 0.05, 0.005] {
+        let (value, error) = p.trace(ray, 20_000, Settings { min_contribution, ..EXACT });
+        assert!(
+            (value - exact).abs() < 4.0 * error + 1e-4,
+            "{min_contribution}: {value} ± {error}, not {exact}"
+        );
+        assert!(error > 0.0, "chance decides nothing below {min_contribution}");
+        assert!(
+            error < 0.5 * last,
+            "{min_contribution}: the noise is that of what is left to chance, {error}"
+        );
+        last = error;
     }
 }

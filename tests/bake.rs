@@ -55,7 +55,7 @@ fn a_bake_that_was_interrupted_goes_on_to_the_same_bits() {
 }
 
 /// A scene in which nothing touches anything else, with no time at all: the direct light of some of its 300,000 elements
-/// lights the others, and the next one goes on.
+/// lights the others, indirect light is a first estimate, and the next one goes on.
 #[test]
 fn a_soup_of_triangles_is_baked_in_time() {
     let folder = folder("soup");
@@ -72,7 +72,7 @@ fn a_soup_of_triangles_is_baked_in_time() {
     let bake = || {
         let line = "bake --time 1ms --texels 4096 --resume --json --out";
         let d = Foveal::new(line).arg(&file).arg(&scene).ok().json();
-        assert!(d["complete"] == false && d["particles"] == 0, "{d}");
+        assert!(d["complete"] == false && d["has_indirect"] == true, "{d}");
         assert!(d["texels"].as_u64() > Some(200_000) && d["mean_irradiance"][1].as_f64() > Some(0.0), "{d}");
         let said = d["warnings"].to_string();
         let share = said.split("direct light at ").nth(1).and_then(|s| s.split(' ').next());

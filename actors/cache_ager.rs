@@ -12,8 +12,7 @@ use foveal::world::World;
 use foveal_runtime::{Actor, Address, Cx, Loader, Saver};
 use xxhash_rust::xxh3::Xxh3;
 
-use crate::message::cache_ager::Forget;
-use crate::message::saved::{load_batch, save_batch};
+use crate::message::saved::Saved;
 use crate::message::{CacheAgerMessage, RendererMessage, View};
 use crate::outbox::Outbox;
 use crate::settings::Settings;
@@ -48,6 +47,11 @@ impl CacheAger {
         }
     }
 
+    /// Settings as it was last told of them.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
     /// Number of samples kept.
     pub fn len(&self) -> usize {
         self.cache.len()
@@ -63,19 +67,12 @@ impl CacheAger {
         self.cache.len_per_level()
     }
 
-    fn on_camera_moved(
-        &mut self,
-        view: View,
-        frame: &CameraFrame,
-        forget: Forget,
-        cx: &mut Cx<'_, CacheAgerMessage>,
-    ) {
+    fn on_camera_moved(&mut self, view: View, frame: &CameraFrame, cx: &mut Cx<'_, CacheAgerMessage>) {
         let limits = &self.angle_limits;
-        let expired = self.stages.time(Stage::Age, || match forget {
-            Forget::Everything => self.cache.clear(),
-            Forget::Nothing => self.cache.age(view.0, frame.eye, &self.settings.ageing, |object| {
+        let expired = self.stages.time(Stage::Age, || {
+            self.cache.age(view.0, frame.eye, &self.settings.ageing, |object| {
                 limits.get(object as usize).copied().unwrap_or(-1.0)
-            }),
+            })
         });
         let samples = self.stages.time(Stage::WarpSplat, || warp(&self.cache, view.0, frame));
         let hash = digest(&samples);
@@ -93,7 +90,7 @@ impl CacheAger {
 /// mirrors, whose reflections slide but keep their look under small turns, more for rough lobes
 /// (REFERENCE §11: half of atan α on top).
 pub fn angle_limit(world: &World, material: foveal::scene::MaterialId) -> f32 {
-    use foveal::scene::Model;
+    use foveal::{math, scene::Model};
     const SMOOTH_DEGREES: f32 = 4.0;
     let alpha = match &world.scene.materials[material.0 as usize].model {
         Model::Lambert { .. } | Model::Mirror { .. } => 0.0,
@@ -104,7 +101,7 @@ pub fn angle_limit(world: &World, material: foveal::scene::MaterialId) -> f32 {
         | Model::CookTorrance { roughness, .. }
         | Model::Ward { roughness, .. } => roughness.alpha_x.max(roughness.alpha_y),
     };
-    (SMOOTH_DEGREES.to_radians() + 0.5 * alpha.atan()).cos()
+    math::cos(SMOOTH_DEGREES.to_radians() + 0.5 * math::atan(alpha))
 }
 
 fn digest(samples: &[WarpedSample]) -> u64 {
@@ -131,9 +128,7 @@ impl Actor for CacheAger {
 
     fn handle(&mut self, message: CacheAgerMessage, cx: &mut Cx<'_, CacheAgerMessage>) {
         match message {
-            CacheAgerMessage::CameraMoved { view, frame, forget } => {
-                self.on_camera_moved(view, &frame, forget, cx)
-            }
+            CacheAgerMessage::CameraMoved { view, frame } => self.on_camera_moved(view, &frame, cx),
             CacheAgerMessage::SamplesTraced { batch, hash: _ } => self.on_samples_traced(batch),
             CacheAgerMessage::Adjusted(adjustment) => self.settings.adjust(&adjustment),
             CacheAgerMessage::SendAgain => self.outbox.send(cx),
@@ -148,14 +143,14 @@ impl Actor for CacheAger {
         // The rest of the settings does not change.
         saver.put(&settings.ageing);
         saver.put(&(cache.shared().count() as u64));
-        cache.shared().for_each(|batch| save_batch(saver, batch));
+        cache.shared().for_each(|batch| batch.save(saver));
     }
 
     fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
         self.settings.ageing = loader.take()?;
         let count: u64 = loader.take()?;
         for _ in 0..count {
-            self.cache.insert(load_batch(loader)?);
+            self.cache.insert(Saved::restore(loader)?);
         }
         Some(())
     }

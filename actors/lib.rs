@@ -1,4 +1,4 @@
-//! The actors of foveal, their messages and wiring, and the program's command line.
+//! The actors of foveal, their messages and wiring.
 //!
 //! | actor | owns | decides |
 //! | --- | --- | --- |
@@ -13,17 +13,14 @@
 pub mod allocator;
 pub mod analyzer;
 pub mod cache_ager;
-pub mod cli;
 pub mod illuminator;
 pub mod insight;
 pub mod message;
-pub mod outbox;
-pub mod processor_time;
+mod outbox;
 pub mod renderer;
 pub mod settings;
+#[expect(clippy::disallowed_methods, reason = "durations that no actor can read")]
 pub mod stages;
 pub mod textures;
 pub mod tracer;
-#[cfg(feature = "window")]
-pub mod window;
 pub mod wiring;

@@ -6,7 +6,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use foveal_runtime::{Address, Cx, Job, JobPool, Message};
+use foveal_runtime::{Address, Cx, Job, JobPool, Message, Reason, Rejected};
 
 /// How long a message that came back waits.
 const WAIT: Duration = Duration::from_millis(1);
@@ -35,9 +35,14 @@ struct Letter<N: Message> {
 impl<M: Message, N: Message> Posting<M> for Letter<N> {
     fn post(&mut self, cx: &mut Cx<'_, M>) -> bool {
         let Some(message) = self.message.take() else { return true };
-        self.message = cx.tell(&self.to, message).err().map(|rejected| rejected.message);
+        self.message = cx.tell(&self.to, message).err().and_then(wanted);
         self.message.is_none()
     }
+}
+
+/// What came back, if it can ever be accepted: whoever has stopped takes nothing, and must not keep others from theirs.
+fn wanted<T>(Rejected { message, reason }: Rejected<T>) -> Option<T> {
+    (reason != Reason::Stopped).then_some(message)
 }
 
 struct Order<J: Job> {
@@ -66,7 +71,7 @@ impl<M: Message> Outbox<M> {
     pub fn tell<N: Message>(&mut self, cx: &mut Cx<'_, M>, to: &Address<N>, message: N) {
         self.flush(cx);
         let rejected = match self.waiting.is_empty() {
-            true => cx.tell(to, message).err().map(|rejected| rejected.message),
+            true => cx.tell(to, message).err().and_then(wanted),
             false => Some(message),
         };
         if rejected.is_some() {
@@ -96,6 +101,9 @@ impl<M: Message> Outbox<M> {
     }
 
     /// Number of messages and jobs that wait.
+    ///
+    /// Credits bound them: jobs in flight and their answers, one drop of textures at a time. What is sent for every frame is
+    /// of the newest-only kind, which a full mailbox does not give back.
     pub fn len(&self) -> usize {
         self.waiting.len()
     }

@@ -4,6 +4,7 @@ use foveal::allocation::policy::{Policy, RayPolicy};
 use foveal::display::tone::ToneMap;
 use foveal::perception::importance::Weights;
 use foveal::sampling::Lattice;
+use foveal::scene::Display;
 use foveal::splatting::supersampling::Supersampling;
 use foveal::splatting::{AgeingRules, Footprint};
 
@@ -38,6 +39,15 @@ pub struct Settings {
     pub supersampling: Option<Supersampling>,
     /// Winner takes all: the most attended object converges before the next.
     pub winner_takes_all: bool,
+    /// Whether pixels that no sample has reached show a first approximation; else they show nothing but their base
+    /// light, as both papers draw them.
+    #[serde(default = "approximates")]
+    pub approximates: bool,
+}
+
+/// Recordings of before it could be chosen.
+fn approximates() -> bool {
+    true
 }
 
 /// What the user may change while walking. Each change reaches the actors as a recorded message.
@@ -69,6 +79,23 @@ pub struct Adjustment {
 }
 
 impl Adjustment {
+    /// What settings and a display begin with, at ten frames a second.
+    pub fn of(settings: &Settings, display: &Display) -> Self {
+        Self {
+            fps: 10.0,
+            quality: None,
+            workers: settings.tracers,
+            policy: settings.policy.policy,
+            saliency_weight: settings.saliency_weight,
+            samples_per_job: settings.samples_per_job,
+            ageing: settings.ageing,
+            environment_bytes: settings.environment_bytes,
+            texture_bytes: None,
+            refine: settings.supersampling,
+            tone: ToneMap::from(display),
+        }
+    }
+
     /// All values as bytes, for a hash.
     pub fn to_bytes(&self) -> Vec<u8> {
         postcard::to_stdvec(self).unwrap_or_default()
@@ -103,6 +130,7 @@ impl Settings {
             environment_bytes: 64 << 20,
             supersampling: None,
             winner_takes_all: false,
+            approximates: approximates(),
         }
     }
 

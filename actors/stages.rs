@@ -2,9 +2,8 @@
 //! without a lock. Measured, never read by an actor: they decide nothing.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
-
-use crossbeam_queue::SegQueue;
 
 /// The stages of the first paper's §5 and of the report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -51,9 +50,21 @@ impl Stage {
     }
 }
 
-/// Collects durations from all actors.
+/// When something began.
+#[derive(Clone, Copy, Debug)]
+pub struct Begun(Instant);
+
+/// Sums of durations by stage, of all actors: they take no room however long nobody looks.
 #[derive(Clone, Debug, Default)]
-pub struct StageTimes(Arc<SegQueue<(Stage, Duration)>>);
+pub struct StageTimes(Arc<[Sum; Stage::ALL.len()]>);
+
+/// Durations of one stage since somebody looked.
+#[derive(Debug, Default)]
+struct Sum {
+    nanoseconds: AtomicU64,
+    /// So many of them.
+    count: AtomicU64,
+}
 
 impl StageTimes {
     /// Times `work`.
@@ -64,13 +75,45 @@ impl StageTimes {
         result
     }
 
-    /// Adds a duration measured elsewhere.
-    pub fn add(&self, stage: Stage, duration: Duration) {
-        self.0.push((stage, duration));
+    /// Begins to time what goes on beyond one turn. Whoever holds it cannot read it.
+    pub fn begin(&self) -> Begun {
+        Begun(Instant::now())
     }
 
-    /// Everything added since the last call.
-    pub fn drain(&self) -> Vec<(Stage, Duration)> {
-        std::iter::from_fn(|| self.0.pop()).collect()
+    /// Adds the time since it was begun.
+    pub fn end(&self, stage: Stage, begun: Begun) {
+        self.add(stage, begun.0.elapsed());
+    }
+
+    /// Adds a duration measured elsewhere.
+    pub fn add(&self, stage: Stage, duration: Duration) {
+        let sum = &self.0[stage as usize];
+        sum.nanoseconds.fetch_add(duration.as_nanos() as u64, Ordering::Relaxed);
+        sum.count.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// The sum of each stage that had any since the last call.
+    pub fn take(&self) -> Vec<(Stage, Duration)> {
+        let taken = |stage: Stage| {
+            let sum = &self.0[stage as usize];
+            let any = sum.count.swap(0, Ordering::Relaxed) > 0;
+            any.then(|| (stage, Duration::from_nanos(sum.nanoseconds.swap(0, Ordering::Relaxed))))
+        };
+        Stage::ALL.into_iter().filter_map(taken).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sums_are_taken_once() {
+        let times = StageTimes::default();
+        (0..1000).for_each(|_| times.add(Stage::WarpSplat, Duration::from_micros(3)));
+        times.add(Stage::Age, Duration::ZERO);
+        let expected = [(Stage::Age, Duration::ZERO), (Stage::WarpSplat, Duration::from_millis(3))];
+        assert_eq!(times.take(), expected);
+        assert_eq!(times.take(), []);
     }
 }

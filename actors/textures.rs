@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crossbeam_queue::SegQueue;
+use crossbeam_queue::ArrayQueue;
 use foveal::allocation::residency::{TextureFacts, smallest};
 use foveal::allocation::spatial_error::{SpatialErrors, SpatialSettings, TexelDifference};
 use foveal::perception::viewing::{pixels_per_degree_of_camera, pixels_per_degree_of_screen};
@@ -57,8 +57,8 @@ pub struct TextureStore {
     /// Content of each, which names its files.
     contents: Vec<[u8; 32]>,
     folder: PathBuf,
-    /// What the allocator did, for whoever wants to know; nobody decides by it.
-    pub reports: SegQueue<TextureReport>,
+    /// What the allocator did last, for whoever wants to know; nobody decides by it.
+    pub report: ArrayQueue<TextureReport>,
     /// What could not be kept on disk; levels of these cannot come back once they are dropped.
     pub warnings: Vec<String>,
 }
@@ -108,7 +108,7 @@ impl TextureStore {
             means: Vec::new(),
             contents: Vec::new(),
             folder: folder.to_owned(),
-            reports: SegQueue::new(),
+            report: ArrayQueue::new(1),
             warnings: Vec::new(),
         };
         for (facts, content, problem) in measured {

@@ -9,6 +9,15 @@
 //! | allocator | views, ranks, one answer for each job in flight | jobs in flight are bounded by `Settings::jobs_in_flight` |
 //! | illuminator | its own word to go on | it is the only sender |
 //! | analyzer | one frame, the newest | |
+//!
+//! What a panic does to each of them:
+//!
+//! | actor | its panic | because |
+//! | --- | --- | --- |
+//! | tracer | its job goes back, it goes on | it tells only after it has traced |
+//! | analyzer | it starts anew | the next frame says all it has to know |
+//! | cache ager | it starts anew, without samples; the renderer tells it again what the user changed | samples are only reused |
+//! | allocator, renderer, illuminator | the walk ends in order | nobody else knows what is out, shown, or baked so far |
 
 use std::sync::Arc;
 
@@ -19,7 +28,7 @@ use foveal::world::World;
 use foveal_runtime::{Bounds, Declared, Handle, JobPool, OnPanic, Port, Wiring};
 
 use crate::allocator::Allocator;
-use crate::allocator::environments::Environments;
+use crate::allocator::maps::Environments;
 use crate::allocator::textures::Textures;
 use crate::analyzer::Analyzer;
 use crate::cache_ager::CacheAger;
@@ -123,11 +132,11 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
     let illuminator = refinement.map(|refinement| {
         let declared: Declared<Illuminator> = wiring.declare(Bounds::messages(4));
         let actor = Illuminator::new(refinement, renderer.address());
-        wiring.spawn(declared, actor)
+        wiring.spawn(declared, actor, OnPanic::End)
     });
     let Some(probes) = probes else {
         let actor = Renderer::new(settings, world, passes, None, None, stages, sink).awaiting_light(refines);
-        let renderer = wiring.spawn(renderer, actor);
+        let renderer = wiring.spawn(renderer, actor, OnPanic::End);
         return Actors { input, renderer, correction: None, tracers: Vec::new(), pool: None, illuminator };
     };
     let cache_ager: Declared<CacheAger> = wiring.declare(Bounds::messages(batches + 64));
@@ -136,6 +145,7 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
         wiring.declare(Bounds::messages(2 * settings.jobs_in_flight() as usize + 256));
     let pool: JobPool<TraceJob> = wiring.pool(settings.jobs_in_flight() as usize + 64);
     wiring.supervisor(&allocator.address(), AllocatorMessage::Incident);
+    wiring.gives_up(&pool, &allocator.address(), AllocatorMessage::JobDead);
     let (mut addresses, mut tracers) = (Vec::new(), Vec::new());
     for index in 0..settings.tracers {
         let tracer: Declared<Tracer> = wiring.declare(Bounds::messages(4));
@@ -157,12 +167,14 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
     };
     let correction = Correction {
         cache_ager: {
-            let actor = CacheAger::new(settings, &world, renderer.address(), stages.clone());
-            wiring.spawn(cache_ager, actor)
+            let (world, renderer, stages) = (world.clone(), renderer.address(), stages.clone());
+            let anew = move || CacheAger::new(settings, &world, renderer.clone(), stages.clone());
+            wiring.spawn(cache_ager, anew(), OnPanic::restart(anew))
         },
         analyzer: {
-            let actor = Analyzer::new(allocator.address(), stages.clone());
-            wiring.spawn(analyzer, actor)
+            let (allocator, stages) = (allocator.address(), stages.clone());
+            let anew = move || Analyzer::new(allocator.clone(), stages.clone());
+            wiring.spawn(analyzer, anew(), OnPanic::restart(anew))
         },
         allocator: {
             let environments = Environments::new(world.clone(), probes.clone(), settings.environment_bytes);
@@ -175,13 +187,13 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
                 textures.and_then(|store| Textures::new(store, &world)),
                 stages.clone(),
             );
-            let actor = actor.looked_on_by(insight);
-            wiring.spawn(allocator, actor)
+            let actor = actor.looked_on_by(insight).with_cache_ager(neighbours.cache_ager.id());
+            wiring.spawn(allocator, actor, OnPanic::End)
         },
     };
-    let approximation = Some(FirstApproximation::new(probes));
+    let approximation = settings.approximates.then(|| FirstApproximation::new(probes));
     let actor = Renderer::new(settings, world, passes, Some(neighbours), approximation, stages, sink)
         .awaiting_light(refines);
-    let renderer = wiring.spawn(renderer, actor);
+    let renderer = wiring.spawn(renderer, actor, OnPanic::End);
     Actors { input, renderer, correction: Some(correction), tracers, pool: Some(pool), illuminator }
 }

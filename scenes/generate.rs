@@ -7,8 +7,6 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use foveal_actors::cli::bench::made::generate;
-
 fn main() -> ExitCode {
     let mut out = None;
     let mut large = false;
@@ -27,8 +25,8 @@ fn main() -> ExitCode {
         return ExitCode::from(2);
     };
     let sizes: &[usize] = if large { &[100_000, 300_000, 1_000_000] } else { &[] };
-    let bundled = generate::BUNDLED.iter().map(|(_, make)| make());
-    for scene in bundled.chain(sizes.iter().map(|&n| generate::hall(n))) {
+    let bundled = foveal_scenes::BUNDLED.iter().map(|(_, make)| make());
+    for scene in bundled.chain(sizes.iter().map(|&n| foveal_scenes::hall(n))) {
         let scene = match scene {
             Ok(scene) => scene,
             Err(error) => {

@@ -2,6 +2,8 @@
 
 use glam::Vec3;
 
+use crate::math;
+
 /// A row-major map of `width × height` values.
 #[derive(Clone, Debug, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Map2d<T> {
@@ -86,11 +88,6 @@ impl<T: Copy> Map2d<T> {
         &self.data[y * self.width..(y + 1) * self.width]
     }
 
-    /// The values, without the shape.
-    pub fn into_vec(self) -> Vec<T> {
-        self.data
-    }
-
     /// A map of `f(value)`, of the same shape.
     pub fn map<U: Copy>(&self, f: impl FnMut(T) -> U) -> Map2d<U> {
         Map2d { width: self.width, height: self.height, data: self.data.iter().copied().map(f).collect() }
@@ -106,13 +103,13 @@ pub fn luminance(rgb: Vec3) -> f32 {
 /// sRGB opto-electronic transfer: linear [0, 1] to display value [0, 1].
 #[inline]
 pub fn srgb_from_linear(v: f32) -> f32 {
-    if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+    if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * math::powf(v, 1.0 / 2.4) - 0.055 }
 }
 
 /// sRGB electro-optical transfer: display value [0, 1] to linear [0, 1].
 #[inline]
 pub fn linear_from_srgb(v: f32) -> f32 {
-    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+    if v <= 0.04045 { v / 12.92 } else { math::powf((v + 0.055) / 1.055, 2.4) }
 }
 
 #[cfg(test)]

@@ -6,6 +6,8 @@
 //! [`display`] (frame buffers, the CPU twin) → [`perception`] → [`sampling`] (√5 lattice) →
 //! [`splatting`] (footprints, sample cache, ageing, warp) → [`allocation`] → [`metrics`].
 //!
+//! [`math`] stands before them all: sines and powers with the same bits on every machine.
+//!
 //! Nothing in here knows an actor, a channel, a clock or a GPU, and nothing prints.
 
 pub mod allocation;
@@ -13,6 +15,7 @@ pub mod display;
 pub mod geometry;
 pub mod illumination;
 pub mod image;
+pub mod math;
 pub mod metrics;
 pub mod perception;
 pub mod rng;

@@ -15,7 +15,7 @@ use foveal::scene::load::load;
 use foveal::transport::light::Lights;
 use foveal::transport::particle::SceneTransport;
 use foveal::world::World;
-use foveal_actors::cli::reference::traced_picture;
+use foveal_engine::reference::traced_picture;
 use glam::Vec3;
 
 use crate::support::scene;

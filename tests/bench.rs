@@ -125,7 +125,7 @@ fn errors_beside_plain_alternatives() {
 /// Whoever doubts our figures measures in a scene of theirs.
 #[test]
 fn errors_of_every_order_in_a_scene_of_ones_own() {
-    let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes");
+    let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes");
     let measure = |scene: &Path| {
         Foveal::new("bench error --size 24x18 --frames 2 --runs 2 --policies utility,uniform").arg(scene)
     };

@@ -4,14 +4,13 @@ use std::collections::BTreeSet;
 use std::fs;
 
 use crate::support::root;
-use foveal_actors::cli::bench::made::generate;
 
 /// Text byte by byte; pictures pixel by pixel, since another version of an encoder may pack them otherwise.
 #[test]
 fn scenes_are_the_generators_output() {
     let again = "run `cargo run --release --example scenes -- scenes`";
     let mut made = BTreeSet::new();
-    for (_, make) in generate::BUNDLED {
+    for (_, make) in foveal_scenes::BUNDLED {
         let scene = make().expect("textures");
         let folder = root().join("scenes").join(&scene.name);
         for (name, bytes) in &scene.files {

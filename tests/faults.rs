@@ -10,9 +10,9 @@ use std::time::Duration;
 use foveal::illumination::Irradiance;
 use foveal::scene::load::load;
 use foveal::world::World;
-use foveal_actors::cli::reference::traced_picture;
 use foveal_actors::renderer::Renderer;
 use foveal_actors::settings::Settings;
+use foveal_engine::reference::traced_picture;
 use glam::Vec3;
 
 use crate::support::{CHEAP_BAKE, Foveal, assert_same_bits, folder, scene};
@@ -53,8 +53,7 @@ fn stumble(every: u64, hangs: bool) -> usize {
         system.frame(|_| true);
     }
     system.converge();
-    let shown =
-        system.runtime.inspect(system.actors.renderer, Renderer::picture).flatten().expect("a picture");
+    let shown = system.engine.look(Renderer::picture).flatten().expect("a picture");
     let frame = system.camera.frame(64, 48);
     assert_same_bits(&shown, &traced_picture(&world, &frame, 0, 1, &|| true), "after faults");
     let (lost, incidents) = system.stop_and(|a| (a.lost_jobs(), a.incidents().len())).expect("an allocator");

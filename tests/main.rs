@@ -3,6 +3,8 @@
 //! The program runs as a process of its own, on the bundled scenes at small sizes, with illumination baked
 //! cheaply into a folder that the tests of one run share.
 
+#![allow(clippy::disallowed_methods, reason = "tests run outside of actors")]
+
 mod approximation;
 mod bake;
 mod bench;

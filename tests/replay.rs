@@ -299,11 +299,43 @@ fn simulated_walks_lose_nothing_whatever_goes_wrong() {
     }
 }
 
+/// Light that grows, textures that do not fit, workers that rest, and everything that can go wrong, at once.
+#[test]
+fn simulated_walks_lose_nothing_under_a_limit_and_growing_light() {
+    for more in ["--texture-budget 450000", "--texture-budget 450000 --grow", "--grow"] {
+        let words = "simulate --seeds 0..8 --size 32x32 --faults panic,delay,stall,slow,full,torn-log,disk-full --twice";
+        let d = Foveal::new(&format!("{words} {more}")).arg(scene("gallery")).json();
+        assert_eq!((&d["seeds"], &d["failures"]), (&8.into(), &serde_json::json!([])), "{more}");
+    }
+    Foveal::new("simulate --seeds 0..1 --texture-budget 1kB").arg(scene("gallery")).fails(4, &["1000 bytes"]);
+}
+
+#[test]
+fn whoever_panics_the_walk_goes_on_or_ends_in_order() {
+    // A quarter of the seeds may end; the light grows, so that each of the six actors has its panics.
+    let words = "simulate --seeds 0..48 --size 48x48 --faults panic --grow --twice";
+    let d = Foveal::new(words).arg(scene("box")).json();
+    assert_eq!((&d["seeds"], &d["failures"]), (&48.into(), &serde_json::json!([])));
+    let ends = ["renderer:panic:9", "allocator:panic:3", "illuminator:panic:2"];
+    for fault in ends {
+        let words = format!("simulate --seeds 3..4 --grow --fault {fault}");
+        let d = Foveal::new(&words).arg(scene("box")).json();
+        assert_eq!(d["failures"], serde_json::json!([]), "{fault} ends in order, and its recording is whole");
+        let ended = Foveal::new(&format!("{words} --must-rest --json")).arg(scene("box")).run();
+        assert_eq!(ended.code, Some(1), "{fault} ends the walk: {}", ended.err);
+    }
+    for fault in ["tracer:panic:2", "cache ager:panic:2", "analyzer:panic:1"] {
+        let words = Foveal::new("simulate --seeds 3..4 --grow --must-rest --fault").arg(fault);
+        assert_eq!(words.arg(scene("box")).json()["failures"], serde_json::json!([]), "{fault} is survived");
+    }
+}
+
 #[test]
 fn a_simulation_that_fails_says_how_and_leaves_a_recording() {
     let out = folder("failures");
-    // A panicking allocator forgets that a job was done: nobody can make up for that.
-    let words = "simulate --seeds 3..4 --fault allocator:panic:3 --fault tracer:stall:1 --json --traces";
+    // Nobody can stand in for an allocator: the walk ends, in order.
+    let words =
+        "simulate --seeds 3..4 --must-rest --fault allocator:panic:3 --fault tracer:stall:1 --json --traces";
     let ended = Foveal::new(words).arg(&out).arg(scene("box")).run();
     assert_eq!(ended.code, Some(1), "{}", ended.err);
     let failure = &ended.json()["failures"][0];

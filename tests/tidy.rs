@@ -86,26 +86,29 @@ fn words_are_found() {
 /// and a benchmark measures what we do without.
 #[test]
 fn no_locks() {
-    only_in(
-        &["Mutex", "RwLock", "Condvar"],
-        &["actors/runtime/model.rs", "actors/cli/bench/messages/peers.rs"],
-    );
+    only_in(&["Mutex", "RwLock", "Condvar"], &["actors/runtime/model.rs", "actors/bench/messages/peers.rs"]);
 }
 
 #[test]
 fn crates_are_named_where_they_belong() {
     only_in(&["obvhs"], &["src/geometry/bvh"]);
     only_in(&["tobj"], &["src/scene/load/"]);
-    only_in(&["wgpu"], &["actors/renderer/gpu/", "actors/window/"]);
-    only_in(&["winit", "egui", "softbuffer"], &["actors/window/"]);
-    only_in(&["clap", "indicatif", "plotters"], &["actors/cli/"]);
+    only_in(&["wgpu", "winit", "egui", "softbuffer"], &["actors/window/"]);
+    only_in(&["clap", "plotters"], &["actors/terminal/", "actors/bench/", "actors/program/"]);
+    only_in(&["indicatif"], &["actors/terminal/"]);
     only_in(&["crossbeam_deque"], &["actors/runtime/"]);
 }
 
 /// Results and messages come from the command line; the core and the actors return them.
 #[test]
 fn only_the_command_line_prints() {
-    let may = ["actors/cli/", "actors/runtime/examples/", "actors/runtime/build.rs"];
+    let may = [
+        "actors/terminal/",
+        "actors/program/",
+        "actors/engine/examples/",
+        "actors/runtime/examples/",
+        "actors/runtime/build.rs",
+    ];
     for (path, source) in sources("rs") {
         let is_program = path.starts_with("src/") || path.starts_with("actors/");
         if is_program && !is_for_tests(&path) && !may.iter().any(|p| path.starts_with(p)) {
@@ -118,8 +121,9 @@ fn only_the_command_line_prints() {
 }
 
 /// The core's modules, each of which may use the ones before it.
-const CORE: [&str; 13] = [
+const CORE: [&str; 14] = [
     "rng",
+    "math",
     "image",
     "scene",
     "geometry",
@@ -188,7 +192,8 @@ fn imports_of_the_core_point_one_way() {
             let Some(used_rank) = rank(module) else { panic!("{path} names crate::{used}") };
             let allowed = BACKWARD.iter().any(|(from, to)| path.starts_with(from) && used.starts_with(to));
             assert!(used_rank <= own_rank || allowed, "{path} uses {used}, which comes later");
-            let knows_scenes = own == "perception" && !["perception", "image", "rng"].contains(&module);
+            let knows_scenes =
+                own == "perception" && !["perception", "image", "math", "rng"].contains(&module);
             assert!(!knows_scenes, "{path}: perception works on maps, but this uses {used}");
         }
     }
@@ -200,6 +205,13 @@ fn packages_depend_one_way() {
     for (manifest, must_not) in [
         ("Cargo.toml", &["foveal-runtime", "foveal-actors", "crossbeam", "wgpu", "winit", "clap"][..]),
         ("actors/runtime/Cargo.toml", &["foveal", "foveal-actors", "wgpu", "image", "glam"]),
+        ("actors/Cargo.toml", &["foveal-engine", "wgpu", "egui", "clap", "image"]),
+        (
+            "actors/engine/Cargo.toml",
+            &["foveal-window", "foveal-terminal", "wgpu", "egui", "winit", "clap", "indicatif"],
+        ),
+        ("actors/window/Cargo.toml", &["foveal-terminal", "foveal-bench", "clap", "indicatif"]),
+        ("actors/terminal/Cargo.toml", &["foveal-bench", "foveal-window", "wgpu"]),
     ] {
         let text = fs::read_to_string(root().join(manifest)).expect("a manifest");
         let after = text.split("[dependencies]").nth(1).expect("dependencies");
@@ -268,10 +280,18 @@ fn declared(path: &str, source: &str) -> Vec<String> {
 fn every_source_is_used() {
     let all = sources("rs");
     let is_root = |path: &str| {
-        ["src/lib.rs", "actors/lib.rs", "actors/main.rs", "actors/runtime/lib.rs", "actors/runtime/build.rs"]
+        let of_package =
+            path.ends_with("/lib.rs") && root().join(path).with_file_name("Cargo.toml").is_file();
+        of_package
+            || ["src/lib.rs", "actors/program/main.rs", "actors/runtime/build.rs"].contains(&path)
+            || [
+                "tests/main.rs",
+                "actors/runtime/tests/main.rs",
+                "scenes/generate.rs",
+                "scenes/generate/lib.rs",
+            ]
             .contains(&path)
-            || ["tests/main.rs", "actors/runtime/tests/main.rs", "scenes/generate.rs"].contains(&path)
-            || path.starts_with("actors/runtime/examples/")
+            || path.contains("/examples/")
     };
     let mut waiting: Vec<String> = all.keys().filter(|p| is_root(p)).cloned().collect();
     let mut used = BTreeSet::new();

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use foveal_runtime::{Loader, Saver};
 
 use super::Allocator;
-use crate::message::saved::{load_drawn, load_sums, save_drawn, save_sums};
+use crate::message::saved::Saved;
 
 impl Allocator {
     /// Puts down everything that a replay goes on from; refuses where textures are limited.
@@ -15,6 +15,7 @@ impl Allocator {
             renderer: _,
             pool: _,
             tracers: _,
+            cache_ager: _,
             stages: _,
             scan: _,
             since_insight: _,
@@ -22,6 +23,7 @@ impl Allocator {
             adjustment,
             outbox,
             order,
+            begun,
             drawn,
             statistics,
             saliency,
@@ -36,6 +38,7 @@ impl Allocator {
             told_refined,
             lost_jobs,
             incidents,
+            dead_jobs,
         } = self;
         // What textures hold is large, and on disk anyway: such walks replay from their beginning.
         if !outbox.is_empty() || textures.is_some() {
@@ -44,6 +47,7 @@ impl Allocator {
         saver.put(adjustment);
         saver.put(&(order, statistics, saliency.as_slice(), attention));
         saver.put(&(
+            begun,
             in_flight,
             portion_waits,
             since_map,
@@ -51,18 +55,16 @@ impl Allocator {
             told_refined,
             lost_jobs,
             incidents,
+            dead_jobs,
             drawn.is_some(),
         ));
         if let Some(drawn) = drawn {
-            save_drawn(saver, drawn);
+            drawn.save(saver);
         }
         if let Some(supersampler) = supersampler {
             saver.put(&(supersampler.open(), supersampler.tiles().len() as u64));
             for tile in supersampler.tiles() {
-                saver.put(&tile.is_some());
-                if let Some(sums) = tile {
-                    save_sums(saver, sums);
-                }
+                tile.save(saver);
             }
         }
         environments.save(saver);
@@ -78,6 +80,7 @@ impl Allocator {
         self.saliency = Arc::new(saliency);
         let is_drawn: bool;
         (
+            self.begun,
             self.in_flight,
             self.portion_waits,
             self.since_map,
@@ -85,14 +88,13 @@ impl Allocator {
             self.told_refined,
             self.lost_jobs,
             self.incidents,
+            self.dead_jobs,
             is_drawn,
         ) = loader.take()?;
-        self.drawn = if is_drawn { Some(load_drawn(loader)?) } else { None };
+        self.drawn = if is_drawn { Some(Saved::restore(loader)?) } else { None };
         if let Some(supersampler) = &mut self.supersampler {
             let (open, count): (_, u64) = loader.take()?;
-            let tiles: Option<Vec<_>> = (0..count)
-                .map(|_| Some(if loader.take()? { Some(load_sums(loader)?) } else { None }))
-                .collect();
+            let tiles: Option<Vec<_>> = (0..count).map(|_| Saved::restore(loader)).collect();
             supersampler.restore(tiles?, open)?;
         }
         self.environments.restore(loader)

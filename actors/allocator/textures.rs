@@ -1,4 +1,4 @@
-//! Texture residency: the allocator's part about memory.
+//! The allocator's part about textures: which of their levels are in memory.
 //!
 //! Each view is seen ahead by a job of the tracers; what it shows decides which levels are wanted; loads (jobs as well) and
 //! drops (orders to the renderer) follow one by one, so that they spread over frames and the limit holds all the time.
@@ -9,9 +9,11 @@ use foveal::allocation::residency::{Residency, Step, TextureFacts};
 use foveal::allocation::texture_demand::TextureUse;
 use foveal::scene::texture::{LevelTexels, held_bytes};
 use foveal::world::World;
+use foveal_runtime::Cx;
 
-use crate::message::DrawnView;
+use super::Allocator;
 use crate::message::tracer::{LevelOrder, PredictionOrder};
+use crate::message::{AllocatorMessage, DrawnView, RendererMessage, TraceJob};
 use crate::textures::{Charge, TextureReport, TextureStore};
 
 /// Loads that may be on their way at once.
@@ -85,16 +87,6 @@ impl Textures {
         if self.has_seen { self.residency.visible_error() } else { f64::INFINITY }
     }
 
-    /// What is known of the textures.
-    pub fn store(&self) -> &TextureStore {
-        &self.store
-    }
-
-    /// Levels loaded and drops ordered so far.
-    pub fn counts(&self) -> [u32; 2] {
-        self.counts
-    }
-
     /// Jobs of this kind that are out.
     pub fn in_flight(&self) -> u32 {
         self.residency.loading() as u32 + u32::from(self.predicting)
@@ -155,7 +147,7 @@ impl Textures {
     pub fn report(&mut self, orders_given: bool) {
         let is_quiet = self.is_quiet();
         if orders_given || is_quiet != self.was_quiet {
-            self.store.reports.push(self.current());
+            self.store.report.force_push(self.current());
         }
         self.was_quiet = is_quiet;
     }
@@ -190,5 +182,63 @@ impl Textures {
     /// A job was given up, maybe the one that looks ahead.
     pub fn on_prediction_lost(&mut self) {
         self.predicting = false;
+    }
+}
+
+impl Allocator {
+    pub(super) fn on_textures_seen(&mut self, uses: &[TextureUse], cx: &mut Cx<'_, AllocatorMessage>) {
+        if let Some(textures) = &mut self.textures {
+            textures.on_seen(uses);
+        }
+        self.decide(cx);
+        self.fill_pool(cx);
+    }
+
+    pub(super) fn on_level_loaded(
+        &mut self,
+        texture: u32,
+        level: u32,
+        texels: Option<LevelTexels>,
+        cx: &mut Cx<'_, AllocatorMessage>,
+    ) {
+        let Some(textures) = &mut self.textures else { return };
+        textures.on_loaded(texture, level, texels.is_some());
+        if let Some(texels) = texels {
+            let changed = RendererMessage::TextureChanged { texture, finest: level, texels: Some(texels) };
+            self.outbox.tell(cx, &self.renderer, changed);
+        }
+        self.change_textures(cx);
+        self.fill_pool(cx);
+    }
+
+    pub(super) fn on_textures_released(&mut self, drops: u32, cx: &mut Cx<'_, AllocatorMessage>) {
+        if let Some(textures) = &mut self.textures {
+            textures.on_released(drops);
+        }
+        self.change_textures(cx);
+        self.fill_pool(cx);
+    }
+
+    /// Gives the orders that textures need now.
+    pub(super) fn change_textures(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {
+        let Some(textures) = &mut self.textures else { return };
+        // Neither goes stale with a view.
+        if let Some(order) = textures.next_prediction() {
+            self.outbox.push(cx, &self.pool, 0, u64::MAX, TraceJob::Prediction(order));
+        }
+        let mut changed = false;
+        while let Some(work) = textures.next_work() {
+            changed = true;
+            match work {
+                TextureWork::Load(order) => {
+                    self.outbox.push(cx, &self.pool, 0, u64::MAX, TraceJob::Level(order));
+                }
+                TextureWork::Drop { texture, finest } => {
+                    let changed = RendererMessage::TextureChanged { texture, finest, texels: None };
+                    self.outbox.tell(cx, &self.renderer, changed);
+                }
+            }
+        }
+        textures.report(changed);
     }
 }

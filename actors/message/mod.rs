@@ -72,3 +72,46 @@ pub struct FrameSnapshot {
     /// Hash of the picture.
     pub hash: u64,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use foveal::allocation::rays::Residual;
+    use foveal_runtime::{Digest, Message};
+
+    fn hash(message: &impl Message) -> u64 {
+        let mut digest = Digest::new();
+        message.digest(&mut digest);
+        digest.finish()
+    }
+
+    #[test]
+    fn what_the_receiver_uses_is_hashed() {
+        // As many differences with the same mean: the allocator learns from how they spread, too.
+        let measured = |differences: [f32; 2]| {
+            let mut residual = Residual::default();
+            differences.into_iter().for_each(|difference| residual.add_difference(difference));
+            AllocatorMessage::ResidualsMeasured {
+                view: View(1),
+                object: 2,
+                level: 3,
+                pixel: [4, 5],
+                residual,
+            }
+        };
+        assert_ne!(hash(&measured([1.0, 3.0])), hash(&measured([2.0, 2.0])));
+        // The picture's size is in a frame of a camera, and the tracers' views depend on it.
+        let moved = |size| {
+            let frame = CameraFrame {
+                eye: glam::Vec3::ZERO,
+                forward: glam::Vec3::Z,
+                right: glam::Vec3::X,
+                up: glam::Vec3::Y,
+                size,
+            };
+            CacheAgerMessage::CameraMoved { view: View(1), frame }
+        };
+        assert_ne!(hash(&moved([640, 480])), hash(&moved([480, 640])));
+        assert_ne!(hash(&IlluminatorMessage::Refine), hash(&IlluminatorMessage::SendAgain));
+    }
+}

@@ -3,14 +3,16 @@
 use std::sync::Arc;
 
 use foveal::display::FrameBuffers;
+use foveal::display::environment_map::EnvironmentMap;
 use foveal::display::first_approximation::Probes;
 use foveal::display::twin::{self, Passes};
 use foveal::image::Map2d;
 use foveal::scene::camera::CameraFrame;
+use foveal::scene::texture::LevelTexels;
 use foveal::splatting::SampleBatch;
 use foveal::splatting::supersampling::TileSums;
 use foveal::world::World;
-use foveal_runtime::{Loader, Saver};
+use foveal_runtime::{Digest, Loader, Saver};
 
 use super::{DrawnView, FrameIndex, FrameSnapshot, View};
 
@@ -24,27 +26,167 @@ pub struct Surroundings {
     pub probes: Option<Arc<Probes>>,
 }
 
-/// Saves a view without its buffers.
-pub fn save_drawn(saver: &mut Saver, drawn: &Arc<DrawnView>) {
-    saver.shared(drawn, |drawn, saver| {
-        let DrawnView { view, frame, buffers: _, world: _, object_count: _, hash } = drawn;
-        saver.put(&(view, frame, hash));
-    });
+/// Bulk data of a message or a state, each piece of which is saved once however many own it. A message's field says
+/// `#[message(with = saved)]`.
+pub trait Saved: Sized {
+    /// Writes it.
+    fn save(&self, saver: &mut Saver);
+
+    /// Reads it; `None` where it was not written here, or is not sound.
+    fn restore(loader: &mut Loader<'_>) -> Option<Self>;
 }
 
-/// Draws a saved view again.
-pub fn load_drawn(loader: &mut Loader<'_>) -> Option<Arc<DrawnView>> {
-    loader.shared(|loader| {
-        let (view, frame, hash): (View, CameraFrame, u64) = loader.take()?;
-        let surroundings = loader.context::<Surroundings>()?;
-        let world = surroundings.world.clone();
-        let [width, height] = frame.size.map(|s| s as usize);
-        let mut buffers = FrameBuffers::new(width, height);
-        twin::draw(&world, &frame, surroundings.passes, &mut buffers);
-        let object_count = world.scene.objects.len().max(1);
-        let same = hash_view(&buffers, view) == hash;
-        same.then_some(DrawnView { view, frame, hash, buffers, world, object_count })
-    })
+/// Bulk data that carries what tells it apart, so that no message hashes it again.
+pub trait Hashed {
+    /// Adds that.
+    fn digest(&self, digest: &mut Digest);
+}
+
+/// Adds what tells `value` apart.
+pub fn digest(value: &impl Hashed, digest: &mut Digest) {
+    value.digest(digest);
+}
+
+/// Writes `value`.
+pub fn save(value: &impl Saved, saver: &mut Saver) {
+    value.save(saver);
+}
+
+/// Reads a value.
+pub fn restore<T: Saved>(loader: &mut Loader<'_>) -> Option<T> {
+    T::restore(loader)
+}
+
+impl<T: Saved> Saved for Option<T> {
+    fn save(&self, saver: &mut Saver) {
+        saver.put(&self.is_some());
+        self.iter().for_each(|value| value.save(saver));
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        Some(if loader.take()? { Some(T::restore(loader)?) } else { None })
+    }
+}
+
+/// A view is saved without its buffers, and drawn again.
+impl Saved for Arc<DrawnView> {
+    fn save(&self, saver: &mut Saver) {
+        saver.shared(self, |drawn, saver| {
+            let DrawnView { view, frame, buffers: _, world: _, object_count: _, hash } = drawn;
+            saver.put(&(view, frame, hash));
+        });
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        loader.shared(|loader| {
+            let (view, frame, hash): (View, CameraFrame, u64) = loader.take()?;
+            let surroundings = loader.context::<Surroundings>()?;
+            let world = surroundings.world.clone();
+            let [width, height] = frame.size.map(|s| s as usize);
+            let mut buffers = FrameBuffers::new(width, height);
+            twin::draw(&world, &frame, surroundings.passes, &mut buffers);
+            let object_count = world.scene.objects.len().max(1);
+            let same = hash_view(&buffers, view) == hash;
+            same.then_some(DrawnView { view, frame, hash, buffers, world, object_count })
+        })
+    }
+}
+
+impl Hashed for Arc<DrawnView> {
+    fn digest(&self, digest: &mut Digest) {
+        let DrawnView { view, frame, buffers: _, world: _, object_count: _, hash } = &**self;
+        digest.value(&(view, frame, hash));
+    }
+}
+
+impl Saved for Arc<FrameSnapshot> {
+    fn save(&self, saver: &mut Saver) {
+        saver.shared(self, |frame, saver| {
+            let FrameSnapshot { index, drawn, rgb8, hash } = frame;
+            saver.put(&(index, hash));
+            drawn.save(saver);
+            saver.shared(rgb8, |rgb8, saver| {
+                saver.put(&(rgb8.width(), rgb8.height()));
+                saver.bytes(rgb8.data().as_flattened());
+            });
+        });
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        loader.shared(|loader| {
+            let (index, hash): (FrameIndex, u64) = loader.take()?;
+            let drawn = Saved::restore(loader)?;
+            let rgb8 = loader.shared(|loader| {
+                let (width, height): (usize, usize) = loader.take()?;
+                let (pixels, rest) = loader.bytes()?.as_chunks::<3>();
+                let fits = rest.is_empty() && width.checked_mul(height) == Some(pixels.len());
+                fits.then(|| Map2d::from_vec(width, height, pixels.to_vec()))
+            })?;
+            Some(FrameSnapshot { index, drawn, rgb8, hash })
+        })
+    }
+}
+
+impl Hashed for Arc<FrameSnapshot> {
+    fn digest(&self, digest: &mut Digest) {
+        let FrameSnapshot { index, drawn, rgb8: _, hash } = &**self;
+        digest.value(&(index, hash));
+        drawn.digest(digest);
+    }
+}
+
+impl Saved for Arc<SampleBatch> {
+    fn save(&self, saver: &mut Saver) {
+        saver.shared(self, |batch, saver| saver.put(batch));
+    }
+
+    /// Its columns must be of one length.
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        loader.shared(|loader| {
+            let batch: SampleBatch = loader.take()?;
+            let SampleBatch {
+                view: _,
+                object: _,
+                k: _,
+                pixels,
+                positions,
+                normals,
+                views,
+                colors,
+                pixel_widths,
+            } = &batch;
+            let lengths = [positions.len(), normals.len(), views.len(), colors.len(), pixel_widths.len()];
+            lengths.iter().all(|length| *length == pixels.len()).then_some(batch)
+        })
+    }
+}
+
+/// Who takes it up checks that it fits the picture.
+impl Saved for Arc<TileSums> {
+    fn save(&self, saver: &mut Saver) {
+        saver.shared(self, |sums, saver| saver.put(sums));
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        loader.shared(|loader| loader.take())
+    }
+}
+
+impl Saved for Arc<EnvironmentMap> {
+    fn save(&self, saver: &mut Saver) {
+        saver.shared(self, |map, saver| saver.put(map));
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        loader.shared(|loader| loader.take())
+    }
+}
+
+/// The job that loads texels hashes the file; that there are any is news.
+impl Hashed for Option<LevelTexels> {
+    fn digest(&self, digest: &mut Digest) {
+        digest.value(&self.as_ref().map(|texels| texels.as_bytes().len() as u64));
+    }
 }
 
 /// What followers of a view could depend on: ids and depths.
@@ -54,58 +196,4 @@ pub fn hash_view(buffers: &FrameBuffers, view: View) -> u64 {
     h.update(bytemuck::cast_slice(buffers.object.data()));
     h.update(bytemuck::cast_slice(buffers.depth.data()));
     h.digest()
-}
-
-/// Saves a shown frame.
-pub fn save_frame(saver: &mut Saver, frame: &Arc<FrameSnapshot>) {
-    saver.shared(frame, |frame, saver| {
-        let FrameSnapshot { index, drawn, rgb8, hash } = frame;
-        saver.put(&(index, hash));
-        save_drawn(saver, drawn);
-        saver.shared(rgb8, |rgb8, saver| {
-            saver.put(&(rgb8.width(), rgb8.height()));
-            saver.bytes(rgb8.data().as_flattened());
-        });
-    });
-}
-
-/// Reads a saved frame.
-pub fn load_frame(loader: &mut Loader<'_>) -> Option<Arc<FrameSnapshot>> {
-    loader.shared(|loader| {
-        let (index, hash): (FrameIndex, u64) = loader.take()?;
-        let drawn = load_drawn(loader)?;
-        let rgb8 = loader.shared(|loader| {
-            let (width, height): (usize, usize) = loader.take()?;
-            let (pixels, rest) = loader.bytes()?.as_chunks::<3>();
-            let fits = rest.is_empty() && width.checked_mul(height) == Some(pixels.len());
-            fits.then(|| Map2d::from_vec(width, height, pixels.to_vec()))
-        })?;
-        Some(FrameSnapshot { index, drawn, rgb8, hash })
-    })
-}
-
-/// Saves a batch of samples.
-pub fn save_batch(saver: &mut Saver, batch: &Arc<SampleBatch>) {
-    saver.shared(batch, |batch, saver| saver.put(batch));
-}
-
-/// Reads a saved batch; its columns must be of one length.
-pub fn load_batch(loader: &mut Loader<'_>) -> Option<Arc<SampleBatch>> {
-    loader.shared(|loader| {
-        let batch: SampleBatch = loader.take()?;
-        let SampleBatch { view: _, object: _, k: _, pixels, positions, normals, views, colors, pixel_widths } =
-            &batch;
-        let lengths = [positions.len(), normals.len(), views.len(), colors.len(), pixel_widths.len()];
-        lengths.iter().all(|length| *length == pixels.len()).then_some(batch)
-    })
-}
-
-/// Saves what a tile has.
-pub fn save_sums(saver: &mut Saver, sums: &Arc<TileSums>) {
-    saver.shared(sums, |sums, saver| saver.put(sums));
-}
-
-/// Reads what a tile has; who takes it up checks that it fits the picture.
-pub fn load_sums(loader: &mut Loader<'_>) -> Option<Arc<TileSums>> {
-    loader.shared(|loader| loader.take())
 }

@@ -10,8 +10,8 @@ use foveal::scene::texture::LevelTexels;
 use foveal::world::World;
 use foveal_runtime::{Digest, Job, Loader, Message, Saver};
 
-use super::DrawnView;
-use super::saved::{Surroundings, load_drawn, load_sums, save_drawn, save_sums};
+use super::saved::{Hashed, Saved, Surroundings};
+use super::{DrawnView, View};
 use crate::textures::TextureStore;
 
 /// An order for a tracer, complete in itself.
@@ -94,17 +94,53 @@ pub struct EnvironmentOrder {
     pub work: EnvironmentWork,
 }
 
-/// What the description of a job says if it belongs to a map.
-pub const ENVIRONMENT_MAP: &str = "of the environment map";
-
-/// What the description of a job that samples a tile begins with.
-pub const TILE_OF_VIEW: &str = "supersampling of view";
-
-/// What the description of a job that looks ahead begins with.
-pub const TEXTURES_WANTED: &str = "the textures wanted";
-
-/// What the description of a job that loads a level begins with; texture and level follow.
-pub const LEVEL_OF_TEXTURE: &str = "loading texture";
+/// What a job was, and how to do it again: what is told of one that is given up.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub enum TraceBrief {
+    /// Samples of a view.
+    Samples {
+        /// The view.
+        view: View,
+        /// Which samples.
+        order: SampleJob,
+        /// Seed of the random numbers.
+        seed: u64,
+    },
+    /// More samples for a tile.
+    Tile {
+        /// The view.
+        view: View,
+        /// Which tile.
+        tile: u32,
+        /// Samples a pixel that it had.
+        had: u32,
+        /// Samples a pixel that it was to get.
+        count: u32,
+        /// Seed of the random numbers.
+        seed: u64,
+    },
+    /// Part of an environment map, or its filter.
+    Environment {
+        /// Whose map.
+        object: u32,
+        /// Texels along an edge.
+        side: u32,
+        /// First texel and number of texels; none for the filter.
+        texels: Option<[u32; 2]>,
+    },
+    /// Which levels of which textures a view wants.
+    Prediction {
+        /// The view.
+        view: View,
+    },
+    /// A level of a texture.
+    Level {
+        /// Which texture.
+        texture: u32,
+        /// Which level.
+        level: u32,
+    },
+}
 
 /// The two steps to a map.
 #[derive(Clone, Debug)]
@@ -124,106 +160,65 @@ pub enum EnvironmentWork {
 }
 
 /// What a tracer can be told. Its work comes from the pool.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Message)]
 pub enum TracerMessage {
     /// From its own timer, or from the allocator after a panic that may have lost it: send what waits.
     SendAgain,
 }
 
-impl Message for TracerMessage {
-    fn digest(&self, digest: &mut Digest) {
-        match self {
-            Self::SendAgain => digest.u32(0),
-        }
-    }
-
-    fn kind(&self) -> &'static str {
-        match self {
-            Self::SendAgain => "SendAgain",
-        }
-    }
-
-    fn save(&self, saver: &mut Saver) {
-        let Self::SendAgain = self;
-        saver.put(&0_u8);
-    }
-
-    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
-        (loader.take::<u8>()? == 0).then_some(Self::SendAgain)
-    }
-}
-
 impl Job for TraceJob {
+    type Brief = TraceBrief;
+
+    /// Every field is named here: a new one says what becomes of it.
     fn digest(&self, digest: &mut Digest) {
         match self {
-            Self::Samples(SampleOrder { drawn, order: o, seed: _, priority: _, attention: _ }) => {
-                digest.u32(drawn.view.0);
-                digest.u64(drawn.hash);
-                for word in [o.object, o.level, o.count, o.start.x as u32, o.start.y as u32] {
-                    digest.u32(word);
+            Self::Samples(SampleOrder { drawn, order, seed, priority: _, attention: _ }) => {
+                drawn.digest(digest);
+                digest.value(&(order, seed));
+            }
+            Self::Tile(TileWork { drawn, order: TileOrder { tile, on, count }, seed }) => {
+                drawn.digest(digest);
+                // Its samples were hashed when they came.
+                digest.value(&(tile, on.as_ref().map(|on| on.samples), count, seed));
+            }
+            Self::Environment(EnvironmentOrder { world: _, probes: _, object, side, exponent, work }) => {
+                digest.value(&(object, side, exponent));
+                match work {
+                    EnvironmentWork::Capture { first, count } => digest.value(&(0_u8, first, count)),
+                    // What was seen was hashed when it came.
+                    EnvironmentWork::Filter { seen } => digest.value(&(1_u8, seen.len() as u64)),
                 }
             }
-            Self::Tile(TileWork { drawn, order, seed: _ }) => {
-                digest.u32(drawn.view.0);
-                let samples = order.on.as_ref().map_or(0, |on| on.samples);
-                for word in [order.tile, order.count, samples] {
-                    digest.u32(word);
-                }
-            }
-            Self::Environment(o) => {
-                digest.u32(o.object);
-                digest.u32(o.side);
-                match &o.work {
-                    EnvironmentWork::Capture { first, count } => {
-                        digest.u32(*first);
-                        digest.u32(*count);
-                    }
-                    EnvironmentWork::Filter { seen } => digest.u32(seen.len() as u32),
-                }
-            }
-            Self::Prediction(o) => digest.u32(o.drawn.view.0),
-            Self::Level(o) => {
-                digest.u64(o.store.digest(o.texture as usize));
-                digest.u32(o.level);
+            Self::Prediction(PredictionOrder { drawn, store: _ }) => drawn.digest(digest),
+            Self::Level(LevelOrder { store, texture, level, like }) => {
+                digest.value(&(texture, store.digest(*texture as usize), level));
+                like.digest(digest);
             }
         }
     }
 
-    fn describe(&self) -> String {
+    fn brief(&self) -> TraceBrief {
         match self {
-            Self::Samples(SampleOrder { drawn, order: o, seed, priority: _, attention: _ }) => {
-                let r = &o.rect;
-                format!(
-                    "{} samples of object {}, level {}, view {}, pixels [{}, {}) × [{}, {}) from ({}, {}), seed {}",
-                    o.count,
-                    o.object,
-                    o.level,
-                    drawn.view.0,
-                    r.x0,
-                    r.x1,
-                    r.y0,
-                    r.y1,
-                    o.start.x,
-                    o.start.y,
-                    seed
-                )
+            Self::Samples(SampleOrder { drawn, order, seed, priority: _, attention: _ }) => {
+                TraceBrief::Samples { view: drawn.view, order: *order, seed: *seed }
             }
-            Self::Tile(TileWork { drawn, order, seed }) => {
-                let had = order.on.as_ref().map_or(0, |on| on.samples);
-                format!(
-                    "{TILE_OF_VIEW} {}, tile {}, {} samples a pixel after {had}, seed {seed}",
-                    drawn.view.0, order.tile, order.count
-                )
-            }
-            Self::Environment(o) => {
-                let what = match &o.work {
-                    EnvironmentWork::Capture { first, count } => format!("{count} texels from {first} on"),
-                    EnvironmentWork::Filter { .. } => "the filter".to_owned(),
-                };
-                format!("{what} {ENVIRONMENT_MAP} of object {}, side {}", o.object, o.side)
-            }
-            Self::Prediction(o) => format!("{TEXTURES_WANTED} by view {}", o.drawn.view.0),
-            Self::Level(o) => format!("{LEVEL_OF_TEXTURE} {}, level {}", o.texture, o.level),
+            Self::Tile(TileWork { drawn, order, seed }) => TraceBrief::Tile {
+                view: drawn.view,
+                tile: order.tile,
+                had: order.on.as_ref().map_or(0, |on| on.samples),
+                count: order.count,
+                seed: *seed,
+            },
+            Self::Environment(o) => TraceBrief::Environment {
+                object: o.object,
+                side: o.side,
+                texels: match o.work {
+                    EnvironmentWork::Capture { first, count } => Some([first, count]),
+                    EnvironmentWork::Filter { .. } => None,
+                },
+            },
+            Self::Prediction(o) => TraceBrief::Prediction { view: o.drawn.view },
+            Self::Level(o) => TraceBrief::Level { texture: o.texture, level: o.level },
         }
     }
 
@@ -241,14 +236,12 @@ impl Job for TraceJob {
         match self {
             Self::Samples(SampleOrder { drawn, order, seed, priority, attention }) => {
                 saver.put(&(0_u8, order, seed, priority, attention));
-                save_drawn(saver, drawn);
+                drawn.save(saver);
             }
             Self::Tile(TileWork { drawn, order: TileOrder { tile, on, count }, seed }) => {
-                saver.put(&(2_u8, tile, count, seed, on.is_some()));
-                save_drawn(saver, drawn);
-                if let Some(on) = on {
-                    save_sums(saver, on);
-                }
+                saver.put(&(2_u8, tile, count, seed));
+                drawn.save(saver);
+                on.save(saver);
             }
             Self::Environment(EnvironmentOrder { world: _, probes: _, object, side, exponent, work }) => {
                 saver.put(&(1_u8, object, side, exponent));
@@ -266,14 +259,13 @@ impl Job for TraceJob {
         match loader.take::<u8>()? {
             0 => {
                 let (order, seed, priority, attention) = loader.take()?;
-                let drawn = load_drawn(loader)?;
+                let drawn = Saved::restore(loader)?;
                 return Some(Self::Samples(SampleOrder { drawn, order, seed, priority, attention }));
             }
             1 => {}
             2 => {
-                let (tile, count, seed, begun) = loader.take()?;
-                let drawn = load_drawn(loader)?;
-                let on = if begun { Some(load_sums(loader)?) } else { None };
+                let (tile, count, seed) = loader.take()?;
+                let (drawn, on) = (Saved::restore(loader)?, Saved::restore(loader)?);
                 return Some(Self::Tile(TileWork { drawn, order: TileOrder { tile, on, count }, seed }));
             }
             _ => return None,

@@ -4,15 +4,12 @@
 //! samples, traced samples, environment maps, convergence. Says: to the cache ager and the allocator, that there is a new
 //! view; to the analyzer, what was shown.
 
-#[cfg(feature = "window")]
-pub mod gpu;
 pub mod overlay;
 mod saved;
 mod show;
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
-use std::time::{Duration, Instant};
 
 use foveal::allocation::policy::Policy;
 use foveal::allocation::ray_order::residual_of_batch;
@@ -33,7 +30,6 @@ use foveal::world::World;
 use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver};
 use glam::Vec3;
 
-use crate::message::cache_ager::Forget;
 use crate::message::saved::hash_view;
 use crate::message::{
     AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameSnapshot, RendererInput,
@@ -41,7 +37,7 @@ use crate::message::{
 };
 use crate::outbox::Outbox;
 use crate::settings::{Adjustment, Settings};
-use crate::stages::{Stage, StageTimes};
+use crate::stages::{Begun, Stage, StageTimes};
 
 /// Most that irradiance anywhere changes from one frame to the next while light is refined: this share of itself
 /// and of the scene's mean.
@@ -84,6 +80,13 @@ pub trait FrameSink: Send {
     fn frame_shown(&mut self, snapshot: &Arc<FrameSnapshot>, counts: FrameCounts, renderer: &Renderer);
     /// Samples were splatted onto a view: for displays that splat by themselves.
     fn splatted(&mut self, _view: View, _splats: Splats) {}
+}
+
+/// Shows nothing.
+pub struct Unseen;
+
+impl FrameSink for Unseen {
+    fn frame_shown(&mut self, _snapshot: &Arc<FrameSnapshot>, _counts: FrameCounts, _renderer: &Renderer) {}
 }
 
 /// Samples as they reached the splat layer.
@@ -145,7 +148,7 @@ pub struct Renderer {
     /// The last frame, shown again while nothing changes.
     shown: Option<Arc<FrameSnapshot>>,
     /// When the drawing of the current frame ended; only for the stage's time.
-    drawn_at: Option<Instant>,
+    drawn_at: Option<Begun>,
     /// `None` in a diffuse scene, where there is nothing to correct.
     neighbours: Option<Neighbours>,
     outbox: Outbox<RendererMessage>,
@@ -296,6 +299,11 @@ impl Renderer {
         self.adjustment.as_ref()
     }
 
+    /// Messages that came back and wait to be sent again.
+    pub fn waiting(&self) -> usize {
+        self.outbox.len()
+    }
+
     fn on_adjusted(&mut self, adjustment: Adjustment, cx: &mut Cx<'_, RendererMessage>) {
         self.refined &= self.settings.supersampling == adjustment.refine;
         self.settings.adjust(&adjustment);
@@ -315,10 +323,10 @@ impl Renderer {
         let brighter = self.approach_light();
         if brighter || retextured || self.camera != Some(camera) {
             self.camera = Some(camera);
-            self.begin_view(&camera, Forget::Nothing, cx);
+            self.begin_view(&camera, cx);
         }
         self.look_for_former(cx);
-        self.drawn_at = Some(Instant::now());
+        self.drawn_at = Some(self.stages.begin());
     }
 
     /// Takes as many changes of textures as a frame has time for. Whether there was one.
@@ -363,8 +371,8 @@ impl Renderer {
         }
         self.retired.retain(|view| Arc::ptr_eq(&view.world.scene, &self.world.scene));
         let held = self.former.iter().skip(1).filter(|scene| scene.strong_count() > 0).count();
-        // Who still holds what is a fact of the moment, so it enters as measured ones do, and replays.
-        let held = cx.measured(Duration::from_nanos(held.min(100) as u64)).as_nanos();
+        // Who still holds what is a fact of the moment, so it is recorded.
+        let held = cx.observe(held as u64);
         if let (0, Some(neighbours)) = (held, &self.neighbours) {
             // The first scene, which others keep for good, has nothing that was ever dropped.
             self.former.truncate(1);
@@ -394,7 +402,7 @@ impl Renderer {
     }
 
     /// Draws a new view; the others work on it meanwhile.
-    fn begin_view(&mut self, camera: &Camera, forget: Forget, cx: &mut Cx<'_, RendererMessage>) {
+    fn begin_view(&mut self, camera: &Camera, cx: &mut Cx<'_, RendererMessage>) {
         self.view = self.view.next();
         self.converged = self.neighbours.is_none();
         self.refined = false;
@@ -402,7 +410,7 @@ impl Renderer {
         self.changed = true;
         let frame = camera.frame(self.settings.width, self.settings.height);
         if let Some(neighbours) = &self.neighbours {
-            let moved = CacheAgerMessage::CameraMoved { view: self.view, frame, forget };
+            let moved = CacheAgerMessage::CameraMoved { view: self.view, frame };
             self.outbox.tell(cx, &neighbours.cache_ager, moved);
             self.outbox.tell(cx, &neighbours.allocator, AllocatorMessage::ViewBegun { view: self.view });
         }
@@ -465,7 +473,7 @@ impl Renderer {
         self.counts.reused += reused as u32;
         self.counts.expired += expired;
         self.changed |= reused > 0;
-        if cx.effects() {
+        if !cx.replays() {
             self.sink.splatted(view, Splats::Warped(samples));
         }
     }
@@ -483,7 +491,7 @@ impl Renderer {
         let layer = &mut self.layer;
         let source = (tracer % 255) as u8 + 1;
         self.stages.time(Stage::WarpSplat, || layer.splat_fresh(&batch, &drawn.buffers.object, source));
-        if cx.effects() {
+        if !cx.replays() {
             self.sink.splatted(self.view, Splats::Fresh { batch, source });
         }
     }
@@ -520,6 +528,13 @@ impl Renderer {
         };
         // Where the allocator is that far behind, it learns from the next batch as well.
         let _ = cx.tell(&neighbours.allocator, measured);
+    }
+
+    /// A new cache ager does not know what the old one was told.
+    fn on_samples_forgotten(&mut self, cx: &mut Cx<'_, RendererMessage>) {
+        if let (Some(neighbours), Some(adjustment)) = (&self.neighbours, self.adjustment) {
+            self.outbox.tell(cx, &neighbours.cache_ager, CacheAgerMessage::Adjusted(adjustment));
+        }
     }
 
     fn on_view_converged(&mut self, view: View) {
@@ -572,6 +587,7 @@ impl Actor for Renderer {
             RendererMessage::TileSampled { view, sums, hash: _ } => self.on_tile_sampled(view, sums),
             RendererMessage::ViewRefined { view } => self.refined |= view == self.view,
             RendererMessage::Illuminated { map, last, hash: _ } => self.target = Some((map, last)),
+            RendererMessage::SamplesForgotten => self.on_samples_forgotten(cx),
             RendererMessage::SendAgain => self.outbox.send(cx),
         }
     }

@@ -4,6 +4,7 @@
 use foveal::display::FrameBuffers;
 use foveal::display::tone::ToneMap;
 use foveal::image::Map2d;
+use foveal::math;
 use foveal::splatting::SplatLayer;
 use foveal::splatting::supersampling::{TILE, TileSums};
 use glam::Vec3;
@@ -143,7 +144,7 @@ fn overlay_color(overlay: Overlay, sources: &Sources<'_>, x: usize, y: usize, gr
         }
         Overlay::Age => Some(match sources.splats.shown_age(x, y)? {
             0 => AGE_FRESH,
-            age => heat((age as f32 + 1.0).log2() / 6.0),
+            age => heat(math::log2(age as f32 + 1.0) / 6.0),
         }),
         Overlay::Tracer => match sources.splats.source(x, y) {
             0 => None,

@@ -1,11 +1,13 @@
 //! The renderer's state in a snapshot of a replay.
 
+use std::sync::Arc;
+
 use foveal::display::first_approximation::FirstApproximation;
-use foveal::splatting::supersampling::Tiles;
+use foveal::splatting::supersampling::{TileSums, Tiles};
 use foveal_runtime::{Loader, Saver};
 
 use super::{FrameCounts, Renderer};
-use crate::message::saved::{load_drawn, load_frame, load_sums, save_drawn, save_frame, save_sums};
+use crate::message::saved::Saved;
 
 impl Renderer {
     /// Puts down everything that a replay goes on from; refuses where textures are on their way.
@@ -55,16 +57,13 @@ impl Renderer {
         saver.put(&(traced, reused, expired, late, approximated, refined_now));
         saver.put(&(refined, tiles.len() as u64));
         for tile in tiles {
-            saver.put(&tile.is_some());
-            if let Some(sums) = tile {
-                save_sums(saver, sums);
-            }
+            tile.save(saver);
         }
         if let Some(drawn) = drawn {
-            save_drawn(saver, drawn);
+            drawn.save(saver);
         }
         if let Some(shown) = shown {
-            save_frame(saver, shown);
+            shown.save(saver);
         }
         saver.put(&layer.maps());
         let maps = approximation.as_ref().map_or(&[][..], FirstApproximation::maps);
@@ -89,12 +88,11 @@ impl Renderer {
         self.counts = FrameCounts { traced, reused, expired, late, approximated, refined };
         let count: u64;
         (self.refined, count) = loader.take()?;
-        let tiles: Option<Vec<_>> =
-            (0..count).map(|_| Some(if loader.take()? { Some(load_sums(loader)?) } else { None })).collect();
+        let tiles: Option<Vec<Option<Arc<TileSums>>>> = (0..count).map(|_| Saved::restore(loader)).collect();
         let grid = Tiles::of_size(self.settings.width, self.settings.height);
         self.tiles = tiles.filter(|tiles| tiles.iter().flatten().all(|sums| sums.fits(&grid)))?;
-        self.drawn = if is_drawn { Some(load_drawn(loader)?) } else { None };
-        self.shown = if is_shown { Some(load_frame(loader)?) } else { None };
+        self.drawn = if is_drawn { Some(Saved::restore(loader)?) } else { None };
+        self.shown = if is_shown { Some(Saved::restore(loader)?) } else { None };
         let (color, rank, source) = loader.take()?;
         self.layer.restore(color, rank, source)?;
         let count: u64 = loader.take()?;

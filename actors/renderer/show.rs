@@ -8,7 +8,7 @@ use foveal::splatting::supersampling::Tiles;
 use foveal_runtime::Cx;
 use rayon::prelude::*;
 
-use super::{FrameCounts, FrameSink, MARK_FRAME, Renderer};
+use super::{MARK_FRAME, Renderer, Unseen};
 use crate::message::{AnalyzerMessage, DrawnView, FrameIndex, FrameSnapshot, RendererMessage};
 use crate::stages::Stage;
 
@@ -16,7 +16,7 @@ impl Renderer {
     /// Shows the frame; while nothing changes the last picture stands, and nobody has work.
     pub(super) fn on_deadline_reached(&mut self, index: FrameIndex, cx: &mut Cx<'_, RendererMessage>) {
         if let Some(since) = self.drawn_at.take() {
-            self.stages.add(Stage::Correct, since.elapsed());
+            self.stages.end(Stage::Correct, since);
         }
         let Some(drawn) = self.drawn.clone() else { return };
         let (rgb8, hash) = match (&self.shown, self.changed) {
@@ -49,9 +49,9 @@ impl Renderer {
         self.shown = Some(snapshot.clone());
         // From here on they are the next frame's, whose beginning may lie behind samples in the mailbox.
         let counts = std::mem::take(&mut self.counts);
-        if cx.effects() {
+        if !cx.replays() {
             // The sink is lent to itself: it may look at the layers.
-            let mut sink = std::mem::replace(&mut self.sink, Box::new(NoSink));
+            let mut sink = std::mem::replace(&mut self.sink, Box::new(Unseen));
             sink.frame_shown(&snapshot, counts, self);
             self.sink = sink;
         }
@@ -89,11 +89,4 @@ impl Renderer {
         }
         rgb8
     }
-}
-
-/// Shows nothing.
-struct NoSink;
-
-impl FrameSink for NoSink {
-    fn frame_shown(&mut self, _snapshot: &Arc<FrameSnapshot>, _counts: FrameCounts, _renderer: &Renderer) {}
 }

@@ -80,6 +80,10 @@ pub trait Actor: Send + 'static {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimerId(u32);
 
+/// Names a question of one actor: it goes with the question and comes back with the answer. See [`Cx::ask`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Ticket(u32);
+
 /// A timer that runs.
 pub(crate) struct OwnTimer<M> {
     /// What it will deliver; `None` once cancelled: it still fires.
@@ -153,12 +157,21 @@ impl<M: Message> Cx<'_, M> {
         Duration::from_nanos(rounded)
     }
 
-    /// Runs `work` and measures it as [`Cx::measured`] does. In a simulation all work takes no time.
+    /// Lets a count that is a fact of the moment (who still holds something, say) into the actor's state: returns it,
+    /// or during replay the one that was recorded.
+    pub fn observe(&mut self, count: u64) -> u64 {
+        if let Some(replayed) = self.journal.replayed_value(value::COUNT) {
+            return replayed;
+        }
+        self.journal.record_count(count);
+        count
+    }
+
+    /// Runs `work` and measures it as [`Cx::measured`] does. In a simulation it takes what [`crate::simulate::Work`]
+    /// says.
     pub fn measure<R>(&mut self, work: impl FnOnce() -> R) -> (R, Duration) {
-        let start = self.env.clock.now();
-        let result = work();
-        let elapsed = Duration::from_nanos(self.env.clock.now() - start);
-        (result, self.measured(elapsed))
+        let (result, elapsed) = self.env.clock.measure(work);
+        (result, self.measured(Duration::from_nanos(elapsed)))
     }
 
     /// Puts a milestone into the recording, for example kind 0 with the hash of each shown frame. Replay compares it.
@@ -166,7 +179,9 @@ impl<M: Message> Cx<'_, M> {
         self.journal.mark(kind, value);
     }
 
-    /// Delivers `message` to this actor after `delay`. It comes back if [`TIMERS_PER_ACTOR`] timers run already.
+    /// Delivers `message` to this actor after `delay`: never before, and as much later as its next turn comes. A pinned
+    /// actor waits for the main thread alone, any other for a thread that is not in a turn: on one thread, for a heavy
+    /// turn that is under way there. It comes back if [`TIMERS_PER_ACTOR`] timers run already.
     pub fn after(&mut self, delay: Duration, message: M) -> Result<TimerId, Rejected<M>> {
         if self.timers.running.len() >= TIMERS_PER_ACTOR {
             return Err(Rejected { message, reason: Reason::Full });
@@ -191,6 +206,32 @@ impl<M: Message> Cx<'_, M> {
         self.timers.running.get_mut(&timer.0)?.message.take()
     }
 
+    /// Tells `to` a question that is to be answered within `time`. `question` puts the ticket into it (and this actor's
+    /// address, if the receiver does not know it); the receiver tells the answer with the same ticket, and the asker
+    /// asks [`Cx::answered`] whether it still counts. If there is none in time, this actor is delivered `late(ticket)`.
+    ///
+    /// The question comes back if it is not accepted, or if [`TIMERS_PER_ACTOR`] timers and questions are open already.
+    /// Nobody waits meanwhile: answers are messages among others, recorded and replayed as they are.
+    pub fn ask<N: Message>(
+        &mut self,
+        to: &Address<N>,
+        time: Duration,
+        question: impl FnOnce(Ticket) -> N,
+        late: impl FnOnce(Ticket) -> M,
+    ) -> Result<Ticket, Rejected<N>> {
+        let ticket = Ticket(self.timers.next);
+        let message = question(ticket);
+        let Ok(timer) = self.after(time, late(ticket)) else {
+            return Err(Rejected { message, reason: Reason::Full });
+        };
+        self.tell(to, message).map(|()| ticket).inspect_err(|_| drop(self.cancel(timer)))
+    }
+
+    /// Takes a question back, whose answer has come. False if it was answered before, or is late.
+    pub fn answered(&mut self, ticket: Ticket) -> bool {
+        self.cancel(TimerId(ticket.0)).is_some()
+    }
+
     /// Orders another actor to stop, pause or resume. Needs no room, cannot fail.
     pub fn control<N: Message>(&mut self, to: &Address<N>, control: Control) {
         if !self.journal.replaying() {
@@ -209,7 +250,12 @@ impl<M: Message> Cx<'_, M> {
         self.journal.random()
     }
 
-    /// False where the world must not notice, as in replay and simulation: no file is written, no picture shown.
+    /// True where all this has happened before: who was shown something then is not shown it again.
+    pub fn replays(&self) -> bool {
+        self.env.replaying()
+    }
+
+    /// False where the world must not notice, as in replay and simulation: no file is written.
     pub fn effects(&self) -> bool {
         self.env.effects()
     }
@@ -232,15 +278,15 @@ pub(crate) fn post<N: Message>(
     let from = journal.id;
     let way = message.lane();
     if journal.replaying() {
-        if journal.replays_rejection(number) {
-            return Err(Rejected { message, reason: Reason::Full });
+        if let Some(reason) = journal.replays_rejection(number) {
+            return Err(Rejected { message, reason });
         }
         let (lane, sent_in) = (lane_code(way), journal.index);
         to.mailbox.accept_replayed(Inbound { from, lane, sent_in, message }, thread);
         return Ok(());
     }
     if journal.rejects_by_fault(number) {
-        journal.record_rejection(number);
+        journal.record_rejection(number, Reason::Full);
         return Err(Rejected { message, reason: Reason::Full });
     }
     let sequence = match way {
@@ -251,8 +297,8 @@ pub(crate) fn post<N: Message>(
     match (&accepted, way) {
         (Ok(()), Lane::Latest(key)) => journal.count_latest_sent(to.id(), key % LATEST_KEYS),
         (Ok(()), _) => {}
-        (Err(_), _) => {
-            journal.record_rejection(number);
+        (Err(rejected), _) => {
+            journal.record_rejection(number, rejected.reason);
             to.mailbox.link.counters.rejected();
         }
     }

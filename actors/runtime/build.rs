@@ -10,6 +10,6 @@ fn main() {
         .ok()
         .and_then(|output| String::from_utf8(output.stdout).ok())
         .unwrap_or_default();
-    let target = std::env::var("TARGET").unwrap_or_default();
-    println!("cargo::rustc-env=FOVEAL_BUILD={} {}", version.trim(), target);
+    println!("cargo::rustc-env=FOVEAL_COMPILER={}", version.trim());
+    println!("cargo::rustc-env=FOVEAL_TARGET={}", std::env::var("TARGET").unwrap_or_default());
 }

@@ -68,6 +68,8 @@ pub struct Config {
     /// How densely hashes are recorded. Replay takes it from the recording; without a recording nothing is hashed,
     /// except in a simulation.
     pub hashing: Hashing,
+    /// Name and version of the program: a part of a recording's [`crate::Fingerprint`].
+    pub program: String,
     /// The application's part of a recording's header.
     pub application: Vec<u8>,
     /// Seed of [`crate::Cx::random`]. Replay takes it from the recording.
@@ -94,6 +96,7 @@ impl Config {
             mode: Mode::Live,
             record: None,
             hashing: Hashing::Exact,
+            program: String::new(),
             application: Vec::new(),
             seed: 0,
             budget: Budget::default(),

@@ -6,9 +6,11 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 
+use crate::actor::Delivery;
 use crate::clock::Clock;
 use crate::config::{Budget, Config, Mode, Observer, Record};
 use crate::journal::Journal;
+use crate::log::fingerprint::Fingerprint;
 use crate::log::format::{Hashing, NodeInfo};
 use crate::log::reader::Trace;
 use crate::log::writer::LogQueue;
@@ -17,10 +19,11 @@ use crate::replay::{Divergence, Until};
 use crate::scheduler::{Scheduler, ThreadCx};
 use crate::simulate::{FaultKind, Faults, Simulation};
 use crate::snapshot::Snapshot;
-use crate::supervise::Incident;
+use crate::supervise::{Incident, guarded};
 use crate::timer::Timers;
 
-type Supervisor = Box<dyn Fn(&mut Journal, &ThreadCx, Incident) + Send + Sync>;
+/// Tells the supervisor; false if it has no room.
+type Supervisor = Box<dyn Fn(&mut Journal, &ThreadCx, Incident) -> bool + Send + Sync>;
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Driven {
@@ -41,6 +44,8 @@ pub(crate) struct Env {
     pub(crate) log: Option<Arc<LogQueue>>,
     driven: Driven,
     pub(crate) trace: Option<Arc<Trace>>,
+    /// Replay: what is different here from where the recording was made.
+    pub(crate) foreign: Option<String>,
     pops: Vec<(u64, u32, ActorId)>,
     until_tag: AtomicU32,
     until_who: AtomicU32,
@@ -48,6 +53,9 @@ pub(crate) struct Env {
     faults: Faults,
     pub(crate) supervisor: OnceLock<Supervisor>,
     nodes: OnceLock<Vec<NodeInfo>>,
+    /// What ends the system.
+    ended: OnceLock<Incident>,
+    observer_broke: AtomicBool,
     closed: AtomicBool,
     halted: AtomicBool,
     divergences: ArrayQueue<(Divergence, bool)>,
@@ -61,6 +69,7 @@ pub(crate) struct Parts {
     pub(crate) locals: Vec<Worker<u32>>,
     pub(crate) gives_way: bool,
     pub(crate) record: Option<Record>,
+    pub(crate) program: String,
     pub(crate) application: Vec<u8>,
     pub(crate) ring_turns: usize,
     pub(crate) simulation: Option<Simulation>,
@@ -75,6 +84,7 @@ impl Env {
             mode,
             record,
             hashing,
+            program,
             application,
             seed,
             budget,
@@ -98,7 +108,7 @@ impl Env {
         let (scheduler, locals) = Scheduler::new(if simulated { 0 } else { threads }, waker);
         let budget = if simulated { Budget { messages: 1, nanoseconds: u64::MAX } } else { budget };
         let env = Self {
-            clock: if simulated { Clock::starting_at_zero() } else { Clock::real() },
+            clock: simulation.as_ref().map_or_else(Clock::real, |s| Clock::starting_at_zero(s.work, s.seed)),
             scheduler,
             timers: Timers::new(),
             seed: trace.as_ref().map_or(seed, |trace| trace.header().seed),
@@ -107,6 +117,9 @@ impl Env {
             observer,
             log,
             driven,
+            foreign: trace
+                .as_ref()
+                .and_then(|trace| trace.header().fingerprint.difference(&Fingerprint::here(&program))),
             pops: trace.as_ref().map(|trace| trace.pops()).unwrap_or_default(),
             trace,
             until_tag: AtomicU32::new(0),
@@ -115,6 +128,8 @@ impl Env {
             faults: simulation.as_ref().map_or(Faults::NONE, |simulation| simulation.faults.clone()),
             supervisor: OnceLock::new(),
             nodes: OnceLock::new(),
+            ended: OnceLock::new(),
+            observer_broke: AtomicBool::new(false),
             closed: AtomicBool::new(false),
             halted: AtomicBool::new(false),
             divergences: ArrayQueue::new(2 * (threads + 1)),
@@ -123,7 +138,7 @@ impl Env {
             marks_made: AtomicU64::new(0),
         };
         env.set_until(until);
-        (env, Parts { locals, gives_way, record, application, ring_turns, simulation, from })
+        (env, Parts { locals, gives_way, record, program, application, ring_turns, simulation, from })
     }
 
     /// Says where replay stops; only while nothing runs.
@@ -269,12 +284,53 @@ impl Env {
         (of(FaultKind::Panic), of(FaultKind::Full))
     }
 
+    /// Tells the supervisor what an actor did.
     pub(crate) fn report(&self, journal: &mut Journal, thread: &ThreadCx, incident: Incident) {
-        if let Incident::CircuitOpen { name, .. } = &incident {
-            tracing::error!("{name} panicked too often and was stopped");
+        tracing::warn!("{incident}");
+        let Some(supervisor) = self.supervisor.get() else { return };
+        let told =
+            guarded(|| journal.without_faults(|journal| supervisor(journal, thread, incident.clone())));
+        match told {
+            Ok(true) => {}
+            // Who is never told of it may wait for ever.
+            Ok(false) => self.end(incident),
+            Err(message) => {
+                self.note(Incident::Beside { what: "the supervisor's hook".to_owned(), message });
+                self.end(incident);
+            }
         }
-        if let Some(supervisor) = self.supervisor.get() {
-            supervisor(journal, thread, incident);
+    }
+
+    /// Keeps what no actor did, for whoever asks.
+    pub(crate) fn note(&self, incident: Incident) {
+        self.scheduler.note(incident);
+    }
+
+    /// Ends the system in order because of this; the first one counts.
+    pub(crate) fn end(&self, incident: Incident) {
+        tracing::error!("{incident}: the system ends");
+        let _ = self.ended.set(incident);
+        self.scheduler.notify_main();
+    }
+
+    pub(crate) fn ended(&self) -> Option<&Incident> {
+        self.ended.get()
+    }
+
+    /// Whether the main thread is to leave its pump: a replay goes on to where the recording ends, and so does an end.
+    pub(crate) fn ends(&self) -> bool {
+        self.ended.get().is_some() && !self.replaying() && !self.closed()
+    }
+
+    /// Shows a delivery to the observer.
+    pub(crate) fn observe(&self, delivery: &Delivery<'_>) {
+        let Some(observer) = &self.observer else { return };
+        if self.observer_broke.load(Ordering::Relaxed) {
+            return;
+        }
+        if let Err(message) = guarded(|| observer(delivery)) {
+            self.observer_broke.store(true, Ordering::Relaxed);
+            self.note(Incident::Beside { what: "the observer".to_owned(), message });
         }
     }
 }

@@ -10,10 +10,10 @@ use std::sync::atomic::Ordering;
 
 use crate::actor::Delivery;
 use crate::env::Env;
-use crate::log::format::{Hashing, Symbol, lane, put, put_signed, value};
+use crate::log::format::{CHUNK_DELIVERIES_MAX, Hashing, Symbol, lane, put, put_signed, reason, value};
 use crate::log::writer::BACKLOG_BYTES_MAX;
 use crate::mailbox::Link;
-use crate::message::{ActorId, Digest};
+use crate::message::{ActorId, Digest, Reason};
 use crate::replay::{Divergence, Script, Turn};
 use crate::snapshot::JournalState;
 
@@ -110,7 +110,7 @@ impl Journal {
         self.cause = sent_in.checked_sub(1).map(|index| (from, index));
     }
 
-    /// Passes one delivery. `Err` if replay diverged here or was told to stop.
+    /// Passes one delivery. `Err` if replay diverged here or was told to stop. Where `digest` panics, nothing was passed.
     #[inline]
     pub(crate) fn deliver(
         &mut self,
@@ -120,13 +120,13 @@ impl Journal {
         content: &dyn std::any::Any,
         digest: impl FnOnce(&mut Digest),
     ) -> Result<(), Halted> {
-        self.link.counters.delivered();
         if self.hashing != Hashing::Off {
             let mut chain = Digest::from_chain(self.chain);
             chain.u64(u64::from(symbol.from.0) << 8 | u64::from(symbol.lane));
             digest(&mut chain);
             self.chain = chain.finish();
         }
+        self.link.counters.delivered();
         if let Some(recorder) = &mut self.recorder {
             recorder.delivery(symbol, payload);
             match self.hashing {
@@ -137,10 +137,10 @@ impl Journal {
                 _ => {}
             }
         }
-        if let Some(observer) = &self.env.observer {
+        if self.env.observer.is_some() {
             let (actor, index, from, chain, cause) =
                 (self.id, self.index, symbol.from, self.chain, self.cause.take());
-            observer(&Delivery { actor, index, from, kind, cause, content, chain });
+            self.env.observe(&Delivery { actor, index, from, kind, cause, content, chain });
         }
         let passed = if self.script.is_some() { self.compare(symbol, kind) } else { Ok(()) };
         self.index += 1;
@@ -323,6 +323,13 @@ impl Journal {
         }
     }
 
+    pub(crate) fn record_count(&mut self, count: u64) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.value(self.index, value::COUNT);
+            put(&mut recorder.values, count);
+        }
+    }
+
     pub(crate) fn mark(&mut self, kind: u32, mark: u64) {
         if let Some(recorder) = &mut self.recorder {
             recorder.value(self.index, value::MARK);
@@ -393,15 +400,24 @@ impl Journal {
         rejects
     }
 
-    pub(crate) fn record_rejection(&mut self, number: u64) {
+    /// Sends on behalf of the runtime: no fault is injected there.
+    pub(crate) fn without_faults<R>(&mut self, send: impl FnOnce(&mut Self) -> R) -> R {
+        let fulls = std::mem::take(&mut self.fulls);
+        let result = send(self);
+        self.fulls = fulls;
+        result
+    }
+
+    pub(crate) fn record_rejection(&mut self, number: u64, reason: Reason) {
         if let Some(recorder) = &mut self.recorder {
-            put(&mut recorder.rejected, number - recorder.last_rejected);
+            let code = (number - recorder.last_rejected) << reason::BITS | reason::code(reason);
+            put(&mut recorder.rejected, code);
             recorder.last_rejected = number;
         }
     }
 
-    pub(crate) fn replays_rejection(&mut self, number: u64) -> bool {
-        self.script.as_mut().is_some_and(|script| script.rejects(number))
+    pub(crate) fn replays_rejection(&mut self, number: u64) -> Option<Reason> {
+        self.script.as_mut()?.rejects(number)
     }
 
     pub(crate) fn latest_sent(&self, to: ActorId, key: u8) -> u32 {
@@ -457,8 +473,10 @@ impl Journal {
             self.held_back = log.push(chunk).err();
         }
         let period = log.period.load(Ordering::Relaxed);
-        let due =
-            now || recorder.len() >= CHUNK_BYTES || (period != self.period && recorder.first != self.index);
+        let due = now
+            || recorder.len() >= CHUNK_BYTES
+            || self.index - recorder.first >= CHUNK_DELIVERIES_MAX / 2
+            || (period != self.period && recorder.first != self.index);
         if due && self.held_back.is_none() && (recorder.first != self.index || recorder.len() > 0) {
             let chunk = recorder.chunk(self.id, self.index, self.chain, self.declared);
             self.declared = recorder.symbols.len();

@@ -1,4 +1,4 @@
-//! A lock-free actor runtime that records and replays.
+//! An actor runtime without locks of its own that records and replays.
 //!
 //! Actors own their state and change it only by the messages they are given, in order. This runtime schedules them on
 //! k threads and the main one, bounds every mailbox, catches panics, and puts every delivery through one place. So the
@@ -12,47 +12,19 @@
 //! use serde::{Deserialize, Serialize};
 //! use std::{sync::Arc, time::Duration};
 //!
-//! // 1. Messages: one closed enum for each actor. What can change the receiver belongs in the digest.
+//! // 1. Messages: one closed enum for each actor. All of their content is hashed, so that replay can compare it.
+//! #[derive(Message)]
+//! #[message(unsaved = "an address is not read back from a snapshot")]
 //! enum CounterMsg {
 //!     Add { amount: u64, reply_to: Address<ShowMsg> },
 //! }
 //!
-//! impl Message for CounterMsg {
-//!     fn digest(&self, digest: &mut Digest) {
-//!         match self {
-//!             Self::Add { amount, .. } => digest.u64(*amount),
-//!         }
-//!     }
-//!     fn kind(&self) -> &'static str {
-//!         "Add"
-//!     }
-//! }
-//!
+//! #[derive(Message)]
 //! enum ShowMsg {
+//!     // Where only the newest counts, a message says so. Others: `lane = data` (default), `lane = control`.
+//!     #[message(lane = latest(0))]
 //!     Tick(Tick),
 //!     Total(u64),
-//! }
-//!
-//! impl Message for ShowMsg {
-//!     fn digest(&self, digest: &mut Digest) {
-//!         match self {
-//!             Self::Tick(tick) => digest.u64(tick.number),
-//!             Self::Total(total) => digest.u64(*total),
-//!         }
-//!     }
-//!     fn kind(&self) -> &'static str {
-//!         match self {
-//!             Self::Tick(_) => "Tick",
-//!             Self::Total(_) => "Total",
-//!         }
-//!     }
-//!     // Where only the newest counts, a message says so. Others: `Lane::Data` (default), `Lane::Control`.
-//!     fn lane(&self) -> Lane {
-//!         match self {
-//!             Self::Tick(_) => Lane::Latest(0),
-//!             Self::Total(_) => Lane::Data,
-//!         }
-//!     }
 //! }
 //!
 //! // What comes from outside can be written down and becomes a message.
@@ -122,8 +94,8 @@
 //!     let counter = wiring.declare::<Counter>(Bounds::messages(4));
 //!     let ticks = wiring.port::<Tick, ShowMsg>("ticks", &show.address());
 //!     let actor = Show { counter: counter.address(), credits: Credits::new(4), shown: Vec::new() };
-//!     let show = wiring.spawn(show, actor);
-//!     wiring.spawn(counter, Counter { total: 0 });
+//!     let show = wiring.spawn(show, actor, OnPanic::Resume);
+//!     wiring.spawn(counter, Counter { total: 0 }, OnPanic::Resume);
 //!     (show, ticks)
 //! }
 //!
@@ -162,8 +134,14 @@
 //! `wiring.pool::<J>(capacity)` makes a [`JobPool`]; `wiring.spawn_worker(declared, worker, &pool, on_panic)` seats a
 //! [`Worker`], whose [`Worker::run`] gets the best job whenever its mailbox is empty (one job a turn; make it
 //! [`Class::Heavy`]). Any actor pushes with `cx.push(&pool, bucket, epoch, job)` (bucket 0 first, 63 last) and retires
-//! old ones with `cx.retire(&pool, epoch)`. A job whose worker panics goes back; the third time it is given up and
-//! [`Incident::JobDead`] tells the actor named by `wiring.supervisor(&address, |incident| message)`.
+//! old ones with `cx.retire(&pool, epoch)`. A job whose worker panics goes back; the third time it is given up, and a
+//! [`DeadJob`] says what it was and why to the actor named by `wiring.gives_up(&pool, &address, |dead| message)`.
+//!
+//! # Panics
+//!
+//! Whoever spawns an actor says what its panic does ([`OnPanic`]): it goes on, starts anew, stops, or ends the system in
+//! order. The actor named by `wiring.supervisor(&address, |incident| message)` is told of each; that is recorded like
+//! any message. What no actor did is survived and kept for [`Runtime::incidents`].
 //!
 //! # A window's event loop
 //!
@@ -186,11 +164,17 @@
 //! [`Runtime::snapshot`] takes the state between two turns, and [`Config::from`] begins there: so one steps back, or
 //! jumps into a long recording. [`Timeline`] draws it all for chrome://tracing and Perfetto.
 //!
-//! No lock is taken anywhere on a message's way: mailboxes are `crossbeam_queue::ArrayQueue`s, run queues
-//! `crossbeam_deque`s, parking is an eventcount over `std::thread::park`.
+//! There are no locks of ours anywhere on a message's way: mailboxes are `crossbeam_queue::ArrayQueue`s, run queues
+//! `crossbeam_deque`s, parking is an eventcount over `std::thread::park`. A queue's push or pop may have to wait for
+//! another thread that is in the middle of one: it spins, then gives its core away.
+
+#[cfg(doctest)]
+#[doc = include_str!("README.md")]
+struct Readme;
 
 mod activation;
 mod actor;
+#[expect(clippy::disallowed_methods, reason = "the one clock, which actors reach by their `Cx`")]
 mod clock;
 mod config;
 mod env;
@@ -220,16 +204,19 @@ mod timeline;
 mod timer;
 mod wiring;
 
-pub use actor::{Actor, Class, Control, Cx, Delivery, TimerId};
+pub use actor::{Actor, Class, Control, Cx, Delivery, Ticket, TimerId};
 pub use clock::Time;
+pub use foveal_runtime_derive::Message;
+
 pub use config::{Budget, BuildError, Config, Mode, Observer, Record};
 pub use log::events::Event;
+pub use log::fingerprint::Fingerprint;
 pub use log::format::{Hashing, Header, NodeInfo};
 pub use log::reader::{Cut, Trace, TraceError, TraceStat};
 pub use log::writer::RecordingStatus;
 pub use mailbox::{Address, Bounds};
 pub use message::{ActorId, Credits, Digest, LATEST_KEYS, Lane, Message, Reason, Rejected};
-pub use pool::{Job, JobPool, PoolStats, Worker};
+pub use pool::{DeadJob, Death, Job, JobPool, PoolStats, Worker};
 pub use port::{External, Port};
 pub use priority::give_way;
 pub use profile::{ActorCounters, TurnTime, ring_cost};

@@ -1,6 +1,7 @@
 //! Looking at a running system from the main thread.
 
 use std::any::Any;
+use std::time::Duration;
 
 use crate::actor::{Actor, Class, Control};
 use crate::clock::Time;
@@ -10,8 +11,12 @@ use crate::message::Digest;
 use crate::profile::{ActorCounters, TurnTime, timeline};
 use crate::runtime::Runtime;
 use crate::simulate::Failure;
+use crate::supervise::Incident;
 use crate::timeline::Timeline;
 use crate::wiring::Handle;
+
+/// A live system need never come to rest.
+const LIVE_SETTLE_MAX: Duration = Duration::from_secs(10);
 
 impl Runtime {
     /// Looks at an actor's state: a pinned one's at any time, any one's if the main thread is alone.
@@ -93,8 +98,15 @@ impl Runtime {
 
     /// Deliveries and chained hash of each actor, when nothing runs; zeros for ports. Two runs with equal positions
     /// delivered the same messages in the same order to every actor.
+    ///
+    /// Waits until no turn runs on another thread: in a live system at most for ten seconds, and whoever is in a turn
+    /// then has zeros. What waits for the main thread goes on waiting.
     pub fn positions(&self) -> Vec<(u64, u64)> {
-        self.settle();
+        if self.env.replaying() {
+            self.settle();
+        } else {
+            self.settle_within(LIVE_SETTLE_MAX);
+        }
         self.nodes.iter().map(|node| node.position().unwrap_or_default()).collect()
     }
 
@@ -106,6 +118,16 @@ impl Runtime {
             digest.u64(chain);
         }
         digest.finish()
+    }
+
+    /// What the system ends for, if it does.
+    pub fn ended(&self) -> Option<&Incident> {
+        self.env.ended()
+    }
+
+    /// What went wrong since the last call and was survived, though no actor can be told of it; at most the last 64.
+    pub fn incidents(&self) -> Vec<Incident> {
+        self.env.scheduler.incidents()
     }
 
     /// The broken invariant that ended a simulation.

@@ -1,8 +1,9 @@
-//! A mailbox: one bounded lock-free queue for data, a small one for control messages, newest-only slots, timers, and a
+//! A mailbox: one bounded queue for data, a small one for control messages, newest-only slots, timers, and a
 //! word of signals that can never overflow.
 
 use crossbeam_queue::{ArrayQueue, SegQueue};
 use crossbeam_utils::CachePadded;
+use serde::{Serialize, Serializer};
 use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -94,7 +95,7 @@ impl Link {
     pub(crate) fn raise(&self, bit: u32, thread: &ThreadCx) {
         if self.signals.raise(bit) {
             self.wake(thread);
-            if bit & (signal::CONTROL | signal::START) != 0 && self.signals.unpark() {
+            if bit & signal::WHILE_PAUSED != 0 && self.signals.unpark() {
                 self.env.scheduler.activate(self.class, self.id.0, thread);
             }
         }
@@ -106,9 +107,6 @@ impl Link {
             Control::Pause => signal::PAUSE,
             Control::Resume => signal::RESUME,
         };
-        if bit == signal::PAUSE {
-            self.signals.withdraw(signal::RESUME);
-        }
         self.raise(bit, thread);
     }
 }
@@ -225,6 +223,13 @@ pub struct Address<M> {
 impl<M> Clone for Address<M> {
     fn clone(&self) -> Self {
         Self { mailbox: Arc::clone(&self.mailbox) }
+    }
+}
+
+/// Its identity: all that can be said of it outside of the system.
+impl<M> Serialize for Address<M> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.mailbox.link.id.serialize(serializer)
     }
 }
 

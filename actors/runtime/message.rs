@@ -1,5 +1,7 @@
 //! What actors say to each other: messages, their digests, and the values that come back when a mailbox is full.
 
+use postcard::ser_flavors::Flavor;
+use serde::Serialize;
 use std::fmt;
 
 use crate::snapshot::{Loader, Saver};
@@ -31,6 +33,60 @@ pub enum Lane {
 }
 
 /// A closed set of things one actor can be told.
+///
+/// Derive it: then everything is said for every field, and a field added later cannot be forgotten.
+///
+/// ```
+/// use foveal_runtime::Message;
+/// use serde::{Deserialize, Serialize};
+/// use std::sync::Arc;
+///
+/// #[derive(Message)]
+/// enum ShowMsg {
+///     /// Numbers, texts, options, lists, what has serde's traits: all of it is in the digest, and in snapshots.
+///     Moved { by: [f32; 3], label: Option<String> },
+///     /// Only the newest counts. Others: `lane = control`, `lane = data`, which is meant where nothing is said.
+///     #[message(lane = latest(0))]
+///     Tick(u64),
+///     /// Its heap counts against the mailbox's bound in bytes. Bulk data is hashed once, by its maker.
+///     #[message(size = pixels.len())]
+///     Drawn {
+///         #[message(skip = "`hash` tells it")]
+///         pixels: Arc<Vec<u8>>,
+///         hash: u64,
+///     },
+///     /// Where the name in reports is another.
+///     #[message(kind = if *_0 { "On" } else { "Off" })]
+///     Switched(bool),
+/// }
+/// # assert_eq!(ShowMsg::Switched(true).kind(), "On");
+/// # let drawn = ShowMsg::Drawn { pixels: Arc::new(vec![0; 9]), hash: 4 };
+/// # assert_eq!((drawn.size_bytes(), drawn.kind()), (9, "Drawn"));
+/// # assert_eq!(ShowMsg::Tick(3).lane(), foveal_runtime::Lane::Latest(0));
+/// ```
+///
+/// A field's `with = module` names functions `digest(&field, &mut Digest)`, `save(&field, &mut Saver)` and
+/// `restore(&mut Loader) -> Option<Field>` for types without serde's traits; with `skip` the first is not asked for. A
+/// variant or a whole message with `unsaved = "why"` lets no snapshot be taken while it waits, and its fields need not
+/// be read back. Leaving something out takes a reason:
+///
+/// ```compile_fail
+/// #[derive(foveal_runtime::Message)]
+/// struct Told {
+///     #[message(skip)]
+///     value: u64,
+/// }
+/// ```
+///
+/// What cannot be hashed is no message:
+///
+/// ```compile_fail
+/// #[derive(foveal_runtime::Message)]
+/// #[message(unsaved = "a test")]
+/// struct Told {
+///     value: std::cell::Cell<std::time::Instant>,
+/// }
+/// ```
 pub trait Message: Send + 'static {
     /// Adds the content to a hash. Two messages with equal digests are taken to be equal by replay, so everything
     /// that can change the receiver belongs in it. Bulk data is hashed once by its maker and carries its hash.
@@ -105,6 +161,17 @@ impl Digest {
         self.u64(xxhash_rust::xxh3::xxh3_64(bytes));
     }
 
+    /// Adds everything that the value's serialization writes: numbers by their bits, lengths and variants included.
+    ///
+    /// A value must be of a kind that can be serialized: a sequence, for one, knows its length. Others add nothing.
+    #[inline]
+    pub fn value(&mut self, value: &(impl Serialize + ?Sized)) {
+        let words = Words { digest: *self, word: 0, bytes: 0 };
+        let added = postcard::serialize_with_flavor(value, words);
+        debug_assert!(added.is_ok(), "content of a message that cannot be serialized: {added:?}");
+        *self = added.unwrap_or(*self);
+    }
+
     /// The hash of all that was added.
     #[inline]
     pub const fn finish(self) -> u64 {
@@ -117,8 +184,48 @@ impl Digest {
     }
 }
 
+/// Takes serialized bytes, eight at a time, into a digest.
+struct Words {
+    digest: Digest,
+    /// The bytes that do not fill a word yet, the first one lowest.
+    word: u64,
+    /// All bytes so far.
+    bytes: u64,
+}
+
+impl Flavor for Words {
+    type Output = Digest;
+
+    #[inline]
+    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
+        self.word |= u64::from(byte) << (self.bytes % 8 * 8);
+        self.bytes += 1;
+        if self.bytes.is_multiple_of(8) {
+            self.digest.u64(std::mem::take(&mut self.word));
+        }
+        Ok(())
+    }
+
+    #[inline]
+    fn try_extend(&mut self, bytes: &[u8]) -> postcard::Result<()> {
+        // What is long is hashed by what is made for it.
+        if bytes.len() > 64 {
+            self.digest.bytes(bytes);
+            return Ok(());
+        }
+        bytes.iter().try_for_each(|byte| self.try_push(*byte))
+    }
+
+    #[inline]
+    fn finalize(mut self) -> postcard::Result<Digest> {
+        self.digest.u64(self.word);
+        self.digest.u64(self.bytes);
+        Ok(self.digest)
+    }
+}
+
 /// Why a message came back.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum Reason {
     /// The mailbox holds as many messages as it may.
     Full,

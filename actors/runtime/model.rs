@@ -1,19 +1,27 @@
-//! The lock-free protocols under the model checker, in every interleaving of small cases.
+//! The protocols without locks of ours under the model checker, in every interleaving of small cases.
 //!
 //! `RUSTFLAGS="--cfg loom" cargo test --release -p foveal-runtime --lib model`
 //!
-//! Queues are stand-ins (loom does not see into crossbeam's, which have their own models); what is checked is the order
-//! of our steps around them.
+//! Actors, mailboxes and the scheduler are those of a live system: loom switches threads at each step of activation,
+//! signals and parking ([`crate::sync`]). It does not see into crossbeam's queues, which have their own models; where a
+//! model has a queue that must promise as little as possible, it is a stand-in.
 
 use loom::sync::Arc;
-use loom::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use loom::sync::atomic::{AtomicUsize, Ordering};
 use loom::thread;
 use std::collections::VecDeque;
 
-use crate::activation::Activation;
+use crate::actor::{Actor, Control, Cx};
+use crate::config::{Budget, Config};
 use crate::eventcount::EventCount;
+use crate::mailbox::{Address, Bounds, Envelope, Link};
+use crate::message::{ActorId, Digest, Lane, Message};
+use crate::node::Runnable;
 use crate::pool::Bitmap;
-use crate::signals::{Signals, signal};
+use crate::runtime::Runtime;
+use crate::scheduler::ThreadCx;
+use crate::signals::signal;
+use crate::supervise::OnPanic;
 
 /// A linearisable queue.
 #[expect(clippy::disallowed_types, reason = "a stand-in for a lock-free queue inside the model checker")]
@@ -36,66 +44,6 @@ impl Queue {
     fn is_empty(&self) -> bool {
         self.0.lock().unwrap().is_empty()
     }
-}
-
-/// An actor: senders run it themselves when they activate it, as a worker thread would.
-struct Actor {
-    mailbox: Queue,
-    activation: Activation,
-    in_turn: AtomicBool,
-    /// Written with plain stores by whoever runs the turn: only the activation orders them.
-    state: AtomicUsize,
-}
-
-impl Actor {
-    fn tell(&self, message: u32) {
-        self.mailbox.push(message);
-        if self.activation.add() {
-            while self.turn() {}
-        }
-    }
-
-    fn turn(&self) -> bool {
-        assert!(!self.in_turn.swap(true, Ordering::Relaxed), "two turns at once");
-        let mut consumed = self.activation.owed();
-        let mut state = self.state.load(Ordering::Relaxed);
-        while self.mailbox.pop().is_some() {
-            consumed += 1;
-            state += 1;
-        }
-        self.state.store(state, Ordering::Relaxed);
-        self.in_turn.store(false, Ordering::Relaxed);
-        self.activation.finish(consumed)
-    }
-}
-
-#[test]
-fn model_activation_runs_every_message_once_and_one_turn_at_a_time() {
-    let mut model = loom::model::Builder::new();
-    // Three threads without a bound take minutes.
-    model.preemption_bound = Some(3);
-    model.check(|| {
-        let actor = Arc::new(Actor {
-            mailbox: Queue::new(),
-            activation: Activation::new(),
-            in_turn: AtomicBool::new(false),
-            state: AtomicUsize::new(0),
-        });
-        let senders: Vec<_> = (0..2)
-            .map(|sender| {
-                let actor = Arc::clone(&actor);
-                thread::spawn(move || actor.tell(sender))
-            })
-            .collect();
-        actor.tell(7);
-        senders.into_iter().for_each(|sender| sender.join().unwrap());
-        assert_eq!(
-            actor.state.load(Ordering::Relaxed),
-            3,
-            "a message was lost, or its turn's state not seen"
-        );
-        assert!(actor.mailbox.is_empty() && actor.activation.pending() == 0);
-    });
 }
 
 #[test]
@@ -221,89 +169,160 @@ fn model_idle_worker_and_pushed_job_find_each_other() {
     });
 }
 
-/// An actor's mailbox with its signals, run as [`Actor`] is.
-struct Mailbox {
-    data: Queue,
-    signals: Signals,
-    activation: Activation,
-    in_turn: AtomicBool,
-    /// Written with plain stores by whoever runs the turn.
-    paused: AtomicBool,
-    got: AtomicUsize,
+/// What the modelled actor is told.
+enum Word {
+    Data,
+    Urgent,
+    Newest,
 }
 
-impl Mailbox {
-    fn wake(&self) {
-        if self.activation.add() {
-            while self.turn() {}
+impl Message for Word {
+    fn digest(&self, _: &mut Digest) {}
+
+    fn kind(&self) -> &'static str {
+        "Word"
+    }
+
+    fn lane(&self) -> Lane {
+        match self {
+            Self::Data => Lane::Data,
+            Self::Urgent => Lane::Control,
+            Self::Newest => Lane::Latest(0),
+        }
+    }
+}
+
+/// Counts by kind. Nothing but the activation orders one turn's writes before the next turn's reads.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Tally {
+    data: usize,
+    urgent: usize,
+    newest: usize,
+}
+
+impl Actor for Tally {
+    type Msg = Word;
+    const NAME: &'static str = "tally";
+
+    fn handle(&mut self, word: Word, _: &mut Cx<'_, Word>) {
+        match word {
+            Word::Data => self.data += 1,
+            Word::Urgent => self.urgent += 1,
+            Word::Newest => self.newest += 1,
+        }
+    }
+}
+
+/// A live system of one actor without threads of its own: each of loom's threads is a worker.
+#[derive(Clone)]
+struct System {
+    address: Address<Word>,
+    nodes: std::sync::Arc<[Box<dyn Runnable>]>,
+}
+
+impl System {
+    /// Runs `body` in every interleaving, then resumes the actor; returns what it was told must be `expected`.
+    fn check(preemptions: usize, expected: Tally, body: fn(&Self) -> Vec<thread::JoinHandle<()>>) {
+        let mut model = loom::model::Builder::new();
+        // Without a bound this takes minutes.
+        model.preemption_bound = Some(preemptions);
+        model.check(move || {
+            // A turn that looked at a real clock would differ from one interleaving to the next.
+            let budget = Budget { messages: u64::MAX, nanoseconds: u64::MAX };
+            let (runtime, (address, tally)) =
+                Runtime::build(Config { budget, ring_turns: 1, ..Config::live(0) }, |wiring| {
+                    let declared = wiring.declare::<Tally>(Bounds::messages(4));
+                    let address = declared.address();
+                    (address, wiring.spawn(declared, Tally::default(), OnPanic::Resume))
+                })
+                .expect("builds");
+            let system = Self { address, nodes: std::sync::Arc::clone(&runtime.nodes) };
+            body(&system).into_iter().for_each(|thread| thread.join().unwrap());
+            system.order(Control::Resume);
+            let link = system.link();
+            assert_eq!(runtime.inspect(tally, |tally| *tally), Some(expected), "a message waits for ever");
+            assert_eq!(link.activation.pending(), 0, "a unit of work is left");
+            assert!(!link.signals.any(u32::MAX), "a signal is left");
+            assert!(!link.signals.is_parked(), "nobody is paused");
+            assert!(link.env.scheduler.settled(), "the system never comes to rest");
+        });
+    }
+
+    fn link(&self) -> &Link {
+        &self.address.mailbox.link
+    }
+
+    /// What a worker thread does: runs whatever is on a run queue.
+    fn work(&self, thread: &ThreadCx) {
+        let scheduler = &self.link().env.scheduler;
+        while let Some(actor) = scheduler.next_light() {
+            scheduler.run(&self.nodes, actor, thread);
         }
     }
 
-    fn tell(&self, message: u32) {
-        self.data.push(message);
-        self.wake();
+    fn tell(&self, message: Word) {
+        let thread = ThreadCx::outside();
+        let envelope = Envelope { from: ActorId(9), sequence: 0, external: None, message };
+        assert!(self.address.mailbox.accept(envelope, &thread).is_ok());
+        self.work(&thread);
     }
 
-    fn order(&self, bit: u32) {
-        if bit == signal::PAUSE {
-            self.signals.withdraw(signal::RESUME);
-        }
-        if self.signals.raise(bit) {
-            self.wake();
-            if self.signals.unpark() {
-                while self.turn() {}
-            }
-        }
+    fn order(&self, control: Control) {
+        let thread = ThreadCx::outside();
+        self.link().control(control, &thread);
+        self.work(&thread);
     }
 
-    fn turn(&self) -> bool {
-        assert!(!self.in_turn.swap(true, Ordering::Relaxed), "two turns at once");
-        let mut consumed = self.activation.owed();
-        let mut paused = self.paused.load(Ordering::Relaxed);
-        let mut got = self.got.load(Ordering::Relaxed);
-        loop {
-            let mask = if paused { signal::CONTROL } else { u32::MAX };
-            if self.signals.any(mask) {
-                let bits = self.signals.take(mask);
-                consumed += bits.count_ones() as usize;
-                paused = bits & signal::PAUSE != 0 && bits & signal::RESUME == 0
-                    || paused && bits & signal::RESUME == 0;
-            }
-            if paused || self.data.pop().is_none() {
-                break;
-            }
-            consumed += 1;
-            got += 1;
-        }
-        self.paused.store(paused, Ordering::Relaxed);
-        self.got.store(got, Ordering::Relaxed);
-        self.in_turn.store(false, Ordering::Relaxed);
-        let active = self.activation.finish(consumed);
-        if active && paused { self.signals.park() } else { active }
+    fn spawn(&self, body: impl FnOnce(&Self) + 'static) -> thread::JoinHandle<()> {
+        let system = self.clone();
+        thread::spawn(move || body(&system))
     }
 }
 
 #[test]
-fn model_mailbox_of_a_paused_actor_keeps_all_and_hears_its_orders() {
-    let mut model = loom::model::Builder::new();
-    model.preemption_bound = Some(3);
-    model.check(|| {
-        let mailbox = Arc::new(Mailbox {
-            data: Queue::new(),
-            signals: Signals::new(),
-            activation: Activation::new(),
-            in_turn: AtomicBool::new(false),
-            paused: AtomicBool::new(false),
-            got: AtomicUsize::new(0),
+fn model_every_message_is_handled_once_and_one_turn_at_a_time() {
+    System::check(2, Tally { data: 3, ..Tally::default() }, |system| {
+        let senders = [0, 1].map(|_| system.spawn(|system| system.tell(Word::Data)));
+        system.tell(Word::Data);
+        senders.into()
+    });
+}
+
+#[test]
+fn model_every_way_into_the_mailbox_is_heard() {
+    System::check(2, Tally { data: 1, urgent: 1, newest: 1 }, |system| {
+        let urgent = system.spawn(|system| system.tell(Word::Urgent));
+        let newest = system.spawn(|system| system.tell(Word::Newest));
+        system.tell(Word::Data);
+        vec![urgent, newest]
+    });
+}
+
+#[test]
+fn model_orders_that_follow_each_other_leave_no_work_behind() {
+    System::check(2, Tally { data: 1, ..Tally::default() }, |system| {
+        // Each of these comes while the turns that the others began go on.
+        let orders = system.spawn(|system| {
+            [Control::Resume, Control::Pause].into_iter().for_each(|order| system.order(order));
         });
-        mailbox.order(signal::PAUSE);
-        let sender = {
-            let mailbox = Arc::clone(&mailbox);
-            thread::spawn(move || mailbox.tell(1))
-        };
-        mailbox.order(signal::RESUME);
-        sender.join().unwrap();
-        assert_eq!(mailbox.got.load(Ordering::Relaxed), 1, "the message waits for ever");
-        assert!(!mailbox.paused.load(Ordering::Relaxed) && mailbox.activation.pending() == 0);
+        let message = system.spawn(|system| system.tell(Word::Data));
+        let orders_here = [Control::Pause, Control::Resume, Control::Pause];
+        orders_here.into_iter().for_each(|order| system.order(order));
+        vec![orders, message]
+    });
+}
+
+#[test]
+fn model_a_paused_actor_keeps_all_and_hears_what_gets_through() {
+    System::check(3, Tally { data: 1, ..Tally::default() }, |system| {
+        system.order(Control::Pause);
+        let sender = system.spawn(|system| system.tell(Word::Data));
+        let recorder = system.spawn(|system| {
+            let thread = ThreadCx::outside();
+            system.link().raise(signal::FLUSH, &thread);
+            system.work(&thread);
+        });
+        system.order(Control::Resume);
+        vec![sender, recorder]
     });
 }

@@ -5,7 +5,7 @@ mod deliver;
 
 use crossbeam_utils::atomic::AtomicCell;
 use std::any::Any;
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
@@ -19,7 +19,7 @@ use crate::replay::{Next, Script, Stash};
 use crate::scheduler::ThreadCx;
 use crate::signals::signal;
 use crate::snapshot::{Loader, Saver, load_messages, load_timers, save_messages, save_timers};
-use crate::supervise::{Circuit, OnPanic};
+use crate::supervise::{Circuit, OnPanic, guarded};
 
 /// An actor as the scheduler sees it.
 pub(crate) trait Runnable: Send + Sync {
@@ -39,8 +39,8 @@ pub(crate) trait Runnable: Send + Sync {
     fn end_log(&self);
     /// Throws away what waits, when nothing runs any more.
     fn clear(&self);
-    /// Nothing waits in the mailbox.
-    fn is_empty(&self) -> bool;
+    /// Messages of all ways that wait in the mailbox.
+    fn waiting(&self) -> u64;
     /// Control messages that wait.
     fn urgent(&self) -> usize;
     /// Data messages that wait.
@@ -73,6 +73,8 @@ struct Core<A: Actor> {
     paused: bool,
     stopping: bool,
     stopped: bool,
+    /// A turn of it did not come to its end.
+    broken: bool,
 }
 
 pub(crate) struct Node<A: Actor> {
@@ -89,6 +91,23 @@ struct Turn {
     /// Work is left that the counter does not tell of.
     again: bool,
     flush: bool,
+}
+
+/// An actor in a turn. Whatever the turn panics with, the actor is put back, with what it consumed.
+struct InTurn<'a, A: Actor> {
+    node: &'a Node<A>,
+    core: Option<Box<Core<A>>>,
+    turn: Turn,
+}
+
+impl<A: Actor> Drop for InTurn<'_, A> {
+    fn drop(&mut self) {
+        if let Some(mut core) = self.core.take() {
+            core.broken = true;
+            self.node.link.activation.keep(self.turn.consumed);
+            self.node.core.store(Some(core));
+        }
+    }
 }
 
 impl<A: Actor> Node<A> {
@@ -113,6 +132,7 @@ impl<A: Actor> Node<A> {
             paused: false,
             stopping: false,
             stopped: false,
+            broken: false,
         };
         Self { link, address: address.clone(), core: AtomicCell::new(Some(Box::new(core))) }
     }
@@ -142,7 +162,7 @@ impl<A: Actor> Node<A> {
                 && let Some(envelope) = mailbox.urgent.pop()
             {
                 turn.messages += 1;
-                self.envelope(core, thread, envelope)?;
+                self.envelope(core, thread, envelope, lane::CONTROL)?;
             }
         }
         if bits & signal::TIMER != 0 {
@@ -159,7 +179,7 @@ impl<A: Actor> Node<A> {
                 && let Some(envelope) = mailbox.latest[usize::from(key)].pop()
             {
                 turn.messages += 1;
-                self.envelope(core, thread, envelope)?;
+                self.envelope(core, thread, envelope, lane::LATEST + key)?;
             }
         }
         Ok(())
@@ -180,7 +200,7 @@ impl<A: Actor> Node<A> {
             if env.halted() {
                 return Err(Halted);
             }
-            let mask = if core.paused { signal::CONTROL | signal::FLUSH | signal::START } else { u32::MAX };
+            let mask = if core.paused { signal::WHILE_PAUSED } else { u32::MAX };
             if self.link.signals.any(mask) {
                 let bits = self.link.signals.take(mask);
                 turn.consumed += bits.count_ones() as usize;
@@ -206,7 +226,7 @@ impl<A: Actor> Node<A> {
             turn.consumed += 1;
             turn.messages += 1;
             mailbox.release(envelope.message.size_bytes());
-            self.envelope(core, thread, envelope)?;
+            self.envelope(core, thread, envelope, lane::DATA)?;
         }
         // Jobs come after messages, one a turn.
         if let Some(seat) = &mut core.seat {
@@ -267,7 +287,8 @@ impl<A: Actor> Node<A> {
             (_, Some(bytes)) => {
                 let decoder =
                     core.decoders.iter().find(|(port, _)| *port == symbol.from).map(|(_, decode)| decode);
-                let Some(message) = decoder.and_then(|decode| decode(bytes)) else {
+                let decode = |decode: &Decoder<A::Msg>| guarded(|| decode(bytes)).ok().flatten();
+                let Some(message) = decoder.and_then(decode) else {
                     let expected = format!("an input of {}", self.link.env.name(symbol.from));
                     core.journal.diverge_here(expected, "a payload that cannot be decoded".into());
                     return Err(Halted);
@@ -311,10 +332,14 @@ impl<A: Actor> Node<A> {
         if !core.stopped {
             core.stopped = true;
             self.link.closed.store(true, Ordering::SeqCst);
-            if let Some(seat) = &core.seat {
+            if let Some(seat) = &mut core.seat {
+                if core.broken {
+                    // Whatever it held goes to another.
+                    seat.killed(&mut core.journal, thread, "its turn broke off");
+                }
                 seat.leave_regardless(thread);
             }
-            let _ = catch_unwind(AssertUnwindSafe(|| core.actor.stopped()));
+            let _ = guarded(|| core.actor.stopped());
         }
         let mailbox = self.mailbox();
         let mut dead = 0;
@@ -338,9 +363,10 @@ impl<A: Actor> Node<A> {
     /// Takes the state out for a moment; only when no turn can run.
     fn with_core<R>(&self, body: impl FnOnce(&mut Core<A>) -> R) -> Option<R> {
         let mut core = self.core.take()?;
-        let result = body(&mut core);
+        // The caller's own panics are the caller's, but not at the actor's cost.
+        let result = catch_unwind(AssertUnwindSafe(|| body(&mut core)));
         self.core.store(Some(core));
-        Some(result)
+        Some(result.unwrap_or_else(|panic| resume_unwind(panic)))
     }
 }
 
@@ -351,7 +377,7 @@ impl<A: Actor> Runnable for Node<A> {
         if env.halted() {
             return true;
         }
-        let Some(mut core) = self.core.take() else { unreachable!("two turns of {} at once", link.id) };
+        let Some(core) = self.core.take() else { unreachable!("two turns of {} at once", link.id) };
         let _span = tracing::trace_span!("turn", actor = A::NAME, id = link.id.0).entered();
         let start = match thread.last_end.get() {
             0 => env.clock.turn_time(),
@@ -359,32 +385,37 @@ impl<A: Actor> Runnable for Node<A> {
         };
         let depth = link.activation.pending() as u64;
         let consumed = link.activation.owed();
-        let mut turn = Turn { consumed, messages: 0, again: false, flush: false };
-        let ended = if core.stopped {
+        let turn = Turn { consumed, messages: 0, again: false, flush: false };
+        let mut in_turn = InTurn { node: self, core: Some(core), turn };
+        let InTurn { core: Some(core), turn, .. } = &mut in_turn else { unreachable!("just put there") };
+        core.stopping |= core.broken;
+        let ended = if core.stopped || core.broken {
             Ok(())
         } else if core.journal.replaying() {
-            self.replay_turn(&mut core, thread, &mut turn)
+            self.replay_turn(core, thread, turn)
         } else {
-            self.live_turn(&mut core, thread, start, &mut turn)
+            self.live_turn(core, thread, start, turn)
         };
         if ended.is_err() {
             turn.again = true;
         } else if core.stopping {
             turn.again = false;
-            self.close(&mut core, thread, &mut turn);
+            self.close(core, thread, turn);
         }
         core.journal.end_turn(turn.flush);
         let end = env.clock.turn_time();
         thread.last_end.set(end);
         link.counters.turn(start, end, turn.messages, depth, thread.lane);
         let paused = core.paused && !core.stopped;
-        if turn.again {
-            link.activation.keep(turn.consumed);
-            self.core.store(Some(core));
+        let (again, consumed) = (turn.again, turn.consumed);
+        let core = in_turn.core.take();
+        if again {
+            link.activation.keep(consumed);
+            self.core.store(core);
             return true;
         }
-        self.core.store(Some(core));
-        let active = link.activation.finish(turn.consumed);
+        self.core.store(core);
+        let active = link.activation.finish(consumed);
         if active && paused {
             // Work waits, but not for a paused actor: an order wakes it. One that came just now is seen here.
             return link.signals.park();
@@ -492,10 +523,9 @@ impl<A: Actor> Runnable for Node<A> {
         self.mailbox().urgent.len()
     }
 
-    fn is_empty(&self) -> bool {
+    fn waiting(&self) -> u64 {
         let mailbox = self.mailbox();
-        mailbox.data.is_empty()
-            && mailbox.urgent.is_empty()
-            && mailbox.latest.iter().all(|slot| slot.is_empty())
+        let newest: usize = mailbox.latest.iter().map(|slot| slot.len()).sum();
+        (mailbox.data.len() + mailbox.urgent.len() + newest) as u64
     }
 }

@@ -7,34 +7,64 @@ mod bitmap;
 mod seat;
 
 use crossbeam_queue::SegQueue;
+use serde::{Deserialize, Serialize};
+use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use crate::actor::{Actor, Cx};
 use crate::env::Env;
 use crate::eventcount::EventCount;
+use crate::journal::Journal;
 use crate::mailbox::Link;
-use crate::message::{Digest, Message, Reason, Rejected};
+use crate::message::{ActorId, Digest, Message, Reason, Rejected};
 use crate::scheduler::ThreadCx;
 use crate::signals::signal;
 use crate::snapshot::{Loader, Saver};
+use crate::supervise::{Incident, guarded};
 
 pub(crate) use bitmap::Bitmap;
 use seat::SeatOf;
-pub(crate) use seat::{Killed, Popped, Seat, job_symbol};
+pub(crate) use seat::{Popped, Seat, job_symbol};
 
 /// Priority buckets of a pool.
 pub const BUCKETS: u8 = 64;
 /// A job that panicked so often is given up.
 pub const KILLS_MAX: u32 = 3;
 
+/// A job that is given up, as whoever [`crate::Wiring::gives_up`] names is told of it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DeadJob<B> {
+    /// Its identity.
+    pub job: u64,
+    /// The worker that had it last.
+    pub worker: ActorId,
+    /// What it was.
+    pub brief: B,
+    /// Why it is given up.
+    pub why: Death,
+}
+
+/// Why a job is given up.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Death {
+    /// [`KILLS_MAX`] workers did not survive it; this is what the last one panicked with.
+    Panicked(String),
+}
+
+/// Tells of a dead job; false if there is no room.
+type Undertaker<B> = Box<dyn Fn(&mut Journal, &ThreadCx, DeadJob<B>) -> bool + Send + Sync>;
+
 /// A piece of work that any worker of a pool can do.
 pub trait Job: Send + 'static {
+    /// What is told of a job that is given up: enough to know what is missing now.
+    type Brief: fmt::Debug + Send + 'static;
+
     /// Adds the content to a hash, as [`Message::digest`].
     fn digest(&self, digest: &mut Digest);
 
-    /// What the job is and how to do it again, for the report if it is given up.
-    fn describe(&self) -> String;
+    /// What the job is, for whoever is told if it is given up.
+    fn brief(&self) -> Self::Brief;
 
     /// The variant's name, for reports.
     fn kind(&self) -> &'static str {
@@ -107,7 +137,7 @@ struct Place<J> {
     away: AtomicBool,
 }
 
-struct Shared<J> {
+struct Shared<J: Job> {
     env: Arc<Env>,
     buckets: Box<[SegQueue<Entry<J>>]>,
     bitmap: Bitmap,
@@ -115,6 +145,7 @@ struct Shared<J> {
     capacity: usize,
     waiting: AtomicUsize,
     epoch: AtomicU64,
+    undertaker: OnceLock<Undertaker<J::Brief>>,
     arriving: SegQueue<Arc<Place<J>>>,
     places: OnceLock<Box<[Arc<Place<J>>]>>,
     idle: EventCount,
@@ -188,6 +219,27 @@ impl<J: Job> Shared<J> {
         }
     }
 
+    /// Gives a job up, and tells of it.
+    fn bury(&self, entry: &Entry<J>, why: Death, journal: &mut Journal, thread: &ThreadCx) {
+        self.dead.fetch_add(1, Ordering::Relaxed);
+        let (job, worker) = (entry.id, journal.id);
+        let told = guarded(|| {
+            let dead = DeadJob { job, worker, brief: entry.job.brief(), why };
+            tracing::warn!("given up: {dead:?}");
+            let tell = |journal: &mut Journal| {
+                self.undertaker.get().is_none_or(|undertaker| undertaker(journal, thread, dead))
+            };
+            journal.without_faults(tell)
+        });
+        // Whoever waits for its answer would wait for ever.
+        let message = match told {
+            Ok(true) => return,
+            Ok(false) => "the mailbox of whoever is told is full".to_owned(),
+            Err(message) => message,
+        };
+        self.env.end(Incident::JobLost { actor: worker, job, message });
+    }
+
     fn take(&self) -> Option<Entry<J>> {
         let base = self.base.load(Ordering::Relaxed);
         let entry = self.bitmap.take(
@@ -206,11 +258,11 @@ impl<J: Job> Shared<J> {
 }
 
 /// A bounded pool of jobs. Clones share it.
-pub struct JobPool<J> {
+pub struct JobPool<J: Job> {
     shared: Arc<Shared<J>>,
 }
 
-impl<J> Clone for JobPool<J> {
+impl<J: Job> Clone for JobPool<J> {
     fn clone(&self) -> Self {
         Self { shared: Arc::clone(&self.shared) }
     }
@@ -226,6 +278,7 @@ impl<J: Job> JobPool<J> {
             capacity,
             waiting: AtomicUsize::new(0),
             epoch: AtomicU64::new(0),
+            undertaker: OnceLock::new(),
             arriving: SegQueue::new(),
             places: OnceLock::new(),
             idle: EventCount::new(),
@@ -274,6 +327,11 @@ impl<J: Job> JobPool<J> {
         })
     }
 
+    /// Says who is told of jobs that are given up.
+    pub(crate) fn bury_with(&self, undertaker: Undertaker<J::Brief>) {
+        let _ = self.shared.undertaker.set(undertaker);
+    }
+
     /// All workers have their places.
     pub(crate) fn seal(&self) {
         let mut places = Vec::new();
@@ -297,7 +355,7 @@ impl<M: Message> Cx<'_, M> {
         let shared = &pool.shared;
         let number = self.journal.next_send();
         let full = if self.journal.replaying() {
-            self.journal.replays_rejection(number)
+            self.journal.replays_rejection(number).is_some()
         } else {
             let full = self.journal.rejects_by_fault(number)
                 || shared.waiting.fetch_add(1, Ordering::Relaxed) >= shared.capacity && {
@@ -305,7 +363,7 @@ impl<M: Message> Cx<'_, M> {
                     true
                 };
             if full {
-                self.journal.record_rejection(number);
+                self.journal.record_rejection(number, Reason::Full);
             }
             full
         };

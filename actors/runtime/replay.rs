@@ -6,12 +6,13 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use crate::clock::nanoseconds;
 use crate::journal::Payload;
 use crate::log::format::{Hashing, Symbol, value};
 use crate::log::reader::Trace;
 use crate::log::walk::{ActorLog, Walk};
 use crate::mailbox::Inbound;
-use crate::message::ActorId;
+use crate::message::{ActorId, Reason};
 use crate::node::ScriptState;
 use crate::runtime::{Limit, Runtime};
 use crate::signals::signal;
@@ -99,6 +100,8 @@ pub struct ReplayReport {
     pub divergence: Option<Divergence>,
     /// All of a recording that ended in order was replayed.
     pub complete: bool,
+    /// What is different here from where it was recorded, if anything is: see [`crate::Fingerprint`].
+    pub foreign: Option<String>,
     /// Actors whose recording goes on, although what comes next depends on a part that was cut off.
     pub waiting: Vec<ActorId>,
 }
@@ -137,7 +140,8 @@ impl Script {
     /// What is delivered next.
     pub(crate) fn next(&mut self) -> Option<Next> {
         let symbol = self.walk.peek(&self.log)?;
-        let (payload, after) = self.walk.payload(&self.log, symbol, self.trace.is_port(symbol.from))?;
+        let (payload, after) =
+            self.walk.payload(&self.log, symbol, self.trace.header().is_port(symbol.from))?;
         let (payload, external) = match payload {
             Payload::External(bytes) => (Payload::None, Some(bytes.to_vec())),
             Payload::None => (Payload::None, None),
@@ -151,7 +155,7 @@ impl Script {
 
     /// Passes what [`Script::next`] gave.
     pub(crate) fn pass(&mut self, next: &Next) {
-        self.walk.pass(next.payload, next.after);
+        self.walk.pass(next.payload, next.after, 1);
     }
 
     pub(crate) fn walk(&self) -> &Walk {
@@ -187,7 +191,7 @@ impl Script {
         self.walk.hash64(&self.log)
     }
 
-    pub(crate) fn rejects(&mut self, number: u64) -> bool {
+    pub(crate) fn rejects(&mut self, number: u64) -> Option<Reason> {
         self.walk.rejects(&self.log, number)
     }
 
@@ -252,6 +256,7 @@ impl Runtime {
             recorded: 0,
             divergence: env.first_divergence(),
             complete: false,
+            foreign: env.foreign.clone(),
             waiting: Vec::new(),
         };
         let states: Vec<_> = self.nodes.iter().map(|node| node.script_state()).collect();
@@ -321,9 +326,15 @@ impl Runtime {
 
     /// Waits until no turn runs: they end soon after a halt.
     pub(crate) fn settle(&self) {
+        self.settle_within(Duration::MAX);
+    }
+
+    /// The same, at most for so long.
+    pub(crate) fn settle_within(&self, time: Duration) {
         // A main thread that works alone is the only one to run turns, and it is here.
         let others = self.threads.is_some() && self.threads() > 0;
-        while others && self.env.scheduler.busy(self.env.halted()) {
+        let end = self.env.clock.now().saturating_add(nanoseconds(time));
+        while others && self.env.scheduler.busy(self.env.halted()) && self.env.clock.now() < end {
             std::thread::park_timeout(Duration::from_micros(100));
         }
     }

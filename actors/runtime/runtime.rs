@@ -9,7 +9,8 @@ use crate::actor::Class;
 use crate::clock::nanoseconds;
 use crate::config::{BuildError, Config, Record};
 use crate::env::Env;
-use crate::log::format::{Header, NodeInfo};
+use crate::log::fingerprint::Fingerprint;
+use crate::log::format::{Header, NODES_MAX, NodeInfo};
 use crate::log::writer::Writer;
 use crate::mailbox::Link;
 use crate::message::ActorId;
@@ -56,6 +57,9 @@ pub enum Exit {
     Until,
     /// Replay diverged or reached where it was to stop, or an invariant of the simulation broke.
     Halted,
+    /// An actor panicked without which the system cannot go on ([`crate::OnPanic::End`]): [`Runtime::ended`] says
+    /// which. [`Runtime::shutdown`] still ends everything in order, and the recording is whole.
+    Ended,
 }
 
 /// A running system. It belongs to the thread that built it, which runs the pinned actors.
@@ -107,9 +111,13 @@ impl Runtime {
         let links: Vec<Arc<Link>> = links.into_iter().flatten().collect();
         let writer = match (parts.record, &env.log) {
             (Some(record), Some(log)) => {
-                let build = format!("{} {}", env!("FOVEAL_BUILD"), env!("CARGO_PKG_VERSION"));
+                if infos.len() > NODES_MAX {
+                    let reason = format!("it can name {NODES_MAX} actors and ports, not {}", infos.len());
+                    return Err(BuildError::Record(std::io::Error::other(reason)));
+                }
                 let (application, seed, hashing) = (parts.application, env.seed, env.hashing);
-                let header = Header { application, build, seed, hashing, nodes: infos.clone() };
+                let fingerprint = Fingerprint::here(&parts.program);
+                let header = Header { application, fingerprint, seed, hashing, nodes: infos.clone() };
                 let sink: Box<dyn Write + Send> = match record {
                     Record::File(path) => Box::new(std::fs::File::create(path).map_err(BuildError::Record)?),
                     Record::Sink(sink) => sink,
@@ -170,16 +178,21 @@ impl Runtime {
     fn work(&mut self, limit: Limit, end: Option<u64>, condition: &mut dyn FnMut(&Self) -> bool) -> Exit {
         let env = Arc::clone(&self.env);
         let alone = env.scheduler.threads() == 0;
+        // The only other thread may be in a long turn.
+        let serves = env.scheduler.threads() <= 1;
         loop {
             if env.halted() {
                 return Exit::Halted;
+            }
+            if env.ends() {
+                return Exit::Ended;
             }
             if condition(self) {
                 return Exit::Until;
             }
             let now =
-                if end.is_some() || (alone && env.timers.next() != u64::MAX) { env.clock.now() } else { 0 };
-            if alone {
+                if end.is_some() || (serves && env.timers.next() != u64::MAX) { env.clock.now() } else { 0 };
+            if serves {
                 env.timers.serve(now, &env.scheduler, &self.thread);
             }
             if end.is_some_and(|end| now >= end) {
@@ -211,12 +224,12 @@ impl Runtime {
             if idle() {
                 return if env.halted() { Exit::Halted } else { Exit::Idle };
             }
-            let wake = end.unwrap_or(u64::MAX).min(if alone { env.timers.next() } else { u64::MAX });
+            let wake = end.unwrap_or(u64::MAX).min(if serves { env.timers.next() } else { u64::MAX });
             let timeout = match wake {
                 u64::MAX => Duration::MAX,
                 wake => Duration::from_nanos(wake.saturating_sub(env.clock.now())),
             };
-            env.scheduler.park_main(timeout, || idle() || env.halted());
+            env.scheduler.park_main(timeout, || idle() || env.halted() || env.ends());
         }
     }
 }

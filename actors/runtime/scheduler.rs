@@ -5,8 +5,8 @@
 //! their own, of which at most `k − 1` run at once when `k > 1`; pinned ones to the main thread.
 
 use crossbeam_deque::{Injector, Steal, Stealer, Worker};
-use crossbeam_queue::SegQueue;
-use crossbeam_utils::CachePadded;
+use crossbeam_queue::{ArrayQueue, SegQueue};
+use crossbeam_utils::{Backoff, CachePadded};
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, AtomicUsize, Ordering, fence};
 use std::sync::{Arc, OnceLock};
@@ -18,6 +18,8 @@ use crate::env::Env;
 use crate::eventcount::EventCount;
 use crate::node::Runnable;
 use crate::priority::give_way;
+use crate::supervise::{Incident, guarded};
+use crate::sync::QueueOrder;
 
 /// What code on one thread of the system knows about its thread.
 pub(crate) struct ThreadCx {
@@ -56,6 +58,7 @@ pub(crate) struct Scheduler {
     light: Injector<u32>,
     heavy: Injector<u32>,
     pinned: SegQueue<u32>,
+    order: QueueOrder,
     stealers: Box<[Stealer<u32>]>,
     handles: OnceLock<Box<[Thread]>>,
     sleepers: EventCount,
@@ -68,6 +71,8 @@ pub(crate) struct Scheduler {
     stopping: AtomicBool,
     /// Worker threads that rest because the system is halted.
     resting: AtomicUsize,
+    /// What went wrong and no actor did, oldest first.
+    incidents: ArrayQueue<Incident>,
 }
 
 impl Scheduler {
@@ -84,6 +89,7 @@ impl Scheduler {
             light: Injector::new(),
             heavy: Injector::new(),
             pinned: SegQueue::new(),
+            order: QueueOrder::new(),
             stealers: locals.iter().map(Worker::stealer).collect(),
             handles: OnceLock::new(),
             sleepers: EventCount::new(),
@@ -99,6 +105,7 @@ impl Scheduler {
             heavy_limit: threads.saturating_sub(1).min(cores).max(1),
             stopping: AtomicBool::new(false),
             resting: AtomicUsize::new(0),
+            incidents: ArrayQueue::new(INCIDENTS_MAX),
         };
         (scheduler, locals)
     }
@@ -111,6 +118,7 @@ impl Scheduler {
     #[inline]
     pub(crate) fn activate(&self, class: Class, actor: u32, thread: &ThreadCx) {
         self.active.fetch_add(1, Ordering::SeqCst);
+        self.order.pass();
         match class {
             Class::Pinned => {
                 self.pinned.push(actor);
@@ -142,6 +150,7 @@ impl Scheduler {
 
     /// Queues an active actor again after a turn that left work.
     fn again(&self, class: Class, actor: u32, thread: &ThreadCx) {
+        self.order.pass();
         match (class, &thread.local) {
             (Class::Pinned, _) => self.pinned.push(actor),
             (Class::Heavy, _) => self.heavy.push(actor),
@@ -175,8 +184,9 @@ impl Scheduler {
             AWAY => {
                 if let Some(waker) = &self.main.waker
                     && !self.main.called.swap(true, Ordering::AcqRel)
+                    && let Err(message) = guarded(waker)
                 {
-                    waker();
+                    self.note(Incident::Beside { what: "the waker".to_owned(), message });
                 }
             }
             _ => {}
@@ -231,6 +241,7 @@ impl Scheduler {
 
     /// The next light actor, for a main thread that works alone.
     pub(crate) fn next_light(&self) -> Option<u32> {
+        self.order.pass();
         steal(|| self.light.steal())
     }
 
@@ -265,9 +276,13 @@ impl Scheduler {
         }
     }
 
-    /// A turn may be running on a worker thread.
+    /// A turn may be running or about to run on a worker thread. What waits for the main thread is not.
     pub(crate) fn busy(&self, halted: bool) -> bool {
-        if halted { self.resting.load(Ordering::SeqCst) < self.threads } else { !self.idle() }
+        if halted {
+            return self.resting.load(Ordering::SeqCst) < self.threads;
+        }
+        let pinned = self.pinned.len() as u64;
+        self.active.load(Ordering::SeqCst) % TIMER > pinned
     }
 
     /// Keeps a worker thread still while the system is halted.
@@ -279,11 +294,28 @@ impl Scheduler {
         self.resting.fetch_sub(1, Ordering::SeqCst);
     }
 
+    /// Keeps an incident for whoever asks; where there are too many, the oldest are forgotten.
+    pub(crate) fn note(&self, incident: Incident) {
+        tracing::error!("{incident}");
+        self.incidents.force_push(incident);
+    }
+
+    /// What was noted since the last call.
+    pub(crate) fn incidents(&self) -> Vec<Incident> {
+        std::iter::from_fn(|| self.incidents.pop()).collect()
+    }
+
     /// Runs one turn of `actor` on this thread and puts it back on a queue if it is not done.
     #[inline]
     pub(crate) fn run(&self, nodes: &[Box<dyn Runnable>], actor: u32, thread: &ThreadCx) {
         let node = &nodes[actor as usize];
-        if node.turn(thread) {
+        let goes_on = guarded(|| node.turn(thread)).unwrap_or_else(|message| {
+            let link = node.link();
+            self.note(Incident::TurnBroke { actor: link.id, name: link.env.name(link.id), message });
+            // What is left of it is closed in its next turn.
+            true
+        });
+        if goes_on {
             self.again(node.link().class, actor, thread);
         } else if self.active.fetch_sub(1, Ordering::SeqCst) % TIMER == 1 {
             self.notify_main();
@@ -341,19 +373,23 @@ impl Scheduler {
     }
 }
 
+/// Incidents that are kept until somebody asks.
+const INCIDENTS_MAX: usize = 64;
+
 /// Light turns that a thread makes one after the other, while heavy ones take the cores, before it wakes another thread for
 /// what waits behind them: most take a few microseconds, less than waking; and a thread that is woken beside busy ones
 /// shares a core with one of them for milliseconds, while the core of the one that woke it may fall idle.
 const LIGHT_IN_A_ROW: usize = 2;
 
-/// Repeats a steal until it is decided.
+/// Repeats a steal until it is decided. The one in whose way it is may have lost its core: it soon gets this one.
 #[inline]
 fn steal(mut attempt: impl FnMut() -> Steal<u32>) -> Option<u32> {
+    let backoff = Backoff::new();
     loop {
         match attempt() {
             Steal::Success(actor) => return Some(actor),
             Steal::Empty => return None,
-            Steal::Retry => std::hint::spin_loop(),
+            Steal::Retry => backoff.snooze(),
         }
     }
 }
@@ -402,6 +438,17 @@ fn worker(env: &Env, nodes: &[Box<dyn Runnable>], local: Worker<u32>, index: usi
         std::thread::park();
     }
     let thread = ThreadCx { local: Some(local), lane: index as u16 + 1, last_end: Cell::new(0) };
+    while !scheduler.stopping.load(Ordering::Relaxed) {
+        if let Err(message) = guarded(|| work(env, nodes, &thread, index)) {
+            scheduler.sleepers.cancel(index);
+            scheduler.note(Incident::Beside { what: format!("thread {}", thread.lane), message });
+        }
+    }
+}
+
+/// What a worker thread does until the system stops.
+fn work(env: &Env, nodes: &[Box<dyn Runnable>], thread: &ThreadCx, index: usize) {
+    let scheduler = &env.scheduler;
     let mut tick = 0_u32;
     // This thread ran a heavy actor and is the one to run the next, unless it finds something else to do. Were another
     // one woken each time, many threads would take turns, each of them rested and so preferred to the main thread.
@@ -416,15 +463,15 @@ fn worker(env: &Env, nodes: &[Box<dyn Runnable>], local: Worker<u32>, index: usi
         }
         let next_timer = env.timers.next();
         if next_timer != u64::MAX {
-            env.timers.serve(env.clock.now(), scheduler, &thread);
+            env.timers.serve(env.clock.now(), scheduler, thread);
         }
         // Every so often a heavy actor goes first, so that a flood of light ones cannot starve it.
-        if tick.is_multiple_of(61) && run_heavy(env, nodes, &thread) {
+        if tick.is_multiple_of(61) && run_heavy(env, nodes, thread) {
             (freed, light) = (true, 0);
             continue;
         }
-        if let Some(actor) = scheduler.find(&thread, index, tick) {
-            scheduler.run(nodes, actor, &thread);
+        if let Some(actor) = scheduler.find(thread, index, tick) {
+            scheduler.run(nodes, actor, thread);
             light += 1;
             if light >= LIGHT_IN_A_ROW && std::mem::take(&mut freed) {
                 scheduler.offer_heavy();
@@ -432,7 +479,7 @@ fn worker(env: &Env, nodes: &[Box<dyn Runnable>], local: Worker<u32>, index: usi
             continue;
         }
         light = 0;
-        freed = run_heavy(env, nodes, &thread);
+        freed = run_heavy(env, nodes, thread);
         if freed {
             continue;
         }

@@ -1,17 +1,19 @@
 //! Ending a system: input closes, what was accepted is handled, actors stop in order, the recording gets its end.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use crate::actor::Control;
-use crate::clock::nanoseconds;
+use crate::clock::{Deadline, nanoseconds};
 use crate::env::Env;
 use crate::log::writer::{RecordingStatus, Writer};
+use crate::mailbox::Link;
 use crate::node::Runnable;
 use crate::profile::ActorCounters;
 use crate::runtime::{Exit, Limit, Runtime};
 use crate::scheduler::Threads;
+use crate::supervise::Incident;
 
 /// What a shutdown left.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -24,6 +26,8 @@ pub struct Shutdown {
     pub jobs_left: u64,
     /// How the recording ended.
     pub recording: RecordingStatus,
+    /// What the system ended for, if it ended by itself.
+    pub ended: Option<Incident>,
     /// Final counters of each actor.
     pub counters: Vec<ActorCounters>,
 }
@@ -50,6 +54,9 @@ impl Drop for Ending {
     }
 }
 
+/// Threads and the recording have at least so long to end.
+const SHUTDOWN_LEAST: Duration = Duration::from_secs(1);
+
 /// What of a system waits for its threads. Ends when it is dropped, on whichever thread that is.
 pub(crate) struct Rest {
     pub(crate) env: Arc<Env>,
@@ -70,7 +77,7 @@ impl Drop for Rest {
         for node in self.nodes.iter() {
             node.end_log();
             // The writer is still at work: what it had no room for goes in soon.
-            while node.link().unflushed.load(Ordering::Relaxed) && self.env.recording() {
+            while node.link().unflushed.load(Ordering::Relaxed) && self.env.recording() && !writer.is_over() {
                 std::thread::park_timeout(Duration::from_millis(1));
                 node.end_log();
             }
@@ -99,6 +106,9 @@ impl Runtime {
 
     /// Takes no more input, lets everything that was accepted be handled, then stops the actors, the last made first.
     /// What is not done within `time` is counted in the result.
+    ///
+    /// Turns that still go on then, and the recording, are waited for as long again, and at least for a second: a turn
+    /// that hangs or a disk that does not answer keeps its thread, not the caller.
     pub fn shutdown(mut self, time: Duration) -> Shutdown {
         self.end(time)
     }
@@ -106,16 +116,23 @@ impl Runtime {
     /// As [`Self::shutdown`], and keeps the actors as they stopped: every one can be inspected then.
     pub fn end(&mut self, time: Duration) -> Shutdown {
         let drained = self.drain(time);
-        self.stop(drained || self.env.replaying());
+        let over = self.stop_within(drained || self.env.replaying(), time.max(SHUTDOWN_LEAST));
+        if !over {
+            self.env.stop_recording("the system was left before the recording was whole".to_owned());
+        }
+        let drained = drained && over;
         let counters = self.counters();
         let jobs_left = self
             .pools
             .iter()
             .map(|pool| pool.stats())
             .map(|stats| stats.pushed.saturating_sub(stats.completed + stats.stale + stats.dead));
-        let dead_letters = counters.iter().map(|actor| actor.dead_letters).sum();
+        // Whoever did not stop never handles what waits for it.
+        let waiting: u64 = self.nodes.iter().map(|node| node.waiting()).sum();
+        let dead_letters = waiting + counters.iter().map(|actor| actor.dead_letters).sum::<u64>();
         let jobs_left = jobs_left.sum();
-        Shutdown { drained, dead_letters, jobs_left, recording: self.recording(), counters }
+        let ended = self.ended().cloned();
+        Shutdown { drained, dead_letters, jobs_left, recording: self.recording(), ended, counters }
     }
 
     /// Takes no more input and lets what was accepted be handled, at most for `time`. Whether all of it was, and every
@@ -126,7 +143,12 @@ impl Runtime {
         let mut drained = true;
         if !self.env.replaying() && !self.env.halted() {
             let quiet = |runtime: &Self| {
-                runtime.env.scheduler.idle() && runtime.nodes.iter().all(|node| node.is_empty())
+                // What waits for a paused actor is handled now or never.
+                let rests = |link: &Link| link.signals.is_parked() && !link.closed.load(Ordering::SeqCst);
+                for node in runtime.nodes.iter().filter(|node| rests(node.link())) {
+                    node.link().control(Control::Resume, &runtime.thread);
+                }
+                runtime.env.scheduler.idle() && runtime.nodes.iter().all(|node| node.waiting() == 0)
             };
             drained = self.within(end, quiet);
             let nodes = Arc::clone(&self.nodes);
@@ -155,6 +177,36 @@ impl Runtime {
                 return false;
             }
         }
+    }
+
+    /// Ends threads and recording on another thread, which goes on where that takes longer than `time`. Whether all
+    /// ended.
+    fn stop_within(&mut self, whole: bool, time: Duration) -> bool {
+        let rest = self.rest(whole);
+        let (main, left) = (std::thread::current(), Arc::new(AtomicBool::new(false)));
+        let end = {
+            let left = Arc::clone(&left);
+            move || {
+                let (env, nodes) = (Arc::clone(&rest.env), Arc::clone(&rest.nodes));
+                drop(rest);
+                // Whoever comes second throws away what waits: it may hold addresses, and with them itself.
+                if left.swap(true, Ordering::AcqRel) {
+                    clear(&env, &nodes);
+                }
+                main.unpark();
+            }
+        };
+        // Where no thread can be started, what was to be done there was dropped, and so has ended.
+        let Ok(thread) = std::thread::Builder::new().name("ending".into()).spawn(end) else { return true };
+        let deadline = Deadline::after(time);
+        while !thread.is_finished() {
+            let Some(wait) = deadline.left() else {
+                self.left = !left.swap(true, Ordering::AcqRel);
+                return !self.left;
+            };
+            std::thread::park_timeout(wait.min(Duration::from_millis(1)));
+        }
+        true
     }
 
     pub(crate) fn stop(&mut self, whole: bool) {

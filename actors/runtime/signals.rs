@@ -1,9 +1,11 @@
 //! What an actor is told beside messages: a word of bits that can never overflow, and whether it is parked.
 //!
 //! A signal is one unit of work, as a message is ([`crate::activation`]); raised again before it was taken, it says
-//! nothing new. A paused actor is parked: work waits, it counts as active, and nobody runs it until an order comes.
-//! Whoever raises an order and whoever parks the actor each write first and look at the other's word then, with a
-//! sequentially consistent fence between, so that one of the two sees that the actor must go on.
+//! nothing new. Pausing and resuming share one unit, since the newer of the two takes the older one's place.
+//!
+//! A paused actor is parked: work waits, it counts as active, and nobody runs it until something comes that gets
+//! through to it. Whoever raises that and whoever parks the actor each write first and look at the other's word then,
+//! with a sequentially consistent fence between, so that one of the two sees that the actor must go on.
 
 use crate::sync::{AtomicBool, AtomicU32, Ordering, fence};
 
@@ -19,8 +21,12 @@ pub(crate) mod signal {
     pub(crate) const FLUSH: u32 = 1 << 7;
     /// First of the newest-only slots.
     pub(crate) const LATEST: u32 = 1 << 8;
-    /// What gets through to a paused actor.
+    /// Orders.
     pub(crate) const CONTROL: u32 = STOP | PAUSE | RESUME;
+    /// Orders of which only the newest stands.
+    pub(crate) const PACE: u32 = PAUSE | RESUME;
+    /// What gets through to a paused actor.
+    pub(crate) const WHILE_PAUSED: u32 = CONTROL | FLUSH | START;
 }
 
 #[derive(Debug)]
@@ -34,16 +40,17 @@ impl Signals {
         Self { bits: AtomicU32::new(0), parked: AtomicBool::new(false) }
     }
 
-    /// Sets a signal. True: it was not up, so the caller adds a unit of work, and asks [`Signals::unpark`] if it is an
-    /// order.
+    /// Sets a signal. True: it was not up, so the caller adds a unit of work, and asks [`Signals::unpark`] if it gets
+    /// through to a paused actor.
     #[must_use]
     pub(crate) fn raise(&self, bit: u32) -> bool {
-        self.bits.fetch_or(bit, Ordering::AcqRel) & bit == 0
-    }
-
-    /// Takes a signal back that was not yet seen; its unit of work stays, and is found to be nothing.
-    pub(crate) fn withdraw(&self, bit: u32) {
-        self.bits.fetch_and(!bit, Ordering::AcqRel);
+        if bit & signal::PACE == 0 {
+            return self.bits.fetch_or(bit, Ordering::AcqRel) & bit == 0;
+        }
+        let newest = |bits: u32| Some(bits & !signal::PACE | bit);
+        let before = self.bits.fetch_update(Ordering::AcqRel, Ordering::Acquire, newest);
+        // What stood there and was not yet seen hands its unit of work on.
+        before.unwrap_or_else(|bits| bits) & signal::PACE == 0
     }
 
     /// Whether one of these is up.
@@ -57,15 +64,16 @@ impl Signals {
         self.bits.fetch_and(!mask, Ordering::AcqRel) & mask
     }
 
-    /// The actor is paused and its turn over. True: an order came just now, and the actor must be queued again.
+    /// The actor is paused and its turn over. True: something that gets through came just now, and the actor must be
+    /// queued again.
     #[must_use]
     pub(crate) fn park(&self) -> bool {
         self.parked.swap(true, Ordering::AcqRel);
         fence(Ordering::SeqCst);
-        self.any(signal::CONTROL) && self.parked.swap(false, Ordering::AcqRel)
+        self.any(signal::WHILE_PAUSED) && self.parked.swap(false, Ordering::AcqRel)
     }
 
-    /// An order is up. True: the actor was parked, and the caller must put it on a run queue.
+    /// What gets through is up. True: the actor was parked, and the caller must put it on a run queue.
     #[must_use]
     pub(crate) fn unpark(&self) -> bool {
         fence(Ordering::SeqCst);

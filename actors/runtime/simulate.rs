@@ -101,6 +101,28 @@ impl Faults {
     }
 }
 
+/// How much virtual time work takes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Work {
+    /// Each turn takes a constant by its actor's class, and [`crate::Cx::measure`] finds nothing.
+    #[default]
+    Constant,
+    /// Turns and what is measured in them take what the seed says, each another time.
+    Seeded,
+    /// Heavy turns and what is measured take the processor time that this thread really spends on them; light turns a
+    /// constant. Such a run is never the same twice; its recording replays like any other.
+    Measured,
+}
+
+impl Work {
+    /// Duration number `count` under a seed, an eighth to sixteen times `nominal`.
+    pub(crate) fn draw(seed: u64, count: u64, nominal: u64) -> u64 {
+        let mut random = Random::new(&[seed, count, 0x71e5]);
+        let least = (nominal / 8).max(1) << random.below(7);
+        least + random.below(least)
+    }
+}
+
 /// Checks the whole system between two steps.
 pub type Invariant = Box<dyn FnMut(&Runtime) -> Result<(), String>>;
 
@@ -112,6 +134,8 @@ pub struct Simulation {
     pub strategy: Strategy,
     /// What goes wrong.
     pub faults: Faults,
+    /// What turns take.
+    pub work: Work,
     /// Steps (turns of one message) after which a system that still works has not come to rest.
     pub steps_max: u64,
     /// The application's own invariant, checked after each step.
@@ -119,9 +143,16 @@ pub struct Simulation {
 }
 
 impl Simulation {
-    /// Random scheduling, no faults, a million steps.
+    /// Random scheduling, no faults, turns of constant length, a million steps.
     pub fn new(seed: u64) -> Self {
-        Self { seed, strategy: Strategy::Random, faults: Faults::NONE, steps_max: 1_000_000, invariant: None }
+        Self {
+            seed,
+            strategy: Strategy::Random,
+            faults: Faults::NONE,
+            work: Work::Constant,
+            steps_max: 1_000_000,
+            invariant: None,
+        }
     }
 }
 
@@ -225,7 +256,7 @@ impl Random {
 
 /// Virtual time of one turn, in nanoseconds.
 const LIGHT_NS: u64 = 1_000;
-const HEAVY_NS: u64 = 500_000;
+pub(crate) const HEAVY_NS: u64 = 500_000;
 const DELAY_NS: u64 = 1_000_000;
 const STALL_NS: u64 = 100_000_000;
 const SLOW_TURNS: u64 = 10;
@@ -384,12 +415,21 @@ impl Driver {
         }
     }
 
-    /// A turn of `actor` was made; returns the virtual time it took.
-    pub(crate) fn turned(&mut self, actor: u32) -> u64 {
+    /// A turn of `actor` was made, in which so much was `measured`, with so much processor time `spent`; returns the
+    /// virtual time it took.
+    pub(crate) fn turned(&mut self, actor: u32, measured: u64, spent: u64) -> u64 {
         self.step += 1;
         let state = &mut self.actors[actor as usize];
         state.turns += 1;
-        let time = if state.class == Class::Heavy { HEAVY_NS } else { LIGHT_NS };
+        let heavy = state.class == Class::Heavy;
+        let nominal = if heavy { HEAVY_NS } else { LIGHT_NS };
+        let time = match self.simulation.work {
+            Work::Seeded if measured > 0 => measured,
+            // Beside those that are measured, which have small numbers.
+            Work::Seeded => Work::draw(self.simulation.seed, 1 << 63 | self.step, nominal),
+            Work::Measured if heavy => spent.max(measured),
+            Work::Constant | Work::Measured => nominal.max(measured),
+        };
         if state.slow_turns == 0 {
             return time;
         }
@@ -410,6 +450,9 @@ impl Runtime {
         let exit = loop {
             if self.failure.is_some() {
                 break Exit::Halted;
+            }
+            if env.ends() {
+                break Exit::Ended;
             }
             if condition(self) {
                 break Exit::Until;
@@ -438,8 +481,10 @@ impl Runtime {
                 continue;
             };
             self.thread.last_end.set(0);
+            let before = env.clock.spent();
             env.scheduler.run(&self.nodes, actor, &self.thread);
-            env.clock.advance_to(now + driver.turned(actor));
+            let (measured, spent) = (env.clock.now() - now, env.clock.spent() - before);
+            env.clock.advance_to(now + driver.turned(actor, measured, spent));
             let heard = self.hears(&mut driver, actor);
             if let Err(reason) = heard.and_then(|()| self.check(&mut driver)) {
                 self.failure = Some(Failure { seed: driver.simulation.seed, step: driver.step, reason });

@@ -1,23 +1,36 @@
 //! What happens when an actor panics: the mailbox stays in order, the job goes back, and somebody is told.
 
 use serde::{Deserialize, Serialize};
+use std::any::Any;
 use std::collections::VecDeque;
+use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use crate::message::ActorId;
 
-/// What becomes of an actor whose turn panicked. The message that did it is gone; all others stay in order.
-#[derive(Default)]
+/// What becomes of an actor that panicked: over a message, its digest or kind, or the hash of its own state. The
+/// message that did it is gone; all others stay in order.
 pub enum OnPanic<A> {
-    /// Go on with the state as it is: for actors whose state cannot be half changed.
-    #[default]
+    /// Go on with the state as it is: for actors whose state cannot be half changed. One that panics again and again is
+    /// stopped if other workers of its pool can do its work; else the system ends.
     Resume,
-    /// Go on with a new state.
+    /// Go on with a new state. Where making one panics as well, or the actor panics again and again, the system ends.
     Restart(Box<dyn FnMut() -> A + Send>),
     /// Stop the actor.
     Stop,
+    /// Stop the actor, and end the system in order: [`crate::Runtime::pump`] returns [`crate::Exit::Ended`].
+    End,
 }
 
-/// What the supervisor is told.
+impl<A> OnPanic<A> {
+    /// Go on with what `make` makes.
+    pub fn restart(make: impl FnMut() -> A + Send + 'static) -> Self {
+        Self::Restart(Box::new(make))
+    }
+}
+
+/// What went wrong. The supervisor is told of what an actor did; what no actor did is with
+/// [`crate::Runtime::incidents`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Incident {
     /// A turn panicked.
@@ -31,22 +44,51 @@ pub enum Incident {
         /// The panic's message.
         message: String,
     },
-    /// A job killed [`crate::pool::KILLS_MAX`] workers and is given up.
-    JobDead {
-        /// The worker it killed last.
+    /// A job was given up, and whoever is to know could not be told.
+    JobLost {
+        /// The worker that had it last.
         actor: ActorId,
         /// The job's identity.
         job: u64,
-        /// The job's description of itself.
-        description: String,
+        /// Why nobody could be told.
+        message: String,
     },
-    /// An actor panicked too often and was stopped.
+    /// A worker panicked too often and was stopped.
     CircuitOpen {
         /// The actor.
         actor: ActorId,
         /// Its name.
         name: String,
     },
+    /// A turn panicked outside everything that is guarded. What the actor held was handed on, and it was stopped.
+    TurnBroke {
+        /// The actor.
+        actor: ActorId,
+        /// Its name.
+        name: String,
+        /// The panic's message.
+        message: String,
+    },
+    /// Something beside the actors panicked: an observer (which is asked no more), the waker, the wording of an
+    /// incident, or a thread between two turns.
+    Beside {
+        /// What it was.
+        what: String,
+        /// The panic's message.
+        message: String,
+    },
+}
+
+impl fmt::Display for Incident {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Panicked { name, kind, message, .. } => write!(f, "{name} panicked over {kind}: {message}"),
+            Self::JobLost { job, message, .. } => write!(f, "job {job:#x} is given up, untold: {message}"),
+            Self::CircuitOpen { name, .. } => write!(f, "{name} panicked too often and was stopped"),
+            Self::TurnBroke { name, message, .. } => write!(f, "a turn of {name} broke off: {message}"),
+            Self::Beside { what, message } => write!(f, "{what} panicked: {message}"),
+        }
+    }
 }
 
 /// So many panics…
@@ -76,13 +118,19 @@ pub(crate) mod verdict {
     pub(crate) const GO_ON: u64 = 0;
     pub(crate) const STOP: u64 = 1;
     pub(crate) const OPEN: u64 = 2;
+    pub(crate) const END: u64 = 3;
 }
 
 /// The payload of a panic the simulator makes; it does not reach the panic hook.
 pub(crate) struct Injected;
 
+/// Runs code that is not ours; what it panics with comes back as text.
+pub(crate) fn guarded<R>(body: impl FnOnce() -> R) -> Result<R, String> {
+    catch_unwind(AssertUnwindSafe(body)).map_err(|panic| message_of(panic.as_ref()))
+}
+
 /// What a panic said.
-pub(crate) fn message_of(payload: &(dyn std::any::Any + Send)) -> String {
+pub(crate) fn message_of(payload: &(dyn Any + Send)) -> String {
     if payload.is::<Injected>() {
         return "injected".to_owned();
     }

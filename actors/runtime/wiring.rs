@@ -8,11 +8,12 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 use crate::activation::Activation;
 use crate::actor::{Actor, Class, post};
 use crate::env::Env;
+use crate::journal::Journal;
 use crate::log::format::NodeInfo;
 use crate::mailbox::{Address, Bounds, Link, Mailbox};
-use crate::message::{ActorId, Message};
+use crate::message::{ActorId, Message, Reason, Rejected};
 use crate::node::{Node, Runnable, ScriptState};
-use crate::pool::{AnyPool, Job, JobPool, Seat, Worker};
+use crate::pool::{AnyPool, DeadJob, Job, JobPool, Seat, Worker};
 use crate::port::{External, Port};
 use crate::profile::Counters;
 use crate::replay::Script;
@@ -99,18 +100,8 @@ impl Wiring {
         Declared { address: Address { mailbox: Arc::new(Mailbox::new(link, bounds)) } }
     }
 
-    /// Gives a declared mailbox its actor.
-    pub fn spawn<A: Actor>(&mut self, declared: Declared<A>, actor: A) -> Handle<A> {
-        self.spawn_supervised(declared, actor, OnPanic::Resume)
-    }
-
-    /// The same, and says what becomes of it when it panics.
-    pub fn spawn_supervised<A: Actor>(
-        &mut self,
-        declared: Declared<A>,
-        actor: A,
-        on_panic: OnPanic<A>,
-    ) -> Handle<A> {
+    /// Gives a declared mailbox its actor, and says what becomes of it when it panics.
+    pub fn spawn<A: Actor>(&mut self, declared: Declared<A>, actor: A, on_panic: OnPanic<A>) -> Handle<A> {
         self.seat(declared, actor, on_panic, None)
     }
 
@@ -159,22 +150,42 @@ impl Wiring {
         pool
     }
 
-    /// Says who is told of panics, dead jobs and stopped actors, and how that actor puts it. One supervisor a system;
-    /// later calls change nothing. Choose [`crate::Lane::Control`] for the message, so that it gets through.
+    /// Says who is told of jobs of `pool` that are given up, and how that actor puts it. Later calls change nothing.
+    /// Choose [`crate::Lane::Control`] for the message: where it finds no room, the system ends.
+    pub fn gives_up<J: Job, M: Message>(
+        &mut self,
+        pool: &JobPool<J>,
+        to: &Address<M>,
+        message: impl Fn(DeadJob<J::Brief>) -> M + Send + Sync + 'static,
+    ) {
+        let tell = teller(to, message);
+        pool.bury_with(Box::new(tell));
+    }
+
+    /// Says who is told of panics and stopped actors, and how that actor puts it. One supervisor a system;
+    /// later calls change nothing. Choose [`crate::Lane::Control`] for the message, so that it gets through: where it
+    /// does not, the system ends ([`crate::Exit::Ended`]), since somebody may wait for what the supervisor would do.
     pub fn supervisor<M: Message>(
         &mut self,
         to: &Address<M>,
         message: impl Fn(Incident) -> M + Send + Sync + 'static,
     ) {
-        // Weak: the system's shared part would own a mailbox that owns it.
-        let to = Arc::downgrade(&to.mailbox);
-        let _ = self.env.supervisor.set(Box::new(move |journal, thread, incident| {
-            let Some(mailbox) = to.upgrade() else { return };
-            let to = Address { mailbox };
-            if post(journal, thread, &to, message(incident)).is_err() {
-                tracing::error!("the supervisor's mailbox is full: an incident is lost");
-            }
-        }));
+        let _ = self.env.supervisor.set(Box::new(teller(to, message)));
+    }
+}
+
+/// Tells `to` on behalf of the actor whose journal it is given; false if there is no room.
+fn teller<T, M: Message>(
+    to: &Address<M>,
+    message: impl Fn(T) -> M + Send + Sync + 'static,
+) -> impl Fn(&mut Journal, &ThreadCx, T) -> bool + Send + Sync + 'static {
+    // Weak: the system's shared part would own a mailbox that owns it.
+    let to = Arc::downgrade(&to.mailbox);
+    move |journal, thread, what| {
+        let Some(mailbox) = to.upgrade() else { return true };
+        let told = post(journal, thread, &Address { mailbox }, message(what));
+        // One that has stopped waits for nothing.
+        !matches!(told, Err(Rejected { reason: Reason::Full | Reason::FullBytes, .. }))
     }
 }
 
@@ -229,8 +240,8 @@ impl Runnable for PortNode {
 
     fn clear(&self) {}
 
-    fn is_empty(&self) -> bool {
-        true
+    fn waiting(&self) -> u64 {
+        0
     }
 
     fn depth(&self) -> usize {

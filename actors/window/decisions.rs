@@ -3,9 +3,9 @@
 
 use egui::{Color32, Pos2, Rect, Sense, Ui, Vec2};
 
-use super::source::Names;
-use crate::insight::{Insight, MapRank};
-use crate::textures::TextureReport;
+use foveal_actors::insight::{Insight, MapRank};
+use foveal_actors::textures::TextureReport;
+use foveal_engine::source::Names;
 
 /// Lines that are shown at most.
 const LINES: usize = 12;

@@ -7,9 +7,10 @@ use foveal::image::Map2d;
 use super::legend;
 use super::painter::SoftwarePainter;
 use super::panel::{self, Shown};
-use super::source::Controls;
-use super::timeline::{self, Wish};
-use super::walk::Walk;
+use super::timeline;
+use foveal_engine::source::Controls;
+use foveal_engine::source::Wish;
+use foveal_engine::walk::Walk;
 
 /// What is there to be shown.
 pub struct Interface<'a> {

@@ -5,7 +5,7 @@ use foveal::image::Map2d;
 use glam::Vec3;
 
 use super::interface::{paint_ui, texture};
-use crate::renderer::overlay::{AGE_FRESH, Overlay, distinct, heat};
+use foveal_actors::renderer::overlay::{AGE_FRESH, Overlay, distinct, heat};
 
 /// Points that a scale is wide and high.
 const BAR: Vec2 = Vec2::new(56.0, 9.0);

@@ -1,8 +1,5 @@
 //! The panel: sliders, overlays, how the frames go, help.
 
-use std::collections::VecDeque;
-use std::time::Duration;
-
 use egui::{Color32, Pos2, Rect, RichText, Sense, Shape, Slider, Stroke, Ui, Vec2};
 use foveal::allocation::policy::Policy;
 use foveal::allocation::supersampling::Standing;
@@ -10,12 +7,11 @@ use foveal::display::tone::ToneCurve;
 use foveal::splatting::supersampling::Supersampling;
 
 use super::decisions::decisions;
-use super::source::{ActorStatus, Controls, Names, Ranges, Status};
-use crate::insight::Insight;
-use crate::renderer::overlay::Overlay;
+use foveal_actors::insight::Insight;
+use foveal_actors::renderer::overlay::Overlay;
+use foveal_engine::source::{ActorStatus, Controls, Names, Ranges, Status};
+use foveal_engine::walk::{FrameTimes, Notice};
 
-/// Frames in the graph.
-const HISTORY: usize = 120;
 /// Quality that frames wait for unless something else is said.
 const QUALITY: f32 = -0.25;
 /// Points that the panel is wide.
@@ -42,36 +38,6 @@ pub const KEYS: [(&str, &str); 17] = [
     ("Esc, Ctrl + Q", "release the mouse, quit"),
 ];
 
-/// How long the last frames took.
-#[derive(Clone, Debug, Default)]
-pub struct FrameTimes {
-    times: VecDeque<Duration>,
-}
-
-impl FrameTimes {
-    /// A frame took so long.
-    pub fn push(&mut self, time: Duration) {
-        if self.times.len() == HISTORY {
-            self.times.pop_front();
-        }
-        self.times.push_back(time);
-    }
-
-    /// Forgets all.
-    pub fn clear(&mut self) {
-        self.times.clear();
-    }
-
-    /// Median and 99th percentile, seconds.
-    pub fn median_p99(&self) -> Option<(f32, f32)> {
-        let mut sorted: Vec<f32> = self.times.iter().map(Duration::as_secs_f32).collect();
-        sorted.sort_by(f32::total_cmp);
-        let at =
-            |share: f32| sorted.get(((sorted.len().max(1) - 1) as f32 * share).round() as usize).copied();
-        Some((at(0.5)?, at(0.99)?))
-    }
-}
-
 /// What the panel shows beside the controls.
 pub struct Shown<'a> {
     /// Where the session stands.
@@ -92,15 +58,6 @@ pub struct Shown<'a> {
     pub presenter: &'a str,
     /// The last thing that went well or wrong.
     pub notice: Option<&'a Notice>,
-}
-
-/// A line for the user.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Notice {
-    /// What happened.
-    pub text: String,
-    /// Whether it went wrong.
-    pub failed: bool,
 }
 
 /// The panel's content. Changes `controls` as the user does.
@@ -266,8 +223,8 @@ fn graph(ui: &mut Ui, times: &FrameTimes, fps: f32) {
     painter.rect_filled(rect, 0.0, ui.visuals().extreme_bg_color);
     let full = 2.0 * deadline;
     let height = |seconds: f32| rect.bottom() - rect.height() * (seconds / full).min(1.0);
-    let step = rect.width() / HISTORY as f32;
-    for (i, time) in times.times.iter().enumerate() {
+    let step = rect.width() / FrameTimes::CAPACITY as f32;
+    for (i, time) in times.iter().enumerate() {
         let seconds = time.as_secs_f32();
         let late = seconds > 1.1 * deadline;
         let color = if late { Color32::from_rgb(220, 90, 60) } else { Color32::from_rgb(90, 170, 110) };
@@ -306,20 +263,4 @@ pub fn help(ctx: &egui::Context, open: &mut bool) {
             }
         });
     });
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn quantiles_of_the_last_frames() {
-        let mut times = FrameTimes::default();
-        assert_eq!(times.median_p99(), None);
-        for i in 0..(HISTORY as u64 + 50) {
-            times.push(Duration::from_millis(if i < 50 { 9000 } else { 10 + i % 3 }));
-        }
-        let (median, p99) = times.median_p99().expect("frames");
-        assert!((median - 0.011).abs() < 1e-6 && (p99 - 0.012).abs() < 1e-6, "{median} {p99}");
-    }
 }

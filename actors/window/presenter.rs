@@ -10,7 +10,7 @@ use winit::event_loop::OwnedDisplayHandle;
 use winit::window::Window;
 
 use super::painter::SoftwarePainter;
-use crate::renderer::gpu::{AdapterInfo, Gpu, Mirror, adapter};
+use crate::gpu::{AdapterInfo, Gpu, Mirror, adapter};
 
 /// What to present with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -2,10 +2,9 @@
 
 use std::time::Duration;
 
-use super::navigation::Motion;
-use super::panel::FrameTimes;
-use super::walk::{Next, Walk};
-use crate::processor_time::cpu_ns;
+use foveal_engine::navigation::Motion;
+use foveal_engine::process::cpu_ns;
+use foveal_engine::walk::{FrameTimes, Next, Walk};
 
 /// Walks ahead, stands still, looks on, and closes the window.
 #[derive(Clone, Debug)]

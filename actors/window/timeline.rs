@@ -3,25 +3,10 @@
 
 use egui::{RichText, Slider, Ui};
 
-use super::source::TimelineShown;
+use foveal_engine::source::{TimelineShown, Wish};
 
 /// Points that the bar is high.
 pub const HEIGHT: f32 = 230.0;
-
-/// What the user wants of a recording.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wish {
-    /// Go to a frame.
-    Frame(u32),
-    /// Go so many messages forward, or back.
-    Messages(i64),
-    /// Play, or pause.
-    Play,
-    /// Why a pixel looks as it does.
-    Why(u32, u32),
-    /// Leave the recording and walk on.
-    Branch,
-}
 
 /// Draws the bar. Returns what the user wants.
 pub fn timeline(ui: &mut Ui, shown: &TimelineShown, plays: bool) -> Option<Wish> {

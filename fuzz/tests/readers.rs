@@ -1,8 +1,13 @@
 //! Our own files with random edits, given to their readers.
 
+#[path = "../../actors/runtime/tests/ring/mod.rs"]
+#[allow(dead_code, reason = "a test of the runtime asks more of it")]
+mod ring;
+mod sealed;
+
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use bolero::{TypeGenerator, check};
 use foveal::geometry::{Accel, Ray};
@@ -11,7 +16,7 @@ use foveal::illumination::cache::{encode, load_illumination};
 use foveal::scene::load::{LoadOptions, load, load_with};
 use foveal::transport::light::Lights;
 use foveal::transport::particle::SceneTransport;
-use foveal_runtime::Trace;
+use foveal_runtime::{ActorId, Config, Exit, Hashing, Limit, Record, Runtime, Trace};
 use glam::Vec3;
 
 /// A change of a file. Places are parts of 2¹⁶ of its length.
@@ -254,22 +259,71 @@ fn baked() -> &'static (Vec<u8>, [u8; 32], usize) {
     })
 }
 
-#[test]
-fn bakes() {
-    let (bytes, key, triangles) = baked();
-    let folder = tempfile::tempdir().expect("a folder");
-    let file = folder.path().join("bake");
-    fuzz(&[bytes.clone()], |bytes| {
-        fs::write(&file, bytes).expect("a file");
-        match load_illumination(&file, key, *triangles) {
-            Ok(illumination) => assert!(illumination.is_sound()),
-            Err(e) => assert!(!e.to_string().is_empty()),
-        }
-    });
+fn read_bake(file: &Path, bytes: &[u8]) {
+    let (_, key, triangles) = baked();
+    fs::write(file, bytes).expect("a file");
+    match load_illumination(file, key, *triangles) {
+        Ok(illumination) => assert!(illumination.is_sound()),
+        Err(e) => assert!(!e.to_string().is_empty()),
+    }
 }
 
 #[test]
-fn recordings() {
+fn bakes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("bake");
+    fuzz(std::slice::from_ref(&baked().0), |bytes| read_bake(&file, bytes));
+}
+
+#[test]
+fn bakes_behind_their_checksums() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("bake");
+    check!().with_type::<Vec<Edit>>().for_each(|edits| {
+        read_bake(&file, &sealed::sealed_bake(&baked().0, |plain| edited(plain, edits)));
+    });
+}
+
+/// A ring of 8 players and 4 tokens, recorded on one thread.
+fn recorded(hashing: Hashing) -> Vec<u8> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("ring.fvlog");
+    let config = Config { hashing, record: Some(Record::File(path.clone())), ..Config::live(0) };
+    let (mut runtime, _) = Runtime::build(config, |wiring| ring::wire(wiring, 8, 4, 20)).expect("builds");
+    assert_eq!(runtime.pump(Limit::IDLE), Exit::Idle);
+    runtime.shutdown(std::time::Duration::from_secs(60));
+    fs::read(path).expect("a recording")
+}
+
+/// Asks all that can be asked of a recording, and replays it where it is of the same system.
+fn read_recording(bytes: &[u8]) {
+    let begun = std::time::Instant::now();
+    match Trace::from_bytes(bytes) {
+        Ok(trace) => {
+            let stat = trace.stat();
+            let actors = || (0..trace.header().nodes.len() as u32).map(ActorId);
+            assert_eq!(stat.deliveries, actors().map(|actor| trace.deliveries(actor)).sum::<u64>());
+            for actor in actors() {
+                assert_eq!(trace.first_difference(&trace, actor), None);
+                trace.marks(actor).for_each(drop);
+                trace.events(actor).take(1000).for_each(drop);
+                let deliveries = trace.deliveries(actor);
+                assert_eq!(trace.delivery(actor, deliveries), None);
+                assert!(deliveries == 0 || trace.delivery(actor, deliveries - 1).is_some());
+            }
+            let wire = |wiring: &mut foveal_runtime::Wiring| ring::wire(wiring, 8, 4, 20);
+            if let Ok((mut runtime, _)) = Runtime::build(Config::replay(Arc::new(trace), 0), wire) {
+                let report = runtime.replay();
+                assert!(!report.complete || report.deliveries == report.recorded);
+            }
+        }
+        Err(e) => assert!(!e.to_string().is_empty()),
+    }
+    assert!(begun.elapsed() < std::time::Duration::from_secs(10), "{:?}", begun.elapsed());
+}
+
+/// Walks that were kept, and a small system that can be replayed here.
+fn recordings_kept() -> Vec<Vec<u8>> {
     let mut corpus = Vec::new();
     for entry in fs::read_dir(root().join("traces")).expect("traces").flatten() {
         if entry.path().extension().is_some_and(|e| e == "fvl") {
@@ -277,10 +331,23 @@ fn recordings() {
         }
     }
     corpus.sort_by_key(Vec::len);
+    corpus.retain(|file| Trace::from_bytes(file).is_ok_and(|trace| trace.complete()));
     corpus.truncate(2);
-    assert!(!corpus.is_empty());
-    fuzz(&corpus, |bytes| match Trace::from_bytes(bytes) {
-        Ok(trace) => drop(trace),
-        Err(e) => assert!(!e.to_string().is_empty()),
+    corpus.extend([Hashing::Exact, Hashing::Every(16), Hashing::Off].map(recorded));
+    corpus
+}
+
+#[test]
+fn recordings() {
+    fuzz(&recordings_kept(), read_recording);
+}
+
+#[test]
+fn recordings_behind_their_checksums() {
+    let corpus = recordings_kept();
+    corpus.iter().for_each(|file| assert_eq!(&sealed::sealed_recording(file, 0, <[u8]>::to_vec), file));
+    check!().with_type::<(u8, u16, Vec<Edit>)>().for_each(|(which, part, edits)| {
+        let file = &corpus[usize::from(*which) % corpus.len()];
+        read_recording(&sealed::sealed_recording(file, *part, |bytes| edited(bytes, edits)));
     });
 }

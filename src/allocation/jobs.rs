@@ -251,12 +251,14 @@ pub fn job_pixels<'a>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math;
     use crate::perception::importance::object_statistics;
     use proptest::prelude::*;
 
     /// Two discs and a line one pixel wide on a diffuse ground.
     fn ids(w: usize, h: usize) -> Map2d<u32> {
-        let disc = |x: usize, y: usize, cx: f32, cy: f32, r: f32| (x as f32 - cx).hypot(y as f32 - cy) < r;
+        let disc =
+            |x: usize, y: usize, cx: f32, cy: f32, r: f32| math::hypot(x as f32 - cx, y as f32 - cy) < r;
         Map2d::from_fn(w, h, |x, y| {
             if y == h / 2 {
                 3

@@ -110,31 +110,6 @@ pub fn allocate(
     search.finish()
 }
 
-/// An upper bound of the quality any choice within `limit` can have: that of the linear relaxation, in which one hull
-/// step may be taken in part. None where the limit cannot be met.
-pub fn upper_bound(items: &[Vec<Candidate>], limit: u64) -> Option<f64> {
-    let (mut cost, mut bound) = (0u64, 0.0);
-    let mut steps = Vec::new();
-    for candidates in items {
-        let hull = hull(candidates);
-        let Some(&first) = hull.first() else { continue };
-        cost = cost.saturating_add(candidates[first].cost);
-        bound += quality(&candidates[first]);
-        let of_pair = |pair: &[usize]| {
-            (slope(candidates, pair[0], pair[1]), candidates[pair[1]].cost - candidates[pair[0]].cost)
-        };
-        steps.extend(hull.windows(2).map(of_pair));
-    }
-    let mut left = limit.checked_sub(cost)?;
-    // Slopes fall along each hull, so this order takes the steps of each item in theirs.
-    steps.sort_by(|a, b| b.0.total_cmp(&a.0));
-    for (slope, cost) in steps {
-        bound += slope * cost.min(left) as f64;
-        left = left.saturating_sub(cost);
-    }
-    Some(bound)
-}
-
 #[cfg(test)]
 #[path = "knapsack_tests.rs"]
 mod tests;

@@ -6,6 +6,7 @@ use glam::Vec3;
 use crate::illumination::from_radiosity::SceneRadiosity;
 use crate::illumination::simplify::{Criterion, Eye, Rung, Simplified};
 use crate::image::{Map2d, luminance};
+use crate::math;
 use crate::perception::csf::barten;
 use crate::perception::elevation::{ElevationSettings, elevation};
 use crate::perception::tvi::tvi;
@@ -150,7 +151,7 @@ fn mean_elevation(scene: &Scene, maps: &[Vec<Map2d<f32>>], triangle: u32, piece:
     let square = n.length_squared().max(f32::MIN_POSITIVE);
     let share = ((piece[1] - piece[0]).cross(piece[2] - piece[0]).length_squared() / square).sqrt();
     let texels = (uv[1] - uv[0]).perp_dot(uv[2] - uv[0]).abs() * (finest.width() * finest.height()) as f32;
-    let level = ((share * texels).sqrt() / TEXELS_ACROSS).max(1.0).log2() as usize;
+    let level = math::log2(((share * texels).sqrt() / TEXELS_ACROSS).max(1.0)) as usize;
     let Some(map) = levels.get(level) else { return 1.0 };
     let mut sum = 0.0;
     for i in 0..ELEVATION_POINTS {
@@ -169,7 +170,7 @@ fn mean_elevation(scene: &Scene, maps: &[Vec<Map2d<f32>>], triangle: u32, piece:
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::illumination::simplify::{Deviation, Forest, QuadNode, cut_below, simplify};
+    use crate::illumination::simplify::{Forest, QuadNode, cut_below, simplify};
     use crate::rng;
 
     /// Full quadtrees of three levels, each rougher than the one before.
@@ -221,7 +222,7 @@ mod tests {
             let cut = cut_below(&forest, nodes, k);
             assert_eq!(cut.elements, k);
             // As good as the one walk over all trees at once.
-            let before = simplify(&forest, k, &Criterion::Optimal, Deviation::Leaves);
+            let before = simplify(&forest, k, &Criterion::Optimal);
             let step = forest.ladders().iter().flatten().map(|r| r.squared_error).fold(0.0, f64::max);
             assert!(cut.squared_error <= before.squared_error + 0.05 * step, "{k}: {cut:?} {before:?}");
         }

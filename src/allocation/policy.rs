@@ -6,6 +6,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use crate::math;
 use crate::rng;
 
 /// Buckets of the job pool.
@@ -71,7 +72,7 @@ pub struct Demand {
     /// Share of the picture's pixels that show the object, in [0, 1].
     pub coverage: f32,
     /// Expected drop of visible error per time relative to the best object's, in [0, 1]
-    /// ([`super::rays::RayLedger::utilities`]); read by [`Policy::Utility`] alone.
+    /// ([`super::rays::RayLedger::utility`]); read by [`Policy::Utility`] alone.
     pub utility: f32,
     /// Frame or view number: the random policy draws anew for each.
     pub frame: u64,
@@ -115,7 +116,7 @@ impl RayPolicy {
             Policy::Random => {
                 let of_pair = rng::hash(demand.frame, u64::from(demand.object), u64::from(demand.level));
                 // Evenly over the buckets, which are logarithmic.
-                (-20.0 * rng::unit_f32(rng::mix(of_pair ^ rng::mix(self.seed)))).exp2()
+                math::exp2(-20.0 * rng::unit_f32(rng::mix(of_pair ^ rng::mix(self.seed))))
             }
             Policy::Utility => demand.utility,
         };

@@ -7,6 +7,7 @@
 //! The lattice's levels are uniform samples of the pixels that are not traced yet, so the mean difference over one
 //! level estimates the object's error before it, without a reference and without further rays.
 
+use crate::math;
 use crate::perception::tvi::TviTable;
 
 use super::decision::{Approximation, Resource, best_step};
@@ -44,18 +45,6 @@ impl Residual {
     /// So many further samples were like those measured.
     pub fn add_unmeasured(&mut self, count: u32) {
         self.of += count;
-    }
-
-    /// Adds a batch of which only the sum of differences and their number are known.
-    pub fn add_sum(&mut self, sum: f32, count: u32) {
-        if count > 0 {
-            let sum = if sum > 0.0 { f64::from(sum.min(1e30)) } else { 0.0 };
-            self.sum += sum;
-            // As if all were equal; the spread between batches still counts.
-            self.sum_of_squares += sum * sum / f64::from(count);
-            self.count += count;
-            self.of += count;
-        }
     }
 
     /// Adds all of `other`.
@@ -178,7 +167,8 @@ impl Resource for RayChoices<'_> {
     fn saliency(&self, action: usize) -> f64 {
         let demand = &self.demands[action];
         // The share of a sample's worth that is still there in the next frames; 1 for a still view.
-        let life = if demand.life_frames.is_nan() { 1.0 } else { 1.0 - (-demand.life_frames.max(0.0)).exp() };
+        let life =
+            if demand.life_frames.is_nan() { 1.0 } else { 1.0 - math::exp(-demand.life_frames.max(0.0)) };
         f64::from(demand.weight * life)
     }
 
@@ -337,20 +327,6 @@ impl RayLedger {
         let choices = RayChoices { ledger: self, demands: std::slice::from_ref(demand) };
         let utility = (1e9 * best_step(&choices, 0, 0)) as f32;
         if utility > 0.0 { utility.min(f32::MAX) } else { 0.0 }
-    }
-
-    /// Utilities of all demands relative to the largest finite one, in [0, 1], for [`super::policy::Demand::utility`].
-    /// Objects of which nothing was traced come first, at 1; the others stay below it, at 0.99 at most.
-    pub fn utilities(&self, demands: &[RayDemand]) -> Vec<f32> {
-        let raw: Vec<f32> = demands.iter().map(|demand| self.utility(demand)).collect();
-        let largest = raw.iter().copied().filter(|utility| utility.is_finite()).fold(0.0, f32::max);
-        raw.iter()
-            .map(|&utility| match utility {
-                f32::INFINITY => 1.0,
-                _ if largest > 0.0 => 0.99 * (utility / largest),
-                _ => 0.0,
-            })
-            .collect()
     }
 
     /// Whether what is left of the object's error cannot be seen: r/1.1 + 2 standard errors, and what samples that happened

@@ -4,6 +4,7 @@ use super::*;
 use crate::allocation::decision::{Constraint, decide};
 use crate::allocation::policy::{Demand, Policy, RayPolicy};
 use crate::image::Map2d;
+use crate::math;
 use crate::rng::Stream;
 use crate::sampling::Lattice;
 
@@ -31,10 +32,6 @@ fn means_and_errors_of_residuals() {
     assert_eq!((r.mean(), r.count()), (Some(1.0), 4));
     // Variance 2 of four samples, doubled error.
     assert!((r.standard_error() - 2.0 * 0.5f32.sqrt()).abs() < 1e-6);
-    let mut batches = Residual::default();
-    batches.add_sum(4.0, 2);
-    batches.add_sum(0.0, 2);
-    assert_eq!((batches.mean(), batches.count()), (Some(1.0), 4));
     let thresholds = TviTable::default();
     let mut r = Residual::default();
     r.add(&thresholds, 100.0, 100.0 - 3.0 * 5.559);
@@ -88,7 +85,7 @@ fn utility_is_drop_of_error_per_second() {
     assert!((ledger.utility(&demand(1, 2, &[20, 10])) / expected - 1.0).abs() < 1e-5);
     let moving = RayDemand { life_frames: 1.0, ..demand(1, 2, &left) };
     let share = ledger.utility(&moving) / ledger.utility(&demand(1, 2, &left));
-    assert!((share - (1.0 - (-1.0f32).exp())).abs() < 1e-5);
+    assert!((share - (1.0 - math::exp(-1.0f32))).abs() < 1e-5);
     let nobody = RayDemand { weight: f32::NAN, ..demand(1, 2, &left) };
     assert_eq!(ledger.utility(&nobody), 0.0);
 }
@@ -137,9 +134,9 @@ fn utilities_put_the_unseen_first_and_the_dear_last() {
     ledger.record(2, 1, &residual(10.0, 4), 4, 40e-3);
     let left = [20, 100];
     let demands = [demand(1, 2, &left), demand(2, 2, &left), demand(3, 1, &left)];
-    let utilities = ledger.utilities(&demands);
-    assert!((utilities[0] - 0.99).abs() < 1e-6 && (utilities[1] - 0.099).abs() < 1e-6);
-    assert_eq!(utilities[2], 1.0);
+    let of_all = utilities(&ledger, &demands);
+    assert!((of_all[0] - 0.99).abs() < 1e-6 && (of_all[1] - 0.099).abs() < 1e-6);
+    assert_eq!(of_all[2], 1.0);
     // Object 3 has no cost of its own: the mean of the others.
     assert!((ledger.seconds_per_ray(3) - 5.5e-3).abs() < 1e-6);
     ledger.start_view(4);
@@ -187,8 +184,8 @@ impl Toy {
         for id in 1..=toy.objects {
             let [w, h] = [(); 2].map(|()| 9 + (46.0 * random.next_f32()) as usize);
             let [x0, y0] = [w, h].map(|side| (random.next_f32() * (SIDE - side) as f32) as usize);
-            let frequency = (1.0 + 4.5 * random.next_f32()).exp2() * std::f32::consts::TAU / SIDE as f32;
-            let contrast = 10f32.powf(-1.5 + 1.5 * random.next_f32());
+            let frequency = math::exp2(1.0 + 4.5 * random.next_f32()) * std::f32::consts::TAU / SIDE as f32;
+            let contrast = math::powf(10f32, -1.5 + 1.5 * random.next_f32());
             let (angle, phase, level) = (
                 std::f32::consts::TAU * random.next_f32(),
                 std::f32::consts::TAU * random.next_f32(),
@@ -196,10 +193,10 @@ impl Toy {
             );
             for y in y0..y0 + h {
                 for x in x0..x0 + w {
-                    let along = x as f32 * angle.cos() + y as f32 * angle.sin();
+                    let along = x as f32 * math::cos(angle) + y as f32 * math::sin(angle);
                     *toy.ids.at_mut(x, y) = id;
                     *toy.reference.at_mut(x, y) =
-                        contrast * ((frequency * along + phase).sin() + 2.0 * level);
+                        contrast * (math::sin(frequency * along + phase) + 2.0 * level);
                 }
             }
         }
@@ -240,7 +237,7 @@ impl Toy {
                     RayDemand { pixels: of_object, ..demand(id, next[id as usize], left) }
                 })
                 .collect();
-            let utilities = ledger.utilities(&demands);
+            let of_all = utilities(&ledger, &demands);
             let priority = |i: usize| {
                 let id = open[i];
                 let coverage = demands[i].pixels as f32 / (SIDE * SIDE) as f32;
@@ -250,7 +247,7 @@ impl Toy {
                     level,
                     attention: 0.5,
                     coverage,
-                    utility: utilities[i],
+                    utility: of_all[i],
                     frame: 0,
                 })
             };
@@ -299,4 +296,12 @@ fn utility_wins_the_toy_study() {
         println!("area under the error curve: utility {utility:.4}, {policy} {other:.4}");
         assert!(utility < most * other, "{policy}: {utility} {other}");
     }
+}
+
+/// Utilities relative to the largest finite one, for [`Demand::utility`]: objects of which nothing was traced come first.
+fn utilities(ledger: &RayLedger, demands: &[RayDemand]) -> Vec<f32> {
+    let raw: Vec<f32> = demands.iter().map(|demand| ledger.utility(demand)).collect();
+    let largest = raw.iter().copied().filter(|utility| utility.is_finite()).fold(0.0, f32::max);
+    let relative = |utility: f32| if largest > 0.0 { 0.99 * (utility / largest) } else { 0.0 };
+    raw.iter().map(|&utility| if utility.is_finite() { relative(utility) } else { 1.0 }).collect()
 }

@@ -9,6 +9,7 @@ use crate::display::twin::{Passes, draw};
 use crate::display::{FrameBuffers, TextureLevel};
 use crate::geometry::Ray;
 use crate::image::{Map2d, luminance};
+use crate::math;
 use crate::perception::tvi::{TviTable, tvi};
 
 use crate::scene::camera::CameraFrame;
@@ -138,7 +139,7 @@ pub fn predicted_uses(world: &World, frame: &CameraFrame, mean_luminances: &[f32
     let mut buffers = FrameBuffers::new(width, height);
     draw(world, &behind, Passes { texture_ids: true }, &mut buffers);
     // Levels were chosen for these pixels, not for those of the view.
-    let coarser = (behind.pixel_angle() / frame.pixel_angle()).log2();
+    let coarser = math::log2(behind.pixel_angle() / frame.pixel_angle());
     let display = &world.scene.display;
     let tone = ToneMap::from(display);
     let wanted = buffers.texture.map(|word| match word.texture() {

@@ -10,6 +10,7 @@ use glam::{Vec2, Vec3};
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::geometry::Ray;
+use crate::math;
 use crate::scene::Object;
 use crate::transport::bsdf::peaks::SplitSum;
 use crate::transport::bsdf::{Bsdf, BsdfSample};
@@ -54,7 +55,7 @@ pub fn solid_angle(side: usize, texel: usize) -> f32 {
     let corner = |x: usize, y: usize| {
         let at = |i: usize| 2.0 * i as f64 / side as f64 - 1.0;
         let (x, y) = (at(x), at(y));
-        (x * y).atan2((x * x + y * y + 1.0).sqrt())
+        math::atan2(x * y, (x * x + y * y + 1.0).sqrt())
     };
     let (x, y) = (rest % side, rest / side);
     (corner(x, y) - corner(x, y + 1) - corner(x + 1, y) + corner(x + 1, y + 1)) as f32
@@ -231,9 +232,37 @@ pub fn phong_exponent(alpha: f32) -> Option<f32> {
 
 /// Texels along an edge that a lobe's width needs: 90° / (σ/2), σ = acos((n+1)/(n+2)), as a power of two.
 pub fn side_of_lobe(exponent: f32) -> usize {
-    let sigma = ((exponent + 1.0) / (exponent + 2.0)).min(1.0).acos();
+    let sigma = math::acos(((exponent + 1.0) / (exponent + 2.0)).min(1.0));
     let side = std::f32::consts::FRAC_PI_2 / (0.5 * sigma).max(1e-4);
     (side.min(256.0) as usize).next_power_of_two().clamp(8, 256)
+}
+
+/// cosⁿ as a table, to 1e-5 of its peak; what is below a thousandth of that is left out.
+struct Lobe {
+    /// The cosine where it begins.
+    least: f32,
+    steps_per_unit: f32,
+    values: [f32; Self::STEPS + 2],
+}
+
+impl Lobe {
+    const STEPS: usize = 1024;
+
+    fn new(exponent: f32) -> Self {
+        let least = math::powf(1e-3, 1.0 / exponent.max(1.0)).min(1.0 - f32::EPSILON);
+        let (first, exponent) = (f64::from(least), f64::from(exponent));
+        let step = (1.0 - first) / Self::STEPS as f64;
+        let values = std::array::from_fn(|i| math::powf(first + step * i as f64, exponent) as f32);
+        Self { least, steps_per_unit: (1.0 / step) as f32, values }
+    }
+
+    /// At a cosine of `least` or more.
+    #[inline]
+    fn at(&self, cosine: f32) -> f32 {
+        let place = (cosine - self.least) * self.steps_per_unit;
+        let i = (place as usize).min(Self::STEPS);
+        self.values[i] + (self.values[i + 1] - self.values[i]) * (place - i as f32)
+    }
 }
 
 /// Filters a cube with the normalised Phong lobe (n+1)/(2π) [⟨r, ω⟩]₊ⁿ: each texel of the result is what a lobe around
@@ -246,8 +275,7 @@ pub fn filtered(map: &Cube<Vec3>, exponent: f32) -> Cube<Vec3> {
         source = source.halved();
     }
     let n = source.side;
-    // What is below a thousandth of the lobe's peak is left out.
-    let least = 1e-3f32.powf(1.0 / exponent.max(1.0));
+    let lobe = Lobe::new(exponent);
     let texels: Vec<(Vec3, Vec3)> =
         (0..texel_count(n)).map(|i| (direction(n, i), source.texels[i] * solid_angle(n, i))).collect();
     let weights: Vec<f32> = (0..texel_count(n)).map(|i| solid_angle(n, i)).collect();
@@ -262,23 +290,23 @@ pub fn filtered(map: &Cube<Vec3>, exponent: f32) -> Cube<Vec3> {
     let cones: Vec<(Vec3, f32)> = (0..6 * blocks_across * blocks_across)
         .map(|b| {
             let axis = members(b).map(|i| texels[i].0).sum::<Vec3>().normalize();
-            (axis, members(b).map(|i| axis.dot(texels[i].0)).fold(1.0f32, f32::min).acos())
+            (axis, math::acos(members(b).map(|i| axis.dot(texels[i].0)).fold(1.0f32, f32::min)))
         })
         .collect();
-    let reach = least.min(1.0).acos();
+    let reach = math::acos(lobe.least);
     let filter = |target: usize| {
         let r = direction(side, target);
         let (mut sum, mut total) = (Vec3::ZERO, 0.0f32);
         for (b, (axis, radius)) in cones.iter().enumerate() {
-            if r.dot(*axis) < (radius + reach).min(std::f32::consts::PI).cos() {
+            if r.dot(*axis) < math::cos((radius + reach).min(std::f32::consts::PI)) {
                 continue;
             }
             for i in members(b) {
                 let cosine = r.dot(texels[i].0);
-                if cosine >= least {
-                    let lobe = cosine.powf(exponent);
-                    sum += texels[i].1 * lobe;
-                    total += weights[i] * lobe;
+                if cosine >= lobe.least {
+                    let share = lobe.at(cosine);
+                    sum += texels[i].1 * share;
+                    total += weights[i] * share;
                 }
             }
         }
@@ -420,6 +448,20 @@ mod tests {
     use super::*;
 
     #[test]
+    fn lobes_are_powers() {
+        for exponent in [1.0, 1.5, 7.0, 48.0, 1000.0, 5e5f32] {
+            let lobe = Lobe::new(exponent);
+            for i in 0..=10_000 {
+                let cosine = lobe.least + (1.0 - lobe.least) * i as f32 * 1e-4;
+                let exact = math::powf(f64::from(cosine), f64::from(exponent));
+                assert!((f64::from(lobe.at(cosine)) - exact).abs() < 1e-5, "{cosine} to the {exponent}");
+            }
+            // Of directions that are unit up to rounding.
+            assert!((lobe.at(1.0f32.next_up()) - 1.0).abs() < 0.1);
+        }
+    }
+
+    #[test]
     fn solid_angles_fill_the_sphere() {
         for side in [1, 4, 16] {
             let sum: f64 = (0..texel_count(side)).map(|i| f64::from(solid_angle(side, i))).sum();
@@ -452,7 +494,7 @@ mod tests {
             (0..texel_count(side)).map(|i| Vec3::splat(direction(side, i).z.max(0.0))).collect(),
         );
         let at = |degrees: f32| {
-            let (s, c) = degrees.to_radians().sin_cos();
+            let (s, c) = math::sin_cos(degrees.to_radians());
             Vec3::new(s, 0.0, c)
         };
         for (n, degrees, expected) in [

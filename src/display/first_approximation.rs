@@ -12,6 +12,7 @@ use super::FrameBuffers;
 use super::environment_map::{EnvironmentMap, Probe, probe};
 use super::twin::{primary_interaction, primary_ray};
 use crate::image::Map2d;
+use crate::math;
 use crate::scene::Model;
 use crate::scene::camera::CameraFrame;
 use crate::transport::bsdf::peaks::SplitSum;
@@ -110,7 +111,7 @@ impl FirstApproximation {
         }
         let peaks = Bsdf::at(&world.scene, &exit).peaks(exit.wo, &self.probes.split_sum);
         let leaving = peaks.iter().flatten().find(|p| p.transmitted).or(peaks[0].as_ref())?;
-        let absorbed = transmittance.clamp(Vec3::ZERO, Vec3::ONE).powf(hit.t);
+        let absorbed = transmittance.clamp(Vec3::ZERO, Vec3::ONE).map(|t| math::powf(t, hit.t));
         Some((exit.position, leaving.wi, absorbed))
     }
 

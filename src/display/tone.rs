@@ -7,6 +7,7 @@
 use glam::Vec3;
 
 use crate::image::{Map2d, luminance, srgb_from_linear};
+use crate::math;
 use crate::scene::Display;
 
 /// What happens to exposed radiance above 1.
@@ -98,7 +99,7 @@ impl Default for Encoder {
         let mut next = [f32::INFINITY; 256];
         for (byte, next) in next.iter_mut().enumerate().take(255) {
             let v = (byte as f64 + 0.5) / 255.0;
-            let linear = if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };
+            let linear = if v <= 0.04045 { v / 12.92 } else { math::powf((v + 0.055) / 1.055, 2.4) };
             let nearest = linear as f32;
             *next = if f64::from(nearest) < linear { nearest.next_up() } else { nearest };
         }
@@ -141,7 +142,7 @@ mod tests {
 
     fn exact_byte(linear: f32) -> u8 {
         let v = f64::from(linear);
-        let encoded = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
+        let encoded = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * math::powf(v, 1.0 / 2.4) - 0.055 };
         (encoded * 255.0).round() as u8
     }
 

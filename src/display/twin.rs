@@ -133,6 +133,7 @@ mod tests {
 
     use super::*;
     use crate::illumination::Uniform;
+    use crate::math;
     use crate::scene::test_scenes::{add_box, grey, scene};
     use crate::scene::texture::MipChain;
     use crate::scene::{Camera, Mesh, Model, Reflectance, Texture, TextureId};
@@ -163,7 +164,7 @@ mod tests {
         assert!((color - Vec3::splat(0.5)).abs().max_element() < 0.01, "{color}");
         let ray = primary_ray(&frame, 20, 15);
         let at = primary_interaction(&world, &frame, &ray, &buffers.hit.at(20, 15).hit().unwrap());
-        let level = (at.footprint * at.uv_density * 256.0).log2();
+        let level = math::log2(at.footprint * at.uv_density * 256.0);
         assert!(level > 3.0 && (wanted.level() - level).abs() < 0.13, "{wanted:?} {level}");
         assert_eq!(wanted.texture(), Some(TextureId(0)));
         draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);

@@ -3,7 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
-use super::eight::Eight;
+use super::simd::Simd;
 
 /// A ray's own coordinate frame: its direction is the third axis, by a shear instead of a rotation.
 ///
@@ -11,7 +11,7 @@ use super::eight::Eight;
 /// products are formed in f64, where they are exact. A fused multiply–add would break this, so none
 /// is used (REFERENCE §5.2).
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Shear<E: Eight> {
+pub(super) struct Shear<E: Simd<8>> {
     /// Axes of the scene, the direction's largest last.
     axes: [usize; 3],
     /// The origin in their order.
@@ -21,7 +21,7 @@ pub(super) struct Shear<E: Eight> {
     z: f32,
 }
 
-impl<E: Eight> Shear<E> {
+impl<E: Simd<8>> Shear<E> {
     #[inline(always)]
     pub fn new(e: E, origin: Vec3, direction: Vec3) -> Self {
         let a = direction.abs();
@@ -99,7 +99,7 @@ impl Block {
     /// is hit with `t_min < t <= t_max`.
     /// `None` where it is none of them.
     #[inline(always)]
-    pub fn intersect<E: Eight>(&self, e: E, s: &Shear<E>, t_min: f32, t_max: f32) -> Option<Lanes> {
+    pub fn intersect<E: Simd<8>>(&self, e: E, s: &Shear<E>, t_min: f32, t_max: f32) -> Option<Lanes> {
         let (ax, ay, az) = s.sheared(e, &self.corner[0]);
         let (bx, by, bz) = s.sheared(e, &self.corner[1]);
         let (cx, cy, cz) = s.sheared(e, &self.corner[2]);

@@ -206,6 +206,7 @@ impl Accel {
 mod tests {
     use super::super::level::Level;
     use super::*;
+    use crate::math;
     use crate::rng::Stream;
     use crate::scene::test_scenes::of_triangles;
 
@@ -214,8 +215,8 @@ mod tests {
             let theta = std::f32::consts::PI * i as f32 / rings as f32;
             let phi = std::f32::consts::TAU * (j % (2 * rings)) as f32 / (2 * rings) as f32;
             let pole = i == 0 || i == rings;
-            let s = if pole { 0.0 } else { theta.sin() };
-            centre + scale * Vec3::new(s * phi.cos(), s * phi.sin(), theta.cos())
+            let s = if pole { 0.0 } else { math::sin(theta) };
+            centre + scale * Vec3::new(s * math::cos(phi), s * math::sin(phi), math::cos(theta))
         };
         let mut corners = Vec::new();
         for i in 0..rings {

@@ -3,13 +3,12 @@
 //!
 //! What is there is asked once per tree. `pulp`'s tokens stand for the answer, so that their intrinsics are safe to call.
 
-use super::eight::Eight;
-use super::sixteen::Sixteen;
+use super::simd::Simd;
 
 /// Instructions for eight and for sixteen numbers at once.
-pub(super) trait Vectors: Eight + Sixteen {}
+pub(super) trait Vectors: Simd<8> + Simd<16> {}
 
-impl<V: Eight + Sixteen> Vectors for V {}
+impl<V: Simd<8> + Simd<16>> Vectors for V {}
 
 /// Four at once, on any processor.
 #[derive(Clone, Copy, Debug)]

@@ -3,8 +3,8 @@
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
-use super::eight::Eight;
 use super::offset::gamma;
+use super::simd::Simd;
 
 /// Children of a node.
 pub(super) const CHILDREN: usize = 8;
@@ -76,7 +76,7 @@ const FAR: f32 = 1.0 + 2.0 * gamma(4);
 
 /// A ray prepared for boxes.
 #[derive(Clone, Copy)]
-pub(super) struct Slabs<E: Eight> {
+pub(super) struct Slabs<E: Simd<8>> {
     eight: E,
     start: [E::Lanes; 3],
     /// Inverse of the direction, for where the ray enters a slab and, a little larger, for where it leaves.
@@ -86,7 +86,7 @@ pub(super) struct Slabs<E: Eight> {
     far: [usize; 3],
 }
 
-impl<E: Eight> Slabs<E> {
+impl<E: Simd<8>> Slabs<E> {
     #[inline(always)]
     pub fn new(eight: E, origin: Vec3, direction: Vec3, t_min: f32) -> Self {
         let inverse = direction.recip();

@@ -10,11 +10,10 @@ use arrayvec::ArrayVec;
 use glam::Vec3;
 
 use super::block::CUT_OUT;
-use super::eight::Eight;
 use super::level::{Vectors, Work};
 use super::node::{CHILDREN, Child, Node};
 use super::offset::gamma;
-use super::sixteen::Sixteen;
+use super::simd::Simd;
 use super::stack::{STACK, Stack};
 use super::wide::Wide;
 
@@ -121,7 +120,7 @@ impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
         let up = packet.up(v);
         if up.iter().all(|&bits| bits == 0 || bits == ALL) {
             let beam = Beam::of(v, self.origin, &packet.inverse);
-            self.travel(v, &packet, &beam, Sixteen::splat(v, f32::INFINITY), hits, stack);
+            self.travel(v, &packet, &beam, Simd::<16>::splat(v, f32::INFINITY), hits, stack);
             return;
         }
         let mut left = ALL;
@@ -135,7 +134,7 @@ impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
             let beam = Beam::of(v, self.origin, &inverses(v, transposed(v, &theirs)));
             // No ray but its own keeps a beam going.
             let reach = std::array::from_fn(|l| if is_member(l) { f32::INFINITY } else { 0.0 });
-            self.travel(v, &packet, &beam, Sixteen::load(v, &reach), hits, stack);
+            self.travel(v, &packet, &beam, Simd::<16>::load(v, &reach), hits, stack);
         }
     }
 
@@ -145,7 +144,7 @@ impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
         v: V,
         packet: &Packet<V>,
         beam: &Beam<V>,
-        reach: <V as Sixteen>::Lanes,
+        reach: <V as Simd<16>>::Lanes,
         hits: &mut Hits<V>,
         stack: &mut impl Stack,
     ) {
@@ -158,8 +157,8 @@ impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
             if current.is_leaf() {
                 let block = &blocks[current.index()];
                 let from_eye = |c: usize, k: usize| {
-                    let corners = Eight::load(v, &block.corner[c][packet.axes[k]]);
-                    Eight::store(v, Eight::sub(v, corners, origin[k]))
+                    let corners = Simd::<8>::load(v, &block.corner[c][packet.axes[k]]);
+                    Simd::<8>::store(v, Simd::<8>::sub(v, corners, origin[k]))
                 };
                 // Written out, since what goes through `map` stays in no register.
                 let a = [from_eye(0, 0), from_eye(0, 1), from_eye(0, 2)];
@@ -200,7 +199,7 @@ impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
 }
 
 /// Bounds of rays that point into one octant.
-struct Beam<E: Eight> {
+struct Beam<E: Simd<8>> {
     origin: [E::Lanes; 3],
     /// Least inverse of the directions.
     lower: [E::Lanes; 3],
@@ -212,7 +211,7 @@ struct Beam<E: Eight> {
 
 impl<V: Vectors> Beam<V> {
     #[inline(always)]
-    fn of(v: V, origin: Vec3, inverse: &[<V as Sixteen>::Lanes; 3]) -> Self {
+    fn of(v: V, origin: Vec3, inverse: &[<V as Simd<16>>::Lanes; 3]) -> Self {
         let [x, y, z] = *inverse;
         let lower = [least(v, x), least(v, y), least(v, z)];
         let upper = [most(v, x), most(v, y), most(v, z)];
@@ -225,7 +224,7 @@ impl<V: Vectors> Beam<V> {
     }
 }
 
-impl<E: Eight> Beam<E> {
+impl<E: Simd<8>> Beam<E> {
     /// Entry distances of the boxes, and a bit for each that any ray may meet before `farthest`. Each ray's own bounds
     /// lie within these, since rounding is monotone.
     #[inline(always)]
@@ -245,7 +244,7 @@ impl<E: Eight> Beam<E> {
 }
 
 #[inline(always)]
-fn splat3<E: Eight>(e: E, v: [f32; 3]) -> [E::Lanes; 3] {
+fn splat3<E: Simd<8>>(e: E, v: [f32; 3]) -> [E::Lanes; 3] {
     [e.splat(v[0]), e.splat(v[1]), e.splat(v[2])]
 }
 
@@ -262,7 +261,7 @@ fn dominant_axis(d: Vec3) -> usize {
 
 /// Pairs, pairs of pairs, and so on. What is not a number counts for nothing unless all is.
 #[inline(always)]
-fn fold<S: Sixteen>(s: S, lanes: S::Lanes, choose: impl Fn(f32, f32) -> f32) -> f32 {
+fn fold<S: Simd<16>>(s: S, lanes: S::Lanes, choose: impl Fn(f32, f32) -> f32) -> f32 {
     let lanes = s.store(lanes);
     let eight: [f32; 8] = std::array::from_fn(|i| choose(lanes[i], lanes[i + 8]));
     let four: [f32; 4] = std::array::from_fn(|i| choose(eight[i], eight[i + 4]));
@@ -270,18 +269,18 @@ fn fold<S: Sixteen>(s: S, lanes: S::Lanes, choose: impl Fn(f32, f32) -> f32) -> 
 }
 
 #[inline(always)]
-fn least<S: Sixteen>(s: S, lanes: S::Lanes) -> f32 {
+fn least<S: Simd<16>>(s: S, lanes: S::Lanes) -> f32 {
     fold(s, lanes, |a, b| if a < b { a } else { b })
 }
 
 #[inline(always)]
-fn most<S: Sixteen>(s: S, lanes: S::Lanes) -> f32 {
+fn most<S: Simd<16>>(s: S, lanes: S::Lanes) -> f32 {
     fold(s, lanes, |a, b| if a > b { a } else { b })
 }
 
 /// Directions axis by axis.
 #[inline(always)]
-fn transposed<S: Sixteen>(s: S, directions: &[Vec3; LANES]) -> [S::Lanes; 3] {
+fn transposed<S: Simd<16>>(s: S, directions: &[Vec3; LANES]) -> [S::Lanes; 3] {
     let mut lanes = [[0.0; LANES]; 3];
     for (i, d) in directions.iter().enumerate() {
         (lanes[0][i], lanes[1][i], lanes[2][i]) = (d.x, d.y, d.z);
@@ -290,19 +289,19 @@ fn transposed<S: Sixteen>(s: S, directions: &[Vec3; LANES]) -> [S::Lanes; 3] {
 }
 
 #[inline(always)]
-fn inverses<S: Sixteen>(s: S, [x, y, z]: [S::Lanes; 3]) -> [S::Lanes; 3] {
+fn inverses<S: Simd<16>>(s: S, [x, y, z]: [S::Lanes; 3]) -> [S::Lanes; 3] {
     [inverse(s, x), inverse(s, y), inverse(s, z)]
 }
 
 /// A component of zero would make 0 · ∞; boxes are padded by far more than this moves them.
 #[inline(always)]
-fn inverse<S: Sixteen>(s: S, d: S::Lanes) -> S::Lanes {
+fn inverse<S: Simd<16>>(s: S, d: S::Lanes) -> S::Lanes {
     let tiny = s.and(s.below(d, s.splat(1e-20)), s.below(s.splat(-1e-20), d));
     s.div(s.splat(1.0), s.select(tiny, s.splat(1e-20), d))
 }
 
 /// Rays prepared for triangles.
-struct Packet<S: Sixteen> {
+struct Packet<S: Simd<16>> {
     inverse: [S::Lanes; 3],
     axes: [usize; 3],
     shear_x: S::Lanes,
@@ -310,7 +309,7 @@ struct Packet<S: Sixteen> {
     scale_z: S::Lanes,
 }
 
-impl<S: Sixteen> Packet<S> {
+impl<S: Simd<16>> Packet<S> {
     #[inline(always)]
     fn new(s: S, directions: &[Vec3; LANES], kz: usize) -> Self {
         let d = transposed(s, directions);
@@ -404,7 +403,7 @@ impl<S: Sixteen> Packet<S> {
 
 /// Rays with edge functions of both signs.
 #[inline(always)]
-fn outside<S: Sixteen>(s: S, u: S::Lanes, v: S::Lanes, w: S::Lanes) -> S::Mask {
+fn outside<S: Simd<16>>(s: S, u: S::Lanes, v: S::Lanes, w: S::Lanes) -> S::Mask {
     let zero = s.splat(0.0);
     let negative = s.below(s.min(s.min(u, v), w), zero);
     s.and(negative, s.below(zero, s.max(s.max(u, v), w)))
@@ -441,7 +440,7 @@ fn lower_ties(mut t: [f32; LANES], found: [f32; LANES], triangle: u32, ties: u32
 }
 
 /// What the rays have found so far.
-struct Hits<S: Sixteen> {
+struct Hits<S: Simd<16>> {
     t: S::Lanes,
     /// Triangles, as bits.
     triangle: S::Lanes,
@@ -449,7 +448,7 @@ struct Hits<S: Sixteen> {
     b2: S::Lanes,
 }
 
-impl<S: Sixteen> Hits<S> {
+impl<S: Simd<16>> Hits<S> {
     #[inline(always)]
     fn new(s: S) -> Self {
         let zero = s.splat(0.0);

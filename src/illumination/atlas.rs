@@ -345,6 +345,7 @@ fn unwrap_part(mesh: &Mesh, part: &[u32], density: f32, unwrap: &dyn Unwrap) -> 
 mod tests {
     use super::*;
     use crate::illumination::test_scenes::{grid, quad};
+    use crate::math;
 
     fn area_of(atlas: &Atlas) -> f32 {
         atlas.elements.iter().map(|e| e.area).sum()
@@ -377,7 +378,7 @@ mod tests {
 
     #[test]
     fn every_point_of_a_triangle_has_a_covered_element_nearby() {
-        let mesh = grid(4, 3, |x, y| Vec3::new(x * 2.0, y, (x * 3.0).sin() * 0.3));
+        let mesh = grid(4, 3, |x, y| Vec3::new(x * 2.0, y, math::sin(x * 3.0) * 0.3));
         let atlas = Atlas::build(&mesh, 2048, &|_| true, &|_| true, &ConformalCharts);
         let mut stream = crate::rng::Stream::new(1, 2, 3);
         for _ in 0..20_000 {

@@ -1,7 +1,7 @@
 //! The bake: particles and direct light in passes, each with an estimate of its error.
 //!
 //! Light that comes straight from a light source is gathered at the elements by sampling the lights
-//! (next-event estimation), all other light from particles; or all of it from particles. Never both.
+//! (next-event estimation), all other light from particles.
 //! No clock in here: the caller's `keep_going` decides when the time is over. The result depends on
 //! the number of particles and rounds only, not on threads or on where a bake was interrupted.
 
@@ -16,6 +16,7 @@ pub use super::quick::quick_direct;
 use super::seen::seen;
 use super::sources::{Importance, ImportanceState, Sources};
 use super::stored::{Illumination, Summary};
+use crate::math;
 use crate::scene::Scene;
 use crate::transport::lit::LitSurfaces;
 use crate::transport::particle::LightTransport;
@@ -35,16 +36,6 @@ const ROUNDS_MAX: u32 = 256;
 /// Elements that share the decision whether direct light can reach them.
 pub(super) const BLOCK: usize = 64;
 
-/// Where light that comes straight from light sources is taken from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum DirectLight {
-    /// Lights are sampled at every element; particles count from their first reflection on.
-    #[default]
-    NextEvent,
-    /// Particles count from their emission on.
-    Particles,
-}
-
 /// What to bake, and when it is good enough.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BakeSettings {
@@ -52,8 +43,6 @@ pub struct BakeSettings {
     pub texels: u32,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// Source of direct light.
-    pub direct: DirectLight,
     /// Stop after this many particles.
     pub particles: Option<u64>,
     /// Fine elements also where no camera and no path leads.
@@ -64,14 +53,7 @@ pub struct BakeSettings {
 
 impl Default for BakeSettings {
     fn default() -> Self {
-        Self {
-            texels: 256 * 1024,
-            seed: 1,
-            direct: DirectLight::NextEvent,
-            particles: Some(1 << 22),
-            everything: false,
-            error: Some(0.02),
-        }
+        Self { texels: 256 * 1024, seed: 1, particles: Some(1 << 22), everything: false, error: Some(0.02) }
     }
 }
 
@@ -84,7 +66,7 @@ pub fn cache_key(scene: &Scene, settings: &BakeSettings) -> [u8; 32] {
     hasher.update(&scene.content_hash);
     hasher.update(&settings.texels.to_le_bytes());
     hasher.update(&settings.seed.to_le_bytes());
-    hasher.update(&[settings.direct as u8, u8::from(settings.everything)]);
+    hasher.update(&[u8::from(settings.everything)]);
     *hasher.finalize().as_bytes()
 }
 
@@ -194,15 +176,10 @@ impl<'a> Baker<'a> {
         let elements = atlas.elements.len();
         // What nobody sees may light what somebody does, but less.
         let weight = |t: u32| if is_seen(t) { 1.0 } else { UNSEEN };
-        let (lit, importance) = match settings.direct {
-            DirectLight::NextEvent => {
-                let pieces = (settings.texels as usize / 4).clamp(LIT_PIECES.0, LIT_PIECES.1);
-                let expected = |e: u32| weight(atlas.elements[e as usize].triangle);
-                let importance = Importance::new(&atlas.elements, &expected);
-                (transport.lit(pieces, settings.seed, &weight), importance)
-            }
-            DirectLight::Particles => Default::default(),
-        };
+        let pieces = (settings.texels as usize / 4).clamp(LIT_PIECES.0, LIT_PIECES.1);
+        let importance =
+            Importance::new(&atlas.elements, &|e: u32| weight(atlas.elements[e as usize].triangle));
+        let lit = transport.lit(pieces, settings.seed, &weight);
         let watched = atlas.elements.iter().map(|e| e.area > 0.0 && is_seen(e.triangle)).collect();
         Self {
             settings: settings.clone(),
@@ -359,9 +336,8 @@ impl Baker<'_> {
                 let met = |limit: Option<f32>| limit.is_some_and(|limit| summary.relative_error <= limit);
                 let emitted_all = self.settings.particles.is_some_and(|n| self.emitted >= n);
                 // Where direct light is by far the larger error, particles wait for it.
-                let others = summary.particle_error.hypot(summary.bias_error);
-                let waits = self.gathers_direct()
-                    && self.direct_rounds < ROUNDS_MAX
+                let others = math::hypot(summary.particle_error, summary.bias_error);
+                let waits = self.direct_rounds < ROUNDS_MAX
                     && self
                         .settings
                         .error
@@ -385,7 +361,7 @@ impl Baker<'_> {
     }
 
     fn next_stage(&self) -> Stage {
-        if self.gathers_direct() && self.direct_rounds < self.direct_rounds_wanted {
+        if self.direct_rounds < self.direct_rounds_wanted {
             Stage::Direct
         } else if self.emitted < self.pass_end {
             Stage::Particles
@@ -425,10 +401,6 @@ impl Baker<'_> {
                 }
             }
         }
-    }
-
-    pub(super) fn gathers_direct(&self) -> bool {
-        self.settings.direct == DirectLight::NextEvent
     }
 
     fn progress(&self, stage: Stage) -> Progress {

@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3};
 
-use super::bake::{BakeSettings, Baker, DirectLight, bake};
+use super::bake::{BakeSettings, Baker, bake};
 use super::quick::quick_direct;
 use super::stored::Illumination;
 use super::test_scenes::{cube, grid, join, lambert, quad, scene};
@@ -10,6 +10,7 @@ use super::test_transport::Lambertian;
 use super::{Irradiance, cache};
 use crate::geometry::Accel;
 use crate::image::luminance;
+use crate::math;
 use crate::scene::texture::MipChain;
 use crate::scene::{
     Camera, Light, Material, Mesh, Model, NamedCamera, Reflectance, Roughness, Scene, Texture, TextureId,
@@ -17,12 +18,22 @@ use crate::scene::{
 use crate::transport::light::Lights;
 use crate::transport::particle::{LightTransport, SceneTransport};
 
-fn settings(texels: u32, particles: u64, direct: DirectLight) -> BakeSettings {
-    BakeSettings { texels, seed: 3, direct, particles: Some(particles), everything: true, error: None }
+fn settings(texels: u32, particles: u64) -> BakeSettings {
+    BakeSettings { texels, seed: 3, particles: Some(particles), everything: true, error: None }
 }
 
 fn baked(scene: &Scene, settings: &BakeSettings) -> Illumination {
     bake(scene, &Lambertian::new(scene), settings, &|_| true).illumination
+}
+
+/// The same with lights sampled by solid angle: by area, walls that touch have samples without bound.
+fn baked_by_solid_angle(scene: &Scene, settings: &BakeSettings) -> Illumination {
+    let (accel, lights) = (Accel::build(scene), Lights::build(scene));
+    let mut baker = Baker::new(scene, SceneTransport::new(scene, &accel, &lights), settings);
+    for _ in 0..32 {
+        baker.gather_blocks(usize::MAX);
+    }
+    baker.run(&|_| true, &mut |_| {}).illumination
 }
 
 /// A unit light of radiosity 1 facing down at height 1, over a floor of 5 × 5.
@@ -57,26 +68,24 @@ const UNDER_LIGHT: [(f32, f32); 5] =
 #[test]
 fn irradiance_under_a_square_light_has_its_closed_form() {
     let scene = light_over_floor(1e-6);
-    for (direct, allowed) in [(DirectLight::NextEvent, 0.006), (DirectLight::Particles, 0.02)] {
-        let transport = Lambertian::new(&scene);
-        let settings = settings(20_000, 1 << 19, direct);
-        let mut baker = Baker::new(&scene, &transport, &settings);
-        for _ in 0..8 {
-            baker.gather_direct();
-        }
-        let map = baker.run(&|_| true, &mut |_| {}).illumination;
-        for (x, exact) in UNDER_LIGHT {
-            // Four points by symmetry.
-            let mean = [(x, 0.003), (-x, -0.003), (0.003, x), (-0.003, -x)]
-                .into_iter()
-                .map(|(x, z)| on_floor(&map, &scene.mesh, x, z).x)
-                .sum::<f32>()
-                / 4.0;
-            let allowed = if x >= 2.0 { 2.0 * allowed } else { allowed };
-            assert!((mean / exact - 1.0).abs() < allowed, "{direct:?} {x}: {mean} {exact}");
-        }
-        assert!(map.summary.relative_error < 0.03, "{:?}", map.summary);
+    let transport = Lambertian::new(&scene);
+    let settings = settings(20_000, 1 << 19);
+    let mut baker = Baker::new(&scene, &transport, &settings);
+    for _ in 0..8 {
+        baker.gather_blocks(usize::MAX);
     }
+    let map = baker.run(&|_| true, &mut |_| {}).illumination;
+    for (x, exact) in UNDER_LIGHT {
+        // Four points by symmetry.
+        let mean = [(x, 0.003), (-x, -0.003), (0.003, x), (-0.003, -x)]
+            .into_iter()
+            .map(|(x, z)| on_floor(&map, &scene.mesh, x, z).x)
+            .sum::<f32>()
+            / 4.0;
+        let allowed = if x >= 2.0 { 0.012 } else { 0.006 };
+        assert!((mean / exact - 1.0).abs() < allowed, "{x}: {mean} {exact}");
+    }
+    assert!(map.summary.relative_error < 0.03, "{:?}", map.summary);
 }
 
 fn furnace(rho: f32) -> Scene {
@@ -87,7 +96,7 @@ fn furnace(rho: f32) -> Scene {
 fn a_closed_furnace_is_even_up_to_its_corners() {
     for (rho, exact) in [(0.5, 2.0), (0.8, 5.0)] {
         let scene = furnace(rho);
-        let map = baked(&scene, &settings(6_000, 1 << 21, DirectLight::Particles));
+        let map = baked_by_solid_angle(&scene, &settings(6_000, 1 << 20));
         let mut stream = crate::rng::Stream::new(9, 0, 0);
         let (mut sum, mut worst) = (0.0, 0.0f32);
         let points = 4000;
@@ -102,30 +111,21 @@ fn a_closed_furnace_is_even_up_to_its_corners() {
         }
         let mean = sum / points as f32;
         assert!((mean / exact - 1.0).abs() < 0.004, "{rho}: {mean}");
-        assert!(worst < 0.05, "{rho}: {worst}");
+        assert!(worst < 0.06, "{rho}: {worst}");
         assert!(map.summary.relative_error < 0.015, "{:?}", map.summary);
-        assert_eq!(map.back_count(), 0);
     }
 }
 
 #[test]
 fn a_furnace_with_direct_light_at_the_elements_agrees() {
     let scene = furnace(0.5);
-    // Lights sampled by solid angle: by area, walls that touch have samples without bound.
-    let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
-    let transport = SceneTransport::new(&scene, &accel, &lights);
-    let settings = settings(3_000, 1 << 19, DirectLight::NextEvent);
-    let mut baker = Baker::new(&scene, transport, &settings);
-    for _ in 0..8 {
-        baker.gather_direct();
-    }
-    let map = baker.run(&|_| true, &mut |_| {}).illumination;
+    let map = baked_by_solid_angle(&scene, &settings(3_000, 1 << 19));
     let mean = map.summary.mean[0];
     assert!((mean / 2.0 - 1.0).abs() < 0.006, "{mean}");
 }
 
 /// A furnace with a white sheet in it, of which stripes are cut out: what is left is as bright as without holes, since
-/// light comes from all sides, wherever it is stored and however it is found.
+/// light comes from all sides, wherever it is stored.
 #[test]
 fn half_a_sheet_receives_as_much_per_area_as_a_whole_one() {
     let mut mesh = cube(Vec3::ZERO, 1.0, false);
@@ -151,23 +151,18 @@ fn half_a_sheet_receives_as_much_per_area_as_a_whole_one() {
         .filter(|&(t, b1, b2)| room.is_opaque_at(t, b1, b2))
         .collect();
     assert!((900..1100).contains(&points.len()), "{}", points.len());
-    for (texels, direct) in [
-        (0, DirectLight::NextEvent),
-        (6000, DirectLight::NextEvent),
-        (0, DirectLight::Particles),
-        (6000, DirectLight::Particles),
-    ] {
-        let settings = settings(texels, 1 << 18, direct);
+    for texels in [0, 6000] {
+        let settings = settings(texels, 1 << 18);
         let mut baker = Baker::new(&room, SceneTransport::new(&room, &accel, &lights), &settings);
         for _ in 0..4 {
-            baker.gather_direct();
+            baker.gather_blocks(usize::MAX);
         }
         let map = baker.run(&|_| true, &mut |_| {}).illumination;
         for back in [false, true] {
             let values = points.iter().map(|&(t, b1, b2)| map.irradiance(t, b1, b2, back).x / 2.0);
             let mean = values.clone().sum::<f32>() / points.len() as f32;
             let worst = values.map(|v| (v - 1.0).abs()).fold(0.0, f32::max);
-            assert!((mean - 1.0).abs() < 0.03 && worst < 0.25, "{texels} {direct:?} {back}: {mean} {worst}");
+            assert!((mean - 1.0).abs() < 0.03 && worst < 0.25, "{texels} {back}: {mean} {worst}");
         }
     }
 }
@@ -178,7 +173,7 @@ fn a_bake_that_was_cut_short_has_indirect_light() {
     let scene = furnace(0.5);
     let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
     let transport = SceneTransport::new(&scene, &accel, &lights);
-    let settings = settings(40_000, 1 << 19, DirectLight::NextEvent);
+    let settings = settings(40_000, 1 << 19);
     let cut = bake(&scene, &transport, &settings, &|_| false);
     let summary = &cut.illumination.summary;
     assert!(!cut.complete && summary.direct_rounds == 0 && summary.has_indirect, "{summary:?}");
@@ -198,7 +193,7 @@ fn dark_backs_stay_dark_beside_lit_ones() {
     join(&mut mesh, &quad(Vec3::NEG_Z, Vec3::X * 3.0, Vec3::Y), 0);
     join(&mut mesh, &quad(Vec3::new(0.4, 0.4, -0.95), Vec3::X * 0.2, Vec3::Y * 0.2), 1);
     let room = scene(mesh, vec![lambert(0.5, 0.0), lambert(0.5, 5.0)], Vec::new());
-    let map = baked(&room, &settings(20_000, 1 << 17, DirectLight::NextEvent));
+    let map = baked(&room, &settings(20_000, 1 << 17));
     // Of the two triangles of the sheet.
     let at = |x: f32, y: f32| {
         let (t, b1, b2) = if y < x { (0, x - y, y) } else { (1, x, y - x) };
@@ -222,7 +217,7 @@ fn a_cube_lit_by_its_ceiling_has_its_means_per_face() {
     for t in 0..12 {
         scene.mesh.materials[t].0 = u32::from(!(6..8).contains(&t));
     }
-    let map = baked(&scene, &settings(6_000, 1 << 20, DirectLight::Particles));
+    let map = baked_by_solid_angle(&scene, &settings(6_000, 1 << 20));
     for face in 0..6u32 {
         // Points on a grid over both triangles.
         let n = 40;
@@ -247,7 +242,7 @@ fn the_same_bits_for_any_number_of_threads() {
     let scene = light_over_floor(0.5);
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| baked(&scene, &settings(2_000, 60_000, DirectLight::NextEvent)))
+        pool.install(|| baked(&scene, &settings(2_000, 60_000)))
     };
     let one = run(1);
     for threads in [2, 3, 5] {
@@ -259,7 +254,7 @@ fn the_same_bits_for_any_number_of_threads() {
 fn an_interrupted_bake_that_goes_on_equals_an_uninterrupted_one() {
     let scene = light_over_floor(0.5);
     let transport = Lambertian::new(&scene);
-    let settings = settings(1_000, 300_000, DirectLight::NextEvent);
+    let settings = settings(1_000, 300_000);
     let whole = bake(&scene, &transport, &settings, &|_| true);
     assert!(whole.complete);
     let mut first = Baker::new(&scene, &transport, &settings);
@@ -278,7 +273,7 @@ fn an_interrupted_bake_that_goes_on_equals_an_uninterrupted_one() {
 fn error_falls_with_particles_as_the_theory_says() {
     let scene = furnace(0.5);
     let error = |particles: u64| {
-        let map = baked(&scene, &settings(2_000, particles, DirectLight::Particles));
+        let map = baked_by_solid_angle(&scene, &settings(2_000, particles));
         let values = map.front_values().iter().filter(|v| v[0] > 0.0);
         let (sum, n) =
             values.fold((0.0f64, 0u32), |(s, n), v| (s + f64::from(v[0] / 2.0 - 1.0).powi(2), n + 1));
@@ -286,7 +281,7 @@ fn error_falls_with_particles_as_the_theory_says() {
     };
     // Every wall alike: no bias, so the radius stays wide and only noise remains.
     let (few, many) = (error(16_384), error(1 << 20));
-    let slope = (many.0 / few.0).ln() / 64f64.ln();
+    let slope = math::ln(many.0 / few.0) / math::ln(64f64);
     assert!((-0.55..-0.28).contains(&slope), "{slope}: {few:?} {many:?}");
     for (real, claimed) in [few, many] {
         assert!((0.5..2.0).contains(&(claimed / real)), "{real} {claimed}");
@@ -305,7 +300,7 @@ fn a_quad_split_into_two_charts_shows_no_step() {
     }
     join(&mut mesh, &quad(Vec3::new(-0.5, 1.0, -0.5), Vec3::X, Vec3::Z), 1);
     let two = scene(mesh, one.materials.clone(), Vec::new());
-    let map = baked(&two, &settings(10_000, 1 << 19, DirectLight::Particles));
+    let map = baked(&two, &settings(10_000, 1 << 19));
     let (mut step, mut noise, n) = (0.0f64, 0.0f64, 100);
     for i in 0..n {
         let z = -1.2 + 2.4 * i as f32 / n as f32;
@@ -335,21 +330,19 @@ fn a_wall_lit_on_one_side_is_dark_on_the_other() {
         (b - a).cross(c - a).y < 0.0
     });
     closed.mesh.objects.fill(0);
-    for direct in [DirectLight::NextEvent, DirectLight::Particles] {
-        let map = baked(&closed, &settings(8_000, 200_000, direct));
-        // The sheet's normal is y × z = +x, away from the light.
-        let (mut lit, mut dark) = (0.0f32, 0.0f32);
-        for i in 0..200 {
-            let [u, v] = crate::rng::Stream::new(2, i, 0).next_2d();
-            let s = u.sqrt();
-            for t in [12, 13] {
-                lit += map.irradiance(t, s * (1.0 - v), s * v, true).x;
-                dark = dark.max(map.irradiance(t, s * (1.0 - v), s * v, false).x);
-            }
+    let map = baked(&closed, &settings(8_000, 200_000));
+    // The sheet's normal is y × z = +x, away from the light.
+    let (mut lit, mut dark) = (0.0f32, 0.0f32);
+    for i in 0..200 {
+        let [u, v] = crate::rng::Stream::new(2, i, 0).next_2d();
+        let s = u.sqrt();
+        for t in [12, 13] {
+            lit += map.irradiance(t, s * (1.0 - v), s * v, true).x;
+            dark = dark.max(map.irradiance(t, s * (1.0 - v), s * v, false).x);
         }
-        assert!(lit / 400.0 > 0.1, "{lit}");
-        assert_eq!(dark, 0.0);
     }
+    assert!(lit / 400.0 > 0.1, "{lit}");
+    assert_eq!(dark, 0.0);
 }
 
 #[test]
@@ -370,7 +363,7 @@ fn a_scene_without_light_or_surfaces_is_dark_and_done() {
     let empty = scene(Mesh::default(), vec![lambert(0.5, 0.0)], Vec::new());
     for scene in [dark, empty] {
         let transport = Lambertian::new(&scene);
-        let open_end = BakeSettings { particles: None, ..settings(100, 1, DirectLight::NextEvent) };
+        let open_end = BakeSettings { particles: None, ..settings(100, 1) };
         let done = bake(&scene, &transport, &open_end, &|_| true);
         assert!(done.complete && !done.illumination.summary.has_indirect);
         assert_eq!(done.illumination.irradiance(0, 0.3, 0.3, false), Vec3::ZERO);
@@ -403,7 +396,7 @@ fn particles_that_begin_where_light_falls_are_those_that_come_from_the_lights() 
     let settings = BakeSettings { texels: 6000, everything: true, error: None, ..BakeSettings::default() };
     let mut baker = Baker::new(&yard, transport, &settings);
     for _ in 0..8 {
-        baker.gather_direct();
+        baker.gather_blocks(usize::MAX);
     }
     baker.emit(n);
     let sources = baker.sources.as_ref().expect("the sky shines");
@@ -467,7 +460,7 @@ fn particles_begin_where_they_matter() {
     let (accel, lights) = (Accel::build(&hall), Lights::build(&hall));
     let settings = BakeSettings { texels: 6000, error: None, ..BakeSettings::default() };
     let mut baker = Baker::new(&hall, SceneTransport::new(&hall, &accel, &lights), &settings);
-    baker.gather_direct();
+    baker.gather_blocks(usize::MAX);
     baker.emit(40_000);
     // The floor takes an eightieth of the light: 500 of as many particles from the sun would come in, and half of them
     // would go on to the ceiling.
@@ -488,7 +481,7 @@ fn bodies_wound_inside_out_are_lit_from_behind() {
     }
     join(&mut mesh, &board, 0);
     let room = scene(mesh, vec![lambert(0.5, 0.0), lambert(0.1, 1.0)], Vec::new());
-    let map = baked(&room, &settings(1500, 100_000, DirectLight::NextEvent));
+    let map = baked(&room, &settings(1500, 100_000));
     for t in first..first + 12 {
         let [a, b, c] = room.mesh.corners(t);
         // The top and the underside.
@@ -518,7 +511,7 @@ fn large_elements_out_of_sight_do_not_shine_into_rooms() {
             fov_y: 1.0,
         },
     }];
-    let settings = BakeSettings { everything: false, ..settings(3000, 40_000, DirectLight::NextEvent) };
+    let settings = BakeSettings { everything: false, ..settings(3000, 40_000) };
     let transport = Lambertian::new(&house);
     let mut baker = Baker::new(&house, &transport, &settings);
     let map = baker.run(&|_| true, &mut |_| {}).illumination;

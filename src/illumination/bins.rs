@@ -120,10 +120,11 @@ impl Bins {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math;
 
     #[test]
     fn sums_have_the_same_bits_in_any_order_and_come_back_from_their_state() {
-        let flux = |i: u32| Vec3::new(0.1 + (i as f32).sin().abs(), 0.3, 1e-3 * i as f32);
+        let flux = |i: u32| Vec3::new(0.1 + math::sin(i as f32).abs(), 0.3, 1e-3 * i as f32);
         let forward = Bins::new(3, 2.0);
         let backward = Bins::new(3, 2.0);
         for i in 0..1000 {

@@ -6,6 +6,7 @@ use std::fs;
 use std::io::{Read, Write};
 use std::path::Path;
 
+use atomic_write_file::AtomicWriteFile;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -14,7 +15,7 @@ use super::stored::Illumination;
 /// First bytes of a file.
 const MAGIC: [u8; 8] = *b"FVBAKE\r\n";
 /// Raised with every change of what is stored or how it is computed.
-pub const VERSION: u32 = 12;
+pub const VERSION: u32 = 13;
 /// Magic, version, key, compressed and plain length, checksum.
 const HEADER: usize = 8 + 4 + 32 + 8 + 8 + 32;
 /// LZ4 cannot expand more than this.
@@ -119,20 +120,13 @@ pub fn decode<T: DeserializeOwned>(key: &[u8; 32], bytes: &[u8]) -> Result<T, Ca
 /// # Errors
 /// If the file cannot be written.
 pub fn save<T: Serialize>(path: &Path, key: &[u8; 32], value: &T) -> Result<(), CacheError> {
-    let bytes = encode(key, value)?;
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(".part");
-    let written = || {
-        let mut file = fs::File::create(&beside)?;
-        file.write_all(&bytes)?;
-        file.sync_all()?;
-        fs::rename(&beside, path)
-    };
-    written().map_err(|error| {
-        // Nobody would ever read what was written so far.
-        let _ = fs::remove_file(&beside);
-        error.into()
-    })
+    // What cannot take the place of a folder would stay beside it.
+    if path.is_dir() {
+        return Err(std::io::Error::from(std::io::ErrorKind::IsADirectory).into());
+    }
+    let mut file = AtomicWriteFile::open(path)?;
+    file.write_all(&encode(key, value)?)?;
+    Ok(file.commit()?)
 }
 
 /// Reads what [`save`] wrote.
@@ -184,7 +178,9 @@ mod tests {
         let bytes = encode(&[7; 32], &map).unwrap();
         assert_eq!(decode::<Illumination>(&[7; 32], &bytes).unwrap(), map);
         assert!(matches!(decode::<Illumination>(&[8; 32], &bytes), Err(CacheError::OtherKey)));
-        let path = std::env::temp_dir().join(format!("foveal-cache-{}.fvbake", std::process::id()));
+        let folder = std::env::temp_dir().join(format!("foveal-cache-{}", std::process::id()));
+        fs::create_dir_all(&folder).unwrap();
+        let path = folder.join("a.fvbake");
         save(&path, &[7; 32], &map).unwrap();
         assert_eq!(load_illumination(&path, &[7; 32], 2).unwrap(), map);
         assert!(load_illumination(&path, &[7; 32], 3).is_err());
@@ -193,8 +189,8 @@ mod tests {
         // A folder stands where the file should be: nothing is left beside it.
         fs::create_dir(&path).unwrap();
         assert!(matches!(save(&path, &[7; 32], &map), Err(CacheError::Io(_))));
-        assert!(!path.with_extension("fvbake.part").exists());
-        fs::remove_dir(&path).unwrap();
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 1);
+        fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]

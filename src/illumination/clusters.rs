@@ -7,6 +7,8 @@ use rayon::prelude::*;
 use super::atlas::Element;
 use super::bins::{Arrived, Bins};
 
+use crate::math;
+
 /// Elements in a leaf at most.
 const LEAF: usize = 4;
 /// A difference of normals of 1 counts like a distance of this share of the scene's size, so that clusters as
@@ -68,7 +70,7 @@ impl Extent {
 
     /// The largest angle between its normal and an element's, radians.
     pub fn spread(&self) -> f32 {
-        self.cosine.clamp(-1.0, 1.0).acos()
+        math::acos(self.cosine.clamp(-1.0, 1.0))
     }
 }
 
@@ -260,7 +262,7 @@ impl ClusterTree {
         }
         let mut stack = [0u32; 64];
         let mut depth = 1;
-        let (sin_angle, cos_angle) = query.normal_angle.sin_cos();
+        let (sin_angle, cos_angle) = math::sin_cos(query.normal_angle);
         while depth > 0 {
             depth -= 1;
             if visits == 0 {

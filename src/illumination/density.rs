@@ -12,6 +12,7 @@ use super::atlas::Element;
 use super::clusters::{ClusterTree, Extent};
 use super::neighbourhood::{Neighbourhood, REACH, RESOLUTION};
 use crate::image::luminance;
+use crate::math;
 
 /// Ridge on the second moments, in units of the squared radius: a strip much narrower than the kernel
 /// has no measurable slope across. A full disc has 1/6.
@@ -74,7 +75,7 @@ impl Bandwidth {
     /// N^(−1/6) (REFERENCE §6.2), so the particles inside grow with N^(2/3).
     pub fn new(stored: u64, diagonal: f32) -> Self {
         Self {
-            count: (0.1 * (stored as f32).powf(2.0 / 3.0)).max(24.0),
+            count: (0.1 * math::powf(stored as f32, 2.0 / 3.0)).max(24.0),
             radius_max: 0.1 * diagonal,
             coarse: false,
         }

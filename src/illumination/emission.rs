@@ -17,7 +17,7 @@ impl Baker<'_> {
     pub fn emit(&mut self, count: u64) {
         let end = self.emitted + count;
         while self.emitted < end {
-            if self.gathers_direct() && self.sources.is_none() {
+            if self.sources.is_none() {
                 self.find_sources();
             }
             let lesson = next_lesson(self.emitted);
@@ -29,7 +29,7 @@ impl Baker<'_> {
                 .sum();
             self.emitted = end.min(lesson);
             self.bounces += bounces;
-            if self.emitted == lesson && self.gathers_direct() {
+            if self.emitted == lesson {
                 self.importance.learn();
                 self.sources = None;
             }

@@ -7,6 +7,7 @@ use super::Irradiance;
 use super::truth::{Truth, at_point};
 use crate::geometry::{Accel, Ray};
 use crate::image::luminance;
+use crate::math;
 use crate::rng::hash;
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
@@ -122,7 +123,7 @@ impl ErrorMap {
 
 fn srgb(linear: f32) -> u8 {
     let x = linear.clamp(0.0, 1.0);
-    let y = if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 };
+    let y = if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * math::powf(x, 1.0 / 2.4) - 0.055 };
     (255.0 * y + 0.5) as u8
 }
 

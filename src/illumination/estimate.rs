@@ -12,6 +12,7 @@ use super::neighbourhood::{Neighbourhood, along_tangents};
 use super::smooth_direct::{Sides, SmoothDirect};
 use super::stored::{Illumination, Summary, Value};
 use crate::image::luminance;
+use crate::math;
 
 /// Elements that decide on the bandwidth.
 const PILOTS: usize = 3000;
@@ -481,7 +482,7 @@ impl Baker<'_> {
         let weight: f64 = pilots.iter().map(|p| p.2).sum();
         // Smooth scenes show none; then the radius is limited by their size.
         let bias = bias.max(0.004 * variance);
-        let factor = if variance > 0.0 { (0.5 * variance / bias).cbrt().clamp(0.2, 8.0) } else { 1.0 };
+        let factor = if variance > 0.0 { math::cbrt(0.5 * variance / bias).clamp(0.2, 8.0) } else { 1.0 };
         let bandwidth = Bandwidth { count: base.count * factor as f32, ..base };
         ChosenBandwidth {
             bandwidth,

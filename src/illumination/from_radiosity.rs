@@ -5,7 +5,7 @@ use glam::Vec3;
 
 use super::Irradiance;
 use super::atlas::Atlas;
-use super::simplify::{Criterion, Deviation, Rung, Simplified, cut_below, simplify};
+use super::simplify::{Criterion, Rung, Simplified, cut_below, simplify};
 use super::stored::{Illumination, Summary};
 use crate::geometry::{Accel, Ray};
 use crate::image::luminance;
@@ -174,7 +174,7 @@ impl SceneRadiosity {
             let (triangle, _) = self.owners[node.root as usize];
             out.elevation = f64::from(elevation(triangle, node.corners));
         }
-        let cut = simplify(&forest, k, criterion, Deviation::Leaves);
+        let cut = simplify(&forest, k, criterion);
         self.cut(&cut);
         cut
     }

@@ -8,17 +8,8 @@ use super::direct::{SAMPLES_PER_ROUND, probe};
 use crate::rng::hash;
 
 impl Baker<'_> {
-    /// One more round of direct light at all elements that may receive some. Does nothing where particles
-    /// bring it.
-    pub fn gather_direct(&mut self) {
-        self.gather_blocks(usize::MAX);
-    }
-
-    /// The same at the next `count` blocks of elements.
+    /// Direct light at the next `count` blocks of elements: at those that may receive some. A round ends with the last.
     pub(super) fn gather_blocks(&mut self, count: usize) {
-        if !self.gathers_direct() {
-            return;
-        }
         let first = self.direct_rounds == 0;
         if self.direct_block == 0 && !first {
             self.direct_goes_on = self.direct_noise().worth_a_round(self.direct_rounds);

@@ -8,6 +8,7 @@ use super::atlas::Element;
 use super::clusters::{ClusterIndex, ClusterTree, Extent, Query};
 use super::density::{Estimate, Moments};
 use crate::image::luminance;
+use crate::math;
 
 /// Elements count together if their normals are within 25° (REFERENCE §6.2).
 pub const NORMAL_ANGLE: f32 = 25.0 * std::f32::consts::PI / 180.0;
@@ -101,7 +102,7 @@ impl Neighbourhood {
             normal: center.normal,
             radius: 0.0,
             normal_angle: NORMAL_ANGLE + spread,
-            slope: SLOPE_MAX + spread.min(std::f32::consts::FRAC_PI_2).sin(),
+            slope: SLOPE_MAX + math::sin(spread.min(std::f32::consts::FRAC_PI_2)),
             height: 0.0,
             resolution: 0.0,
             narrow: 1.0,

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::bake::{BLOCK, BakeSettings, Baker, DirectLight};
+use super::bake::{BLOCK, BakeSettings, Baker};
 use super::clusters::ClusterTree;
 use super::direct::{DirectBin, probe};
 use super::stored::Illumination;
@@ -25,13 +25,7 @@ const PARTICLES_CUT_SHORT: u64 = 1 << 14;
 /// The first picture: direct light sampled at coarse elements, all other light from few particles with wide
 /// kernels. Nothing in it is guessed: it is a short bake.
 pub fn quick_direct(scene: &Scene, transport: &dyn LightTransport, seed: u64) -> Illumination {
-    let settings = BakeSettings {
-        texels: TEXELS,
-        seed,
-        error: Some(0.05),
-        direct: DirectLight::NextEvent,
-        ..BakeSettings::default()
-    };
+    let settings = BakeSettings { texels: TEXELS, seed, error: Some(0.05), ..BakeSettings::default() };
     let mut baker = Baker::new(scene, transport, &settings);
     baker.coarse = true;
     baker.gather_sparsely(0);

@@ -8,6 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::geometry::Ray;
+use crate::math;
 use crate::rng::Stream;
 use crate::scene::Scene;
 use crate::transport::particle::LightTransport;
@@ -43,7 +44,7 @@ fn look(
 fn on_sphere([u, v]: [f32; 2]) -> Vec3 {
     let z = 1.0 - 2.0 * u;
     let r = (1.0 - z * z).max(0.0).sqrt();
-    let (sin, cos) = (std::f32::consts::TAU * v).sin_cos();
+    let (sin, cos) = math::sin_cos(std::f32::consts::TAU * v);
     Vec3::new(r * cos, r * sin, z)
 }
 

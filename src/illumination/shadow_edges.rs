@@ -159,7 +159,7 @@ mod tests {
         let transport = SceneTransport::new(&yard, &accel, &lights);
         let settings = BakeSettings { texels: 6000, everything: true, ..BakeSettings::default() };
         let mut baker = Baker::new(&yard, transport, &settings);
-        baker.gather_direct();
+        baker.gather_blocks(usize::MAX);
         let found = baker.atlas.elements.iter().zip(&baker.direct);
         let found = found.filter(|(e, _)| e.area > 0.0).map(|(e, d)| (*e, d[0].certain().x)).collect();
         (found, 1.0 / baker.atlas.texels_per_unit)

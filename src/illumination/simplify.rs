@@ -38,9 +38,7 @@ pub struct Forest {
 /// What a removal may cost.
 #[derive(Clone, Copy)]
 pub enum Criterion<'a> {
-    /// δB, the difference in radiosity to the original leaves.
-    Absolute,
-    /// δB / B.
+    /// δB / B, where δB is the difference in radiosity to the original leaves.
     Photometric,
     /// Dumont's eq. (12): δL / (TVI(L) · elevation). Deviations: contrasts far above the threshold are masked less, a
     /// display has a white, and small elements are seen less.
@@ -63,16 +61,6 @@ pub struct Eye<'a> {
     /// The area over which the eye sums, square scene units: an error on less of it is seen in proportion to its area
     /// (Ricco's law).
     pub summed_area: f64,
-}
-
-/// From what δB is measured.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Deviation {
-    /// The largest difference to an original leaf below; errors do not add up unseen.
-    #[default]
-    Leaves,
-    /// The largest difference to a child, as in the paper.
-    Children,
 }
 
 /// A forest cut back.
@@ -191,8 +179,9 @@ impl Forest {
         (mean, nodes().map(|n| n.area * (n.value - mean).powi(2)).sum())
     }
 
-    /// Per inner node the largest deviation of what it stands for.
-    fn deviations(&self, from: Deviation) -> Vec<f64> {
+    /// Per inner node the largest difference to an original leaf below. (The paper's is that to a child; there errors add
+    /// up unseen.)
+    fn deviations(&self) -> Vec<f64> {
         let mut range = vec![(f64::INFINITY, f64::NEG_INFINITY); self.nodes.len()];
         let mut deviations = vec![0.0; self.nodes.len()];
         for i in (0..self.nodes.len()).rev() {
@@ -203,11 +192,8 @@ impl Forest {
             }
             for c in self.children(i) {
                 range[i] = (range[i].0.min(range[c].0), range[i].1.max(range[c].1));
-                deviations[i] = f64::max(deviations[i], (self.nodes[c].value - value).abs());
             }
-            if from == Deviation::Leaves {
-                deviations[i] = (range[i].1 - value).max(value - range[i].0);
-            }
+            deviations[i] = (range[i].1 - value).max(value - range[i].0);
         }
         deviations
     }
@@ -220,7 +206,7 @@ impl Forest {
     fn cost<'a>(&self, criterion: &'a Criterion<'_>) -> impl Fn(&QuadNode, f64) -> f64 + 'a {
         let brightest = self.nodes.iter().map(|n| n.value).fold(0.0, f64::max);
         move |shown, delta| match criterion {
-            Criterion::Absolute | Criterion::Optimal => delta,
+            Criterion::Optimal => delta,
             Criterion::Photometric => delta / shown.value.max(1e-6 * brightest).max(1e-30),
             Criterion::Perceptual(eye) => {
                 let to_luminance = eye.cd_m2_per_unit / std::f64::consts::PI;
@@ -245,14 +231,14 @@ fn unmasked(contrast: f64, elevation: f64) -> f64 {
 
 /// Cuts `forest` back to exactly `k` elements; to its roots where there are more of them than that, and not at all where
 /// it has no more leaves.
-pub fn simplify(forest: &Forest, k: usize, criterion: &Criterion<'_>, from: Deviation) -> Simplified {
+pub fn simplify(forest: &Forest, k: usize, criterion: &Criterion<'_>) -> Simplified {
     let mut cut = Cut::new(forest);
     if let Criterion::Optimal = criterion {
         let errors = forest.squared_errors();
         cut.cut_subtrees(k, &errors, |_, _, _| {});
         return cut.finish_by_squared_error(k, &errors);
     }
-    let (deviations, cost) = (forest.deviations(from), forest.cost(criterion));
+    let (deviations, cost) = (forest.deviations(), forest.cost(criterion));
     cut.cut_by_key(k, &forest.keys(&cost, &deviations));
     cut.join(k, |pair| {
         let (mean, _) = forest.mean(&pair);

@@ -106,11 +106,6 @@ impl Illumination {
         self.corners.len()
     }
 
-    /// Values stored for backs.
-    pub fn back_count(&self) -> usize {
-        self.back.len()
-    }
-
     /// Bytes in memory.
     pub fn bytes(&self) -> usize {
         self.corners.len() * size_of::<Corners>()
@@ -349,7 +344,7 @@ mod tests {
         let dark = vec![None; values.len()];
         let map = Illumination::new(&atlas, values, dark, Summary::default());
         assert!(map.is_sound());
-        assert_eq!(map.back_count(), 0);
+        assert_eq!(map.back.len(), 0);
         let texel = 1.0 / atlas.texels_per_unit;
         let mut stream = crate::rng::Stream::new(5, 5, 5);
         for _ in 0..20_000 {
@@ -379,7 +374,7 @@ mod tests {
         let texels = atlas.texel_count();
         let back: Vec<Value> = (0..front.len()).map(|i| (i >= texels).then_some(Vec4::ONE * 0.5)).collect();
         let map = Illumination::new(&atlas, front, back, Summary::default());
-        assert!(map.back_count() < map.element_count());
+        assert!(map.back.len() < map.element_count());
         assert!((map.irradiance(0, 0.3, 0.3, false) - Vec3::splat(3.0)).length() < 1e-5);
         let dense = map.triangle_count() as u32 - 1;
         assert!((map.irradiance(dense, 0.3, 0.3, true) - Vec3::splat(0.5)).length() < 1e-5);

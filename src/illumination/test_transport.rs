@@ -9,6 +9,7 @@ use glam::Vec3;
 use super::atlas::triangle_area;
 use crate::geometry::{Accel, Hit, Ray};
 use crate::image::luminance;
+use crate::math;
 use crate::rng::Stream;
 use crate::scene::{Model, Scene};
 use crate::transport::lit::LitSurfaces;
@@ -77,7 +78,7 @@ fn albedo(scene: &Scene, t: u32) -> Vec3 {
 fn cosine_direction(n: Vec3, [u, v]: [f32; 2]) -> Vec3 {
     let (t, b) = n.any_orthonormal_pair();
     let (r, phi) = (u.sqrt(), 2.0 * PI * v);
-    t * (r * phi.cos()) + b * (r * phi.sin()) + n * (1.0 - u).sqrt()
+    t * (r * math::cos(phi)) + b * (r * math::sin(phi)) + n * (1.0 - u).sqrt()
 }
 
 impl LightTransport for Lambertian<'_> {

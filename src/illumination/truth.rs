@@ -129,6 +129,7 @@ mod tests {
     use super::*;
     use crate::illumination::bake::{BakeSettings, Baker, Step};
     use crate::illumination::seen::in_sight;
+    use crate::math;
     use crate::scene::load::load;
     use crate::scene::{Model, Reflectance};
 
@@ -185,7 +186,7 @@ mod tests {
             let map = baker.illumination();
             let (error, stated) = (relative_error(&map, &known), f64::from(map.summary.relative_error));
             assert!(error < 0.05, "{name}: {error} ± {noise}");
-            let most = 2.0 * error.hypot(noise);
+            let most = 2.0 * math::hypot(error, noise);
             assert!((0.7 * error..most).contains(&stated), "{name}: {error} ± {noise} stated as {stated}");
             let sum = |of: &dyn Fn(&Truth) -> Vec3| known.iter().map(|t| luminance(of(t))).sum::<f32>();
             let found = sum(&|t| map.irradiance(t.triangle, t.b1, t.b2, false));
@@ -213,7 +214,7 @@ mod tests {
             if [0, 3, 5].contains(&pass) {
                 let map = baker.illumination();
                 let (error, stated) = (relative_error(&map, &known), f64::from(map.summary.relative_error));
-                let most = 2.0 * error.hypot(noise);
+                let most = 2.0 * math::hypot(error, noise);
                 assert!(
                     (0.7 * error..most).contains(&stated),
                     "{pass}: {error} ± {noise} stated as {stated}"

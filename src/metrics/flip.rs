@@ -1,9 +1,8 @@
-//! LDR-FLIP and HDR-FLIP: the difference a viewer sees who flips between two pictures
-//! (Andersson et al. 2020, 2021; REFERENCE §12.1, §12.2).
+//! LDR-FLIP: the difference a viewer sees who flips between two pictures (Andersson et al. 2020; REFERENCE §12.1).
 //!
 //! In: displayed linear light in [0, 1]. Out: error per pixel in [0, 1]. Written here and not taken from
 //! `nv-flip`, which the tests compare it with, because that one takes bytes: rounding to bytes moves the error of
-//! close pictures by some per cent, and HDR-FLIP's exposures are no bytes.
+//! close pictures by some per cent.
 
 use std::f64::consts::PI;
 
@@ -11,7 +10,8 @@ use glam::{DMat3, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use crate::display::tone::ToneMap;
-use crate::image::{Map2d, linear_from_srgb, luminance};
+use crate::image::{Map2d, linear_from_srgb};
+use crate::math;
 
 /// Pixels per degree of visual angle: a 0.7 m wide screen of 3840 pixels at 0.7 m, FLIP's default.
 pub const PIXELS_PER_DEGREE: f64 = 67.020_643_276_582_25;
@@ -60,7 +60,8 @@ impl Filters {
             features: features(pixels_per_degree),
             largest: 0.0,
         };
-        filters.largest = hyab(filters.hunt_lab(Vec3::Y), filters.hunt_lab(Vec3::Z)).powf(COLOUR_EXPONENT);
+        filters.largest =
+            math::powf(hyab(filters.hunt_lab(Vec3::Y), filters.hunt_lab(Vec3::Z)), COLOUR_EXPONENT);
         filters
     }
 
@@ -79,7 +80,8 @@ impl Filters {
     fn hunt_lab(&self, linear: Vec3) -> Vec3 {
         /// 6/29: below its cube the root is replaced by a line.
         const DELTA: f32 = 6.0 / 29.0;
-        let f = |t: f32| if t > DELTA.powi(3) { t.cbrt() } else { t / (3.0 * DELTA * DELTA) + 4.0 / 29.0 };
+        let f =
+            |t: f32| if t > DELTA.powi(3) { math::cbrt(t) } else { t / (3.0 * DELTA * DELTA) + 4.0 / 29.0 };
         let [x, y, z] = (self.relative_xyz * linear).to_array().map(f);
         let lightness = 116.0 * y - 16.0;
         Vec3::new(lightness, 0.01 * lightness * 500.0 * (x - y), 0.01 * lightness * 200.0 * (y - z))
@@ -87,7 +89,7 @@ impl Filters {
 
     /// Colour error of two filtered colours.
     fn colour_error(&self, a: Vec3, b: Vec3) -> f32 {
-        let difference = hyab(a, b).powf(COLOUR_EXPONENT);
+        let difference = math::powf(hyab(a, b), COLOUR_EXPONENT);
         let knee = COLOUR_KNEE * self.largest;
         if difference < knee {
             difference * ERROR_KNEE / knee
@@ -99,7 +101,7 @@ impl Filters {
 
 /// City-block distance in lightness, Euclidean in chroma.
 fn hyab(a: Vec3, b: Vec3) -> f32 {
-    (a.x - b.x).abs() + (a.y - b.y).hypot(a.z - b.z)
+    (a.x - b.x).abs() + math::hypot(a.y - b.y, a.z - b.z)
 }
 
 fn taps(radius: i32, f: impl Fn(f64) -> f64) -> Vec<f64> {
@@ -112,13 +114,13 @@ fn sensitivity(pixels_per_degree: f64) -> [Vec<f32>; 4] {
     let radius = (3.0 * (0.04 / (2.0 * PI * PI)).sqrt() * pixels_per_degree).ceil() as i32;
     let gaussian = |a: f64, b: f64| {
         let weight = (a * (PI / b).sqrt()).sqrt();
-        taps(radius, |x| weight * (-PI * PI * (x / pixels_per_degree).powi(2) / b).exp())
+        taps(radius, |x| weight * math::exp(-PI * PI * (x / pixels_per_degree).powi(2) / b))
     };
     let sum = |kernel: &[f64]| kernel.iter().sum::<f64>();
     let scaled = |kernel: &[f64], scale: f64| kernel.iter().map(|v| (v * scale) as f32).collect();
     let (y, cx) = (gaussian(1.0, 0.0047), gaussian(1.0, 0.0053));
     let (wide, narrow) = (gaussian(34.1, 0.04), gaussian(13.5, 0.025));
-    let both = 1.0 / sum(&wide).hypot(sum(&narrow));
+    let both = 1.0 / math::hypot(sum(&wide), sum(&narrow));
     [scaled(&y, 1.0 / sum(&y)), scaled(&cx, 1.0 / sum(&cx)), scaled(&wide, both), scaled(&narrow, both)]
 }
 
@@ -126,7 +128,7 @@ fn sensitivity(pixels_per_degree: f64) -> [Vec<f32>; 4] {
 fn features(pixels_per_degree: f64) -> [Vec<f32>; 3] {
     let sigma = 0.5 * FEATURE_WIDTH * pixels_per_degree;
     let radius = (3.0 * sigma).ceil() as i32;
-    let gaussian = |x: f64| (-x * x / (2.0 * sigma * sigma)).exp();
+    let gaussian = |x: f64| math::exp(-x * x / (2.0 * sigma * sigma));
     let normalised = |kernel: Vec<f64>| {
         let positive: f64 = kernel.iter().filter(|v| **v > 0.0).sum();
         let negative: f64 = -kernel.iter().filter(|v| **v < 0.0).sum::<f64>();
@@ -221,7 +223,8 @@ fn see(image: &Map2d<Vec3>, filters: &Filters) -> Seen {
             let [g, dg, ddg] = &filters.features;
             let (edge_x, edge_y) = (vertical(&[(5, g)]), vertical(&[(4, dg)]));
             let (point_x, point_y) = (vertical(&[(6, g)]), vertical(&[(4, ddg)]));
-            let strength = |x: usize| [edge_x[x].hypot(edge_y[x]), point_x[x].hypot(point_y[x])];
+            let strength =
+                |x: usize| [math::hypot(edge_x[x], edge_y[x]), math::hypot(point_x[x], point_y[x])];
             ((0..width).map(colour).collect(), (0..width).map(strength).collect())
         })
         .collect();
@@ -248,7 +251,7 @@ pub fn flip_linear(reference: &Map2d<Vec3>, test: &Map2d<Vec3>, pixels_per_degre
             let ([edge, point], [other_edge, other_point]) = (a.features[i], b.features[i]);
             let strongest = (edge - other_edge).abs().max((point - other_point).abs());
             let feature = (strongest * std::f32::consts::FRAC_1_SQRT_2).sqrt();
-            colour.powf(1.0 - feature.min(1.0))
+            math::powf(colour, 1.0 - feature.min(1.0))
         })
         .collect();
     Map2d::from_vec(width, height, map)
@@ -281,64 +284,6 @@ pub fn flip(reference: &Map2d<Vec3>, test: &Map2d<Vec3>, tone: &ToneMap) -> Map2
 /// Mean of a map, in index order; 0 for an empty one.
 pub fn mean(map: &Map2d<f32>) -> f64 {
     map.data().iter().map(|&v| f64::from(v)).sum::<f64>() / map.data().len().max(1) as f64
-}
-
-/// Narkowicz' fit of the ACES curve with HDR-FLIP's pre-exposure 0.6: linear to displayed linear light.
-fn aces(x: f32) -> f32 {
-    let numerator = (0.36 * 2.51 * x + 0.6 * 0.03) * x;
-    let denominator = (0.36 * 2.43 * x + 0.6 * 0.59) * x + 0.14;
-    // The curve tends to 1.03; infinity over infinity is white.
-    if denominator.is_finite() { (numerator / denominator).clamp(0.0, 1.0) } else { 1.0 }
-}
-
-/// The x where [`aces`] is 0.85.
-const ACES_WHITE: f64 = 2.118_872_323_989_315_3;
-/// More stops than this between start and stop exposure are not looked at one by one.
-const EXPOSURES_MAX: f64 = 32.0;
-
-/// Start exposure, stop exposure (both log2 factors) and their number, from the reference's luminances.
-///
-/// Source: Andersson et al. 2021 §3. Deviation: the median is that of the luminances above zero, so that a mostly
-/// black picture has one; at most 32 exposures.
-pub fn exposures(reference: &Map2d<Vec3>) -> (f64, f64, usize) {
-    let mut lit: Vec<f32> =
-        reference.data().iter().map(|&rgb| luminance(rgb)).filter(|l| *l > 0.0 && l.is_finite()).collect();
-    if lit.is_empty() {
-        return (0.0, 0.0, 1);
-    }
-    let largest = lit.iter().copied().fold(0.0, f32::max);
-    let middle = lit.len() / 2;
-    let (below, &mut upper, _) = lit.select_nth_unstable_by(middle, f32::total_cmp);
-    let median = if reference.data().len().is_multiple_of(2) && !below.is_empty() {
-        0.5 * (upper + below.iter().copied().fold(0.0, f32::max))
-    } else {
-        upper
-    };
-    let start = (ACES_WHITE / f64::from(largest)).log2();
-    let stop = (ACES_WHITE / f64::from(median)).log2();
-    let count = (stop - start).ceil().clamp(2.0, EXPOSURES_MAX);
-    (start, stop, count as usize)
-}
-
-/// Per-pixel HDR-FLIP: the largest LDR-FLIP over the exposures of [`exposures`].
-///
-/// # Panics
-/// If the sizes differ: a bug of the caller.
-pub fn hdr_flip(reference: &Map2d<Vec3>, test: &Map2d<Vec3>) -> Map2d<f32> {
-    let (width, height) = (reference.width(), reference.height());
-    assert_eq!((width, height), (test.width(), test.height()), "pictures of one size");
-    let (start, stop, count) = exposures(reference);
-    let mut worst = Map2d::new(width, height, 0.0f32);
-    for i in 0..count {
-        let share = i as f64 / (count - 1).max(1) as f64;
-        let factor = (start + (stop - start) * share).exp2() as f32;
-        let shown = |image: &Map2d<Vec3>| {
-            image.map(|rgb| Vec3::from(rgb.to_array().map(|v| aces((v * factor).max(0.0)))))
-        };
-        let map = flip_linear(&shown(reference), &shown(test), PIXELS_PER_DEGREE);
-        worst.data_mut().iter_mut().zip(map.data()).for_each(|(worst, v)| *worst = worst.max(*v));
-    }
-    worst
 }
 
 #[cfg(test)]
@@ -414,31 +359,6 @@ mod tests {
         for (ours, theirs) in flip_rgb8(&a, &b, 32, 24).data().iter().zip(theirs) {
             near(f64::from(*ours), f64::from(theirs), 5e-5);
         }
-    }
-
-    #[test]
-    fn exposures_span_from_the_brightest_to_the_median() {
-        near(f64::from(aces(ACES_WHITE as f32)), 0.85, 1e-6);
-        let map = Map2d::from_fn(4, 4, |x, y| Vec3::splat(if (x, y) == (0, 0) { 64.0 } else { 1.0 }));
-        let (start, stop, count) = exposures(&map);
-        near(start, (ACES_WHITE / 64.0).log2(), 1e-5);
-        near(stop, ACES_WHITE.log2(), 1e-5);
-        assert_eq!(count, 6);
-        assert_eq!(exposures(&Map2d::new(3, 3, Vec3::ZERO)), (0.0, 0.0, 1));
-        let mostly_black = Map2d::from_fn(4, 4, |x, _| Vec3::splat(if x == 0 { 2.0 } else { 0.0 }));
-        assert_eq!(exposures(&mostly_black).2, 2);
-    }
-
-    #[test]
-    fn hdr_flip_sees_what_clamping_hides() {
-        let reference = Map2d::from_fn(24, 24, |x, _| Vec3::splat(if x < 4 { 50.0 } else { 0.5 }));
-        let test = Map2d::from_fn(24, 24, |x, _| Vec3::splat(if x < 4 { 20.0 } else { 0.5 }));
-        assert_eq!(mean(&flip(&reference, &test, &ToneMap::default())), 0.0);
-        assert!(mean(&hdr_flip(&reference, &test)) > 0.02);
-        assert_eq!(mean(&hdr_flip(&reference, &reference)), 0.0);
-        let bad =
-            Map2d::from_fn(24, 24, |x, _| Vec3::splat([f32::NAN, f32::INFINITY, -1.0, f32::MAX][x % 4]));
-        assert!(mean(&hdr_flip(&bad, &bad)) < 1e-6);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! In: two pictures of linear radiance and how they are shown. Out: numbers, error maps, curves over time.
 //! Perceptual measures and PSNR look at what is displayed, relative measures at linear values.
 
+pub mod blocks;
 pub mod curve;
 pub mod flip;
 pub mod heat;
@@ -18,8 +19,20 @@ use crate::display::tone::ToneMap;
 use crate::image::Map2d;
 use crate::perception::color_difference::{delta_e76, lab};
 
+pub use blocks::{BlockErrors, block_errors};
 pub use curve::ErrorCurve;
 pub use pixels::LinearErrors;
+
+/// The value that a share of the finite `values` lies below, between neighbours in proportion (Hyndman & Fan 1996,
+/// type 7): 0.5 gives the median. NaN where there are none.
+pub fn quantile(values: impl IntoIterator<Item = f64>, share: f64) -> f64 {
+    let mut sorted: Vec<f64> = values.into_iter().filter(|v| v.is_finite()).collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
+    let place = share.clamp(0.0, 1.0) * last as f64;
+    let (below, above) = (sorted[place as usize], sorted[(place as usize + 1).min(last)]);
+    below + (above - below) * place.fract()
+}
 
 /// How a picture differs from a reference (`foveal compare`).
 #[derive(Clone, Debug, PartialEq)]
@@ -96,6 +109,15 @@ pub fn compare(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn quantiles_lie_between_the_values() {
+        let of = |values: &[f64], share| quantile(values.iter().copied(), share);
+        assert!(of(&[], 0.5).is_nan() && of(&[f64::NAN], 0.5).is_nan());
+        assert_eq!([of(&[3.0], 0.0), of(&[3.0], 0.99), of(&[4.0, 1.0], 0.5)], [3.0, 3.0, 2.5]);
+        let hundred: Vec<f64> = (0..=100).rev().map(f64::from).chain([f64::INFINITY]).collect();
+        assert_eq!([0.0, 0.5, 0.95, 0.999, 1.0].map(|q| of(&hundred, q)), [0.0, 50.0, 95.0, 99.9, 100.0]);
+    }
 
     #[test]
     fn a_picture_is_identical_to_itself() {

@@ -6,6 +6,7 @@
 use glam::Vec3;
 
 use crate::image::Map2d;
+use crate::math;
 
 /// Measures of linear values.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -65,8 +66,7 @@ pub fn linear_errors(test: &Map2d<Vec3>, reference: &Map2d<Vec3>) -> LinearError
     errors.mrse /= n as f64;
     errors.smape /= n as f64;
     relative.sort_unstable_by(f64::total_cmp);
-    errors.relmse_median =
-        if n % 2 == 1 { relative[n / 2] } else { 0.5 * (relative[n / 2 - 1] + relative[n / 2]) };
+    errors.relmse_median = super::quantile(relative.iter().copied(), 0.5);
     let kept = n - n / 1000;
     errors.relmse_trimmed = relative[..kept].iter().sum::<f64>() / kept as f64;
     errors
@@ -85,7 +85,7 @@ pub fn mse(test: &Map2d<Vec3>, reference: &Map2d<Vec3>) -> f64 {
 
 /// Peak signal-to-noise ratio, dB, of values in [0, 1]; none where there is no error.
 pub fn psnr(mse: f64) -> Option<f64> {
-    (mse > 0.0).then(|| -10.0 * mse.log10())
+    (mse > 0.0).then(|| -10.0 * math::log10(mse))
 }
 
 #[cfg(test)]

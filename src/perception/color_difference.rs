@@ -2,6 +2,8 @@
 
 use glam::Vec3;
 
+use crate::math;
+
 /// D65 white of the sRGB matrix: the sums of its rows.
 const WHITE: Vec3 = Vec3::new(0.950_47, 1.000_000_1, 1.088_83);
 
@@ -15,7 +17,7 @@ pub fn lab(linear: Vec3) -> Vec3 {
         linear.dot(Vec3::new(0.019_333_9, 0.119_192, 0.950_304_1)),
     ) / WHITE;
     let f = |t: f32| {
-        if t > 216.0 / 24389.0 { t.cbrt() } else { (24389.0 / 27.0 * t + 16.0) / 116.0 }
+        if t > 216.0 / 24389.0 { math::cbrt(t) } else { (24389.0 / 27.0 * t + 16.0) / 116.0 }
     };
     let [x, y, z] = xyz.to_array().map(f);
     Vec3::new(116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z))

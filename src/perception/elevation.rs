@@ -119,10 +119,11 @@ fn blur(source: &[f32], width: usize, step: usize, border: Border) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math;
 
     fn grating(period: f32, contrast: f32) -> Map2d<f32> {
         Map2d::from_fn(64, 64, |x, _| {
-            100.0 * (1.0 + contrast * (std::f32::consts::TAU * x as f32 / period + 0.3).cos())
+            100.0 * (1.0 + contrast * math::cos(std::f32::consts::TAU * x as f32 / period + 0.3))
         })
     }
 

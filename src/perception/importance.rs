@@ -1,7 +1,7 @@
 //! Top-down importance and the priority of objects (Haber 2001 §3; REFERENCE §2).
 //!
 //! In: the object id of every pixel and the saliency map. Out: per object its pixel count, bounds and
-//! mean saliency ([`object_statistics`]), and one priority in [0, 1] ([`priorities`]). Object 0 is
+//! mean saliency ([`ObjectScan`]), and one priority in [0, 1] ([`priorities`]). Object 0 is
 //! everything diffuse: it has statistics and priority 0.
 
 use glam::Vec2;
@@ -166,7 +166,8 @@ impl Sums {
 }
 
 /// One call of [`ObjectScan::gather`] with memory of its own.
-pub fn object_statistics(
+#[cfg(test)]
+pub(crate) fn object_statistics(
     ids: &Map2d<u32>,
     saliency: Option<&Map2d<f32>>,
     count: usize,

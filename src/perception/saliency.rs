@@ -11,7 +11,7 @@
 
 use glam::Vec3;
 
-use super::pyramid::{self, ReduceRows, difference_row, lerp_rows, level_side};
+use super::pyramid::{ReduceRows, difference_row, lerp_rows, level_side};
 use crate::image::Map2d;
 
 /// Levels of each pyramid, 0..8.
@@ -46,17 +46,7 @@ pub struct Saliency {
     pub colour: Map2d<f32>,
 }
 
-impl Saliency {
-    /// The map interpolated to the picture's `width × height` pixels.
-    pub fn upsampled(&self, width: usize, height: usize) -> Map2d<f32> {
-        pyramid::upsample(&self.map, width, height, CELL)
-    }
-
-    /// The most salient cell: see [`winner`].
-    pub fn winner(&self) -> Option<Winner> {
-        winner(&self.map)
-    }
-}
+impl Saliency {}
 
 /// The saliency of a display-referred picture. Allocates; a renderer keeps a [`SaliencyModel`].
 pub fn saliency(image: &Map2d<Vec3>) -> Saliency {
@@ -385,50 +375,6 @@ fn neighbours(map: &[f32], width: usize, height: usize, x: usize, y: usize) -> [
         map[below + x],
         map[below + right],
     ]
-}
-
-/// A place that attention goes to.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Winner {
-    /// Column of the cell.
-    pub x: usize,
-    /// Row of the cell.
-    pub y: usize,
-    /// Its saliency.
-    pub value: f32,
-}
-
-/// Winner takes all: the largest cell of a map, the first in row order where several are equal; none if no
-/// cell is above zero.
-pub fn winner(map: &Map2d<f32>) -> Option<Winner> {
-    let (mut best, mut cell) = (0.0, None);
-    for (i, &value) in map.data().iter().enumerate() {
-        if value > best {
-            (best, cell) = (value, Some(i));
-        }
-    }
-    cell.map(|i| Winner { x: i % map.width(), y: i / map.width(), value: best })
-}
-
-/// The first `count` places attention goes to: winner takes all, then inhibition of return sets every cell
-/// within `radius` cells to zero (Itti 1998 §2.4).
-pub fn attended(map: &Map2d<f32>, count: usize, radius: usize) -> Vec<Winner> {
-    let mut map = map.clone();
-    let mut places = Vec::new();
-    while places.len() < count
-        && let Some(place) = winner(&map)
-    {
-        places.push(place);
-        for y in place.y.saturating_sub(radius)..(place.y + radius + 1).min(map.height()) {
-            for x in place.x.saturating_sub(radius)..(place.x + radius + 1).min(map.width()) {
-                let (dx, dy) = (x.abs_diff(place.x), y.abs_diff(place.y));
-                if dx * dx + dy * dy <= radius * radius {
-                    *map.at_mut(x, y) = 0.0;
-                }
-            }
-        }
-    }
-    places
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! The display and its viewer: displayed luminance in cd/m², pixels per degree (REFERENCE §8.1, §8.6).
 
-use crate::image::{linear_from_srgb, luminance};
+use crate::image::luminance;
+use crate::math;
 use glam::Vec3;
 
 /// Luminance of the display and size of its pixels in the eye.
@@ -30,17 +31,12 @@ impl Viewing {
     pub fn luminance(&self, linear: Vec3) -> f32 {
         self.black_cd_m2 + (self.white_cd_m2 - self.black_cd_m2) * luminance(linear)
     }
-
-    /// Luminance in cd/m² of each sRGB byte of a grey: what is really displayed has 256 steps (Dumont 2003 §5.2.3).
-    pub fn luminance_of_bytes(&self) -> [f32; 256] {
-        std::array::from_fn(|byte| self.luminance(Vec3::splat(linear_from_srgb(byte as f32 / 255.0))))
-    }
 }
 
 /// Pixels per degree at the centre of a picture of `width` pixels across `fov_x` radians, seen from the centre of
 /// projection.
 pub fn pixels_per_degree_of_camera(width: usize, fov_x: f32) -> f32 {
-    let half = (0.5 * fov_x).clamp(1e-3, 1.57).tan();
+    let half = math::tan((0.5 * fov_x).clamp(1e-3, 1.57));
     width as f32 / (2.0 * half).to_degrees()
 }
 
@@ -59,13 +55,5 @@ mod tests {
         assert!((camera - 10.787).abs() < 1e-3, "{camera}");
         let screen = pixels_per_degree_of_screen(1920, 0.53, 0.6);
         assert!((screen - 37.9362).abs() < 1e-3, "{screen}");
-    }
-
-    #[test]
-    fn bytes_go_from_black_to_white() {
-        let viewing = Viewing { white_cd_m2: 200.0, black_cd_m2: 0.5, pixels_per_degree: 30.0 };
-        let table = viewing.luminance_of_bytes();
-        assert!((table[0] - 0.5).abs() < 1e-6 && (table[255] - 200.0).abs() < 1e-3);
-        assert!(table.windows(2).all(|pair| pair[0] < pair[1]));
     }
 }

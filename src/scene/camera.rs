@@ -2,6 +2,8 @@
 
 use glam::{Mat4, Vec3};
 
+use crate::math;
+
 /// A pinhole camera. `eye ≠ target`, `up` not parallel to the view, `fov_y` in (0, π).
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Camera {
@@ -40,7 +42,7 @@ impl Camera {
         }
         let right = right.normalize();
         let up = right.cross(forward);
-        let half = (self.fov_y * 0.5).tan();
+        let half = math::tan(self.fov_y * 0.5);
         let aspect = width as f32 / height as f32;
         CameraFrame {
             eye: self.eye,

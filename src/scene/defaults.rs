@@ -8,6 +8,8 @@ use rayon::prelude::*;
 use super::camera::PathKey;
 use super::{Camera, CameraPath, Environment, Light, Mesh, NamedCamera, Scene};
 
+use crate::math;
+
 /// Radiance of the sky of a scene without light, W·sr⁻¹·m⁻²: bluish, and such that with [`SUN`] a
 /// white floor is near display white at exposure 1.
 const SKY: Vec3 = Vec3::new(0.45, 0.55, 0.7);
@@ -82,7 +84,7 @@ fn feelers() -> Vec<Vec3> {
     (0..FEELERS)
         .map(|i| {
             let z = 1.0 - (2.0 * i as f32 + 1.0) / FEELERS as f32;
-            let (s, c) = (golden * i as f32).sin_cos();
+            let (s, c) = math::sin_cos(golden * i as f32);
             let r = (1.0 - z * z).sqrt();
             Vec3::new(r * c, z, r * s)
         })
@@ -149,7 +151,7 @@ fn default_camera(scene: &Scene) -> (Camera, bool) {
     let radius = ((high - low).length() * 0.5).max(f32::MIN_POSITIVE);
     let fov_y = FRAC_PI_4;
     let direction = (right * 0.7 + up * 0.5 + back).normalize();
-    let eye = centre + direction * (radius / (fov_y * 0.5).sin() * 1.05);
+    let eye = centre + direction * (radius / math::sin(fov_y * 0.5) * 1.05);
     (Camera { eye, target: centre, up, fov_y }, false)
 }
 

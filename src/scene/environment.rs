@@ -5,6 +5,7 @@ use std::f32::consts::{PI, TAU};
 use glam::Vec3;
 
 use crate::image::Map2d;
+use crate::math;
 
 /// The surrounding: a constant radiance, or an equirectangular map times `radiance`.
 #[derive(Clone, Debug)]
@@ -59,8 +60,8 @@ impl Environment {
     #[inline]
     pub fn position(&self, direction: Vec3) -> [f32; 2] {
         let d = y_up_from_scene(direction, self.up);
-        let column = (d.x.atan2(-d.z) + self.rotate_up) / TAU;
-        let row = d.y.atan2(d.x.hypot(d.z));
+        let column = (math::atan2(d.x, -d.z) + self.rotate_up) / TAU;
+        let row = math::atan2(d.y, math::hypot(d.x, d.z));
         [column - column.floor(), (0.5 - row / PI).clamp(0.0, 1.0)]
     }
 
@@ -69,8 +70,8 @@ impl Environment {
     pub fn direction(&self, position: [f32; 2]) -> Vec3 {
         let phi = position[0] * TAU - self.rotate_up;
         let theta = position[1] * PI;
-        let (s, c) = theta.sin_cos();
-        scene_from_y_up(Vec3::new(s * phi.sin(), c, -s * phi.cos()), self.up)
+        let (s, c) = math::sin_cos(theta);
+        scene_from_y_up(Vec3::new(s * math::sin(phi), c, -s * math::cos(phi)), self.up)
     }
 
     /// Radiance that arrives against `direction` (which points away from the scene), bilinear

@@ -7,6 +7,8 @@ use std::fs;
 use std::io::{Error, ErrorKind, Result, Write};
 use std::path::{Path, PathBuf};
 
+use atomic_write_file::AtomicWriteFile;
+
 use super::texture::{LevelTexels, MipChain};
 
 /// First bytes of a file; the digit is the version.
@@ -27,13 +29,12 @@ pub fn keep(folder: &Path, content: &[u8; 32], chain: &MipChain) -> Result<()> {
         let file = level_file(folder, content, level);
         let Some(texels) = chain.level(level).filter(|_| !file.exists()) else { continue };
         let plain = texels.as_bytes();
-        let mut bytes = MAGIC.to_vec();
-        bytes.extend_from_slice(blake3::hash(plain).as_bytes());
-        bytes.extend_from_slice(&lz4_flex::block::compress_prepend_size(plain));
         // Whole or not there at all, whoever else writes the same.
-        let part = file.with_extension(format!("part{}", std::process::id()));
-        fs::File::create(&part)?.write_all(&bytes)?;
-        fs::rename(&part, &file)?;
+        let mut out = AtomicWriteFile::open(&file)?;
+        out.write_all(&MAGIC)?;
+        out.write_all(blake3::hash(plain).as_bytes())?;
+        out.write_all(&lz4_flex::block::compress_prepend_size(plain))?;
+        out.commit()?;
     }
     Ok(())
 }

@@ -87,9 +87,6 @@ pub struct ScenePlan {
     pub parts: Vec<PlanPart>,
 }
 
-/// An object below this part of the picture's area gets no environment map (DESIGN).
-pub const ENVIRONMENT_MAP_COVERAGE_MIN: f32 = 1e-3;
-
 impl ScenePlan {
     /// The plan for a scene within a budget (usually [`SceneParts::budget`](super::SceneParts::budget), changed by the command line).
     pub fn new(scene: &Scene, budget: &Budget) -> Self {

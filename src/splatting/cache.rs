@@ -218,6 +218,7 @@ fn vote(batch: &SampleBatch, eye: Vec3, delta: f32, cosine_limit: f32, votes: &m
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math;
     use crate::rng::Stream;
     use crate::splatting::Sample;
 
@@ -232,7 +233,7 @@ mod tests {
             let z = 1.0 - 2.0 * s.next_f32();
             let phi = std::f32::consts::TAU * s.next_f32();
             let r = (1.0 - z * z).sqrt();
-            let normal = Vec3::new(r * phi.cos(), r * phi.sin(), z);
+            let normal = Vec3::new(r * math::cos(phi), r * math::sin(phi), z);
             let position = centre + normal * 0.2;
             let to_eye = (eye - position).normalize();
             if normal.dot(to_eye) > 0.05 {

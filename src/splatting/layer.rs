@@ -154,12 +154,6 @@ impl SplatLayer {
         self.rank.at(x, y) == 0
     }
 
-    /// Whether the pixel shows its own ray.
-    #[inline]
-    pub fn is_exact(&self, x: usize, y: usize) -> bool {
-        self.rank.at(x, y) == EXACT
-    }
-
     /// Level set shown at the pixel, and whether it is fresh; `None` without splat.
     pub fn shown_level(&self, x: usize, y: usize) -> Option<(u32, bool)> {
         let r = self.rank.at(x, y);
@@ -313,7 +307,7 @@ mod tests {
                 for y in 0..h {
                     for x in 0..w {
                         if ids.at(x, y) == 1 {
-                            assert!(layer.is_exact(x, y));
+                            assert!(layer.rank.at(x, y) == EXACT);
                             assert_eq!(layer.color(x, y), Vec3::new(x as f32, y as f32, 1.0));
                         } else {
                             assert!(!layer.is_covered(x, y));
@@ -337,7 +331,7 @@ mod tests {
             for x in r..w - r {
                 assert_eq!(
                     layer.shown_level(x, y).map(|s| s.0),
-                    Some(if layer.is_exact(x, y) { 0 } else { 3 })
+                    Some(if layer.rank.at(x, y) == EXACT { 0 } else { 3 })
                 );
             }
         }

@@ -4,6 +4,7 @@ use glam::{Vec2, Vec3};
 
 use super::surface::{SurfacePoint, area_normal, texture_coordinates};
 use crate::geometry::{Hit, Ray, gamma, offset_origin};
+use crate::math;
 use crate::scene::{Material, MaterialId, Scene};
 
 /// A point on a surface, seen along a ray.
@@ -51,7 +52,7 @@ pub struct Interaction {
 #[inline]
 pub fn mip_level(uv_density: f32, footprint: f32, texture_size: [usize; 2]) -> f32 {
     let texels = footprint * uv_density * texture_size[0].max(texture_size[1]) as f32;
-    if texels > 1.0 { texels.log2().min(31.0) } else { 0.0 }
+    if texels > 1.0 { math::log2(texels).min(31.0) } else { 0.0 }
 }
 
 impl Interaction {

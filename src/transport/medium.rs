@@ -3,6 +3,7 @@
 use glam::Vec3;
 
 use super::interaction::Interaction;
+use crate::math;
 use crate::scene::{MaterialId, Model, Scene};
 
 /// How many nested dielectrics are remembered; beyond, the outermost is forgotten. The side on which a path
@@ -25,7 +26,8 @@ impl Media {
 fn after(scene: &Scene, material: MaterialId, distance: f32) -> Vec3 {
     match scene.materials[material.0 as usize].model {
         Model::Dielectric { transmittance, thin: false, .. } => {
-            let t = transmittance.clamp(Vec3::ZERO, Vec3::ONE).powf(distance.max(0.0));
+            let length = distance.max(0.0);
+            let t = transmittance.clamp(Vec3::ZERO, Vec3::ONE).map(|t| math::powf(t, length));
             if t.is_finite() { t } else { Vec3::ZERO }
         }
         _ => Vec3::ONE,

@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 
+use crate::math;
 use crate::scene::test_scenes::of_triangles;
 use crate::scene::{Environment, Material, MaterialId, Model, Reflectance, Roughness, Scene};
 
@@ -59,8 +60,8 @@ impl Builder {
         let point = |i: usize, j: usize| {
             let theta = std::f32::consts::PI * i as f32 / rings as f32;
             let phi = std::f32::consts::TAU * (j % (2 * rings)) as f32 / (2 * rings) as f32;
-            let s = if i == 0 || i == rings { 0.0 } else { theta.sin() };
-            Vec3::new(s * phi.cos(), s * phi.sin(), theta.cos())
+            let s = if i == 0 || i == rings { 0.0 } else { math::sin(theta) };
+            Vec3::new(s * math::cos(phi), s * math::sin(phi), math::cos(theta))
         };
         for i in 0..rings {
             for j in 0..2 * rings {

@@ -267,9 +267,7 @@ impl<'a> Tracer<'a> {
         // dark, as under any bound, but what a second look finds again is let through.
         let added = branch.contribution * self.scene.display.exposure;
         let mut estimates = 1.0;
-        let (n, m) = self.sample_counts(at, bsdf, true);
-        let most = self.settings.repeats_max as f32
-            * ((self.settings.glossy_samples + self.settings.light_samples) as f32 / (n + m) as f32).max(1.0);
+        let most = self.estimates_max(at, bsdf, branch.depth);
         let is_unconfirmed = |largest: f32, sum: Vec3, estimates: f32| {
             largest * added > self.settings.outlier * estimates && 2.0 * largest > sum.max_element()
         };
@@ -345,6 +343,13 @@ impl<'a> Tracer<'a> {
         let share = bsdf.view_dependent_albedo(at.wo).max_element() / ALL;
         let some = (lights as f32 * share).ceil() as u32;
         (self.settings.glossy_samples.max(1), some.max(1).min(lights))
+    }
+
+    /// How often a lobe is estimated at most: the more often, the fewer samples an estimate has.
+    fn estimates_max(&self, at: &Interaction, bsdf: &Bsdf, depth: u32) -> f32 {
+        let (n, m) = self.sample_counts(at, bsdf, depth == 0);
+        let all = self.settings.glossy_samples + self.settings.light_samples;
+        self.settings.repeats_max as f32 * (all as f32 / (n + m) as f32).max(1.0)
     }
 
     /// Radiance that arrives along a sampled direction, times its weight.

@@ -2,6 +2,8 @@
 //!
 //! `cargo run --release -p foveal-runtime --example ping_pong`
 
+#![allow(clippy::disallowed_methods, reason = "the main function measures from outside")]
+
 use foveal_runtime::*;
 use std::time::Instant;
 
@@ -121,8 +123,8 @@ fn ping_pong(wiring: &mut Wiring) {
     let (left, right) =
         (wiring.declare::<Player>(Bounds::messages(4)), wiring.declare::<Player>(Bounds::messages(4)));
     let (to_left, to_right) = (left.address(), right.address());
-    wiring.spawn(left, Player { other: to_right, serves: true });
-    wiring.spawn(right, Player { other: to_left, serves: false });
+    wiring.spawn(left, Player { other: to_right, serves: true }, OnPanic::Resume);
+    wiring.spawn(right, Player { other: to_left, serves: false }, OnPanic::Resume);
 }
 
 fn fan(wiring: &mut Wiring) {
@@ -131,11 +133,11 @@ fn fan(wiring: &mut Wiring) {
     let collector = wiring.declare::<Collector>(Bounds::messages(2048));
     let state = Source { workers: relays.iter().map(Declared::address).collect(), sent: 0 };
     let (to_source, to_collector) = (source.address(), collector.address());
-    wiring.spawn(source, state);
+    wiring.spawn(source, state, OnPanic::Resume);
     for relay in relays {
-        wiring.spawn(relay, Relay { to: to_collector.clone() });
+        wiring.spawn(relay, Relay { to: to_collector.clone() }, OnPanic::Resume);
     }
-    wiring.spawn(collector, Collector { source: to_source, counts: [0; 4] });
+    wiring.spawn(collector, Collector { source: to_source, counts: [0; 4] }, OnPanic::Resume);
 }
 
 /// CPU time of this process in nanoseconds, to 10 ms; on a busy machine it says more than the clock.

@@ -7,18 +7,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// A step of one of the runners.
+#[derive(Message)]
 struct Step {
     runner: u64,
-}
-
-impl Message for Step {
-    fn digest(&self, digest: &mut Digest) {
-        digest.u64(self.runner);
-    }
-
-    fn kind(&self) -> &'static str {
-        "Step"
-    }
 }
 
 /// Runs 20,000 steps and tells the judge of each.
@@ -80,9 +71,9 @@ fn wire(wiring: &mut Wiring, bug_at: Option<u64>) -> Handle<Judge> {
     let address = judge.address();
     for number in 0..4 {
         let runner = wiring.declare::<Runner>(Bounds::messages(1));
-        wiring.spawn(runner, Runner { number, left: 20_000, judge: address.clone() });
+        wiring.spawn(runner, Runner { number, left: 20_000, judge: address.clone() }, OnPanic::Resume);
     }
-    wiring.spawn(judge, Judge { order: 0, steps: 0, bug_at })
+    wiring.spawn(judge, Judge { order: 0, steps: 0, bug_at }, OnPanic::Resume)
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

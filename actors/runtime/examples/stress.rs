@@ -5,6 +5,8 @@
 //!
 //! The first number is how many seconds workers are killed for; further ones are the numbers of threads.
 
+#![allow(clippy::disallowed_methods, reason = "the main function measures from outside")]
+
 use crossbeam_queue::ArrayQueue;
 use foveal_runtime::*;
 use serde::{Deserialize, Serialize};
@@ -123,9 +125,16 @@ fn storm(threads: usize, senders: u64, each: u64, work_us: u64) -> (f64, f64) {
         let urgent = wiring.port::<Urgent, Msg>("urgent", &consumer.address());
         for _ in 0..senders {
             let sender = wiring.declare::<Sender>(Bounds::messages(4));
-            wiring.spawn(sender, Sender { to: consumer.address(), left: each });
+            wiring.spawn(sender, Sender { to: consumer.address(), left: each }, OnPanic::Resume);
         }
-        (wiring.spawn(consumer, Consumer { work_us, start, waited_ns: waited_ns.clone() }), urgent)
+        (
+            wiring.spawn(
+                consumer,
+                Consumer { work_us, start, waited_ns: waited_ns.clone() },
+                OnPanic::Resume,
+            ),
+            urgent,
+        )
     })
     .expect("builds");
     let mut quiet = false;
@@ -145,12 +154,14 @@ fn storm(threads: usize, senders: u64, each: u64, work_us: u64) -> (f64, f64) {
 struct Job1(u64);
 
 impl Job for Job1 {
+    type Brief = u64;
+
     fn digest(&self, digest: &mut Digest) {
         digest.u64(self.0);
     }
 
-    fn describe(&self) -> String {
-        format!("job {}", self.0)
+    fn brief(&self) -> u64 {
+        self.0
     }
 }
 
@@ -225,7 +236,7 @@ fn frames(threads: usize, seconds: u64) -> (f64, f64, f64) {
         }
         let (frame_ns, input_ns) = (Vec::new(), Vec::new());
         let state = Screen { pool: pool.clone(), start, frame_ns, input_ns, pushed: 0, own: period / 2 };
-        (wiring.spawn(screen, state), input, pool)
+        (wiring.spawn(screen, state, OnPanic::Resume), input, pool)
     })
     .expect("builds");
     let mut killed = 0;

@@ -1,8 +1,8 @@
 //! What happened, read off a recording without running anything.
 
-use super::format::{Hashing, lane, unquantise, value};
+use super::format::{Hashing, Header, lane, unquantise, value};
 use super::reader::Trace;
-use super::walk::{ActorLog, Value, Walk};
+use super::walk::{ActorLog, Stride, Value, Walk};
 use crate::journal::Payload;
 use crate::message::ActorId;
 
@@ -31,6 +31,13 @@ pub enum Event {
         /// What it read, in nanoseconds.
         nanoseconds: u64,
     },
+    /// The actor took up a count that was a fact of the moment.
+    Counted {
+        /// Deliveries by then.
+        index: u64,
+        /// The count.
+        count: u64,
+    },
     /// The actor was given a measured duration.
     Measured {
         /// Deliveries before.
@@ -56,32 +63,72 @@ pub enum Event {
     },
 }
 
+/// What comes next of an actor: a value, or deliveries from an index on.
+enum Step<'a> {
+    Value(Value),
+    Deliveries(u64, Stride<'a>),
+}
+
+/// An actor's log from the front. A run of deliveries that carry nothing is one step, however long it is.
+struct Steps<'a> {
+    log: &'a ActorLog,
+    header: &'a Header,
+    walk: Walk,
+    index: u64,
+}
+
+impl<'a> Iterator for Steps<'a> {
+    type Item = Step<'a>;
+
+    fn next(&mut self) -> Option<Step<'a>> {
+        let most = match self.walk.peek_value(self.log) {
+            Some((at, _)) if at <= self.index => return self.walk.value(self.log).map(Step::Value),
+            Some((at, _)) => at - self.index,
+            None => u64::MAX,
+        };
+        let stride = self.walk.stride(self.log, self.header, most)?;
+        let index = self.index;
+        self.index += stride.count;
+        Some(Step::Deliveries(index, stride))
+    }
+}
+
 impl Trace {
+    fn steps(&self, actor: ActorId) -> Option<Steps<'_>> {
+        let log = self.logs.get(actor.0 as usize)?;
+        Some(Steps { log, header: self.header(), walk: Walk::default(), index: 0 })
+    }
+
     /// Everything that happened to one actor, in its order.
     pub fn events(&self, actor: ActorId) -> impl Iterator<Item = Event> + '_ {
+        self.steps(actor).into_iter().flatten().flat_map(|step| {
+            let (value, run) = match step {
+                Step::Value(value) => (Some(event_of(value)), None),
+                Step::Deliveries(first, stride) => (None, Some((first, stride))),
+            };
+            let delivered = run.into_iter().flat_map(|(first, stride)| {
+                (first..first + stride.count).map(move |index| delivered(index, &stride))
+            });
+            value.into_iter().chain(delivered)
+        })
+    }
+
+    /// A delivery to one actor, by its number.
+    pub fn delivery(&self, actor: ActorId, index: u64) -> Option<Event> {
+        self.steps(actor)?.find_map(|step| match step {
+            Step::Deliveries(first, stride) if index - first < stride.count => {
+                Some(delivered(index, &stride))
+            }
+            _ => None,
+        })
+    }
+
+    /// The marks of one actor: how many deliveries it had before, kind and value.
+    pub fn marks(&self, actor: ActorId) -> impl Iterator<Item = (u64, u32, u64)> + '_ {
         let log = self.logs.get(actor.0 as usize);
         let mut walk = Walk::default();
-        let mut index = 0;
-        std::iter::from_fn(move || {
-            let log = log?;
-            if let Some((at, _)) = walk.peek_value(log)
-                && at <= index
-            {
-                return walk.value(log).map(event_of);
-            }
-            let symbol = walk.peek(log)?;
-            let (payload, external) = walk.payload(log, symbol, self.is_port(symbol.from))?;
-            walk.pass(payload, external);
-            index += 1;
-            Some(Event::Delivered {
-                index: index - 1,
-                from: symbol.from,
-                lane: lane::name(symbol.lane),
-                job: if let Payload::Job { id, .. } = payload { Some(id) } else { None },
-                external: if let Payload::External(bytes) = payload { Some(bytes.to_vec()) } else { None },
-                skipped: if let Payload::Skipped(count) = payload { count } else { 0 },
-            })
-        })
+        let values = std::iter::from_fn(move || walk.value(log?));
+        values.filter(|value| value.tag == value::MARK).map(|mark| (mark.index, mark.kind, mark.content))
     }
 
     /// The first delivery at which two recordings of the same wiring part: the actor and the index, for each actor
@@ -90,23 +137,40 @@ impl Trace {
         let (left, right) = (self.logs.get(actor.0 as usize)?, other.logs.get(actor.0 as usize)?);
         let exact = |trace: &Self| trace.header().hashing == Hashing::Exact;
         let hash = if exact(self) && exact(other) { first_hash_difference(left, right) } else { None };
+        let (mut left, mut right) = (self.steps(actor)?, other.steps(actor)?);
+        let (mut a, mut b) = (left.next(), right.next());
         let mut index = 0;
-        for (a, b) in self.events(actor).zip(other.events(actor)) {
-            if let Event::Delivered { index: at, .. } = a {
-                index = at;
+        while let (Some(one), Some(two)) = (&mut a, &mut b) {
+            if let Step::Deliveries(first, _) = one {
+                index = *first;
             }
-            if hash == Some(index) {
-                break;
-            }
-            let differs = match (&a, &b) {
-                // Times differ between any two runs; what follows from them shows in the hashes.
-                (Event::Now { .. }, Event::Now { .. }) | (Event::Measured { .. }, Event::Measured { .. }) => {
-                    false
+            let same = match (&mut *one, &mut *two) {
+                (Step::Deliveries(first, run), Step::Deliveries(_, other)) => {
+                    let same = delivered(*first, run) == delivered(*first, other);
+                    let end = *first + run.count.min(other.count);
+                    if same && hash.is_some_and(|hash| hash < end) {
+                        break;
+                    }
+                    same
                 }
-                _ => a != b,
+                // Times differ between any two runs; what follows from them shows in the hashes.
+                (Step::Value(Value { tag, .. }), Step::Value(Value { tag: other, .. }))
+                    if tag == other && matches!(*tag, value::NOW | value::MEASURED) =>
+                {
+                    true
+                }
+                (Step::Value(value), Step::Value(other)) => event_of(*value) == event_of(*other),
+                _ => false,
             };
-            if differs {
+            if !same {
                 return Some(index);
+            }
+            let count = one.count().min(two.count());
+            if !one.shorten(count) {
+                a = left.next();
+            }
+            if !two.shorten(count) {
+                b = right.next();
             }
         }
         hash
@@ -117,18 +181,40 @@ impl Trace {
         let mut pops = Vec::new();
         for (number, log) in self.logs.iter().enumerate() {
             let mut walk = Walk::default();
-            while let Some(symbol) = walk.peek(log) {
-                let Some((payload, external)) = walk.payload(log, symbol, self.is_port(symbol.from)) else {
-                    break;
-                };
-                walk.pass(payload, external);
-                if let Payload::Job { id, attempt } = payload {
+            while let Some(stride) = walk.stride(log, self.header(), u64::MAX) {
+                if let Payload::Job { id, attempt } = stride.payload {
                     pops.push((id, attempt, ActorId(number as u32)));
                 }
             }
         }
         pops.sort_unstable();
         pops
+    }
+}
+
+impl Step<'_> {
+    fn count(&self) -> u64 {
+        if let Self::Deliveries(_, stride) = self { stride.count } else { 1 }
+    }
+
+    /// Passes its first `count`; false if nothing is left.
+    fn shorten(&mut self, count: u64) -> bool {
+        let Self::Deliveries(first, stride) = self else { return false };
+        *first += count;
+        stride.count -= count;
+        stride.count > 0
+    }
+}
+
+fn delivered(index: u64, stride: &Stride<'_>) -> Event {
+    let Stride { symbol, payload, .. } = *stride;
+    Event::Delivered {
+        index,
+        from: symbol.from,
+        lane: lane::name(symbol.lane),
+        job: if let Payload::Job { id, .. } = payload { Some(id) } else { None },
+        external: if let Payload::External(bytes) = payload { Some(bytes.to_vec()) } else { None },
+        skipped: if let Payload::Skipped(count) = payload { count } else { 0 },
     }
 }
 
@@ -145,6 +231,7 @@ fn event_of(value: Value) -> Event {
     match tag {
         value::NOW => Event::Now { index, nanoseconds: content },
         value::MEASURED => Event::Measured { index, nanoseconds: unquantise(content) },
+        value::COUNT => Event::Counted { index, count: content },
         value::MARK => Event::Mark { index, kind, value: content },
         _ => Event::Panicked { index, injected: tag == value::FAULT },
     }

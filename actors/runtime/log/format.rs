@@ -11,24 +11,34 @@
 //! | external | payloads of what comes from outside: port payloads, timers, controls, job pops, skipped older values |
 //! | values | what the actor asked for or said while handling: time, durations, marks, verdicts on panics |
 //! | hashes | the chained hash: 16 bits for each delivery, or 64 bits for each K deliveries |
-//! | rejected | which of the actor's own sends came back |
+//! | rejected | which of the actor's own sends came back, and why |
 //!
 //! Order costs at most a byte a delivery as long as an actor has fewer than 248 senders: one for a sender, the same
 //! again for the second delivery of a run, and a mark with a length for all further ones.
 
-use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::marker::PhantomData;
 
+use serde::de::{Error, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::fingerprint::Fingerprint;
 use crate::actor::Class;
 use crate::message::ActorId;
 
 /// First bytes of every recording.
 pub const MAGIC: [u8; 6] = *b"FVLOG\0";
 /// Version of this format; a reader accepts exactly its own.
-pub const VERSION: u16 = 2;
+pub const VERSION: u16 = 3;
 /// Largest segment before compression, in bytes.
 pub const SEGMENT_BYTES_MAX: usize = 32 << 20;
 /// Bytes of a segment's lengths and checksum.
 pub const SEGMENT_HEAD: usize = 12;
+
+/// Deliveries a chunk may hold: actors hand over what they have long before.
+pub(crate) const CHUNK_DELIVERIES_MAX: u64 = 1 << 32;
+/// Actors and ports a recording may name.
+pub(crate) const NODES_MAX: usize = 1 << 16;
 
 pub(crate) const KIND_HEADER: u8 = 0;
 pub(crate) const KIND_CHUNKS: u8 = 1;
@@ -59,20 +69,54 @@ pub struct NodeInfo {
 pub struct Header {
     /// The application's own header (scene hash, options, …), opaque to the runtime.
     pub application: Vec<u8>,
-    /// Compiler, target and version of the runtime that recorded.
-    pub build: String,
+    /// Where it was recorded. The program's name stands first, so that every version of this format can tell it.
+    pub fingerprint: Fingerprint,
     /// Seed of [`crate::Cx::random`].
     pub seed: u64,
     /// How the hashes were recorded.
     pub hashing: Hashing,
     /// Actors and ports, by identity.
+    #[serde(deserialize_with = "for_each_node")]
     pub nodes: Vec<NodeInfo>,
+}
+
+impl Header {
+    pub(crate) fn is_port(&self, id: ActorId) -> bool {
+        self.nodes.get(id.0 as usize).is_some_and(|node| node.class.is_none())
+    }
+}
+
+/// Reads one value for each actor and port, as many as there may be.
+fn for_each_node<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
+    deserializer: D,
+) -> Result<Vec<T>, D::Error> {
+    struct Bounded<T>(PhantomData<T>);
+    impl<'de, T: Deserialize<'de>> Visitor<'de> for Bounded<T> {
+        type Value = Vec<T>;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            write!(f, "at most {NODES_MAX} values")
+        }
+
+        fn visit_seq<S: SeqAccess<'de>>(self, mut values: S) -> Result<Vec<T>, S::Error> {
+            let mut found = Vec::new();
+            while let Some(value) = values.next_element()? {
+                if found.len() == NODES_MAX {
+                    return Err(S::Error::invalid_length(NODES_MAX + 1, &self));
+                }
+                found.push(value);
+            }
+            Ok(found)
+        }
+    }
+    deserializer.deserialize_seq(Bounded(PhantomData))
 }
 
 /// Closes a recording that ended in order.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct End {
     /// Deliveries and final chained hash of each actor.
+    #[serde(deserialize_with = "for_each_node")]
     pub(crate) totals: Vec<(u64, u64)>,
 }
 
@@ -119,6 +163,7 @@ pub(crate) mod value {
     pub(crate) const MARK: u8 = 2;
     pub(crate) const VERDICT: u8 = 3;
     pub(crate) const FAULT: u8 = 4;
+    pub(crate) const COUNT: u8 = 5;
     /// Bits of a tag; the deliveries since the last value stand above them.
     pub(crate) const TAG_BITS: u32 = 3;
 
@@ -129,8 +174,31 @@ pub(crate) mod value {
             MARK => "a mark",
             VERDICT => "a panic",
             FAULT => "an injected fault",
+            COUNT => "a count",
             _ => "an unknown value",
         }
+    }
+}
+
+/// Why a send came back, in the low bits of what the stream of rejections says.
+pub(crate) mod reason {
+    use crate::message::Reason;
+
+    /// Bits of a reason; the sends since the last rejection stand above them.
+    pub(crate) const BITS: u32 = 2;
+
+    pub(crate) fn code(reason: Reason) -> u64 {
+        match reason {
+            Reason::Full => 0,
+            Reason::FullBytes => 1,
+            Reason::Stopped => 2,
+        }
+    }
+
+    pub(crate) fn of(code: u64) -> Option<Reason> {
+        [Reason::Full, Reason::FullBytes, Reason::Stopped]
+            .into_iter()
+            .find(|reason| self::code(*reason) == code)
     }
 }
 

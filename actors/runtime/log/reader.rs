@@ -1,13 +1,14 @@
 //! Reading a recording: everything is checked before it is used, and a damaged file is read up to the damage.
 
+use std::collections::BTreeMap;
 use std::fmt;
-use std::io::Read;
+use std::io::{self, Read};
 use std::path::Path;
 use std::sync::Arc;
 
 use super::format::{
-    Cursor, End, Header, KIND_CHUNKS, KIND_END, KIND_HEADER, MAGIC, SEGMENT_BYTES_MAX, SEGMENT_HEAD, Symbol,
-    VERSION, lane,
+    CHUNK_DELIVERIES_MAX, Cursor, End, Header, KIND_CHUNKS, KIND_END, KIND_HEADER, MAGIC, SEGMENT_BYTES_MAX,
+    SEGMENT_HEAD, Symbol, VERSION, lane,
 };
 use super::walk::{ActorLog, Walk};
 use crate::journal::Payload;
@@ -15,14 +16,12 @@ use crate::message::ActorId;
 
 /// Decompressed bytes a recording may hold.
 pub const TRACE_BYTES_MAX: u64 = 2 << 30;
-/// Actors and ports a recording may name.
-const NODES_MAX: usize = 1 << 20;
 
 /// Why a file is no recording that can be used.
 #[derive(Debug)]
 pub enum TraceError {
     /// The file cannot be read.
-    Io(std::io::Error),
+    Io(io::Error),
     /// It does not begin as a recording does.
     NotARecording,
     /// It was written by another version of the format.
@@ -31,6 +30,8 @@ pub enum TraceError {
         found: u16,
         /// The version this program reads.
         expected: u16,
+        /// What the file says of its writer, if it does.
+        writer: Option<String>,
     },
     /// Its header is damaged.
     Header {
@@ -44,8 +45,13 @@ impl fmt::Display for TraceError {
         match self {
             Self::Io(error) => write!(f, "cannot read the recording: {error}"),
             Self::NotARecording => f.write_str("this is no recording: it does not begin with FVLOG"),
-            Self::Version { found, expected } => {
-                write!(f, "the recording has format version {found}, this program reads version {expected}")
+            Self::Version { found, expected, writer } => {
+                let by = writer.as_ref().map_or_else(String::new, |writer| format!(", written by {writer}"));
+                write!(
+                    f,
+                    "the recording has format version {found}{by}; this program reads version {expected}: "
+                )?;
+                f.write_str("replay it with the program that wrote it, or record anew")
             }
             Self::Header { reason } => write!(f, "the recording's header is damaged: {reason}"),
         }
@@ -108,7 +114,7 @@ impl Trace {
     /// Reads a file up to its first damage.
     pub fn open(path: &Path) -> Result<Self, TraceError> {
         let file = std::fs::File::open(path).map_err(TraceError::Io)?;
-        Self::read(&mut std::io::BufReader::new(file))
+        Self::read(&mut io::BufReader::new(file))
     }
 
     /// Reads a recording from memory.
@@ -123,11 +129,15 @@ impl Trace {
             return Err(TraceError::NotARecording);
         }
         let found = u16::from_le_bytes([head[6], head[7]]);
-        if length < 8 || found != VERSION {
-            return Err(TraceError::Version { found, expected: VERSION });
+        if length < 8 {
+            return Err(TraceError::NotARecording);
+        }
+        let first = read_segment(source);
+        if found != VERSION {
+            return Err(TraceError::Version { found, expected: VERSION, writer: first.writer() });
         }
         let damaged = |reason: String| TraceError::Header { reason };
-        let (bytes, body) = match read_segment(source) {
+        let (bytes, body) = match first {
             Segment::Body(bytes, body) => (bytes, body),
             Segment::Nothing => return Err(damaged("it is missing".into())),
             Segment::Damaged(reason) => return Err(damaged(reason)),
@@ -136,12 +146,9 @@ impl Trace {
             return Err(damaged("the first segment is no header".into()));
         }
         let header: Header = postcard::from_bytes(&body[1..]).map_err(|error| damaged(error.to_string()))?;
-        if header.nodes.len() > NODES_MAX {
-            return Err(damaged(format!("it names {} actors", header.nodes.len())));
-        }
         let mut trace =
             Self { logs: Vec::new(), end: None, cut: None, whole_bytes: 8 + bytes, segments: 1, header };
-        let mut logs: Vec<(ActorLog, Walk)> = trace.header.nodes.iter().map(|_| Default::default()).collect();
+        let mut logs: Vec<Option<Box<Reading>>> = trace.header.nodes.iter().map(|_| None).collect();
         let mut total = 0_u64;
         loop {
             let (bytes, body) = match read_segment(source) {
@@ -172,7 +179,10 @@ impl Trace {
             trace.whole_bytes += bytes;
             trace.segments += 1;
         }
-        trace.logs = logs.into_iter().map(|(log, _)| Arc::new(log)).collect();
+        let empty = Arc::new(ActorLog::default());
+        let kept =
+            |read: Option<Box<Reading>>| read.map_or_else(|| Arc::clone(&empty), |read| Arc::new(read.log));
+        trace.logs = logs.into_iter().map(kept).collect();
         Ok(trace)
     }
 
@@ -180,11 +190,11 @@ impl Trace {
         self.cut = Some(Cut { offset: self.whole_bytes, reason });
     }
 
-    fn segment(&mut self, body: &[u8], logs: &mut [(ActorLog, Walk)]) -> Result<(), String> {
+    fn segment(&mut self, body: &[u8], logs: &mut [Option<Box<Reading>>]) -> Result<(), String> {
         match body.first() {
             Some(&KIND_CHUNKS) => {
                 let mut cursor = Cursor::new(body, 1);
-                let mut before = Vec::new();
+                let mut before = BTreeMap::new();
                 while !cursor.is_empty() {
                     let result = match cursor.bytes() {
                         Some(chunk) => append(chunk, &self.header, logs, &mut before),
@@ -192,8 +202,8 @@ impl Trace {
                     };
                     if let Err(reason) = result {
                         // A segment counts as a whole or not at all.
-                        for (actor, lengths) in before.into_iter().rev() {
-                            undo(&mut logs[actor as usize], lengths);
+                        for (actor, lengths) in before {
+                            logs[actor].as_mut().into_iter().for_each(|read| read.undo(&lengths));
                         }
                         return Err(reason);
                     }
@@ -202,7 +212,7 @@ impl Trace {
             }
             Some(&KIND_END) => {
                 let end: End = postcard::from_bytes(&body[1..]).map_err(|error| error.to_string())?;
-                let found = logs.iter().map(|(log, _)| log.deliveries);
+                let found = logs.iter().map(|read| read.as_ref().map_or(0, |read| read.log.deliveries));
                 if !end.totals.iter().map(|(deliveries, _)| *deliveries).eq(found) {
                     return Err("the end counts other deliveries than are recorded".into());
                 }
@@ -266,76 +276,92 @@ impl Trace {
     }
 
     fn pop_bytes(&self, log: &ActorLog) -> u64 {
-        let (mut walk, mut bytes, mut before) = (Walk::default(), 0, 0);
-        while let Some(symbol) = walk.peek(log) {
-            let Some((payload, external)) = walk.payload(log, symbol, self.is_port(symbol.from)) else {
-                break;
-            };
-            walk.pass(payload, external);
-            if let Payload::Job { .. } = payload {
-                bytes += external - before;
-            }
-            before = external;
-        }
-        bytes as u64
-    }
-
-    pub(crate) fn is_port(&self, id: ActorId) -> bool {
-        self.header.nodes.get(id.0 as usize).is_some_and(|node| node.class.is_none())
+        let mut walk = Walk::default();
+        let strides = std::iter::from_fn(|| walk.stride(log, &self.header, u64::MAX));
+        strides
+            .filter(|stride| matches!(stride.payload, Payload::Job { .. }))
+            .map(|stride| stride.bytes as u64)
+            .sum()
     }
 }
 
-/// Lengths of a log before a chunk: symbols, the five streams, deliveries, chain, and the validating walk.
-type Lengths = ([usize; 6], u64, u64, Walk);
+/// An actor's log while it is read.
+#[derive(Default)]
+struct Reading {
+    log: ActorLog,
+    /// The walk that checks it.
+    walk: Walk,
+}
 
-fn undo((log, walk): &mut (ActorLog, Walk), (lengths, deliveries, chain, before): Lengths) {
-    log.symbols.truncate(lengths[0]);
-    let streams = [&mut log.order, &mut log.external, &mut log.values, &mut log.hashes, &mut log.rejected];
-    streams.into_iter().zip(&lengths[1..]).for_each(|(stream, length)| stream.truncate(*length));
-    (log.deliveries, log.chain, *walk) = (deliveries, chain, before);
+/// A log before a segment.
+struct Lengths {
+    symbols: usize,
+    streams: [usize; 5],
+    deliveries: u64,
+    chain: u64,
+    walk: Walk,
+}
+
+impl Reading {
+    fn streams(&mut self) -> [&mut Vec<u8>; 5] {
+        let log = &mut self.log;
+        [&mut log.order, &mut log.external, &mut log.values, &mut log.hashes, &mut log.rejected]
+    }
+
+    fn lengths(&mut self) -> Lengths {
+        let streams = self.streams().map(|stream| stream.len());
+        let Self { log, walk } = self;
+        let (symbols, deliveries, chain) = (log.symbols.len(), log.deliveries, log.chain);
+        Lengths { symbols, streams, deliveries, chain, walk: walk.clone() }
+    }
+
+    fn undo(&mut self, before: &Lengths) {
+        self.streams().into_iter().zip(before.streams).for_each(|(stream, length)| stream.truncate(length));
+        self.log.symbols.truncate(before.symbols);
+        (self.log.deliveries, self.log.chain) = (before.deliveries, before.chain);
+        self.walk = before.walk.clone();
+    }
 }
 
 /// Adds a chunk to its actor's log after checking that all of it can be decoded.
 fn append(
     chunk: &[u8],
     header: &Header,
-    logs: &mut [(ActorLog, Walk)],
-    undo_list: &mut Vec<(u32, Lengths)>,
+    logs: &mut [Option<Box<Reading>>],
+    before: &mut BTreeMap<usize, Lengths>,
 ) -> Result<(), String> {
     let short = || "a chunk ends early".to_owned();
     let mut cursor = Cursor::new(chunk, 0);
     let actor = cursor.number().ok_or_else(short)?;
-    let index = usize::try_from(actor).ok().filter(|index| *index < logs.len());
-    let Some((log, walk)) = index.and_then(|index| logs.get_mut(index)) else {
+    let Some(index) = usize::try_from(actor).ok().filter(|index| *index < logs.len()) else {
         return Err(format!("a chunk of actor {actor}, which the header does not name"));
     };
+    let read = logs[index].get_or_insert_default();
+    before.entry(index).or_insert_with(|| read.lengths());
     let count = cursor.number().ok_or_else(short)?;
-    let lengths = [
-        log.symbols.len(),
-        log.order.len(),
-        log.external.len(),
-        log.values.len(),
-        log.hashes.len(),
-        log.rejected.len(),
-    ];
-    undo_list.push((actor as u32, (lengths, log.deliveries, log.chain, walk.clone())));
-    log.chain = cursor.u64().ok_or_else(short)?;
+    if count > CHUNK_DELIVERIES_MAX {
+        return Err(format!("a chunk claims {count} deliveries"));
+    }
+    read.log.chain = cursor.u64().ok_or_else(short)?;
     for _ in 0..cursor.number().ok_or_else(short)? {
         let from = cursor.number().ok_or_else(short)?;
         let lane = cursor.byte().ok_or_else(short)?;
         if from >= header.nodes.len() as u64 || lane >= lane::END {
             return Err(format!("a delivery from {from} on lane {lane}, which do not exist"));
         }
-        log.symbols.push(Symbol { from: ActorId(from as u32), lane });
+        if read.log.symbols.len() >= header.nodes.len() * usize::from(lane::END) {
+            return Err(format!("actor {actor} has more senders than there are"));
+        }
+        read.log.symbols.push(Symbol { from: ActorId(from as u32), lane });
     }
     let there = cursor.byte().ok_or_else(short)?;
-    let streams = [&mut log.order, &mut log.external, &mut log.values, &mut log.hashes, &mut log.rejected];
-    for (_, stream) in streams.into_iter().enumerate().filter(|(bit, _)| there >> bit & 1 == 1) {
+    for (_, stream) in read.streams().into_iter().enumerate().filter(|(bit, _)| there >> bit & 1 == 1) {
         stream.extend_from_slice(cursor.bytes().ok_or_else(short)?);
     }
     if !cursor.is_empty() {
         return Err("a chunk is longer than its content".into());
     }
+    let Reading { log, walk } = &mut **read;
     log.deliveries = log.deliveries.checked_add(count).ok_or_else(|| "too many deliveries".to_owned())?;
     let valid = walk.validate(log, header, count);
     valid.ok_or_else(|| format!("the log of actor {actor} cannot be decoded"))
@@ -346,6 +372,19 @@ enum Segment {
     Body(u64, Vec<u8>),
     Nothing,
     Damaged(String),
+}
+
+impl Segment {
+    /// Who wrote it, if this is a header. All versions begin it alike: the application's part, then a text of the
+    /// writer.
+    fn writer(&self) -> Option<String> {
+        let Self::Body(_, body) = self else { return None };
+        let mut cursor = Cursor::new(body.strip_prefix(&[KIND_HEADER])?, 0);
+        cursor.bytes()?;
+        let text = std::str::from_utf8(cursor.bytes()?).ok()?;
+        let plain = !text.is_empty() && text.len() < 200 && !text.chars().any(char::is_control);
+        plain.then(|| text.to_owned())
+    }
 }
 
 fn read_segment(source: &mut impl Read) -> Segment {
@@ -383,13 +422,13 @@ fn read_segment(source: &mut impl Read) -> Segment {
 }
 
 /// Reads until the buffer is full or the source ends; returns how much was read.
-fn fill(source: &mut impl Read, buffer: &mut [u8]) -> std::io::Result<usize> {
+fn fill(source: &mut impl Read, buffer: &mut [u8]) -> io::Result<usize> {
     let mut length = 0;
     while length < buffer.len() {
         match source.read(&mut buffer[length..]) {
             Ok(0) => break,
             Ok(read) => length += read,
-            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
             Err(error) => return Err(error),
         }
     }

@@ -2,8 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::format::{Cursor, Header, Symbol, lane, value};
+use super::format::{Cursor, Hashing, Header, Symbol, lane, reason, value};
 use crate::journal::Payload;
+use crate::message::Reason;
 
 /// What was delivered to one actor, as recorded.
 #[derive(Debug, Default)]
@@ -18,6 +19,21 @@ pub(crate) struct ActorLog {
     pub(crate) chain: u64,
 }
 
+impl ActorLog {
+    /// There are as many hashes as so many deliveries leave. This bounds the deliveries that a file can claim.
+    fn hashes_fit(&self, hashing: Hashing) -> bool {
+        let (bytes, deliveries) = (self.hashes.len() as u64, self.deliveries);
+        match hashing {
+            Hashing::Off => bytes == 0,
+            Hashing::Every(period) => {
+                bytes.is_multiple_of(8) && bytes / 8 == deliveries / u64::from(period.max(1))
+            }
+            // One for each delivery, and one more for a state that has a hash of its own.
+            Hashing::Exact => bytes.is_multiple_of(2) && (deliveries..=2 * deliveries).contains(&(bytes / 2)),
+        }
+    }
+}
+
 /// A value an actor asked for or said.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Value {
@@ -27,6 +43,16 @@ pub(crate) struct Value {
     pub(crate) content: u64,
     /// Of a mark.
     pub(crate) kind: u32,
+}
+
+/// The next deliveries to one actor: one with what it carries, or as many as differ in nothing that is recorded.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Stride<'a> {
+    pub(crate) symbol: Symbol,
+    pub(crate) payload: Payload<'a>,
+    pub(crate) count: u64,
+    /// Bytes of the payload.
+    pub(crate) bytes: usize,
 }
 
 /// Positions in the streams of one actor.
@@ -43,7 +69,7 @@ pub(crate) struct Walk {
     hashes: usize,
     rejected: usize,
     last_rejected: u64,
-    peeked_rejected: Option<u64>,
+    peeked_rejected: Option<(u64, Reason)>,
 }
 
 impl Walk {
@@ -86,10 +112,22 @@ impl Walk {
         Some((payload, cursor.at))
     }
 
-    /// Passes the delivery whose payload [`Walk::payload`] gave.
-    pub(crate) fn pass(&mut self, payload: Payload<'_>, external: usize) {
+    /// Passes what comes next, at most `most` deliveries. The length of a run without payloads may be any number, so
+    /// it passes at once.
+    pub(crate) fn stride<'a>(&mut self, log: &'a ActorLog, header: &Header, most: u64) -> Option<Stride<'a>> {
+        let symbol = self.peek(log)?;
+        let (payload, external) = self.payload(log, symbol, header.is_port(symbol.from))?;
+        let (_, run) = self.run?;
+        let count = if matches!(payload, Payload::None) { run.min(most) } else { 1 };
+        let bytes = external - self.external;
+        self.pass(payload, external, count);
+        Some(Stride { symbol, payload, count, bytes })
+    }
+
+    /// Passes the delivery whose payload [`Walk::payload`] gave, and as many more of its run as make `count`.
+    pub(crate) fn pass(&mut self, payload: Payload<'_>, external: usize, count: u64) {
         if let Some((_, left)) = &mut self.run {
-            *left -= 1;
+            *left = left.saturating_sub(count);
             if *left == 0 {
                 self.run = None;
             }
@@ -124,7 +162,7 @@ impl Walk {
                 self.last_now = self.last_now.wrapping_add(cursor.signed()? as u64);
                 self.last_now.checked_mul(1000)?
             }
-            value::MEASURED | value::VERDICT => cursor.number()?,
+            value::MEASURED | value::VERDICT | value::COUNT => cursor.number()?,
             value::MARK => {
                 kind = u32::try_from(cursor.number()?).ok()?;
                 cursor.u64()?
@@ -151,38 +189,25 @@ impl Walk {
         Some(hash)
     }
 
-    /// Whether send `number` came back; asked once for each send, in order.
-    pub(crate) fn rejects(&mut self, log: &ActorLog, number: u64) -> bool {
+    /// Why send `number` came back, if it did; asked once for each send, in order.
+    pub(crate) fn rejects(&mut self, log: &ActorLog, number: u64) -> Option<Reason> {
         if self.peeked_rejected.is_none() {
             let mut cursor = Cursor::new(&log.rejected, self.rejected);
-            let Some(step) = cursor.number() else { return false };
+            let code = cursor.number()?;
+            let reason = reason::of(code & ((1 << reason::BITS) - 1))?;
             self.rejected = cursor.at;
-            self.last_rejected = self.last_rejected.wrapping_add(step);
-            self.peeked_rejected = Some(self.last_rejected);
+            self.last_rejected = self.last_rejected.wrapping_add(code >> reason::BITS);
+            self.peeked_rejected = Some((self.last_rejected, reason));
         }
-        let rejects = self.peeked_rejected == Some(number);
-        if rejects {
-            self.peeked_rejected = None;
-        }
-        rejects
+        let (_, reason) = self.peeked_rejected.take_if(|(next, _)| *next == number)?;
+        Some(reason)
     }
 
     /// Passes the next `count` deliveries and checks that all of them, and all values, can be decoded.
     pub(crate) fn validate(&mut self, log: &ActorLog, header: &Header, count: u64) -> Option<()> {
         let mut left = count;
         while left > 0 {
-            let symbol = self.peek(log)?;
-            let port = header.nodes[symbol.from.0 as usize].class.is_none();
-            let (_, run) = self.run?;
-            if matches!(symbol.lane, lane::DATA | lane::CONTROL) && !port {
-                // Runs without payloads pass at once: their length may be any number.
-                left = left.checked_sub(run)?;
-                self.run = None;
-            } else {
-                let (payload, external) = self.payload(log, symbol, port)?;
-                self.pass(payload, external);
-                left -= 1;
-            }
+            left -= self.stride(log, header, left)?.count;
         }
         let ended =
             self.run.is_none() && self.order == log.order.len() && self.external == log.external.len();
@@ -194,9 +219,9 @@ impl Walk {
         }
         let mut rejected = Cursor::new(&log.rejected, self.rejected);
         while !rejected.is_empty() {
-            rejected.number()?;
+            reason::of(rejected.number()? & ((1 << reason::BITS) - 1))?;
         }
         self.rejected = rejected.at;
-        ended.then_some(())
+        (ended && log.hashes_fit(header.hashing)).then_some(())
     }
 }

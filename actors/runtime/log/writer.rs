@@ -120,11 +120,18 @@ impl Writer {
         Ok(Self { queue: Arc::clone(queue), thread })
     }
 
+    /// It ended before it was told to.
+    pub(crate) fn is_over(&self) -> bool {
+        self.thread.is_finished()
+    }
+
     /// Writes what is left and, if every actor's log is complete, the end.
     pub(crate) fn finish(self, totals: Option<Vec<(u64, u64)>>) {
         self.queue.closing.store(true, Ordering::SeqCst);
         self.thread.thread().unpark();
-        let Ok(mut sink) = self.thread.join() else { return };
+        let Ok(mut sink) = self.thread.join() else {
+            return self.queue.stop("whatever the recording is written to panicked".to_owned());
+        };
         if let Some(totals) = totals
             && !self.queue.is_stopped()
         {

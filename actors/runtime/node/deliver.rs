@@ -4,38 +4,34 @@ use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
 use super::{Core, Node};
-use crate::actor::{Actor, Cx, OwnTimer, lane_code};
+use crate::actor::{Actor, Cx, OwnTimer};
 use crate::journal::{Halted, Payload};
 use crate::log::format::{Symbol, lane};
 use crate::mailbox::Envelope;
-use crate::message::{ActorId, LATEST_KEYS, Lane, Message};
-use crate::pool::{Killed, Popped, Seat, job_symbol};
+use crate::message::{ActorId, Message};
+use crate::pool::{Popped, job_symbol};
 use crate::scheduler::ThreadCx;
 use crate::signals::signal;
-use crate::supervise::{Incident, Injected, OnPanic, message_of, verdict};
+use crate::supervise::{Incident, Injected, OnPanic, guarded, message_of, verdict};
+
+/// How far a delivery came.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Stage {
+    /// Asking the message or job what it is; nothing is recorded yet.
+    Read,
+    /// The actor is at it.
+    Handle,
+    /// Hashing the actor's state.
+    Hash,
+}
+
+/// What stands for a message or job that panicked when it was asked.
+const UNREADABLE: &str = "unreadable";
+
+type Panic = Box<dyn Any + Send>;
 
 impl<A: Actor> Node<A> {
-    /// Runs code of the actor; what it panics with comes back.
-    #[inline]
-    fn guarded(
-        &self,
-        core: &mut Core<A>,
-        thread: &ThreadCx,
-        body: impl FnOnce(&mut A, &mut Option<Box<dyn Seat<A>>>, &mut Cx<'_, A::Msg>),
-    ) -> Result<(), Box<dyn Any + Send>> {
-        let injected = core.journal.panics_by_fault();
-        let Core { actor, journal, timers, seat, stopping, .. } = core;
-        let mut cx =
-            Cx { address: &self.address, journal, timers, thread, env: &self.link.env, stop: stopping };
-        catch_unwind(AssertUnwindSafe(|| {
-            if injected {
-                resume_unwind(Box::new(Injected));
-            }
-            body(actor, seat, &mut cx);
-        }))
-    }
-
-    /// The one way a message gets to the actor.
+    /// The one way a message gets to the actor. Code of the message and of the actor may panic anywhere in it.
     #[inline]
     pub(super) fn deliver(
         &self,
@@ -45,13 +41,24 @@ impl<A: Actor> Node<A> {
         payload: Payload<'_>,
         message: A::Msg,
     ) -> Result<(), Halted> {
-        let kind = message.kind();
-        core.journal.deliver(symbol, payload, kind, &message, |digest| message.digest(digest))?;
-        if let Err(panic) = self.guarded(core, thread, |actor, _, cx| actor.handle(message, cx)) {
-            self.link.counters.dead_letters(1);
-            self.panicked(core, thread, kind, panic);
-        }
-        core.journal.handled(|| core.actor.digest())
+        let (mut stage, mut kind) = (Stage::Read, UNREADABLE);
+        let Core { actor, journal, timers, stopping, .. } = core;
+        let done = catch_unwind(AssertUnwindSafe(|| {
+            kind = message.kind();
+            journal.deliver(symbol, payload, kind, &message, |digest| message.digest(digest))?;
+            stage = Stage::Handle;
+            if journal.panics_by_fault() {
+                resume_unwind(Box::new(Injected));
+            }
+            let env = &self.link.env;
+            actor.handle(
+                message,
+                &mut Cx { address: &self.address, journal, timers, thread, env, stop: stopping },
+            );
+            stage = Stage::Hash;
+            journal.handled(|| actor.digest())
+        }));
+        done.unwrap_or_else(|panic| self.broke_off(core, thread, (symbol, payload), (stage, kind), panic))
     }
 
     /// The one way a job gets to the worker; its seat holds it.
@@ -61,64 +68,111 @@ impl<A: Actor> Node<A> {
         thread: &ThreadCx,
         popped: Popped,
     ) -> Result<(), Halted> {
-        let Some(seat) = &core.seat else { return Ok(()) };
-        let kind = seat.kind();
         let symbol = job_symbol(&core.journal, &popped);
         let payload = Payload::Job { id: popped.id, attempt: popped.attempt };
         // A job's identity begins with who made it.
         core.journal.comes_of(ActorId((popped.id >> 40) as u32), popped.pushed_in);
-        core.journal.deliver(symbol, payload, kind, seat.content(), |digest| seat.digest(digest))?;
         let _span = tracing::trace_span!("job", actor = A::NAME, job = popped.id).entered();
-        let done = self.guarded(core, thread, |actor, seat, cx| {
-            if let Some(seat) = seat {
-                if popped.stale { seat.stale(actor, cx) } else { seat.run(actor, cx) }
+        let (mut stage, mut kind) = (Stage::Read, UNREADABLE);
+        let Core { actor, journal, timers, stopping, seat, .. } = core;
+        let Some(seat) = seat else { return Ok(()) };
+        let done = catch_unwind(AssertUnwindSafe(|| {
+            kind = seat.kind();
+            journal.deliver(symbol, payload, kind, seat.content(), |digest| seat.digest(digest))?;
+            stage = Stage::Handle;
+            if journal.panics_by_fault() {
+                resume_unwind(Box::new(Injected));
             }
-        });
-        match done {
-            Ok(()) => {
-                if let Some(seat) = &mut core.seat {
-                    seat.completed();
-                }
+            let env = &self.link.env;
+            let mut cx = Cx { address: &self.address, journal, timers, thread, env, stop: stopping };
+            if popped.stale {
+                seat.stale(actor, &mut cx)
+            } else {
+                seat.run(actor, &mut cx)
             }
-            Err(panic) => self.panicked(core, thread, kind, panic),
-        }
-        core.journal.handled(|| core.actor.digest())
+            seat.completed();
+            stage = Stage::Hash;
+            journal.handled(|| actor.digest())
+        }));
+        done.unwrap_or_else(|panic| self.broke_off(core, thread, (symbol, payload), (stage, kind), panic))
     }
 
-    fn panicked(
+    /// A delivery panicked. It counts and is recorded all the same, so that replay comes to the same panic.
+    #[cold]
+    fn broke_off(
         &self,
         core: &mut Core<A>,
         thread: &ThreadCx,
-        kind: &'static str,
-        panic: Box<dyn Any + Send>,
-    ) {
+        (symbol, payload): (Symbol, Payload<'_>),
+        (stage, kind): (Stage, &'static str),
+        panic: Panic,
+    ) -> Result<(), Halted> {
+        if stage == Stage::Read {
+            core.journal.deliver(symbol, payload, kind, &(), |digest| digest.bytes(UNREADABLE.as_bytes()))?;
+        }
+        if stage != Stage::Hash && !matches!(payload, Payload::Job { .. }) {
+            self.link.counters.dead_letters(1);
+        }
+        self.panicked(core, thread, kind, panic);
+        if stage == Stage::Hash { Ok(()) } else { self.handled(core, thread) }
+    }
+
+    /// After a delivery that ran no code of the actor.
+    fn handled(&self, core: &mut Core<A>, thread: &ThreadCx) -> Result<(), Halted> {
+        let Core { actor, journal, .. } = core;
+        match catch_unwind(AssertUnwindSafe(|| journal.handled(|| actor.digest()))) {
+            Ok(handled) => handled,
+            Err(panic) => {
+                self.panicked(core, thread, "the hash of its state", panic);
+                Ok(())
+            }
+        }
+    }
+
+    fn panicked(&self, core: &mut Core<A>, thread: &ThreadCx, kind: &'static str, panic: Panic) {
         let env = &self.link.env;
         let (actor, name) = (self.link.id, env.name(self.link.id));
         self.link.counters.panicked();
         let message = message_of(panic.as_ref());
-        tracing::warn!("{name} panicked over {kind}: {message}");
+        // Whatever it is dropped with must not take the thread along.
+        let _ = guarded(|| drop(panic));
         let tripped = core.circuit.panicked(core.journal.index);
-        let Core { seat, on_panic, journal, .. } = core;
-        let verdict = journal.verdict(|| match (on_panic, seat.as_deref()) {
-            (OnPanic::Stop, _) => verdict::STOP,
-            (_, Some(seat)) if tripped && seat.leave(thread) => verdict::OPEN,
-            (_, None) if tripped => verdict::OPEN,
-            _ => verdict::GO_ON,
-        });
-        let dead = match core.seat.as_mut().map(|seat| seat.killed(thread)) {
-            Some(Killed::Dead { id, description }) => Some(Incident::JobDead { actor, job: id, description }),
+        let mut made = match &mut core.on_panic {
+            OnPanic::Restart(make) => Some(guarded(make)),
             _ => None,
         };
+        let Core { seat, on_panic, journal, .. } = core;
+        let verdict = journal.verdict(|| match (on_panic, seat.as_deref(), &made) {
+            (OnPanic::End, ..) | (_, _, Some(Err(_))) => verdict::END,
+            (OnPanic::Stop, ..) => verdict::STOP,
+            (_, Some(seat), _) if tripped && seat.leave(thread) => verdict::OPEN,
+            (_, None, _) if tripped => verdict::END,
+            _ => verdict::GO_ON,
+        });
         let open = (verdict == verdict::OPEN).then(|| Incident::CircuitOpen { actor, name: name.clone() });
-        let first = Incident::Panicked { actor, name, kind: kind.to_owned(), message };
-        for incident in [Some(first), dead, open].into_iter().flatten() {
-            env.report(&mut core.journal, thread, incident);
+        let message_of_job = message.clone();
+        let first = Incident::Panicked { actor, name: name.clone(), kind: kind.to_owned(), message };
+        if verdict == verdict::END {
+            env.end(first.clone());
         }
-        if verdict != verdict::GO_ON {
-            core.stopping = true;
-        } else if let OnPanic::Restart(make) = &mut core.on_panic {
-            core.actor = make();
+        env.report(journal, thread, first);
+        if let Some(seat) = seat {
+            seat.killed(journal, thread, &message_of_job);
         }
+        if let Some(open) = open {
+            env.report(journal, thread, open);
+        }
+        match made.take() {
+            Some(Ok(actor)) if verdict == verdict::GO_ON => {
+                let before = std::mem::replace(&mut core.actor, actor);
+                let _ = guarded(|| drop(before));
+            }
+            Some(Err(message)) => {
+                env.note(Incident::Beside { what: format!("starting {name} anew"), message });
+            }
+            _ => {}
+        }
+        core.stopping |= verdict != verdict::GO_ON;
     }
 
     pub(super) fn start(&self, core: &mut Core<A>, thread: &ThreadCx) {
@@ -129,7 +183,15 @@ impl<A: Actor> Node<A> {
         if std::mem::replace(&mut core.started, true) {
             return;
         }
-        if let Err(panic) = self.guarded(core, thread, |actor, _, cx| actor.started(cx)) {
+        let Core { actor, journal, timers, stopping, .. } = core;
+        let begun = catch_unwind(AssertUnwindSafe(|| {
+            if journal.panics_by_fault() {
+                resume_unwind(Box::new(Injected));
+            }
+            let env = &self.link.env;
+            actor.started(&mut Cx { address: &self.address, journal, timers, thread, env, stop: stopping });
+        }));
+        if let Err(panic) = begun {
             self.panicked(core, thread, "start", panic);
         }
     }
@@ -140,7 +202,8 @@ impl<A: Actor> Node<A> {
         if bits & signal::STOP != 0 {
             core.stopping = true;
         }
-        if bits & signal::PAUSE != 0 && bits & signal::RESUME == 0 {
+        // Recordings of before may hold both at once: that was a pause taken back.
+        if bits & signal::PACE == signal::PAUSE {
             core.paused = !core.journal.replaying();
             if let Some(seat) = &core.seat {
                 seat.decline(thread);
@@ -148,7 +211,7 @@ impl<A: Actor> Node<A> {
         } else if bits & signal::RESUME != 0 {
             core.paused = false;
         }
-        core.journal.handled(|| core.actor.digest())
+        self.handled(core, thread)
     }
 
     pub(super) fn envelope(
@@ -156,16 +219,14 @@ impl<A: Actor> Node<A> {
         core: &mut Core<A>,
         thread: &ThreadCx,
         envelope: Envelope<A::Msg>,
+        way: u8,
     ) -> Result<(), Halted> {
         let Envelope { from, sequence, external, message } = envelope;
-        let way = message.lane();
-        let symbol = Symbol { from, lane: lane_code(way) };
-        let payload = match (way, &external) {
+        let symbol = Symbol { from, lane: way };
+        let payload = match (way.checked_sub(lane::LATEST), &external) {
             (_, Some(encoded)) => Payload::External(&encoded.0),
-            (Lane::Latest(key), None) => {
-                Payload::Skipped(core.journal.skipped(from, key % LATEST_KEYS, sequence))
-            }
-            _ => Payload::None,
+            (Some(key), None) => Payload::Skipped(core.journal.skipped(from, key, sequence)),
+            (None, None) => Payload::None,
         };
         self.deliver(core, thread, symbol, payload, message)
     }
@@ -187,7 +248,7 @@ impl<A: Actor> Node<A> {
             // It was cancelled after it fired: a delivery all the same, since it made room for another timer.
             _ => {
                 core.journal.deliver(symbol, payload, "cancelled timer", &(), |digest| digest.u32(timer))?;
-                core.journal.handled(|| core.actor.digest())
+                self.handled(core, thread)
             }
         }
     }

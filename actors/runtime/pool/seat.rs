@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use super::{Entry, Job, JobPool, KILLS_MAX, Place, Worker};
+use super::{Death, Entry, Job, JobPool, KILLS_MAX, Place, Worker};
 use crate::actor::{Actor, Cx};
 use crate::journal::Journal;
 use crate::log::format::{Symbol, lane};
@@ -22,12 +22,6 @@ pub(crate) struct Popped {
     pub(crate) stale: bool,
 }
 
-/// What became of a job that killed its worker.
-pub(crate) enum Killed {
-    Requeued,
-    Dead { id: u64, description: String },
-}
-
 /// A worker's side of its pool, whatever the jobs are.
 pub(crate) trait Seat<A: Actor>: Send {
     /// Pops the best job and holds it.
@@ -40,7 +34,8 @@ pub(crate) trait Seat<A: Actor>: Send {
     fn run(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>);
     fn stale(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>);
     fn completed(&mut self);
-    fn killed(&mut self, thread: &ThreadCx) -> Killed;
+    /// The job panicked with this: it goes back, or is given up.
+    fn killed(&mut self, journal: &mut Journal, thread: &ThreadCx, message: &str);
     /// Waits for jobs; false if one is there already.
     fn rest(&self) -> bool;
     /// Takes no jobs for now; somebody else is told of one that waits.
@@ -53,7 +48,7 @@ pub(crate) trait Seat<A: Actor>: Send {
     fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()>;
 }
 
-pub(super) struct SeatOf<J> {
+pub(super) struct SeatOf<J: Job> {
     pub(super) number: usize,
     pub(super) place: Arc<Place<J>>,
     pub(super) pool: JobPool<J>,
@@ -125,20 +120,18 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
         }
     }
 
-    fn killed(&mut self, thread: &ThreadCx) -> Killed {
+    fn killed(&mut self, journal: &mut Journal, thread: &ThreadCx, message: &str) {
         let shared = &self.pool.shared;
-        let Some(entry) = self.current.take() else { return Killed::Requeued };
+        let Some(entry) = self.current.take() else { return };
         let attempt = entry.attempt + 1;
         if attempt >= KILLS_MAX {
-            shared.dead.fetch_add(1, Ordering::Relaxed);
-            return Killed::Dead { id: entry.id, description: entry.job.describe() };
+            return shared.bury(&entry, Death::Panicked(message.to_owned()), journal, thread);
         }
         shared.requeued.fetch_add(1, Ordering::Relaxed);
         if !shared.env.replaying() {
             shared.waiting.fetch_add(1, Ordering::Relaxed);
         }
         shared.hand_on(Entry { attempt, ..entry }, self.number, thread);
-        Killed::Requeued
     }
 
     fn rest(&self) -> bool {

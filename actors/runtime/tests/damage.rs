@@ -65,7 +65,7 @@ fn foreign_files_are_told_apart() {
     assert!(matches!(open(b"PNG and so on"), Err(TraceError::NotARecording)));
     let mut other = RING.clone();
     other[6] = 99;
-    assert!(matches!(open(&other), Err(TraceError::Version { found: 99, expected: 2 })));
+    assert!(matches!(open(&other), Err(TraceError::Version { found: 99, .. })));
     assert!(matches!(Trace::open(std::path::Path::new("/nonexistent")), Err(TraceError::Io(_))));
 }
 

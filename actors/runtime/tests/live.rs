@@ -81,7 +81,7 @@ fn a_full_mailbox_gives_the_message_back() {
     let (mut runtime, (sum, port)) = Runtime::build(Config::live(0), |wiring| {
         let sum = wiring.declare::<Sum>(Bounds::messages(100).bytes(1000));
         let port = wiring.port::<Number, Number>("numbers", &sum.address());
-        (wiring.spawn(sum, Sum::default()), port)
+        (wiring.spawn(sum, Sum::default(), OnPanic::Resume), port)
     })
     .expect("builds");
     for number in 0..100 {
@@ -144,9 +144,12 @@ fn fan_in_of_bursts_loses_nothing() {
             for number in 0..4 {
                 let to = if number % 2 == 0 { light.address() } else { pinned.address() };
                 let flood = wiring.declare::<Flood>(Bounds::messages(1));
-                wiring.spawn(flood, Flood { to, next: 0, end: EACH });
+                wiring.spawn(flood, Flood { to, next: 0, end: EACH }, OnPanic::Resume);
             }
-            (wiring.spawn(light, Sum::default()), wiring.spawn(pinned, PinnedSum::default()))
+            (
+                wiring.spawn(light, Sum::default(), OnPanic::Resume),
+                wiring.spawn(pinned, PinnedSum::default(), OnPanic::Resume),
+            )
         })
         .expect("builds");
         assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
@@ -166,7 +169,7 @@ fn control_overtakes_a_flood() {
     let (mut runtime, (sum, port)) = Runtime::build(Config::live(0), |wiring| {
         let sum = wiring.declare::<Sum>(Bounds::messages(QUEUED as usize));
         let port = wiring.port::<Number, Number>("numbers", &sum.address());
-        (wiring.spawn(sum, Sum::default()), port)
+        (wiring.spawn(sum, Sum::default(), OnPanic::Resume), port)
     })
     .expect("builds");
     for number in 0..QUEUED {
@@ -186,7 +189,7 @@ fn a_paused_actor_keeps_its_mailbox_in_order() {
         let (mut runtime, (sum, port)) = Runtime::build(Config::live(threads), |wiring| {
             let sum = wiring.declare::<PinnedSum>(Bounds::messages(100));
             let port = wiring.port::<Number, Number>("numbers", &sum.address());
-            (wiring.spawn(sum, PinnedSum::default()), port)
+            (wiring.spawn(sum, PinnedSum::default(), OnPanic::Resume), port)
         })
         .expect("builds");
         let count = |runtime: &Runtime| runtime.inspect(sum, |sum| sum.0.count);
@@ -207,6 +210,38 @@ fn a_paused_actor_keeps_its_mailbox_in_order() {
         runtime.pump(Limit::idle_within(WAIT));
         assert_eq!(port.send(Number(3)).expect_err("stopped").reason, Reason::Stopped);
         assert_eq!(runtime.counters()[0].dead_letters, 1);
+    }
+}
+
+#[test]
+fn a_resume_that_is_taken_back_leaves_nothing_behind() {
+    for threads in [0, 2] {
+        let (mut runtime, (sum, port)) = Runtime::build(Config::live(threads), |wiring| {
+            let sum = wiring.declare::<PinnedSum>(Bounds::messages(100));
+            let port = wiring.port::<Number, Number>("numbers", &sum.address());
+            (wiring.spawn(sum, PinnedSum::default(), OnPanic::Resume), port)
+        })
+        .expect("builds");
+        for round in 1..=20 {
+            runtime.control(sum, Control::Pause);
+            assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
+            port.send(Number(1)).expect("room");
+            for order in [Control::Resume, Control::Pause, Control::Resume, Control::Pause] {
+                runtime.control(sum, order);
+            }
+            runtime.pump(Limit::time(Duration::from_millis(1)));
+            assert_eq!(
+                runtime.inspect(sum, |sum| sum.0.count),
+                Some(round - 1),
+                "the last order was to pause"
+            );
+            for order in [Control::Pause, Control::Resume] {
+                runtime.control(sum, order);
+            }
+            assert_eq!(runtime.pump(Limit::idle_within(Duration::from_secs(5))), Exit::Idle, "round {round}");
+            assert_eq!(runtime.inspect(sum, |sum| sum.0.count), Some(round));
+        }
+        assert!(runtime.shutdown(WAIT).drained);
     }
 }
 
@@ -249,11 +284,16 @@ fn a_crash_loop_ends_with_fewer_workers() {
     struct Chief {
         pool: JobPool<workshop::Task>,
         incidents: Vec<Incident>,
+        dead: Vec<DeadJob<u64>>,
     }
-    struct Told(Incident);
+    #[derive(Debug)]
+    enum Told {
+        Incident(Incident),
+        Dead(DeadJob<u64>),
+    }
     impl Message for Told {
         fn digest(&self, digest: &mut Digest) {
-            digest.bytes(format!("{:?}", self.0).as_bytes());
+            digest.bytes(format!("{self:?}").as_bytes());
         }
         fn kind(&self) -> &'static str {
             "Told"
@@ -269,19 +309,24 @@ fn a_crash_loop_ends_with_fewer_workers() {
             }
         }
         fn handle(&mut self, told: Told, _: &mut Cx<'_, Told>) {
-            self.incidents.push(told.0);
+            match told {
+                Told::Incident(incident) => self.incidents.push(incident),
+                Told::Dead(dead) => self.dead.push(dead),
+            }
         }
     }
     for threads in [0, 2] {
         let (mut runtime, (chief, pool)) = Runtime::build(Config::live(threads), |wiring| {
             let chief = wiring.declare::<Chief>(Bounds::messages(1000));
             let pool = wiring.pool::<workshop::Task>(100);
-            wiring.supervisor(&chief.address(), Told);
+            wiring.supervisor(&chief.address(), Told::Incident);
+            wiring.gives_up(&pool, &chief.address(), Told::Dead);
             for _ in 0..3 {
                 let doomed = wiring.declare::<Doomed>(Bounds::messages(1));
                 wiring.spawn_worker(doomed, Doomed, &pool, OnPanic::Resume);
             }
-            (wiring.spawn(chief, Chief { pool: pool.clone(), incidents: Vec::new() }), pool)
+            let state = Chief { pool: pool.clone(), incidents: Vec::new(), dead: Vec::new() };
+            (wiring.spawn(chief, state, OnPanic::Resume), pool)
         })
         .expect("builds");
         assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
@@ -291,7 +336,12 @@ fn a_crash_loop_ends_with_fewer_workers() {
         let of = |name: &str| {
             incidents.iter().filter(|incident| format!("{incident:?}").starts_with(name)).count()
         };
-        assert_eq!((of("Panicked"), of("JobDead"), of("CircuitOpen")), (120, 40, 2));
+        assert_eq!((of("Panicked"), of("CircuitOpen")), (120, 2));
+        let dead = runtime.inspect(chief, |chief| chief.dead.clone()).expect("pinned");
+        let mut briefs: Vec<u64> = dead.iter().map(|dead| dead.brief).collect();
+        briefs.sort_unstable();
+        assert!(briefs.into_iter().eq(0..40));
+        assert!(dead.iter().all(|dead| dead.why == Death::Panicked("always".to_owned())));
     }
 }
 
@@ -320,7 +370,7 @@ fn timers_come_in_order_and_virtual_time_jumps() {
         let simulated = matches!(config.mode, Mode::Simulate(_));
         let (mut runtime, clocked) = Runtime::build(config, |wiring| {
             let clocked = wiring.declare::<Clocked>(Bounds::messages(1));
-            wiring.spawn(clocked, Clocked(Vec::new()))
+            wiring.spawn(clocked, Clocked(Vec::new()), OnPanic::Resume)
         })
         .expect("builds");
         assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
@@ -344,7 +394,7 @@ fn the_event_loop_is_called_for_pinned_work() {
         Runtime::build(Config { waker: Some(waker), ..Config::live(1) }, |wiring| {
             let sum = wiring.declare::<PinnedSum>(Bounds::messages(100));
             let port = wiring.port::<Number, Number>("numbers", &sum.address());
-            (wiring.spawn(sum, PinnedSum::default()), port)
+            (wiring.spawn(sum, PinnedSum::default(), OnPanic::Resume), port)
         })
         .expect("builds");
     runtime.pump(Limit::idle_within(WAIT));
@@ -365,7 +415,7 @@ fn shutdown_handles_all_that_was_accepted() {
         let (runtime, (_, port)) = Runtime::build(Config::live(threads), |wiring| {
             let sum = wiring.declare::<Sum>(Bounds::messages(50_000));
             let port = wiring.port::<Number, Number>("numbers", &sum.address());
-            (wiring.spawn(sum, Sum::default()), port)
+            (wiring.spawn(sum, Sum::default(), OnPanic::Resume), port)
         })
         .expect("builds");
         for number in 0..50_000 {
@@ -404,7 +454,7 @@ fn a_system_is_left_while_a_turn_goes_on() {
         let (mut runtime, port) = Runtime::build(Config { record, ..config }, |wiring| {
             let endless = wiring.declare::<Endless>(Bounds::messages(10));
             let port = wiring.port::<Number, Number>("numbers", &endless.address());
-            wiring.spawn(endless, Endless(Arc::clone(&state)));
+            wiring.spawn(endless, Endless(Arc::clone(&state)), OnPanic::Resume);
             port
         })
         .expect("builds");
@@ -439,7 +489,7 @@ fn a_panicking_actor_is_replaced_and_its_mailbox_kept() {
         let fragile = wiring.declare::<Fragile>(Bounds::messages(10));
         let port = wiring.port::<Number, Number>("numbers", &fragile.address());
         let again = OnPanic::Restart(Box::new(|| Fragile(vec![100])));
-        (wiring.spawn_supervised(fragile, Fragile(Vec::new()), again), port)
+        (wiring.spawn(fragile, Fragile(Vec::new()), again), port)
     })
     .expect("builds");
     for number in 1..=5 {

@@ -77,9 +77,13 @@ fn wire(wiring: &mut Wiring, leak: (Leak, u64), digests: bool) {
     let leaky = [(); 2].map(|()| wiring.declare::<Leaky>(Bounds::messages(4)));
     let addresses = leaky.each_ref().map(Declared::address);
     let thrower = wiring.declare::<Thrower>(Bounds::messages(1));
-    wiring.spawn(thrower, Thrower(addresses[0].clone()));
+    wiring.spawn(thrower, Thrower(addresses[0].clone()), OnPanic::Resume);
     for ((leaky, other), leak) in leaky.into_iter().zip([1, 0]).zip([None, Some(leak)]) {
-        wiring.spawn(leaky, Leaky { to: Some(addresses[other].clone()), leak, state: 0, digests });
+        wiring.spawn(
+            leaky,
+            Leaky { to: Some(addresses[other].clone()), leak, state: 0, digests },
+            OnPanic::Resume,
+        );
     }
 }
 

@@ -82,9 +82,9 @@ fn full_mailboxes_replay() {
         let eats = wiring.declare::<Eats>(Bounds::messages(16));
         for _ in 0..2 {
             let many = wiring.declare::<Many>(Bounds::messages(1));
-            wiring.spawn(many, Many { to: eats.address(), sent: 0, refused: 0 });
+            wiring.spawn(many, Many { to: eats.address(), sent: 0, refused: 0 }, OnPanic::Resume);
         }
-        wiring.spawn(eats, Eats(0));
+        wiring.spawn(eats, Eats(0), OnPanic::Resume);
     };
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("full.fvlog");
@@ -96,6 +96,83 @@ fn full_mailboxes_replay() {
     for threads in [0, 2] {
         let (mut runtime, ()) = Runtime::build(Config::replay(trace.clone(), threads), wire).expect("builds");
         assert_complete(&runtime.replay());
+    }
+}
+
+#[test]
+fn a_refused_message_replays_with_its_reason() {
+    #[derive(Message)]
+    enum Told {
+        Again,
+        #[message(size = *_0)]
+        Bytes(usize),
+    }
+    /// Stops at once.
+    struct Gone;
+    impl Actor for Gone {
+        type Msg = Told;
+        const NAME: &'static str = "gone";
+        fn started(&mut self, cx: &mut Cx<'_, Told>) {
+            cx.stop();
+        }
+        fn handle(&mut self, _: Told, _: &mut Cx<'_, Told>) {}
+    }
+    struct Silent;
+    impl Actor for Silent {
+        type Msg = Told;
+        const NAME: &'static str = "silent";
+        fn handle(&mut self, _: Told, _: &mut Cx<'_, Told>) {}
+    }
+    /// Does other things for each reason: the sum of all it was told.
+    struct Asks {
+        gone: Address<Told>,
+        silent: Address<Told>,
+        reasons: Vec<Reason>,
+    }
+    impl Actor for Asks {
+        type Msg = Told;
+        const NAME: &'static str = "asks";
+        fn started(&mut self, cx: &mut Cx<'_, Told>) {
+            let me = cx.address().clone();
+            cx.tell(&me, Told::Again).expect("room");
+        }
+        fn handle(&mut self, _: Told, cx: &mut Cx<'_, Told>) {
+            for (to, size) in [(self.silent.clone(), 100), (self.silent.clone(), 1), (self.gone.clone(), 0)] {
+                if let Err(back) = cx.tell(&to, Told::Bytes(size)) {
+                    self.reasons.push(back.reason);
+                    cx.mark(back.reason as u32, 0);
+                }
+            }
+            if self.reasons.last() != Some(&Reason::Stopped) {
+                let me = cx.address().clone();
+                cx.tell(&me, Told::Again).expect("room");
+            }
+        }
+    }
+    let wire = |wiring: &mut Wiring| {
+        let silent = wiring.declare::<Silent>(Bounds::messages(1).bytes(50));
+        let asks = wiring.declare::<Asks>(Bounds::messages(1));
+        let gone = wiring.declare::<Gone>(Bounds::messages(1));
+        let (to_silent, to_gone) = (silent.address(), gone.address());
+        wiring.spawn(silent, Silent, OnPanic::End);
+        wiring.spawn(gone, Gone, OnPanic::End);
+        wiring.spawn(asks, Asks { gone: to_gone, silent: to_silent, reasons: Vec::new() }, OnPanic::End)
+    };
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("refused.fvlog");
+    let (mut runtime, asks) = Runtime::build(Config::live(0).record(&path), wire).expect("builds");
+    assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
+    let live = runtime.inspect(asks, |asks| asks.reasons.clone()).expect("not in a turn");
+    assert!(live.contains(&Reason::FullBytes) && live.contains(&Reason::Stopped), "{live:?}");
+    runtime.shutdown(WAIT);
+    let trace = Arc::new(Trace::open(&path).expect("reads"));
+    for threads in [0, 2] {
+        let (mut runtime, asks) =
+            Runtime::build(Config::replay(trace.clone(), threads), wire).expect("builds");
+        assert_complete(&runtime.replay());
+        if threads == 0 {
+            assert_eq!(runtime.inspect(asks, |asks| asks.reasons.clone()), Some(live.clone()));
+        }
     }
 }
 

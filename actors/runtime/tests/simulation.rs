@@ -1,10 +1,11 @@
 //! Simulated systems: equal seeds are equal runs, faults lose nothing, failures shrink, and simulations are recorded in
 //! the same format as live runs.
 
-use foveal_runtime::simulate::{Fault, FaultKind, Faults, Simulation, Strategy, exhaust, shrink};
+use foveal_runtime::simulate::{Fault, FaultKind, Faults, Simulation, Strategy, Work, exhaust, shrink};
 use foveal_runtime::*;
 use std::collections::BTreeSet;
 use std::sync::Arc;
+use std::time::Duration;
 
 use crate::common::*;
 use crate::ring;
@@ -21,7 +22,9 @@ fn faults() -> Faults {
 /// Runs the workshop under a seed; returns its fingerprint.
 fn shop(seed: u64, faults: Faults, record: Option<&std::path::Path>) -> u64 {
     let strategy = STRATEGIES[(seed % 4) as usize];
-    let simulation = Simulation { strategy, faults, ..Simulation::new(seed) };
+    // By turns of the strategies' turns.
+    let work = if (seed / 4).is_multiple_of(2) { Work::Constant } else { Work::Seeded };
+    let simulation = Simulation { strategy, faults, work, ..Simulation::new(seed) };
     let mut config = Config::simulate(simulation);
     config.record = record.map(|path| Record::File(path.to_owned()));
     let options = Options { work: 3, ..Options::new(3) };
@@ -137,7 +140,7 @@ fn a_system_without_rest_is_told() {
     let simulation = Simulation { steps_max: 500, ..Simulation::new(0) };
     let (mut runtime, _) = Runtime::build(Config::simulate(simulation), |wiring| {
         let restless = wiring.declare::<Restless>(Bounds::messages(1));
-        wiring.spawn(restless, Restless)
+        wiring.spawn(restless, Restless, OnPanic::Resume)
     })
     .expect("builds");
     assert_eq!(runtime.pump(Limit::IDLE), Exit::Halted);
@@ -177,4 +180,93 @@ fn a_small_system_is_run_under_every_schedule() {
         assert_eq!(runtime.pump(Limit::IDLE), Exit::Idle);
         assert!(runs.contains(&runtime.fingerprint()), "seed {seed}");
     }
+}
+
+/// A heavy actor and a light one, which are told so often, and what the heavy one measured.
+#[derive(Message)]
+enum Go {
+    Go(u64),
+}
+
+impl From<u64> for Go {
+    fn from(number: u64) -> Self {
+        Self::Go(number)
+    }
+}
+
+struct Porter(Vec<Duration>);
+
+impl Actor for Porter {
+    type Msg = Go;
+    const NAME: &'static str = "porter";
+    const CLASS: Class = Class::Heavy;
+
+    fn handle(&mut self, Go::Go(steps): Go, cx: &mut Cx<'_, Go>) {
+        let carry = || (0..steps).fold(steps, |sum, step| std::hint::black_box(sum.rotate_left(7) ^ step));
+        self.0.push(cx.measure(carry).1);
+    }
+}
+
+struct Clerk;
+
+impl Actor for Clerk {
+    type Msg = Go;
+    const NAME: &'static str = "clerk";
+
+    fn handle(&mut self, Go::Go(steps): Go, _: &mut Cx<'_, Go>) {
+        let _ = (0..steps).fold(steps, |sum, step| std::hint::black_box(sum.rotate_left(7) ^ step));
+    }
+}
+
+/// What the porter measured of work of these lengths; when the porter, then the clerk had done theirs.
+fn worked(seed: u64, work: Work, lengths: &[u64]) -> (Vec<Duration>, [Duration; 2]) {
+    let simulation = Simulation { work, strategy: Strategy::RoundRobin, ..Simulation::new(seed) };
+    let (mut runtime, (porter, ports)) = Runtime::build(Config::simulate(simulation), |wiring| {
+        let porter = wiring.declare::<Porter>(Bounds::messages(64));
+        let clerk = wiring.declare::<Clerk>(Bounds::messages(64));
+        let ports = [wiring.port("heavy", &porter.address()), wiring.port("light", &clerk.address())];
+        wiring.spawn(clerk, Clerk, OnPanic::End);
+        (wiring.spawn(porter, Porter(Vec::new()), OnPanic::End), ports)
+    })
+    .expect("builds");
+    assert_eq!(runtime.pump(Limit::IDLE), Exit::Idle);
+    let begun = runtime.now();
+    let ends = ports.map(|port: Port<u64, Go>| {
+        lengths.iter().for_each(|steps| port.send(*steps).expect("room"));
+        assert_eq!(runtime.pump(Limit::IDLE), Exit::Idle);
+        runtime.now().since(begun)
+    });
+    (runtime.inspect(porter, |p| p.0.clone()).expect("at rest"), ends)
+}
+
+#[test]
+fn work_takes_what_the_seed_says() {
+    let lengths = [0; 32];
+    let (none, [constant, _]) = worked(1, Work::Constant, &lengths);
+    assert!(none.iter().all(Duration::is_zero));
+    // And a last turn, which finds nothing.
+    assert_eq!(constant, Duration::from_micros(500) * 33);
+    let (measured, ends) = worked(1, Work::Seeded, &lengths);
+    assert_eq!((measured.clone(), ends), worked(1, Work::Seeded, &lengths));
+    assert_ne!(measured, worked(2, Work::Seeded, &lengths).0);
+    let different: BTreeSet<Duration> = measured.iter().copied().collect();
+    assert!(different.len() > 24 && !measured.contains(&Duration::ZERO), "{measured:?}");
+    // What was measured is what the clock moved by, but for the rounding of what is recorded.
+    let sum: Duration = measured.iter().sum();
+    let beside = ends[0] - sum * 99 / 100;
+    assert!(beside < sum / 50 + Duration::from_micros(500) * 16, "{ends:?}, {sum:?}");
+    let light = ends[1] - ends[0];
+    assert!(light > Duration::ZERO && light != Duration::from_micros(33), "{light:?}");
+}
+
+#[test]
+fn work_takes_the_time_it_really_takes() {
+    let lengths = [1_000, 3_000_000];
+    let (measured, ends) = worked(1, Work::Measured, &lengths);
+    assert!(measured[1] > 20 * measured[0], "{measured:?}");
+    // A turn is more than what is measured in it; what others do at the same time is not in it.
+    let sum: Duration = measured.iter().sum();
+    assert!(ends[0] >= sum * 99 / 100 && ends[0] < sum * 2, "{ends:?}, {sum:?}");
+    // Light turns keep their constant, whatever they do.
+    assert_eq!(ends[1] - ends[0], Duration::from_micros(1) * 3);
 }

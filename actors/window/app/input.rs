@@ -6,8 +6,8 @@ use winit::keyboard::KeyCode;
 use winit::window::CursorGrabMode;
 
 use super::App;
-use crate::window::navigation::Motion;
-use crate::window::timeline::Wish;
+use foveal_engine::navigation::Motion;
+use foveal_engine::source::Wish;
 
 impl App {
     pub(super) fn wish(&mut self, wish: Wish) {

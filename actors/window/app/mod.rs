@@ -17,11 +17,12 @@ use winit::window::WindowId;
 
 use self::screen::Screen;
 use self::shots::Asked;
-use super::navigation::Pace;
 use super::presenter::{Backend, DrawnBy};
 use super::probe::{Measured, Probe};
-use super::source::{Build, Loader};
-use super::walk::{Next, Walk};
+use foveal_engine::Recipe;
+use foveal_engine::navigation::Pace;
+use foveal_engine::source::{Build, Loader};
+use foveal_engine::walk::{Next, Walk};
 
 /// What a window is opened with.
 pub struct Options {
@@ -45,6 +46,32 @@ pub struct Options {
     pub probe: Option<Probe>,
 }
 
+impl Options {
+    /// A window on the walks of a recipe; screenshots go where the program is.
+    pub fn new(recipe: Recipe) -> Self {
+        Self {
+            name: recipe.scene.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+            size: [recipe.settings.width, recipe.settings.height],
+            ..Self::of(recipe.loader())
+        }
+    }
+
+    /// A window on whatever is loaded.
+    pub fn of(loader: Loader) -> Self {
+        Self {
+            name: String::new(),
+            size: [512, 512],
+            backend: Backend::Auto,
+            drawn_by: DrawnBy::Auto,
+            lose_adapter: None,
+            lose_surface: None,
+            loader,
+            screenshots: ".".into(),
+            probe: None,
+        }
+    }
+}
+
 /// Why a window could not be opened, or had to close.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum WindowError {
@@ -52,6 +79,8 @@ pub enum WindowError {
     Environment(String),
     /// The scene cannot be walked through.
     Scene(String),
+    /// An actor panicked without which the walk cannot go on.
+    Ended(String),
 }
 
 /// What other threads tell the event loop.
@@ -299,6 +328,10 @@ impl ApplicationHandler<Wake> for App {
         if let (Some(walk), false) = (&mut self.walk, self.hidden) {
             let (is_new, then) = walk.tick(now);
             next = then;
+            if let Some(why) = walk.ended() {
+                self.failure = Some(WindowError::Ended(why));
+                event_loop.exit();
+            }
             if let Some(probe) = &mut self.options.probe {
                 match probe.tick(walk, next, now) {
                     Some(then) => next = then,

@@ -7,10 +7,10 @@ use winit::event_loop::ActiveEventLoop;
 use winit::window::Window;
 
 use super::{App, WindowError, no_display};
-use crate::window::interface::{self, Interface};
-use crate::window::panel;
-use crate::window::presenter::{Backend, Painted, Presented, Presenter};
-use crate::window::walk::Walk;
+use crate::interface::{self, Interface};
+use crate::panel;
+use crate::presenter::{Backend, Painted, Presented, Presenter};
+use foveal_engine::walk::Walk;
 
 /// The window and what paints it.
 pub(super) struct Screen {

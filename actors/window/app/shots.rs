@@ -5,7 +5,7 @@
 use foveal::image::Map2d;
 
 use super::App;
-use crate::window::screenshot;
+use foveal_engine::screenshot;
 
 /// A picture on its way back from the adapter.
 pub(super) struct Asked {

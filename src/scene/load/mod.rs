@@ -37,6 +37,8 @@ use mtl::MtlMaterial;
 use sidecar::Sidecar;
 use textures::TextureRequests;
 
+use crate::math;
+
 /// Bounds on what is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LoadOptions {
@@ -448,7 +450,8 @@ fn filters_to_absorption(scene: &mut Scene, filters: &[MaterialId]) {
             && mean > 0.0
         {
             let inverse = 1.0 / mean;
-            *transmittance = transmittance.max(Vec3::splat(1e-6)).map(|t| t.powf(inverse).clamp(0.0, 1.0));
+            *transmittance =
+                transmittance.max(Vec3::splat(1e-6)).map(|t| math::powf(t, inverse).clamp(0.0, 1.0));
         }
     }
 }

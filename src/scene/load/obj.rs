@@ -1,13 +1,15 @@
 //! One OBJ file: triangles, and which name, material and smoothing group each has.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use glam::{Vec2, Vec3};
 
 use super::error::{Place, SceneError, Warning};
-use super::obj_lines::{CORNERS_MAX, ObjLines, Oddities, Segment, Tally};
+use super::obj_lines::{CORNERS_MAX, ObjLines, Oddity, Segment, Tally};
 use super::triangulate::Triangulator;
+
+use crate::math;
 
 /// A run of triangles with the same name, material and smoothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,21 +44,15 @@ pub(super) fn parse(bytes: &[u8], path: &Path, warnings: &mut Vec<Warning>) -> R
     if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
         return Err(SceneError::invalid(Place::new(path, 1), "the text is UTF-16; save it as UTF-8"));
     }
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let text = String::from_utf8_lossy(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes));
     // Text of an old Macintosh ends its lines with a carriage return.
-    let unix: Vec<u8>;
-    let bytes = if memchr::memchr(b'\n', bytes).is_none() && memchr::memchr(b'\r', bytes).is_some() {
-        unix = bytes.iter().map(|&b| if b == b'\r' { b'\n' } else { b }).collect();
-        &unix
-    } else {
-        bytes
-    };
-    let mut lines = ObjLines::new(bytes);
+    let text = if text.contains('\n') { text } else { text.replace('\r', "\n").into() };
+    let mut lines = ObjLines::new(&text);
     let options =
         tobj::LoadOptions { single_index: true, triangulate: false, ignore_points: true, ignore_lines: true };
     // Materials are resolved beside the stream, so no library is ever asked for.
     let none = |_: &Path| Err(tobj::LoadError::OpenFileFailed);
-    let (models, _) = tobj::load_obj_buf(&mut lines, &options, none)
+    let (models, _) = tobj::load_obj_buf(&mut std::io::BufReader::new(&mut lines), &options, none)
         .map_err(|e| SceneError::invalid(Place::new(path, 0), format!("not readable as OBJ: {e}")))?;
     report(&lines.odd, path, warnings);
     let mut file = ObjFile {
@@ -72,32 +68,26 @@ pub(super) fn parse(bytes: &[u8], path: &Path, warnings: &mut Vec<Warning>) -> R
     Ok(file)
 }
 
-fn report(odd: &Oddities, path: &Path, warnings: &mut Vec<Warning>) {
-    let mut say = |tally: Tally, what: &str, done: &str| {
-        if tally.count > 0 {
-            let n = tally.count;
-            let s = if n == 1 { "" } else { "s, this is the first" };
-            warnings
-                .push(Warning::new(Place::new(path, tally.line), format!("{what} ({n} line{s}); {done}")));
-        }
-    };
-    say(
-        odd.vertices,
-        "vertex with a coordinate that is no finite number",
-        "the faces that use it are left out",
-    );
-    say(odd.faces, "face with an index that is no vertex of the file", "left out");
-    say(
-        odd.attributes,
-        "face with a texture coordinate or normal that the file does not have",
-        "done without",
-    );
-    say(odd.short, "face with fewer than three corners", "left out");
-    say(odd.long, &format!("face with more than {CORNERS_MAX} corners"), "left out");
-    say(odd.lines, "points and lines", "not drawn");
-    say(odd.free_form, "free-form curves and surfaces", "not drawn; export polygons");
-    say(odd.colors, "vertex colours", "not used");
-    say(odd.numbers, "texture coordinate or normal that is no finite number", "done without");
+fn report(odd: &BTreeMap<Oddity, Tally>, path: &Path, warnings: &mut Vec<Warning>) {
+    for (oddity, &Tally { count, line }) in odd {
+        let (what, done) = match oddity {
+            Oddity::Vertex => {
+                ("vertex with a coordinate that is no finite number", "the faces that use it are left out")
+            }
+            Oddity::Face => ("face with an index that is no vertex of the file", "left out"),
+            Oddity::Attribute => {
+                ("face with a texture coordinate or normal that the file does not have", "done without")
+            }
+            Oddity::Short => ("face with fewer than three corners", "left out"),
+            Oddity::Long => (&*format!("face with more than {CORNERS_MAX} corners"), "left out"),
+            Oddity::Lines => ("points and lines", "not drawn"),
+            Oddity::FreeForm => ("free-form curves and surfaces", "not drawn; export polygons"),
+            Oddity::Colors => ("vertex colours", "not used"),
+            Oddity::Number => ("texture coordinate or normal that is no finite number", "done without"),
+        };
+        let s = if count == 1 { "" } else { "s, this is the first" };
+        warnings.push(Warning::new(Place::new(path, line), format!("{what} ({count} line{s}); {done}")));
+    }
 }
 
 /// Cuts the faces of `tobj` into triangles. Returns the smoothing group of each run.
@@ -160,7 +150,7 @@ fn smooth(file: &mut ObjFile, smoothing: &[u32]) {
             for i in 0..3 {
                 if file.normals[t[i] as usize] == Vec3::ZERO {
                     let (a, b) = (p[(i + 1) % 3] - p[i], p[(i + 2) % 3] - p[i]);
-                    let angle = a.normalize_or_zero().dot(b.normalize_or_zero()).clamp(-1.0, 1.0).acos();
+                    let angle = math::acos(a.normalize_or_zero().dot(b.normalize_or_zero()).clamp(-1.0, 1.0));
                     *sums.entry(key(p[i], *name, *group)).or_default() += n * angle;
                 }
             }

@@ -1,25 +1,23 @@
 //! Turns any OBJ text into one that `tobj` reads without an error: what it hands on are numbers that
 //! parse, faces whose indices exist, and nothing else.
 //!
-//! `tobj` ends with an error at the first bad number, at an index out of range, at a `w` of 0 and at
-//! bytes that are not UTF-8; it has no line numbers, no smoothing groups, and pads nothing where
-//! some faces have texture coordinates and others do not. So every corner gets three absolute
-//! indices here (a first, zero `vt` and `vn` stand for absent ones), and names, materials and
-//! smoothing go into [`Segment`]s beside the stream.
+//! `tobj` ends with an error at the first bad number, at an index out of range and at a `w` of 0; it has no line
+//! numbers, no smoothing groups, and pads nothing where some faces have texture coordinates and others do not. So
+//! every corner gets three absolute indices here (a first, zero `vt` and `vn` stand for absent ones), and names,
+//! materials and smoothing go into [`Segment`]s beside the stream.
 
-use std::collections::HashMap;
-use std::io::{BufRead, Read};
-
-use memchr::memchr;
+use std::borrow::Cow;
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::io::{Read, Write};
 
 /// Faces with more corners than this are left out: cutting them up takes quadratic time at worst.
 pub(super) const CORNERS_MAX: usize = 1 << 16;
 
-/// Bytes handed on at a time.
+/// Bytes made at a time.
 const CHUNK: usize = 64 * 1024;
 
 /// Consecutive faces of one name, material and smoothing group.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Segment {
     /// Number of the first face.
     pub first_face: usize,
@@ -31,63 +29,102 @@ pub(super) struct Segment {
     pub smoothing: u32,
 }
 
-/// How often something was met, and where first.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// What was put right or left out, in the order in which it is said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Oddity {
+    /// A vertex with a coordinate that is no number, or NaN or infinite.
+    Vertex,
+    /// A face with a vertex index that is absent, out of range or no number.
+    Face,
+    /// A texture coordinate or normal index out of range.
+    Attribute,
+    /// A face with fewer than three corners.
+    Short,
+    /// A face with more than [`CORNERS_MAX`] corners.
+    Long,
+    /// Points and lines.
+    Lines,
+    /// Free-form curves and surfaces.
+    FreeForm,
+    /// Vertex colours.
+    Colors,
+    /// A normal or texture coordinate that is no number.
+    Number,
+}
+
+/// How often something was met, and on which line first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Tally {
     pub count: usize,
     pub line: u32,
 }
 
-impl Tally {
-    fn note(&mut self, line: u32) {
-        if self.count == 0 {
-            self.line = line;
-        }
-        self.count += 1;
+/// Lines with their numbers from 1; one that ends in `\` is joined with those that follow.
+struct Lines<'a> {
+    rest: Option<&'a str>,
+    line: u32,
+}
+
+impl<'a> Lines<'a> {
+    fn physical(&mut self) -> Option<&'a str> {
+        let (line, rest) = match self.rest?.split_once('\n') {
+            Some((line, rest)) => (line, Some(rest)),
+            None => (self.rest?, None),
+        };
+        (self.rest, self.line) = (rest, self.line + 1);
+        Some(line)
     }
 }
 
-/// What was put right or left out.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Oddities {
-    /// Vertices with a coordinate that is no number, or NaN or infinite.
-    pub vertices: Tally,
-    /// Faces with a vertex index that is absent, out of range or no number.
-    pub faces: Tally,
-    /// Texture coordinate or normal indices out of range.
-    pub attributes: Tally,
-    /// Faces with fewer than three corners.
-    pub short: Tally,
-    /// Faces with more than [`CORNERS_MAX`] corners.
-    pub long: Tally,
-    /// Points and lines.
-    pub lines: Tally,
-    /// Free-form curves and surfaces.
-    pub free_form: Tally,
-    /// Vertex colours.
-    pub colors: Tally,
-    /// Normals and texture coordinates that are no numbers.
-    pub numbers: Tally,
+impl<'a> Iterator for Lines<'a> {
+    type Item = (u32, Cow<'a, str>);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let continued =
+            |line: &str| line.strip_suffix('\r').unwrap_or(line).strip_suffix('\\').map(str::to_owned);
+        let first = self.physical()?;
+        let number = self.line;
+        let Some(mut joined) = continued(first) else { return Some((number, first.into())) };
+        while let Some(line) = self.physical() {
+            joined.push(' ');
+            match continued(line) {
+                Some(part) => joined += &part,
+                None => return Some((number, (joined + line).into())),
+            }
+        }
+        Some((number, joined.into()))
+    }
+}
+
+fn is_space(c: char) -> bool {
+    matches!(c, ' ' | '\t' | '\r' | '\0' | '\x0b' | '\x0c')
+}
+
+/// Words of a line. NUL bytes count as blanks, `#` at the start of a word ends the line.
+fn words(line: &str) -> impl Iterator<Item = &str> {
+    line.split(is_space).filter(|w| !w.is_empty()).take_while(|w| !w.starts_with('#'))
+}
+
+/// Counts of v, vt and vn.
+fn counted(keyword: &str) -> Option<usize> {
+    ["v", "vt", "vn"].iter().position(|k| *k == keyword)
 }
 
 /// The cleaned text as a stream, and what stands beside it.
 pub(super) struct ObjLines<'a> {
-    text: &'a [u8],
-    at: usize,
+    lines: Lines<'a>,
+    /// The line that is read.
     line: u32,
-    out: Vec<u8>,
-    out_at: usize,
-    /// Counts of v, vt, vn so far.
+    out: VecDeque<u8>,
+    /// Counts of v, vt, vn so far, and in the whole file: faces may refer forward.
     counts: [usize; 3],
-    /// Counts in the whole file, once something refers forward.
-    totals: Option<[usize; 3]>,
+    totals: [usize; 3],
     /// Faces handed on.
     faces: usize,
     corners: Vec<[usize; 3]>,
-    joined: Vec<u8>,
     current: Segment,
-    name_of: HashMap<&'a [u8], u32>,
-    material_of: HashMap<&'a [u8], u32>,
+    name_of: HashMap<String, u32>,
+    material_of: HashMap<String, u32>,
     /// Names of `o` and `g`; the first is empty.
     pub names: Vec<String>,
     /// Names of `usemtl` and the line of their first use.
@@ -97,418 +134,191 @@ pub(super) struct ObjLines<'a> {
     /// In the order of faces.
     pub segments: Vec<Segment>,
     /// What was put right.
-    pub odd: Oddities,
+    pub odd: BTreeMap<Oddity, Tally>,
 }
 
-fn is_space(b: u8) -> bool {
-    matches!(b, b' ' | b'\t' | b'\r' | 0 | 0x0b | 0x0c)
-}
-
-/// Words of a line. NUL bytes count as blanks, `#` at the start of a word ends the line.
-#[derive(Clone)]
-struct Words<'a>(&'a [u8]);
-
-impl<'a> Iterator for Words<'a> {
-    type Item = &'a [u8];
-
-    #[inline]
-    fn next(&mut self) -> Option<&'a [u8]> {
-        let start = self.0.iter().position(|&b| !is_space(b))?;
-        let rest = &self.0[start..];
-        if rest[0] == b'#' {
-            self.0 = &[];
-            return None;
-        }
-        let end = rest.iter().position(|&b| is_space(b)).unwrap_or(rest.len());
-        self.0 = &rest[end..];
-        Some(&rest[..end])
+/// The number that stands for a name; a new one is handed to `add`, which counts them.
+fn numbered(known: &mut HashMap<String, u32>, name: &str, add: impl FnOnce(String) -> usize) -> u32 {
+    if let Some(&number) = known.get(name) {
+        return number;
     }
+    let number = add(name.to_owned()) as u32 - 1;
+    known.insert(name.to_owned(), number);
+    number
 }
 
-/// Text after the keyword, without blanks at the ends.
-fn trimmed(bytes: &[u8]) -> &[u8] {
-    let Some(a) = bytes.iter().position(|&b| !is_space(b)) else { return &[] };
-    let b = bytes.iter().rposition(|&b| !is_space(b)).map_or(a, |b| b + 1);
-    &bytes[a..b]
-}
-
-/// Digits with at most a sign and a point: these always parse, and are finite if not very long.
-#[inline]
-fn is_plain_number(word: &[u8]) -> bool {
-    let word = word.strip_prefix(b"-").unwrap_or(word);
-    let mut digits = 0;
-    let mut points = 0;
-    for &b in word {
-        if b.is_ascii_digit() {
-            digits += 1;
-        } else if b == b'.' {
-            points += 1;
-        } else {
-            return false;
-        }
-    }
-    digits > 0 && points <= 1 && digits < 30
-}
-
-/// The number, as `tobj` will read it.
-fn number(word: &[u8]) -> Option<f32> {
-    std::str::from_utf8(word).ok()?.parse().ok()
-}
-
-/// A whole number with a sign; `None` if there is none or it is too long.
-#[inline]
-fn whole(word: &[u8]) -> Option<i64> {
-    let (negative, digits) = match word.first() {
-        Some(b'-') => (true, &word[1..]),
-        Some(b'+') => (false, &word[1..]),
-        _ => (false, word),
-    };
-    if digits.is_empty() || digits.len() > 18 {
-        return None;
-    }
-    let mut n = 0i64;
-    for &b in digits {
-        if !b.is_ascii_digit() {
-            return None;
-        }
-        n = n * 10 + i64::from(b - b'0');
-    }
-    Some(if negative { -n } else { n })
-}
-
-fn push_whole(out: &mut Vec<u8>, mut n: usize) {
-    let mut digits = [0u8; 20];
-    let mut at = digits.len();
-    loop {
-        at -= 1;
-        digits[at] = b'0' + (n % 10) as u8;
-        n /= 10;
-        if n == 0 {
-            break;
-        }
-    }
-    out.extend_from_slice(&digits[at..]);
-}
-
-/// Whether the next line belongs to this one.
-fn ends_in_backslash(line: &[u8]) -> bool {
-    line.strip_suffix(b"\r").unwrap_or(line).last() == Some(&b'\\')
-}
-
-/// Counts `v`, `vt` and `vn` lines.
-fn count_all(text: &[u8]) -> [usize; 3] {
-    let mut counts = [0; 3];
-    let mut continued = false;
-    for line in text.split(|&b| b == b'\n') {
-        let within = std::mem::replace(&mut continued, ends_in_backslash(line));
-        if within {
-            continue;
-        }
-        match Words(line).next() {
-            Some(b"v") => counts[0] += 1,
-            Some(b"vt") => counts[1] += 1,
-            Some(b"vn") => counts[2] += 1,
-            _ => {}
-        }
-    }
-    counts
+/// Memory takes all that is written.
+macro_rules! put {
+    ($out:expr, $($text:tt)+) => { let _ = write!($out, $($text)+); };
 }
 
 impl<'a> ObjLines<'a> {
     /// Of a whole file, without byte-order mark.
-    pub fn new(text: &'a [u8]) -> Self {
-        let mut out = Vec::with_capacity(CHUNK + 4096);
-        // What absent texture coordinates and normals refer to.
-        out.extend_from_slice(b"vt 0 0\nvn 0 0 0\n");
+    pub fn new(text: &'a str) -> Self {
+        let lines = || Lines { rest: Some(text), line: 0 };
+        let mut totals = [0; 3];
+        for kind in lines().filter_map(|(_, line)| counted(words(&line).next()?)) {
+            totals[kind] += 1;
+        }
         Self {
-            text,
-            at: 0,
+            lines: lines(),
             line: 0,
-            out,
-            out_at: 0,
+            // What absent texture coordinates and normals refer to.
+            out: b"vt 0 0\nvn 0 0 0\n".to_vec().into(),
             counts: [0; 3],
-            totals: None,
+            totals,
             faces: 0,
             corners: Vec::new(),
-            joined: Vec::new(),
-            current: Segment { first_face: 0, name: 0, material: None, smoothing: 0 },
+            current: Segment::default(),
             name_of: HashMap::new(),
             material_of: HashMap::new(),
             names: vec![String::new()],
             materials: Vec::new(),
             libraries: Vec::new(),
             segments: Vec::new(),
-            odd: Oddities::default(),
+            odd: BTreeMap::new(),
         }
     }
 
-    fn refill(&mut self) {
-        self.out.clear();
-        self.out_at = 0;
-        while self.at < self.text.len() && self.out.len() < CHUNK {
-            let text = self.text;
-            let rest = &text[self.at..];
-            let end = memchr(b'\n', rest).unwrap_or(rest.len());
-            let line = &rest[..end];
-            self.at += end + 1;
-            self.line += 1;
-            if ends_in_backslash(line) {
-                self.continued(line);
-            } else {
-                self.statement(line, Some(line));
-            }
-        }
+    fn note(&mut self, oddity: Oddity) {
+        self.odd.entry(oddity).or_insert(Tally { count: 0, line: self.line }).count += 1;
     }
 
-    /// A line that ends in `\`, joined with those that follow.
-    fn continued(&mut self, first: &[u8]) {
-        let without = |l: &[u8]| l.iter().rposition(|&b| b == b'\\').unwrap_or(l.len());
-        let mut joined = std::mem::take(&mut self.joined);
-        joined.clear();
-        joined.extend_from_slice(&first[..without(first)]);
-        let start = self.line;
-        while self.at < self.text.len() {
-            let rest = &self.text[self.at..];
-            let end = memchr(b'\n', rest).unwrap_or(rest.len());
-            let line = &rest[..end];
-            self.at += end + 1;
-            self.line += 1;
-            joined.push(b' ');
-            if ends_in_backslash(line) {
-                joined.extend_from_slice(&line[..without(line)]);
-            } else {
-                joined.extend_from_slice(line);
-                break;
-            }
-        }
-        let last = std::mem::replace(&mut self.line, start);
-        self.statement(&joined, None);
-        self.line = last;
-        self.joined = joined;
-    }
-
-    /// `lasting` is the same line, if it lives as long as the text.
-    fn statement(&mut self, line: &[u8], lasting: Option<&'a [u8]>) {
-        let mut words = Words(line);
+    fn statement(&mut self, line: &str) {
+        let mut words = words(line);
         let Some(keyword) = words.next() else { return };
+        if let Some(kind) = counted(keyword) {
+            self.counts[kind] += 1;
+        }
+        let name = || line.trim_start_matches(is_space)[keyword.len()..].trim_matches(is_space);
         match keyword {
-            b"v" => self.vertex(words),
-            b"vt" => self.texture_coordinate(words),
-            b"vn" => self.normal(words),
-            b"f" | b"fo" => self.face(words),
-            b"o" | b"g" | b"usemtl" | b"mtllib" => {
-                let start = line.iter().position(|&b| !is_space(b)).unwrap_or(0) + keyword.len();
-                self.named(keyword, trimmed(&line[start..]), lasting.map(|l| trimmed(&l[start..])));
+            "v" => self.vertex(words),
+            // One number is a one-dimensional texture.
+            "vt" => self.attribute("vt", [words.next(), words.next().or(Some("0"))]),
+            "vn" => self.attribute("vn", [words.next(), words.next(), words.next()]),
+            "f" | "fo" => self.face(words),
+            "o" | "g" => {
+                let names = &mut self.names;
+                self.current.name = numbered(&mut self.name_of, name(), |name| {
+                    names.push(name);
+                    names.len()
+                });
             }
-            b"s" => {
-                self.current.smoothing = match words.next() {
-                    None | Some(b"off") | Some(b"OFF") | Some(b"null") => 0,
-                    Some(w) => whole(w).map_or(0, |n| n.clamp(0, i64::from(u32::MAX)) as u32),
-                };
+            "usemtl" if name().is_empty() => self.current.material = None,
+            "usemtl" => {
+                let (materials, line) = (&mut self.materials, self.line);
+                self.current.material = Some(numbered(&mut self.material_of, name(), |name| {
+                    materials.push((name, line));
+                    materials.len()
+                }));
             }
-            b"l" | b"p" => self.odd.lines.note(self.line),
-            b"curv" | b"curv2" | b"surf" => self.odd.free_form.note(self.line),
+            "mtllib" => self.libraries.push((name().to_owned(), self.line)),
+            // `off`, `null` and what is no number is none.
+            "s" => {
+                let group = words.next().and_then(|w| w.parse::<i64>().ok()).unwrap_or(0);
+                self.current.smoothing = group.clamp(0, i64::from(u32::MAX)) as u32;
+            }
+            "l" | "p" => self.note(Oddity::Lines),
+            "curv" | "curv2" | "surf" => self.note(Oddity::FreeForm),
             _ => {}
         }
     }
 
-    fn named(&mut self, keyword: &[u8], name: &[u8], lasting: Option<&'a [u8]>) {
-        let text = || String::from_utf8_lossy(name).into_owned();
-        match keyword {
-            b"mtllib" => self.libraries.push((text(), self.line)),
-            b"usemtl" if name.is_empty() => self.current.material = None,
-            b"usemtl" => {
-                // A name twice in the list does no harm; it only costs memory where a line is continued.
-                let known = self.material_of.get(name).copied();
-                let index = known.unwrap_or_else(|| {
-                    self.materials.push((text(), self.line));
-                    self.materials.len() as u32 - 1
-                });
-                if let (None, Some(l)) = (known, lasting) {
-                    self.material_of.insert(l, index);
-                }
-                self.current.material = Some(index);
-            }
-            _ => {
-                let known = self.name_of.get(name).copied();
-                let index = known.unwrap_or_else(|| {
-                    self.names.push(text());
-                    self.names.len() as u32 - 1
-                });
-                if let (None, Some(l)) = (known, lasting) {
-                    self.name_of.insert(l, index);
-                }
-                self.current.name = index;
-            }
-        }
-    }
-
-    fn vertex(&mut self, mut words: Words<'_>) {
-        self.counts[0] += 1;
-        self.out.extend_from_slice(b"v");
+    fn vertex<'w>(&mut self, mut words: impl Iterator<Item = &'w str>) {
+        put!(self.out, "v");
         let mut good = true;
         for _ in 0..3 {
-            good &= self.coordinate(words.next(), b"nan");
-        }
-        if !good {
-            self.odd.vertices.note(self.line);
+            good &= self.coordinate(words.next(), "nan");
         }
         // x y z, then w, or r g b, or w and colours: only a lone w moves the vertex.
         if let Some(w) = words.next() {
             if words.next().is_some() {
-                self.odd.colors.note(self.line);
-            } else if number(w).is_some_and(|w| w != 0.0 && w.is_finite()) {
-                self.out.push(b' ');
-                self.out.extend_from_slice(w);
+                self.note(Oddity::Colors);
+            } else if w.parse::<f32>().is_ok_and(|w| w != 0.0 && w.is_finite()) {
+                put!(self.out, " {w}");
             } else {
-                self.odd.vertices.note(self.line);
+                good = false;
             }
         }
-        self.out.push(b'\n');
+        if !good {
+            self.note(Oddity::Vertex);
+        }
+        put!(self.out, "\n");
     }
 
     /// Hands on a number, or `instead` where there is none. Whether it was a finite one.
-    #[inline]
-    fn coordinate(&mut self, word: Option<&[u8]>, instead: &[u8]) -> bool {
-        self.out.push(b' ');
-        let Some(word) = word else {
-            self.out.extend_from_slice(instead);
-            return false;
-        };
-        if is_plain_number(word) {
-            self.out.extend_from_slice(word);
-            return true;
-        }
-        match number(word) {
-            Some(v) => {
-                self.out.extend_from_slice(word);
-                v.is_finite()
-            }
-            None => {
-                self.out.extend_from_slice(instead);
-                false
-            }
-        }
+    fn coordinate(&mut self, word: Option<&str>, instead: &str) -> bool {
+        let number = word.and_then(|w| w.parse::<f32>().ok());
+        put!(self.out, " {}", word.filter(|_| number.is_some()).unwrap_or(instead));
+        number.is_some_and(f32::is_finite)
     }
 
-    fn texture_coordinate(&mut self, mut words: Words<'_>) {
-        self.counts[1] += 1;
-        self.out.extend_from_slice(b"vt");
-        let u = self.coordinate(words.next(), b"0");
-        // One number is a one-dimensional texture.
-        let v = self.coordinate(Some(words.next().unwrap_or(b"0")), b"0");
-        if !(u && v) {
-            self.odd.numbers.note(self.line);
-        }
-        self.out.push(b'\n');
-    }
-
-    fn normal(&mut self, mut words: Words<'_>) {
-        self.counts[2] += 1;
-        self.out.extend_from_slice(b"vn");
+    fn attribute<const N: usize>(&mut self, keyword: &str, words: [Option<&str>; N]) {
+        put!(self.out, "{keyword}");
         let mut good = true;
-        for _ in 0..3 {
-            good &= self.coordinate(words.next(), b"0");
+        for word in words {
+            good &= self.coordinate(word, "0");
         }
         if !good {
-            self.odd.numbers.note(self.line);
+            self.note(Oddity::Number);
         }
-        self.out.push(b'\n');
+        put!(self.out, "\n");
     }
 
-    /// The absolute index from 1 of `index` among what `kind` counts; `None` if there is no such.
-    #[inline]
-    fn resolve(&mut self, index: i64, kind: usize) -> Option<usize> {
-        let count = self.counts[kind];
-        if index < 0 {
-            let back = index.unsigned_abs() as usize;
-            return (back <= count).then(|| count + 1 - back);
-        }
-        let index = index as usize;
-        if index == 0 {
-            return None;
-        }
-        if index > count {
-            let text = self.text;
-            let totals = self.totals.get_or_insert_with(|| count_all(text));
-            return (index <= totals[kind]).then_some(index);
-        }
-        Some(index)
+    /// The absolute index from 1 of an index among what `kind` counts; `None` if there is no such.
+    fn resolve(&self, word: &str, kind: usize) -> Option<usize> {
+        let index: i64 = word.parse().ok()?;
+        let absolute = if index < 0 { (self.counts[kind] as i64 + 1).checked_add(index)? } else { index };
+        usize::try_from(absolute).ok().filter(|i| (1..=self.totals[kind]).contains(i))
     }
 
-    fn corner(&mut self, word: &[u8]) -> Option<[usize; 3]> {
+    fn corner(&mut self, word: &str) -> Option<[usize; 3]> {
         // 1 is the zero that stands for absent ones, so real ones begin at 2.
         let mut corner = [0, 1, 1];
-        for (kind, part) in word.split(|&b| b == b'/').enumerate() {
-            if kind == 3 {
-                return None;
-            }
-            if part.is_empty() {
-                continue;
-            }
-            let found = whole(part).and_then(|i| self.resolve(i, kind));
-            match (kind, found) {
-                (0, i) => corner[0] = i?,
-                (_, Some(i)) => corner[kind] = i + 1,
-                (_, None) => self.odd.attributes.note(self.line),
+        for (kind, part) in word.split('/').enumerate().filter(|(_, part)| !part.is_empty()) {
+            match (kind, self.resolve(part, kind.min(2))) {
+                (0, index) => corner[0] = index?,
+                (1 | 2, Some(index)) => corner[kind] = index + 1,
+                (1 | 2, None) => self.note(Oddity::Attribute),
+                _ => return None,
             }
         }
         (corner[0] > 0).then_some(corner)
     }
 
-    fn face(&mut self, words: Words<'_>) {
+    fn face<'w>(&mut self, words: impl Iterator<Item = &'w str>) {
         self.corners.clear();
         for word in words {
-            let Some(corner) = self.corner(word) else {
-                self.odd.faces.note(self.line);
-                return;
-            };
+            let Some(corner) = self.corner(word) else { return self.note(Oddity::Face) };
             self.corners.push(corner);
         }
-        if self.corners.len() < 3 {
-            self.odd.short.note(self.line);
-            return;
-        }
-        if self.corners.len() > CORNERS_MAX {
-            self.odd.long.note(self.line);
-            return;
+        match self.corners.len() {
+            0..3 => return self.note(Oddity::Short),
+            3..=CORNERS_MAX => {}
+            _ => return self.note(Oddity::Long),
         }
         let now = Segment { first_face: self.faces, ..self.current };
         if self.segments.last().is_none_or(|s| Segment { first_face: now.first_face, ..*s } != now) {
             self.segments.push(now);
         }
-        self.out.push(b'f');
-        for &[v, vt, vn] in &self.corners {
-            for (index, before) in [(v, b' '), (vt, b'/'), (vn, b'/')] {
-                self.out.push(before);
-                push_whole(&mut self.out, index);
-            }
-        }
-        self.out.push(b'\n');
         self.faces += 1;
+        put!(self.out, "f");
+        for [v, vt, vn] in &self.corners {
+            put!(self.out, " {v}/{vt}/{vn}");
+        }
+        put!(self.out, "\n");
     }
 }
 
 impl Read for ObjLines<'_> {
     fn read(&mut self, buf: &mut [u8]) -> std::io::Result<usize> {
-        let from = self.fill_buf()?;
-        let n = from.len().min(buf.len());
-        buf[..n].copy_from_slice(&from[..n]);
-        self.consume(n);
-        Ok(n)
-    }
-}
-
-impl BufRead for ObjLines<'_> {
-    fn fill_buf(&mut self) -> std::io::Result<&[u8]> {
-        while self.out_at >= self.out.len() && self.at < self.text.len() {
-            self.refill();
+        while self.out.len() < CHUNK
+            && let Some((number, line)) = self.lines.next()
+        {
+            self.line = number;
+            self.statement(&line);
         }
-        Ok(&self.out[self.out_at..])
-    }
-
-    fn consume(&mut self, n: usize) {
-        self.out_at = (self.out_at + n).min(self.out.len());
+        self.out.read(buf)
     }
 }
 
@@ -516,8 +326,8 @@ impl BufRead for ObjLines<'_> {
 mod tests {
     use super::*;
 
-    fn clean(text: &str) -> (String, Oddities) {
-        let mut lines = ObjLines::new(text.as_bytes());
+    fn clean(text: &str) -> (String, BTreeMap<Oddity, Tally>) {
+        let mut lines = ObjLines::new(text);
         let mut out = String::new();
         lines.read_to_string(&mut out).unwrap();
         let body = out.strip_prefix("vt 0 0\nvn 0 0 0\n").unwrap();
@@ -566,10 +376,10 @@ mod tests {
     #[test]
     fn oddities_keep_their_first_line() {
         let (_, odd) = clean("v 0 0 0\n\nf 1 2 3\nf 1 1\nf 9 9 9\nl 1 2\nv 1 1 1 1 0 0\n");
-        assert_eq!(odd.faces, Tally { count: 2, line: 3 });
-        assert_eq!(odd.short.line, 4);
-        assert_eq!(odd.lines.line, 6);
-        assert_eq!(odd.colors.line, 7);
+        assert_eq!(odd[&Oddity::Face], Tally { count: 2, line: 3 });
+        assert_eq!(odd[&Oddity::Short].line, 4);
+        assert_eq!(odd[&Oddity::Lines].line, 6);
+        assert_eq!(odd[&Oddity::Colors].line, 7);
     }
 
     #[test]
@@ -583,7 +393,9 @@ mod tests {
 
     #[test]
     fn segments_follow_names_materials_and_smoothing() {
-        let mut lines = ObjLines::new(b"v 0 0 0\nf 1 1 1\nusemtl  a b \nf 1 1 1\ng x\ng x\nf 1 1 1\nf 1 1 1\ns 2\nf 1 1 1\nusemtl a b\nusemtl #c\ns off\nf 1 1 1\n");
+        let mut lines = ObjLines::new(
+            "v 0 0 0\nf 1 1 1\nusemtl  a b \nf 1 1 1\ng x\ng x\nf 1 1 1\nf 1 1 1\ns 2\nf 1 1 1\nusemtl a b\nusemtl #c\ns off\nf 1 1 1\n",
+        );
         std::io::copy(&mut lines, &mut std::io::sink()).unwrap();
         assert_eq!(lines.materials, [("a b".to_owned(), 3), ("#c".to_owned(), 12)]);
         assert_eq!(lines.names, ["", "x"]);

@@ -142,6 +142,7 @@ impl Triangulator {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math;
 
     fn area_and_triangles(points: &[Vec3]) -> (f32, Vec<[u32; 3]>) {
         let corners: Vec<u32> = (0..points.len() as u32).collect();
@@ -164,7 +165,7 @@ mod tests {
         (0..n)
             .map(|i| {
                 let a = i as f32 / n as f32 * std::f32::consts::TAU;
-                Vec3::new(3.0 + radius(i) * a.cos(), 5.0, -7.0 - radius(i) * a.sin())
+                Vec3::new(3.0 + radius(i) * math::cos(a), 5.0, -7.0 - radius(i) * math::sin(a))
             })
             .collect()
     }
@@ -181,7 +182,7 @@ mod tests {
         let n = 20_000;
         let (area, triangles) = area_and_triangles(&ring(n, |i| if i % 2 == 0 { 1.0 } else { 2.0 }));
         assert_eq!(triangles.len(), n - 2);
-        let exact = 0.5 * n as f32 * 2.0 * (std::f32::consts::TAU / n as f32).sin();
+        let exact = 0.5 * n as f32 * 2.0 * math::sin(std::f32::consts::TAU / n as f32);
         assert!((area / exact - 1.0).abs() < 1e-3, "{area} {exact}");
     }
 

@@ -60,9 +60,10 @@ pub fn pane(cosine: f32, eta: f32, transmittance: Vec3) -> (Vec3, Vec3) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math;
 
     fn degrees(d: f32) -> f32 {
-        d.to_radians().cos()
+        math::cos(d.to_radians())
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use glam::{Vec2, Vec3};
 
+use crate::math;
 use crate::scene::Distribution;
 
 /// A distribution of facet normals with slopes along two axes.
@@ -39,7 +40,7 @@ impl Microfacet {
         let norm = std::f32::consts::PI * self.ax * self.ay * z2 * z2;
         match self.distribution {
             Distribution::Ggx => 1.0 / (norm * (1.0 + e) * (1.0 + e)),
-            Distribution::Beckmann => (-e).exp() / norm,
+            Distribution::Beckmann => math::exp(-e) / norm,
         }
     }
 
@@ -100,18 +101,20 @@ impl Microfacet {
                 let t2 = v.cross(t1);
                 let r = u[0].sqrt();
                 let phi = std::f32::consts::TAU * u[1];
-                let p = Vec2::new(r * phi.cos(), r * phi.sin());
+                let p = Vec2::new(r * math::cos(phi), r * math::sin(phi));
                 let s = 0.5 * (1.0 + v.z);
                 let y = (1.0 - s) * (1.0 - p.x * p.x).max(0.0).sqrt() + s * p.y;
                 let n = t1 * p.x + t2 * y + v * (1.0 - p.x * p.x - y * y).max(0.0).sqrt();
                 Vec3::new(self.ax * n.x, self.ay * n.y, n.z.max(1e-6)).normalize()
             }
             Distribution::Beckmann => {
-                let phi = (self.ay * (std::f32::consts::TAU * u[1]).sin())
-                    .atan2(self.ax * (std::f32::consts::TAU * u[1]).cos());
-                let (s, c) = phi.sin_cos();
+                let phi = math::atan2(
+                    self.ay * math::sin(std::f32::consts::TAU * u[1]),
+                    self.ax * math::cos(std::f32::consts::TAU * u[1]),
+                );
+                let (s, c) = math::sin_cos(phi);
                 let slope = (c / self.ax).powi(2) + (s / self.ay).powi(2);
-                let tan2 = -(1.0 - u[0]).max(f32::MIN_POSITIVE).ln() / slope;
+                let tan2 = -math::ln((1.0 - u[0]).max(f32::MIN_POSITIVE)) / slope;
                 let z = 1.0 / (1.0 + tan2).sqrt();
                 let r = (1.0 - z * z).max(0.0).sqrt();
                 Vec3::new(r * c, r * s, z)

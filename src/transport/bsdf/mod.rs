@@ -18,6 +18,7 @@ use glam::Vec3;
 
 use super::interaction::Interaction;
 use crate::image::luminance;
+use crate::math;
 use crate::scene::{Distribution, Model, Reflectance, Roughness, Scene};
 use microfacet::Microfacet;
 
@@ -404,7 +405,7 @@ impl Bsdf {
                 let h = o + i;
                 let z2 = h.z * h.z;
                 let e = ((h.x / microfacet.ax).powi(2) + (h.y / microfacet.ay).powi(2)) / z2;
-                let f = h.length_squared() * (-e).exp() / (PI * microfacet.ax * microfacet.ay * z2 * z2);
+                let f = h.length_squared() * math::exp(-e) / (PI * microfacet.ax * microfacet.ay * z2 * z2);
                 let value = if h.z < 1e-6 { Vec3::ZERO } else { specular * f };
                 (value, microfacet.reflection(o, i).pdf)
             }
@@ -503,7 +504,7 @@ fn refract(wo: Vec3, n: Vec3, eta: f32) -> Option<Vec3> {
 /// A cosine-distributed direction about +z.
 pub fn cosine_hemisphere(u: [f32; 2]) -> Vec3 {
     let r = u[0].sqrt();
-    let (s, c) = (std::f32::consts::TAU * u[1]).sin_cos();
+    let (s, c) = math::sin_cos(std::f32::consts::TAU * u[1]);
     Vec3::new(r * c, r * s, (1.0 - u[0]).max(0.0).sqrt())
 }
 

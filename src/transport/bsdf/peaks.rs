@@ -8,6 +8,7 @@ use glam::Vec3;
 
 use super::{Bsdf, BsdfSample, Facet, Lobe, fresnel};
 use crate::image::luminance;
+use crate::math;
 use crate::scene::Model;
 
 /// Sides of the table.
@@ -40,7 +41,7 @@ fn integrate(cosine: f32, alpha: f32) -> [f32; 2] {
         let phi = std::f32::consts::TAU * (i.reverse_bits() as f32 / 4_294_967_296.0);
         let z = ((1.0 - u) / (1.0 + (a2 - 1.0) * u)).sqrt();
         let r = (1.0 - z * z).max(0.0).sqrt();
-        let h = Vec3::new(r * phi.cos(), r * phi.sin(), z);
+        let h = Vec3::new(r * math::cos(phi), r * math::sin(phi), z);
         let vh = v.dot(h).max(0.0);
         let l = h * (2.0 * v.dot(h)) - v;
         if l.z <= 0.0 || vh <= 0.0 {

@@ -1,4 +1,5 @@
 use super::*;
+use crate::math;
 use crate::rng::Stream;
 
 fn bsdf(diffuse: Vec3, coat: f32, lobe: Lobe) -> Bsdf {
@@ -18,8 +19,8 @@ fn white(microfacet: Microfacet) -> Bsdf {
 }
 
 fn direction(theta: f32, phi: f32) -> Vec3 {
-    let (s, c) = theta.to_radians().sin_cos();
-    Vec3::new(s * phi.cos(), s * phi.sin(), c)
+    let (s, c) = math::sin_cos(theta.to_radians());
+    Vec3::new(s * math::cos(phi), s * math::sin(phi), c)
 }
 
 /// Albedo by importance sampling: mean weight and its standard error.
@@ -45,7 +46,7 @@ fn albedo_by_quadrature(b: &Bsdf, wo: Vec3) -> f64 {
             let z = (i as f32 + 0.5) / rings as f32;
             let phi = std::f32::consts::TAU * (j as f32 + 0.5) / sectors as f32;
             let r = (1.0 - z * z).sqrt();
-            let wi = Vec3::new(r * phi.cos(), r * phi.sin(), z);
+            let wi = Vec3::new(r * math::cos(phi), r * math::sin(phi), z);
             sum += f64::from(b.evaluate(wo, wi).x * z);
         }
     }
@@ -89,7 +90,7 @@ fn anisotropic_ward_is_bounded() {
         1.0,
         Lobe::Ward { specular: Vec3::ONE, microfacet: rough(0.15, 0.4, Distribution::Beckmann, false) },
     );
-    let wo = direction(60.0, 0.6f32.atan2(0.8));
+    let wo = direction(60.0, math::atan2(0.6f32, 0.8));
     let (mean, se) = albedo(&b, wo, 100_000);
     assert!((mean - 0.834).abs() < 5.0 * se + 0.003, "{mean}");
     for i in 0..10_000 {

@@ -5,6 +5,7 @@ use std::f64::consts::{PI, TAU};
 use glam::Vec3;
 
 use crate::image::{Map2d, luminance};
+use crate::math;
 use crate::scene::Environment;
 
 /// Indices chosen in proportion to their weights.
@@ -145,7 +146,7 @@ impl EnvironmentDistribution {
         let before = if column == 0 { 0.0 } else { shares[column - 1] };
         let u = ((x - before) / (shares[column] - before)).clamp(0.0, 1.0);
         let (top, bottom) = (row_cosine(row, self.height), row_cosine(row + 1, self.height));
-        let theta = (top + (bottom - top) * v).clamp(-1.0, 1.0).acos();
+        let theta = math::acos((top + (bottom - top) * v).clamp(-1.0, 1.0));
         let position = [(column as f32 + u) / self.width as f32, (theta / PI) as f32];
         let density = self.density(column, row);
         (density > 0.0).then(|| (environment.direction(position), density as f32))
@@ -154,7 +155,7 @@ impl EnvironmentDistribution {
 
 /// Cosine of the upper edge of a row of `height`, from straight up.
 fn row_cosine(row: usize, height: usize) -> f64 {
-    (PI * row as f64 / height as f64).cos()
+    math::cos(PI * row as f64 / height as f64)
 }
 
 /// Solid angle of a row.

@@ -6,6 +6,7 @@ use glam::Vec3;
 
 use super::{Emitter, Lights, emitted, normal_and_area, spot_falloff, uniform_barycentrics};
 use crate::geometry::{Hit, Ray};
+use crate::math;
 use crate::rng::Stream;
 use crate::scene::{Light, Scene, TriangleIndex};
 use crate::transport::interaction::Interaction;
@@ -18,14 +19,14 @@ fn disk(u: [f32; 2]) -> [f32; 2] {
     }
     let (r, phi) =
         if x.abs() > y.abs() { (x, PI / 4.0 * (y / x)) } else { (y, PI / 2.0 - PI / 4.0 * (x / y)) };
-    [r * phi.cos(), r * phi.sin()]
+    [r * math::cos(phi), r * math::sin(phi)]
 }
 
 /// A direction around `axis` (unit) whose cosine is uniform in [`low`, 1].
 fn cone(axis: Vec3, low: f32, u: [f32; 2]) -> Vec3 {
     let z = 1.0 - u[0] * (1.0 - low);
     let r = (1.0 - z * z).max(0.0).sqrt();
-    let (s, c) = (TAU * u[1]).sin_cos();
+    let (s, c) = math::sin_cos(TAU * u[1]);
     let (x, y) = axis.any_orthonormal_pair();
     x * (r * c) + y * (r * s) + axis * z
 }
@@ -93,7 +94,7 @@ impl Lights {
             }
             Light::Spot { position, direction, intensity, inner, outer } => {
                 let axis = direction.normalize();
-                let low = outer.cos();
+                let low = math::cos(outer);
                 let towards = cone(axis, low, u);
                 let falloff = spot_falloff(towards.dot(axis), inner, outer);
                 (Ray::new(position, towards), intensity * (falloff * TAU * (1.0 - low)))

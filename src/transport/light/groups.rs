@@ -5,6 +5,8 @@ use std::ops::Range;
 
 use glam::Vec3;
 
+use crate::math;
+
 /// Groups at most.
 const GROUPS_MAX: usize = 64;
 /// Share of the choice that goes by power: what is near may be hidden.
@@ -43,7 +45,7 @@ impl Group {
         let power: f64 = of.iter().map(|m| m.power).sum();
         let axis = of.iter().map(|m| m.normal * (m.power / power) as f32).sum::<Vec3>();
         let axis = axis.try_normalize().unwrap_or(Vec3::Z);
-        let spread = of.iter().map(|m| axis.dot(m.normal).clamp(-1.0, 1.0).acos()).fold(0.0, f32::max);
+        let spread = of.iter().map(|m| math::acos(axis.dot(m.normal).clamp(-1.0, 1.0))).fold(0.0, f32::max);
         Self { members, power: power as f32, centre, radius, axis, spread }
     }
 
@@ -57,12 +59,12 @@ impl Group {
         }
         let distance = squared.sqrt();
         let wi = to / distance;
-        let extent = (self.radius / distance).min(1.0).asin();
-        let least_angle = |cosine: f32, around: f32| (cosine.clamp(-1.0, 1.0).acos() - around).max(0.0);
+        let extent = math::asin((self.radius / distance).min(1.0));
+        let least_angle = |cosine: f32, around: f32| (math::acos(cosine.clamp(-1.0, 1.0)) - around).max(0.0);
         let received = least_angle(wi.dot(normal), extent);
         let sent = least_angle(-wi.dot(self.axis), extent + self.spread);
         // A little more than a right angle: rounding must not lose a grazing light.
-        let cosine = |angle: f32| if angle > 1.571 { 0.0 } else { angle.cos().max(1e-3) };
+        let cosine = |angle: f32| if angle > 1.571 { 0.0 } else { math::cos(angle).max(1e-3) };
         self.power * cosine(received) * cosine(sent) / squared
     }
 }

@@ -162,6 +162,7 @@ mod tests {
     use super::*;
     use crate::illumination::test_scenes::{lambert, quad, scene};
     use crate::image::{Map2d, luminance};
+    use crate::math;
     use crate::rng::Stream;
     use crate::scene::{Environment, Light};
 
@@ -201,7 +202,7 @@ mod tests {
         let (b, error_b) = mean(100_000, |r| {
             known + lights.sample_irradiance(&s, point, normal, r.next_f32(), r.next_2d()).map_or(0.0, value)
         });
-        assert!((a - b).abs() < 4.0 * error_a.hypot(error_b), "{a} ± {error_a}, {b} ± {error_b}");
+        assert!((a - b).abs() < 4.0 * math::hypot(error_a, error_b), "{a} ± {error_a}, {b} ± {error_b}");
         // From a quarter of the samples.
         assert!(0.5 * error_b < error_a, "{error_a} {error_b}");
     }
@@ -220,7 +221,7 @@ mod tests {
         let (b, error_b) = mean(100_000, |r| {
             lights.sample_distant(&s, Vec3::ZERO, normal, r.next_f32(), r.next_2d()).map_or(0.0, value)
         });
-        assert!((a - b).abs() < 4.0 * error_a.hypot(error_b), "{a} ± {error_a}, {b} ± {error_b}");
+        assert!((a - b).abs() < 4.0 * math::hypot(error_a, error_b), "{a} ± {error_a}, {b} ± {error_b}");
         // From a quarter of the samples.
         assert!(0.5 * error_b < error_a, "{error_a} {error_b}");
     }

@@ -16,6 +16,7 @@ use glam::Vec3;
 
 use crate::geometry::Hit;
 use crate::image::luminance;
+use crate::math;
 use crate::scene::{Light, Scene, TriangleIndex};
 use distribution::{Choice, EnvironmentDistribution};
 use groups::{LightGroups, Member};
@@ -87,7 +88,7 @@ fn normal_and_area([a, b, c]: [Vec3; 3]) -> (Vec3, f32) {
 
 /// Smooth edge of a spot light: 1 at the inner angle, 0 at the outer, cubic in the cosine between (as pbrt-v4).
 fn spot_falloff(cosine: f32, inner: f32, outer: f32) -> f32 {
-    let (high, low) = (inner.cos(), outer.cos());
+    let (high, low) = (math::cos(inner), math::cos(outer));
     if cosine >= high {
         1.0
     } else if cosine <= low {
@@ -303,7 +304,7 @@ fn analytic_power(light: &Light, radius: f32) -> Vec3 {
             if position.is_finite() && direction.try_normalize().is_some() =>
         {
             // The cubic edge holds half of what its cone would.
-            intensity * (TAU * (1.0 - 0.5 * (inner.cos() + outer.cos())))
+            intensity * (TAU * (1.0 - 0.5 * (math::cos(inner) + math::cos(outer))))
         }
         Light::Directional { direction, irradiance } if direction.try_normalize().is_some() => {
             irradiance * (PI * radius * radius).max(f32::MIN_POSITIVE)

@@ -2,6 +2,8 @@
 
 use glam::{DVec3, Vec3};
 
+use crate::math;
+
 /// Solid angles in which directions are drawn from the spherical triangle. Smaller ones are as good as flat and
 /// would cancel; larger ones have edges that pass the point too closely (pbrt-v4 `shapes.h`).
 pub const SAMPLED: std::ops::Range<f64> = 3e-4..6.22;
@@ -22,7 +24,7 @@ impl SphericalTriangle {
         let [a, b, c] = corners.map(|p| (p.as_dvec3() - point.as_dvec3()).try_normalize());
         let (a, b, c) = (a?, b?, c?);
         // Van Oosterom & Strackee 1983, stable for tiny triangles.
-        let solid_angle = 2.0 * a.dot(b.cross(c)).abs().atan2(1.0 + a.dot(b) + b.dot(c) + c.dot(a));
+        let solid_angle = 2.0 * math::atan2(a.dot(b.cross(c)).abs(), 1.0 + a.dot(b) + b.dot(c) + c.dot(a));
         Some(Self { a, b, c, solid_angle })
     }
 
@@ -33,11 +35,11 @@ impl SphericalTriangle {
         // Normals of the great circles; the inner angles lie between them.
         let (ab, bc, ca) =
             (a.cross(b).try_normalize()?, b.cross(c).try_normalize()?, c.cross(a).try_normalize()?);
-        let angle = |p: DVec3, q: DVec3| p.dot(q).clamp(-1.0, 1.0).acos();
+        let angle = |p: DVec3, q: DVec3| math::acos(p.dot(q).clamp(-1.0, 1.0));
         let (alpha, beta, gamma) = (angle(ab, -ca), angle(bc, -ab), angle(ca, -bc));
         let area = alpha + beta + gamma - std::f64::consts::PI;
-        let (sin_alpha, cos_alpha) = alpha.sin_cos();
-        let (s, t) = (u * area - alpha).sin_cos();
+        let (sin_alpha, cos_alpha) = math::sin_cos(alpha);
+        let (s, t) = math::sin_cos(u * area - alpha);
         let p = t - cos_alpha;
         let q = s + sin_alpha * a.dot(b);
         let cos_beta = (((q * t - p * s) * cos_alpha - q) / ((q * s + p * t) * sin_alpha)).clamp(-1.0, 1.0);

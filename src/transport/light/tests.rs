@@ -2,6 +2,7 @@ use super::*;
 use crate::geometry::{Accel, Ray};
 use crate::illumination::test_scenes::{join, lambert, quad, scene};
 use crate::image::Map2d;
+use crate::math;
 use crate::rng::Stream;
 use crate::scene::{Environment, Mesh, Texture, TextureId, texture::MipChain};
 
@@ -28,7 +29,7 @@ fn irradiance(s: &Scene, point: Vec3, n: u64, both: bool) -> (f64, f64) {
         }
         if both {
             let [u, v] = stream.next_2d();
-            let (r, (sin, cos)) = ((1.0 - u * u).sqrt(), (TAU * v).sin_cos());
+            let (r, (sin, cos)) = ((1.0 - u * u).sqrt(), math::sin_cos(TAU * v));
             let wi = Vec3::new(r * cos, u, r * sin);
             let ray = Ray { t_min: 1e-4, ..Ray::new(point, wi) };
             let hit = accel.intersect(s, &ray);
@@ -139,7 +140,7 @@ fn mean_flux_of_particles_is_the_power() {
         if let Some((ray, flux)) = lights.sample_emission(&s, &mut stream) {
             assert!((ray.direction.length() - 1.0).abs() < 1e-4);
             sum += flux.as_dvec3() / n as f64;
-            square += flux.as_dvec3().powf(2.0) / n as f64;
+            square += flux.as_dvec3() * flux.as_dvec3() / n as f64;
         }
     }
     let power = lights.total_power().as_dvec3();

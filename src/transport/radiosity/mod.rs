@@ -390,7 +390,8 @@ impl<const BANDS: usize> Radiosity<BANDS> {
 
     /// Solves on coarse links, then on ever finer ones (multigridding), until `refinement` is met or
     /// `keep_going` (given the leaves and links so far) says no. Returns whether it was met.
-    pub fn solve_progressively(
+    #[cfg(test)]
+    fn solve_progressively(
         &mut self,
         refinement: &Refinement,
         visible: Visible<'_>,
@@ -500,13 +501,13 @@ mod tests {
 
     #[test]
     fn a_solution_can_be_simplified_to_any_number_of_elements() {
-        use crate::illumination::simplify::{Criterion, Deviation, simplify};
+        use crate::illumination::simplify::{Criterion, simplify};
         let solution = solved(room([0.5, 0.5, 0.5], |n| [if n.y < -0.5 { 1.0 } else { 0.0 }; 3]));
         let forest = solution.forest([0.2, 0.7, 0.1]);
         assert_eq!(forest.leaf_count(), solution.leaf_count());
         let mut last = f64::INFINITY;
         for k in [20, 61, 200] {
-            let cut = simplify(&forest, k, &Criterion::Optimal, Deviation::Leaves);
+            let cut = simplify(&forest, k, &Criterion::Optimal);
             assert_eq!(cut.elements, k);
             assert!(cut.squared_error < last);
             last = cut.squared_error;

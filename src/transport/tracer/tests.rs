@@ -140,6 +140,24 @@ fn ways_to_find_a_light_agree() {
     }
 }
 
+/// What bounds repeats are samples: beyond the first surface an estimate has fewer of them, and there are more estimates.
+#[test]
+fn later_surfaces_may_take_as_many_samples_as_the_first() {
+    let mut b = Builder::default();
+    let floor = b.material(Model::Metal { specular: white(), roughness: rough(0.3) });
+    let light = b.emitter(lambert(0.0), Vec3::splat(3.0));
+    b.rectangle(Vec3::ZERO, Vec3::X * 9.0, Vec3::Y * 9.0, floor);
+    b.rectangle(Vec3::Z * 3.0, Vec3::Y, Vec3::X, light);
+    let p = Prepared::new(b.scene(), 0.0);
+    let ray = Ray::new(Vec3::new(0.0, -2.0, 1.5), Vec3::new(0.0, 0.8, -0.6));
+    let at = Interaction::at(&p.scene, &ray, &p.accel.intersect(&p.scene, &ray).expect("the floor"));
+    let (bsdf, tracer) = (Bsdf::at(&p.scene, &at), p.tracer(Settings::default()));
+    for depth in 0..3 {
+        let (n, m) = tracer.sample_counts(&at, &bsdf, depth == 0);
+        assert_eq!((n + m) as f32 * tracer.estimates_max(&at, &bsdf, depth), 16.0 * 6.0, "{n} + {m}");
+    }
+}
+
 /// Roulette does not change the mean.
 #[test]
 fn roulette_keeps_the_mean() {

@@ -3,33 +3,17 @@
 use foveal_runtime::*;
 
 /// A token with the hops it has left and a value.
+#[derive(serde::Serialize)]
 pub struct Token {
     pub hops: u32,
     pub value: u64,
 }
 
+#[derive(Message)]
+#[message(unsaved = "snapshots are tested where there is more to save")]
 pub enum Msg {
     Meet(Vec<Address<Msg>>),
     Token(Token),
-}
-
-impl Message for Msg {
-    fn digest(&self, digest: &mut Digest) {
-        match self {
-            Self::Meet(others) => digest.u64(others.len() as u64),
-            Self::Token(token) => {
-                digest.u32(token.hops);
-                digest.u64(token.value);
-            }
-        }
-    }
-
-    fn kind(&self) -> &'static str {
-        match self {
-            Self::Meet(_) => "Meet",
-            Self::Token(_) => "Token",
-        }
-    }
 }
 
 /// Flips one bit of what a player is about to take in, as a fault of memory would.
@@ -123,12 +107,16 @@ pub fn wire_flipped(
         (0..players).map(|_| wiring.declare::<Player>(Bounds::messages(tokens as usize + 1))).collect();
     let addresses: Vec<_> = declared.iter().map(Declared::address).collect();
     let starter = wiring.declare::<Starter>(Bounds::messages(1));
-    wiring.spawn(starter, Starter { players: addresses, tokens, hops });
+    wiring.spawn(starter, Starter { players: addresses, tokens, hops }, OnPanic::Resume);
     declared
         .into_iter()
         .map(|declared| {
             let flip = flip.filter(|flip| flip.actor == declared.address().id().0);
-            wiring.spawn(declared, Player { flip, others: Vec::new(), state: 0, received: 0 })
+            wiring.spawn(
+                declared,
+                Player { flip, others: Vec::new(), state: 0, received: 0 },
+                OnPanic::Resume,
+            )
         })
         .collect()
 }

@@ -13,13 +13,15 @@ pub struct Task {
 }
 
 impl Job for Task {
+    type Brief = u64;
+
     fn digest(&self, digest: &mut Digest) {
         digest.u64(self.number);
         digest.u32(self.kills);
     }
 
-    fn describe(&self) -> String {
-        format!("task {}", self.number)
+    fn brief(&self) -> u64 {
+        self.number
     }
 
     fn save(&self, saver: &mut Saver) {
@@ -37,52 +39,23 @@ pub struct Order {
     pub tasks: u64,
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Message)]
 pub enum OfficeMsg {
     Order(Order),
-    Done { number: u64, by: u32 },
+    Done {
+        number: u64,
+        by: u32,
+    },
     Remind(u32),
+    #[message(lane = control)]
     Incident(Incident),
+    #[message(lane = control)]
+    GivenUp(DeadJob<u64>),
 }
 
 impl From<Order> for OfficeMsg {
     fn from(order: Order) -> Self {
         Self::Order(order)
-    }
-}
-
-impl Message for OfficeMsg {
-    fn digest(&self, digest: &mut Digest) {
-        match self {
-            Self::Order(order) => digest.u64(order.tasks),
-            Self::Done { number, by } => {
-                digest.u64(*number);
-                digest.u32(*by);
-            }
-            Self::Remind(count) => digest.u32(*count),
-            Self::Incident(incident) => digest.bytes(format!("{incident:?}").as_bytes()),
-        }
-    }
-
-    fn kind(&self) -> &'static str {
-        match self {
-            Self::Order(_) => "Order",
-            Self::Done { .. } => "Done",
-            Self::Remind(_) => "Remind",
-            Self::Incident(_) => "Incident",
-        }
-    }
-
-    fn lane(&self) -> Lane {
-        if matches!(self, Self::Incident(_)) { Lane::Control } else { Lane::Data }
-    }
-
-    fn save(&self, saver: &mut Saver) {
-        saver.put(self);
-    }
-
-    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
-        loader.take()
     }
 }
 
@@ -148,11 +121,11 @@ impl Actor for Office {
                 assert!(matches!(taken_back, Some(OfficeMsg::Remind(0)) | None));
             }
             OfficeMsg::Incident(Incident::Panicked { .. }) => self.panics += 1,
-            OfficeMsg::Incident(Incident::JobDead { description, .. }) => {
-                assert!(description.starts_with("task "));
+            OfficeMsg::GivenUp(DeadJob { brief, why, .. }) => {
+                assert!(brief < self.made && why == Death::Panicked("deadly task".to_owned()));
                 self.given_up += 1;
             }
-            OfficeMsg::Incident(Incident::CircuitOpen { .. }) => {}
+            OfficeMsg::Incident(_) => {}
         }
     }
 
@@ -170,32 +143,10 @@ impl Actor for Office {
     }
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Message)]
 pub enum WorkerMsg {
+    #[message(lane = latest(2))]
     Plan(u64),
-}
-
-impl Message for WorkerMsg {
-    fn digest(&self, digest: &mut Digest) {
-        let Self::Plan(plan) = self;
-        digest.u64(*plan);
-    }
-
-    fn kind(&self) -> &'static str {
-        "Plan"
-    }
-
-    fn lane(&self) -> Lane {
-        Lane::Latest(2)
-    }
-
-    fn save(&self, saver: &mut Saver) {
-        saver.put(self);
-    }
-
-    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
-        loader.take()
-    }
 }
 
 /// Does tasks by the newest plan.
@@ -271,6 +222,7 @@ pub fn wire(wiring: &mut Wiring, options: Options) -> Workshop {
     let workers = hands.iter().map(Declared::address).collect();
     let address = office.address();
     wiring.supervisor(&address, OfficeMsg::Incident);
+    wiring.gives_up(&pool, &address, OfficeMsg::GivenUp);
     for (number, hand) in (0..).zip(hands) {
         let (office, kills) = (address.clone(), Default::default());
         let hand_state = Hand { number, office, plan: 0, kills, work: options.work };
@@ -288,6 +240,6 @@ pub fn wire(wiring: &mut Wiring, options: Options) -> Workshop {
         deadly: options.deadly,
         leak_at: options.leak_at,
     };
-    let office = wiring.spawn(office, state);
+    let office = wiring.spawn(office, state, OnPanic::Resume);
     Workshop { office, orders, pool }
 }

@@ -1,0 +1,805 @@
+//! A walk at work: actors around a scene, given cameras, asked for frames.
+//!
+//! Everything that reaches the actors from here is one recorded input of the renderer, so that what can be done here can be
+//! replayed. The walk belongs to the thread that began it, which runs the renderer between [`Engine::begin`] and
+//! [`Engine::end`].
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use crossbeam_queue::{ArrayQueue, SegQueue};
+use foveal::allocation::residency::smallest;
+use foveal::display::tone::Encoder;
+use foveal::image::Map2d;
+use foveal::scene::plan::ScenePlan;
+use foveal::scene::{Budget, Camera};
+use foveal::world::World;
+use foveal_actors::allocator::Allocator;
+use foveal_actors::insight::{Insight, InsightSlot};
+use foveal_actors::message::{FrameIndex, FrameSnapshot, RendererInput, View};
+use foveal_actors::renderer::overlay::Overlay;
+use foveal_actors::renderer::{FrameCounts, FrameSink, Renderer, Splats};
+use foveal_actors::settings::{Adjustment, Settings};
+use foveal_actors::stages::{Stage, StageTimes};
+use foveal_actors::textures::{TextureReport, TextureStore};
+use foveal_actors::wiring::{Actors, wire};
+use foveal_runtime::{BuildError, Control, Ending, Exit, Limit, Mode, RecordingStatus, Runtime, Shutdown};
+
+use crate::bake_clock::Watch;
+use crate::failure::Failure;
+use crate::look::{self, Mirror};
+use crate::machine::Machine;
+use crate::opened::{self, Opened};
+use crate::options::{Clock, Options};
+use crate::recording::program;
+use crate::source::{Controls, FrameSource, Names, Place, Ranges, Status};
+
+/// Time that actors have to come to rest when they are no longer needed.
+const SHUTDOWN: Duration = Duration::from_secs(2);
+/// The same of a recorded walk that another one replaces on this thread, which stands still meanwhile.
+const LEAVING: Duration = Duration::from_millis(200);
+/// Longest time for the picture of a frame, once its deadline is over.
+const SHOWING: Duration = Duration::from_secs(60);
+
+/// A frame as it was shown.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Its number.
+    pub index: FrameIndex,
+    /// The picture, tone-mapped, and the view that it is of.
+    pub snapshot: Arc<FrameSnapshot>,
+    /// How many samples it holds, by where they came from.
+    pub counts: FrameCounts,
+    /// Durations of its stages.
+    pub stages: Vec<(Stage, Duration)>,
+    /// How far its view has come.
+    pub standing: Standing,
+    /// Textures, where they are limited and something was decided of them.
+    pub textures: Option<TextureReport>,
+    /// What happened since the frame before.
+    pub events: Vec<Event>,
+}
+
+/// How far a view has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// Samples are still to come.
+    Growing,
+    /// Every pixel that is not diffuse shows its own ray.
+    Converged,
+    /// Refined as far as was asked for.
+    Refined,
+}
+
+impl Standing {
+    /// As screenshots say it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Growing => "growing",
+            Self::Converged => "converged",
+            Self::Refined => "refined",
+        }
+    }
+}
+
+/// What happened beside the frames.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// The light is better than it was.
+    LightGrew,
+    /// The light is final.
+    LightFinal,
+    /// The view has converged.
+    Converged,
+    /// The view is refined as far as was asked for.
+    Refined,
+    /// The recording ends here, though the walk goes on.
+    RecordingStopped {
+        /// Why.
+        reason: String,
+    },
+}
+
+/// Who stops where it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stalled {
+    /// Nobody.
+    Nobody,
+    /// All who trace rays.
+    Tracers,
+    /// Who keeps samples.
+    CacheAger,
+    /// Who looks at frames.
+    Analyzer,
+    /// Who orders jobs.
+    Allocator,
+    /// Who makes light better.
+    Illuminator,
+    /// All but the renderer.
+    All,
+}
+
+impl Stalled {
+    /// Each of them.
+    pub const EACH: [Self; 7] = [
+        Self::Nobody,
+        Self::Tracers,
+        Self::CacheAger,
+        Self::Analyzer,
+        Self::Allocator,
+        Self::Illuminator,
+        Self::All,
+    ];
+
+    /// As it is written on a command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Nobody => "nobody",
+            Self::Tracers => "tracers",
+            Self::CacheAger => "cache-ager",
+            Self::Analyzer => "analyzer",
+            Self::Allocator => "allocator",
+            Self::Illuminator => "illuminator",
+            Self::All => "all",
+        }
+    }
+}
+
+/// Keeps the newest frame for whoever asked for it; and for a display that draws by itself, what was splatted.
+#[derive(Clone)]
+struct Newest {
+    frame: Arc<ArrayQueue<(Arc<FrameSnapshot>, FrameCounts)>>,
+    splats: Arc<SegQueue<(View, Splats)>>,
+    /// The view of these splats: those of former ones go.
+    view: View,
+    /// Whether there is such a display.
+    mirrored: Arc<AtomicBool>,
+}
+
+impl FrameSink for Newest {
+    fn frame_shown(&mut self, snapshot: &Arc<FrameSnapshot>, counts: FrameCounts, _renderer: &Renderer) {
+        self.frame.force_push((Arc::clone(snapshot), counts));
+    }
+
+    fn splatted(&mut self, view: View, splats: Splats) {
+        if !self.mirrored.load(Ordering::Relaxed) {
+            return;
+        }
+        if view != self.view {
+            self.view = view;
+            // Nobody may be drawing, as with a window that is hidden.
+            while self.splats.pop().is_some() {}
+        }
+        self.splats.push((view, splats));
+    }
+}
+
+/// What the last frame left behind, to tell what is new.
+#[derive(Default)]
+struct Before {
+    standing: Option<(View, Standing)>,
+    light: Option<usize>,
+    lit: bool,
+    stopped: bool,
+}
+
+/// Actors at work, and what they are made of.
+pub struct Engine {
+    opened: Opened,
+    plan: ScenePlan,
+    settings: Settings,
+    ranges: Ranges,
+    controls: Controls,
+    /// `None` only while it is dropped.
+    runtime: Option<Runtime>,
+    recorded: bool,
+    actors: Actors,
+    newest: Newest,
+    stages: StageTimes,
+    /// What was splatted in a view so far, for a display that may have to begin anew.
+    splats: (View, Vec<Splats>),
+    shown: Option<Frame>,
+    before: Before,
+    frame: u32,
+    encoder: Encoder,
+    slot: InsightSlot,
+    insight: Option<Insight>,
+    names: Names,
+    facts: Vec<(String, String)>,
+    /// How another size begins.
+    again: Again,
+}
+
+/// What a walk of another size is started with.
+struct Again {
+    fps: Option<f32>,
+    quality: Option<f32>,
+    texture_bytes: Option<u64>,
+    whole: bool,
+    gives_way: bool,
+}
+
+impl Engine {
+    /// Opens a scene and starts the actors.
+    ///
+    /// # Errors
+    /// If the scene or its illumination cannot be read, a limit cannot be met, or threads cannot be started.
+    pub fn open(path: &Path, options: Options, watch: &dyn Watch) -> Result<Self, Failure> {
+        let mut opened = opened::open(path, &options.light, watch)?;
+        opened.limit_textures(options.texture_bytes.or(opened.world.scene.budget.texture_bytes))?;
+        Self::start(opened, options)
+    }
+
+    /// Starts the actors around a scene that is open.
+    ///
+    /// # Errors
+    /// If threads cannot be started.
+    pub fn start(mut opened: Opened, options: Options) -> Result<Self, Failure> {
+        let Options { settings, fps, quality, texture_bytes, whole, gives_way, clock, recording, .. } =
+            options;
+        let scene = &opened.world.scene;
+        let budget = Budget { texture_bytes: texture_bytes.or(scene.budget.texture_bytes), ..scene.budget };
+        let plan = ScenePlan::new(scene, &budget);
+        let machine = Machine::new(&opened, &settings, &plan, whole);
+        let store = opened.textures.as_ref();
+        let set = Adjustment {
+            fps: fps.or(budget.fps).unwrap_or(10.0),
+            quality,
+            texture_bytes: store.map(|store| store.limit),
+            ..Adjustment::of(&settings, &scene.display)
+        };
+        let controls = Controls { set, overlay: Overlay::None };
+        let ranges = Ranges { workers: settings.tracers, textures: store.map(|store| range(store)) };
+        let newest = Newest {
+            frame: Arc::new(ArrayQueue::new(1)),
+            splats: Arc::new(SegQueue::new()),
+            view: View(0),
+            mirrored: Arc::new(AtomicBool::new(false)),
+        };
+        let (slot, stages) = (InsightSlot::default(), StageTimes::default());
+        let all = || {
+            let sink = Box::new(newest.clone());
+            machine.parts(&opened, options.probes.clone(), Some(slot.clone()), stages.clone(), sink)
+        };
+        let live = || Clock::Real.config(&settings, machine.threads(&opened), gives_way, options.ring_turns);
+        let mut config = clock.config(&settings, machine.threads(&opened), gives_way, options.ring_turns);
+        let mut recorded = recording.is_some();
+        if let Some(recording) = recording {
+            config.application = recording.header(&opened, &machine)?;
+            (config.hashing, config.record) = (recording.hashing, Some(recording.into));
+            config.program = program();
+        }
+        let mut unrecorded = None;
+        // What is simulated cannot go on in real time.
+        let is_live = matches!(config.mode, Mode::Live);
+        let built = match Runtime::build(config, |w| wire(w, all())) {
+            Err(BuildError::Record(e)) if is_live => {
+                recorded = false;
+                let warning = format!("the walk is not recorded: {e}; choose another --record");
+                tracing::warn!("{warning}");
+                unrecorded = Some(warning);
+                Runtime::build(live(), |w| wire(w, all()))
+            }
+            built => built,
+        };
+        let (runtime, actors) =
+            built.map_err(|e| Failure::Environment(format!("the actors cannot be started: {e}")))?;
+        let names = Names {
+            objects: scene.objects.iter().map(|o| o.name.clone()).collect(),
+            textures: scene.textures.iter().map(|t| t.name.clone()).collect(),
+        };
+        opened.warnings.extend(unrecorded);
+        Ok(Self {
+            plan,
+            settings,
+            ranges,
+            controls,
+            runtime: Some(runtime),
+            recorded,
+            actors,
+            newest,
+            stages,
+            splats: (View(0), Vec::new()),
+            shown: None,
+            before: Before::default(),
+            frame: 0,
+            encoder: Encoder::default(),
+            slot,
+            insight: None,
+            names,
+            facts: options.facts,
+            again: Again { fps, quality, texture_bytes, whole, gives_way },
+            opened,
+        })
+    }
+
+    /// A frame seen from `camera`, shown after `time` with what has come until then.
+    ///
+    /// # Errors
+    /// If the walk has ended: an actor that nothing can go on without failed, or an invariant of a simulation broke.
+    pub fn frame(&mut self, camera: &Camera, time: Duration) -> Result<Frame, Failure> {
+        let began = self.runtime().now();
+        self.begin(camera)?;
+        let taken = self.runtime().now().since(began);
+        self.work_until(time.saturating_sub(taken), |_| false)?;
+        self.end()
+    }
+
+    /// A frame begins, seen from `camera`. Returns once the renderer has drawn its base layer.
+    ///
+    /// # Errors
+    /// If the walk has ended.
+    pub fn begin(&mut self, camera: &Camera) -> Result<(), Failure> {
+        self.send(RendererInput::FrameBegan { frame: FrameIndex(self.frame), camera: *camera })?;
+        // Until the renderer has heard of it, "converged" is said of the view before.
+        self.work_until(SHOWING, |renderer| renderer.camera() == Some(*camera))
+    }
+
+    /// Works for at most `time`, or until `enough` holds of the renderer.
+    ///
+    /// # Errors
+    /// If the walk has ended.
+    pub fn work_until(
+        &mut self,
+        time: Duration,
+        mut enough: impl FnMut(&Renderer) -> bool,
+    ) -> Result<(), Failure> {
+        let renderer = self.actors.renderer;
+        self.pump(Limit::time(time), |runtime| runtime.inspect(renderer, &mut enough) == Some(true)).map(drop)
+    }
+
+    /// Works for at most `time`, or until the view is estimated to be as good as `least` ([`Insight::quality`]) or has
+    /// converged, or `enough` holds.
+    ///
+    /// # Errors
+    /// If the walk has ended.
+    pub fn work_until_good(
+        &mut self,
+        least: f32,
+        time: Duration,
+        enough: impl Fn() -> bool,
+    ) -> Result<(), Failure> {
+        let (slot, mut insight) = (self.slot.clone(), self.insight.take());
+        let worked = self.work_until(time, |renderer| {
+            insight = slot.take().or(insight.take());
+            enough() || quality_of(renderer, insight.as_ref()) >= least
+        });
+        self.insight = insight;
+        worked
+    }
+
+    /// Works until nobody has anything left to do, at most for `time`. Returns whether that is so.
+    ///
+    /// # Errors
+    /// If the walk has ended.
+    pub fn rest(&mut self, time: Duration) -> Result<bool, Failure> {
+        self.pump(Limit::idle_within(time), |_| false).map(|exit| exit == Exit::Idle)
+    }
+
+    /// The frame's time is up: shows what there is.
+    ///
+    /// # Errors
+    /// If the walk has ended.
+    pub fn end(&mut self) -> Result<Frame, Failure> {
+        let _ = self.newest.frame.pop();
+        let index = FrameIndex(self.frame);
+        self.send(RendererInput::DeadlineReached { frame: index })?;
+        self.frame = self.frame.wrapping_add(1);
+        let newest = Arc::clone(&self.newest.frame);
+        self.pump(Limit::time(SHOWING), |_| !newest.is_empty())?;
+        let Some((snapshot, counts)) = newest.pop() else {
+            return Err(Failure::Check(format!(
+                "frame {} was not shown within {} s",
+                index.0,
+                SHOWING.as_secs()
+            )));
+        };
+        self.listen();
+        let frame = Frame {
+            index,
+            snapshot,
+            counts,
+            stages: self.stages.take(),
+            standing: self.standing(),
+            textures: self.opened.textures.as_ref().and_then(|store| store.report.pop()),
+            events: self.events(),
+        };
+        self.shown = Some(frame.clone());
+        Ok(frame)
+    }
+
+    /// How far the view has come, as far as the last frame shows it.
+    pub fn standing(&self) -> Standing {
+        self.look(|r| match (r.is_shown(), r.is_converged(), r.is_refined()) {
+            (true, true, true) if r.is_supersampled() => Standing::Refined,
+            (true, true, _) => Standing::Converged,
+            _ => Standing::Growing,
+        })
+        .unwrap_or(Standing::Growing)
+    }
+
+    /// What is new since this was asked last.
+    fn events(&mut self) -> Vec<Event> {
+        let mut events = Vec::new();
+        let standing = self.standing();
+        let look = |r: &Renderer| {
+            let light = Arc::as_ptr(&r.world().illumination).cast::<()>() as usize;
+            (r.drawn().map_or(View(0), |d| d.view), light, r.is_lit())
+        };
+        let Some((view, light, lit)) = self.look(look) else { return events };
+        if self.before.light.replace(light).is_some_and(|before| before != light) {
+            events.push(Event::LightGrew);
+        }
+        if !std::mem::replace(&mut self.before.lit, lit) && lit && self.opened.refinement.is_some() {
+            events.push(Event::LightFinal);
+        }
+        if self.before.standing.replace((view, standing)) != Some((view, standing)) {
+            match standing {
+                Standing::Growing => {}
+                Standing::Converged => events.push(Event::Converged),
+                Standing::Refined => events.push(Event::Refined),
+            }
+        }
+        if let (false, RecordingStatus::Stopped { reason }) = (self.before.stopped, self.recording()) {
+            self.before.stopped = true;
+            events.push(Event::RecordingStopped { reason: reason.to_string() });
+        }
+        events
+    }
+
+    /// Changes what can be changed while walking; reaches the actors as one recorded message.
+    ///
+    /// # Errors
+    /// If the walk has ended.
+    pub fn set(&mut self, controls: &Controls) -> Result<(), Failure> {
+        let before = std::mem::replace(&mut self.controls, *controls);
+        if before.set == controls.set {
+            return Ok(());
+        }
+        let workers = controls.set.workers.clamp(1, self.ranges.workers) as usize;
+        for (index, tracer) in self.actors.tracers.iter().enumerate() {
+            let (rested, rests) = (index >= before.set.workers as usize, index >= workers);
+            if let (true, Some(runtime)) = (rested != rests, &self.runtime) {
+                runtime.control(*tracer, if rests { Control::Pause } else { Control::Resume });
+            }
+        }
+        self.controls.set.workers = workers as u32;
+        self.settings.adjust(&self.controls.set);
+        self.send(RendererInput::Adjusted(self.controls.set))
+    }
+
+    /// Goes on with pictures of another size: the light stays as it is, samples are traced anew, a recording ends.
+    ///
+    /// # Errors
+    /// If threads cannot be started; the walk has ended then.
+    pub fn resize(&mut self, width: u32, height: u32) -> Result<(), Failure> {
+        if [width, height] == [self.settings.width, self.settings.height] {
+            return Ok(());
+        }
+        let mut opened = self.opened.clone();
+        if let Some((illumination, lit)) = self.look(|r| (r.world().illumination.clone(), r.is_lit())) {
+            opened.world = World { illumination, ..opened.world };
+            opened.refinement = opened.refinement.filter(|_| !lit);
+        }
+        let Again { fps, quality, texture_bytes, whole, gives_way } = self.again;
+        let cache_capacity = Settings::new(width, height, 1).cache_capacity;
+        let settings = Settings { width, height, cache_capacity, ..self.settings };
+        let options = Options { fps, quality, texture_bytes, whole, gives_way, ..Options::new(settings) };
+        let facts = std::mem::take(&mut self.facts);
+        let (controls, recorded) = (self.controls, self.recorded);
+        let mirrored = self.newest.mirrored.load(Ordering::Relaxed);
+        self.close();
+        *self = Self::start(opened, Options { facts, ..options })?;
+        self.before.stopped = recorded;
+        self.newest.mirrored.store(mirrored, Ordering::Relaxed);
+        self.set(&controls)
+    }
+
+    /// Brings the actors to rest within `time`. They can be looked at afterwards; nothing else works.
+    ///
+    /// # Panics
+    /// While it is being dropped.
+    pub fn finish(&mut self, time: Duration) -> Shutdown {
+        self.end_baking();
+        self.runtime.as_mut().expect("only a drop takes it").end(time)
+    }
+
+    fn send(&mut self, input: RendererInput) -> Result<(), Failure> {
+        self.actors.input.send(input).map_err(|e| Failure::Check(format!("the renderer takes no input: {e}")))
+    }
+
+    /// Looks at the renderer.
+    pub fn look<R>(&self, look: impl FnOnce(&Renderer) -> R) -> Option<R> {
+        self.runtime.as_ref()?.inspect(self.actors.renderer, look)
+    }
+
+    fn pump(&mut self, limit: Limit, until: impl FnMut(&Runtime) -> bool) -> Result<Exit, Failure> {
+        let Some(runtime) = &mut self.runtime else { return Ok(Exit::Halted) };
+        match runtime.pump_until(limit, until) {
+            Exit::Halted => {
+                let why = runtime.failure().map_or_else(|| "it was halted".to_owned(), ToString::to_string);
+                Err(Failure::Check(format!("the walk ended at frame {}: {why}", self.frame)))
+            }
+            Exit::Ended => match runtime.ended() {
+                Some(incident) => Err(Failure::ended(incident)),
+                None => Ok(Exit::Ended),
+            },
+            exit => Ok(exit),
+        }
+    }
+
+    /// The scene with its light, and what went wrong so far.
+    pub fn opened(&self) -> &Opened {
+        &self.opened
+    }
+
+    /// What the scene needs, and what is skipped.
+    pub fn plan(&self) -> &ScenePlan {
+        &self.plan
+    }
+
+    /// Settings as they are now.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// The running system, to look into.
+    ///
+    /// # Panics
+    /// While it is being dropped.
+    pub fn runtime(&self) -> &Runtime {
+        self.runtime.as_ref().expect("only a drop takes it")
+    }
+
+    /// Its actors, to look into.
+    pub fn actors(&self) -> &Actors {
+        &self.actors
+    }
+
+    /// Whether the walk is recorded.
+    pub fn recording(&self) -> RecordingStatus {
+        self.runtime.as_ref().map_or(RecordingStatus::Off, Runtime::recording)
+    }
+
+    /// Everything that went wrong without stopping anything, each said once.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = self.opened.warnings.clone();
+        if let RecordingStatus::Stopped { reason } = self.recording() {
+            warnings.push(format!("the recording ends early: {reason}"));
+        }
+        warnings
+    }
+
+    /// Jobs that were given up, and what actors failed at, once the walk is [finished](Engine::finish).
+    pub fn lost(&self) -> (u32, Vec<String>) {
+        let look = |a: &Allocator| {
+            let incidents = a.incidents().iter().map(|i| format!("{i:?}"));
+            let dead = a.dead_jobs().iter().map(|d| format!("{d:?}"));
+            (a.lost_jobs(), incidents.chain(dead).collect())
+        };
+        let allocator = self.actors.correction.map(|c| c.allocator);
+        allocator.and_then(|a| self.runtime.as_ref()?.inspect(a, look)).unwrap_or_default()
+    }
+
+    /// What the allocator thought last.
+    pub fn insight(&mut self) -> Option<&Insight> {
+        self.listen();
+        self.insight.as_ref()
+    }
+
+    /// Somebody stops where it is, to see that the walk goes on.
+    pub fn stall(&self, who: Stalled) {
+        let (Some(runtime), actors) = (&self.runtime, &self.actors) else { return };
+        let is = |one: Stalled| who == one || who == Stalled::All;
+        for tracer in actors.tracers.iter().filter(|_| is(Stalled::Tracers)) {
+            runtime.control(*tracer, Control::Pause);
+        }
+        if let Some(others) = &actors.correction {
+            if is(Stalled::CacheAger) {
+                runtime.control(others.cache_ager, Control::Pause);
+            }
+            if is(Stalled::Analyzer) {
+                runtime.control(others.analyzer, Control::Pause);
+            }
+            if is(Stalled::Allocator) {
+                runtime.control(others.allocator, Control::Pause);
+            }
+        }
+        if let Some(illuminator) = actors.illuminator.filter(|_| is(Stalled::Illuminator)) {
+            runtime.control(illuminator, Control::Pause);
+        }
+    }
+
+    /// Better light is of no use to a walk that ends; who makes it would go on for minutes.
+    fn end_baking(&self) {
+        if let (Some(runtime), Some(illuminator)) = (&self.runtime, self.actors.illuminator) {
+            runtime.control(illuminator, Control::Stop);
+        }
+    }
+
+    fn close(&mut self) {
+        self.end_baking();
+        if let Some(runtime) = self.runtime.take() {
+            let end = runtime.shutdown(SHUTDOWN);
+            tracing::debug!("actors stopped, drained: {}", end.drained);
+        }
+    }
+
+    /// Takes the allocator's newest word.
+    fn listen(&mut self) {
+        if let Some(insight) = self.slot.take() {
+            self.insight = Some(insight);
+        }
+    }
+}
+
+/// Quality of the renderer's view as the allocator estimated it: 0 where it has converged, −∞ while nothing is known of it.
+fn quality_of(renderer: &Renderer, insight: Option<&Insight>) -> f32 {
+    match insight {
+        // Nothing more can be done.
+        _ if renderer.is_converged() => 0.0,
+        Some(insight) if renderer.drawn().is_some_and(|d| d.view == insight.view) => insight.quality,
+        _ => f32::NEG_INFINITY,
+    }
+}
+
+/// Bytes with the coarsest levels only, and with all levels.
+fn range(store: &TextureStore) -> [u64; 2] {
+    let all = store.facts.iter().map(|facts| facts.bytes_from(0)).sum();
+    [smallest(&store.facts), all]
+}
+
+impl Drop for Engine {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+/// What cannot be done is told to people, who see the picture stand still.
+fn told(done: Result<(), Failure>) {
+    if let Err(e) = done {
+        tracing::warn!("{e}");
+    }
+}
+
+impl FrameSource for Engine {
+    fn place(&self) -> Place {
+        let scene = &self.opened.world.scene;
+        Place {
+            title: scene.title.clone(),
+            up: scene.up,
+            diagonal: scene.diagonal(),
+            cameras: scene.cameras.clone(),
+            paths: scene.paths.clone(),
+        }
+    }
+
+    fn size(&self) -> [u32; 2] {
+        [self.settings.width, self.settings.height]
+    }
+
+    fn controls(&self) -> Controls {
+        self.controls
+    }
+
+    fn ranges(&self) -> Ranges {
+        self.ranges
+    }
+
+    fn insight(&self) -> Option<(&Insight, &Names)> {
+        self.insight.as_ref().map(|insight| (insight, &self.names))
+    }
+
+    fn set_controls(&mut self, controls: &Controls) {
+        told(self.set(controls));
+    }
+
+    fn begin_frame(&mut self, camera: &Camera) {
+        told(self.begin(camera));
+    }
+
+    fn work(&mut self, time: Duration) {
+        told(self.work_until(time, Renderer::is_refined));
+    }
+
+    fn end_frame(&mut self) {
+        told(self.end().map(drop));
+    }
+
+    fn picture(&mut self) -> Option<Map2d<[u8; 3]>> {
+        self.listen();
+        let (controls, insight) = (self.controls, self.insight.as_ref());
+        // A mirror draws what has come since the frame was shown, too.
+        let newest = self.newest.mirrored.load(Ordering::Relaxed);
+        self.look(|renderer| {
+            look::picture(renderer, &self.opened.world, &controls, insight, &self.encoder, newest)
+        })?
+    }
+
+    fn set_mirrored(&mut self, mirrored: bool) {
+        self.newest.mirrored.store(mirrored, Ordering::Relaxed);
+    }
+
+    fn draw_on(&mut self, mirror: &mut dyn Mirror) -> bool {
+        self.listen();
+        while let Some((view, splats)) = self.newest.splats.pop() {
+            if view != self.splats.0 {
+                self.splats = (view, Vec::new());
+            }
+            self.splats.1.push(splats);
+        }
+        let (controls, insight, footprint) = (self.controls, self.insight.as_ref(), self.settings.footprint);
+        let splats = (self.splats.0, &*self.splats.1);
+        self.look(|r| look::draw_on(r, &controls, insight, splats, footprint, mirror)).unwrap_or(false)
+    }
+
+    fn quality(&mut self) -> f32 {
+        self.listen();
+        self.look(|renderer| quality_of(renderer, self.insight.as_ref())).unwrap_or(0.0)
+    }
+
+    fn is_done(&self) -> bool {
+        self.look(Renderer::is_refined).unwrap_or(true)
+    }
+
+    fn is_shown(&self) -> bool {
+        self.look(Renderer::is_shown).unwrap_or(true)
+    }
+
+    fn leave(mut self: Box<Self>) -> Ending {
+        self.end_baking();
+        // A recording is to have its end, if that comes soon; of other sessions nobody would see it.
+        let time = if self.recorded { LEAVING } else { Duration::ZERO };
+        self.runtime.take().map(|runtime| runtime.leave(time)).unwrap_or_default()
+    }
+
+    fn ended(&self) -> Option<String> {
+        self.runtime.as_ref()?.ended().map(ToString::to_string)
+    }
+
+    fn status(&self) -> Status {
+        let (view, converged, lit) = self
+            .look(|r| (r.drawn().map_or(0, |d| d.view.0), r.is_converged(), r.is_lit()))
+            .unwrap_or((0, true, true));
+        let refined = self.look(|r| r.is_refined() && r.is_supersampled()).unwrap_or(false);
+        let counts = self.shown.as_ref().map_or_else(FrameCounts::default, |frame| frame.counts);
+        Status {
+            view,
+            converged,
+            refined,
+            lit,
+            traced: counts.traced,
+            reused: counts.reused,
+            expired: counts.expired,
+            supersampled: counts.refined,
+            actors: self.runtime.as_ref().map(look::actors).unwrap_or_default(),
+        }
+    }
+
+    fn facts(&self) -> Vec<(String, String)> {
+        let mut facts = self.facts.clone();
+        let scene = &self.opened.world.scene;
+        let hash: String = scene.content_hash.iter().map(|b| format!("{b:02x}")).collect();
+        facts.push(("foveal scene".into(), format!("{} {hash}", scene.name)));
+        if let Ok(settings) = serde_json::to_string(&self.settings) {
+            facts.push(("foveal settings".into(), settings));
+        }
+        if let Ok(set) = serde_json::to_string(&self.controls.set) {
+            facts.push(("foveal controls".into(), set));
+        }
+        let of = |frame: &Frame| (frame.snapshot.drawn.view.0, frame.standing);
+        let (view, standing) = self.shown.as_ref().map_or((0, Standing::Growing), of);
+        facts.push(("foveal view".into(), format!("{view}, {}", standing.name())));
+        facts.push((
+            "foveal display".into(),
+            format!("{:?}, {}", self.controls.set.tone, self.controls.overlay.name()),
+        ));
+        facts
+    }
+}
+
+#[cfg(test)]
+#[path = "engine_tests.rs"]
+mod tests;

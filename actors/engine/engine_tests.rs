@@ -1,0 +1,386 @@
+//! Walks as a window has them: rest, controls, refinement, input whoever stalls.
+
+use super::*;
+use crate::navigation::Motion;
+use crate::options::Recording;
+use crate::test_scene;
+use crate::walk::{Next, Walk};
+use foveal::allocation::policy::Policy;
+use foveal::display::first_approximation::Probes;
+use foveal::illumination::Uniform;
+use foveal::illumination::bake::BakeSettings;
+use foveal::splatting::AgeingRules;
+use foveal::splatting::supersampling::Supersampling;
+use foveal_actors::illuminator::Refinement;
+use foveal_runtime::{Hashing, Record};
+use glam::Vec3;
+use std::time::Instant;
+
+fn walk() -> Walk {
+    walk_of(Settings::new(64, 48, 2))
+}
+
+/// A world of its own, and how it is walked through.
+struct Made {
+    opened: Opened,
+    options: Options,
+}
+
+impl Made {
+    fn start(self) -> Engine {
+        Engine::start(self.opened, self.options).expect("actors")
+    }
+
+    /// Light that is being baked all the time.
+    fn baking(mut self) -> Self {
+        let settings = BakeSettings { particles: Some(1 << 40), error: None, ..BakeSettings::default() };
+        self.opened.refinement = Some(Refinement { world: self.opened.world.clone(), settings, keep: None });
+        self
+    }
+
+    fn recorded(mut self, into: Record) -> Self {
+        self.options.recording = Some(Recording { into, hashing: Hashing::Exact, command: "test" });
+        self
+    }
+}
+
+fn made(settings: Settings) -> Made {
+    let world = World::new(Arc::new(test_scene::room(4)), Arc::new(Uniform(Vec3::ONE)));
+    let options = Options { fps: Some(30.0), ..Options::interactive(settings) };
+    Made { opened: Opened::of_world(world), options }
+}
+
+fn walk_of(settings: Settings) -> Walk {
+    Walk::new(Box::new(made(settings).start()), 0.0)
+}
+
+/// Ticks in real time until nothing is left to do.
+fn settle(walk: &mut Walk, start: Instant) {
+    loop {
+        let now = start.elapsed().as_secs_f64();
+        assert!(now < 120.0, "the walk never comes to rest");
+        match walk.tick(now).1 {
+            Next::Input => return,
+            Next::Now => {}
+            Next::At(t) => std::thread::sleep(Duration::from_secs_f64((t - now).clamp(0.0, 0.1))),
+        }
+    }
+}
+
+#[test]
+fn a_walk_comes_to_rest_converged_and_every_overlay_shows_something_else() {
+    let (mut walk, start) = (walk(), Instant::now());
+    settle(&mut walk, start);
+    assert!(walk.status().converged);
+    let plain = walk.picture().cloned().expect("a picture");
+    assert!(plain.data().iter().flatten().any(|b| *b > 100));
+    for _ in 1..Overlay::ALL.len() {
+        walk.next_overlay();
+        settle(&mut walk, start);
+        assert_ne!(walk.picture(), Some(&plain), "{:?}", walk.controls().overlay);
+    }
+    walk.next_overlay();
+    settle(&mut walk, start);
+    assert_eq!(walk.picture(), Some(&plain), "overlays leave nothing behind");
+}
+
+#[test]
+fn exposure_changes_the_picture_but_traces_nothing() {
+    let (mut walk, start) = (walk(), Instant::now());
+    settle(&mut walk, start);
+    let (view, plain) = (walk.status().view, walk.picture().cloned().expect("a picture"));
+    let mut controls = *walk.controls();
+    controls.set.tone.exposure = 0.25;
+    walk.set_controls(controls);
+    settle(&mut walk, start);
+    let sum = |p: &Map2d<[u8; 3]>| p.data().iter().flatten().map(|b| u64::from(*b)).sum::<u64>();
+    assert!(walk.picture().is_some_and(|p| sum(p) * 10 < sum(&plain) * 9), "darker");
+    assert_eq!((walk.status().view, walk.status().traced), (view, 0));
+}
+
+#[test]
+fn a_still_view_keeps_its_bits_and_then_nothing_is_done() {
+    // Without environment maps, which tracers go on to capture for other views.
+    let settings = Settings { environment_bytes: 0, ..Settings::new(64, 48, 2) };
+    let (mut walk, start) = (walk_of(settings), Instant::now());
+    settle(&mut walk, start);
+    let plain = walk.picture().cloned().expect("a picture");
+    let jobs = |walk: &Walk| -> u64 {
+        walk.status().actors.iter().filter(|a| a.name.starts_with("tracer")).map(|a| a.delivered).sum()
+    };
+    let before = jobs(&walk);
+    assert!(before > 0);
+    for frame in 0..20 {
+        // Something that is no work makes each frame be drawn.
+        let controls = *walk.controls();
+        walk.set_controls(Controls {
+            set: Adjustment { fps: 31.0 + frame as f32, ..controls.set },
+            ..controls
+        });
+        settle(&mut walk, start);
+        assert_eq!(walk.picture(), Some(&plain), "frame {frame}");
+        assert_eq!(walk.status().traced, 0, "frame {frame}");
+    }
+    assert_eq!(jobs(&walk), before, "no ray");
+    for _ in 0..100 {
+        let now = start.elapsed().as_secs_f64();
+        assert_eq!(walk.tick(now + 5.0), (false, Next::Input), "no frame");
+    }
+}
+
+#[test]
+fn a_view_is_refined_and_comes_to_rest() {
+    let start = Instant::now();
+    let rules = Supersampling { noise: 0.02, max_samples: 8 };
+    let mut walk = walk_of(Settings { supersampling: Some(rules), ..Settings::new(64, 48, 2) });
+    settle(&mut walk, start);
+    assert!(walk.status().refined);
+    let standing = walk.insight().and_then(|(insight, _)| insight.refinement).expect("how far");
+    assert!(standing.quiet > 0 && standing.tiles == 12, "{standing:?}");
+    assert!(standing.error.is_some_and(|error| error > 0.0 && error < 0.2), "{standing:?}");
+    let refined = walk.picture().cloned().expect("a picture");
+    let controls = *walk.controls();
+    walk.set_controls(Controls { set: Adjustment { refine: None, ..controls.set }, ..controls });
+    settle(&mut walk, start);
+    let plain = walk.picture().cloned().expect("a picture");
+    assert!(!walk.status().refined && plain != refined, "edges are not smooth any more");
+    walk.set_controls(controls);
+    settle(&mut walk, start);
+    assert_eq!(walk.picture(), Some(&refined), "the same bits again");
+}
+
+#[test]
+fn where_quality_is_kept_every_frame_has_it() {
+    let mut made = made(Settings::new(64, 48, 2));
+    (made.options.fps, made.options.quality) = (Some(1000.0), Some(0.0));
+    let (mut walk, start) = (Walk::new(Box::new(made.start()), 0.0), Instant::now());
+    settle(&mut walk, start);
+    walk.navigator.press(Motion::Right, start.elapsed().as_secs_f64());
+    let (view, mut frames) = (walk.status().view, 0);
+    while frames < 3 {
+        let (shown, next) = walk.tick(start.elapsed().as_secs_f64());
+        if shown {
+            frames += 1;
+            assert_eq!(walk.quality(), Some(0.0), "frame {frames}");
+        }
+        if let Next::At(_) = next {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+    assert_eq!(walk.status().view, view + frames);
+}
+
+/// Walks to the right for ten frames, and fails unless each has the camera of the moment in which it began.
+fn sees_input_in_each_frame(walk: &mut Walk, what: &str) {
+    let (mut now, mut frames) = (0.0, 0);
+    walk.navigator.press(Motion::Right, now);
+    while frames < 10 {
+        let before = walk.begun().copied();
+        let expected = walk.navigator.camera(now);
+        let (shown, next) = walk.tick(now);
+        if walk.begun().copied() != before {
+            assert_eq!(walk.begun(), Some(&expected), "{what}: frame {frames}");
+            assert_ne!(before, Some(expected), "{what}: frame {frames} sees the camera move");
+        }
+        frames += u32::from(shown);
+        now = match next {
+            Next::At(t) => t,
+            _ => now + 0.01,
+        };
+        assert!(now < 10.0, "{what}: {frames} frames");
+    }
+}
+
+#[test]
+fn input_reaches_its_frame_whoever_stalls() {
+    for who in Stalled::EACH {
+        let session = made(Settings::new(64, 48, 2)).baking().start();
+        session.stall(who);
+        let mut walk = Walk::new(Box::new(session), 0.0);
+        sees_input_in_each_frame(&mut walk, &format!("{who:?}"));
+        assert!(!walk.status().lit);
+        assert!(who != Stalled::All || walk.status().traced == 0, "nobody else did anything");
+    }
+}
+
+/// What takes what was written only once it is let.
+struct Slow(Arc<AtomicBool>);
+
+impl std::io::Write for Slow {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let is_recorder = std::thread::current().name() == Some("recorder");
+        while is_recorder && !self.0.load(Ordering::SeqCst) {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn input_reaches_its_frame_while_the_disk_stalls() {
+    let goes_on = Arc::new(AtomicBool::new(false));
+    let slow = Record::Sink(Box::new(Slow(goes_on.clone())));
+    let made = made(Settings::new(64, 48, 2)).recorded(slow);
+    let mut walk = Walk::new(Box::new(made.start()), 0.0);
+    sees_input_in_each_frame(&mut walk, "recording");
+    goes_on.store(true, Ordering::SeqCst);
+}
+
+#[test]
+fn a_recording_is_whole_although_light_is_still_baked_at_its_end() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for leaves in [false, true] {
+        let file = folder.path().join(format!("{leaves}.fvl"));
+        let made = made(Settings::new(64, 48, 2)).baking().recorded(Record::File(file.clone()));
+        let mut walk = Walk::new(Box::new(made.start()), 0.0);
+        sees_input_in_each_frame(&mut walk, "recording");
+        if leaves {
+            walk.replace_source(Box::new(self::made(Settings::new(64, 48, 2)).start()));
+            sees_input_in_each_frame(&mut walk, "another version of the scene");
+        }
+        drop(walk);
+        let trace = foveal_runtime::Trace::open(&file).expect("a recording");
+        // One that is left may not have the time to come to its end.
+        assert!(leaves || trace.complete(), "it has no end");
+        assert!(trace.stat().deliveries > 0);
+    }
+}
+
+#[test]
+fn the_window_does_not_look_around_objects_when_that_was_done_while_loading() {
+    let mut made = made(Settings::new(64, 48, 2));
+    let probes = Arc::new(Probes::of_world(&made.opened.world));
+    made.options.probes = Some(probes.clone());
+    let session = made.start();
+    assert!(Arc::strong_count(&probes) > 1, "the actors look at others");
+    drop(session);
+    assert_eq!(Arc::strong_count(&probes), 1);
+}
+
+#[test]
+fn every_control_is_a_message_and_no_new_actors_start() {
+    let (mut walk, start) = (walk(), Instant::now());
+    settle(&mut walk, start);
+    let plain = walk.picture().cloned();
+    let before = *walk.controls();
+    let set = Adjustment {
+        fps: 20.0,
+        workers: 1,
+        policy: Policy::Uniform,
+        saliency_weight: 1.0,
+        samples_per_job: 64,
+        environment_bytes: 0,
+        ..before.set
+    };
+    walk.set_controls(Controls { set, ..before });
+    settle(&mut walk, start);
+    walk.navigator.look(40.0, 0.0, start.elapsed().as_secs_f64());
+    settle(&mut walk, start);
+    assert_eq!((walk.controls().set, walk.status().view), (set, 2), "the same actors go on");
+    let (insight, _) = walk.insight().expect("the allocator said something");
+    assert_eq!(insight.map_bytes, [0, 0], "maps are given up");
+    walk.set_controls(Controls { set: Adjustment { workers: 2, ..set }, ..before });
+    walk.go_to(0, start.elapsed().as_secs_f64());
+    settle(&mut walk, start);
+    assert_eq!(walk.picture().cloned(), plain, "whatever the order of the samples");
+}
+
+#[test]
+fn other_ageing_rules_converge_to_the_same_picture() {
+    let (mut walk, start) = (walk(), Instant::now());
+    settle(&mut walk, start);
+    let plain = walk.picture().cloned();
+    let mut controls = *walk.controls();
+    controls.set.ageing = AgeingRules { delta: 0.3, max_age: 7, n_min: 2 };
+    walk.set_controls(controls);
+    settle(&mut walk, start);
+    assert!(walk.status().converged);
+    assert_eq!(walk.picture().cloned(), plain);
+}
+
+#[test]
+fn pictures_change_their_size_and_the_walk_goes_on() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("a.fvl");
+    let mut engine = made(Settings::new(64, 48, 2)).recorded(Record::File(file.clone())).start();
+    let camera = engine.place().cameras[0].camera;
+    let mut controls = engine.controls();
+    controls.set.workers = 1;
+    engine.set(&controls).expect("a walk");
+    engine.frame(&camera, Duration::from_millis(20)).expect("a frame");
+    engine.resize(32, 24).expect("actors");
+    let frame = engine.frame(&camera, Duration::from_millis(20)).expect("a frame");
+    assert_eq!((frame.snapshot.rgb8.width(), frame.snapshot.rgb8.height()), (32, 24));
+    assert_eq!(engine.controls(), controls);
+    assert!(foveal_runtime::Trace::open(&file).expect("a recording").complete(), "it ends with its size");
+}
+
+#[test]
+fn what_happens_beside_the_frames_is_told_once() {
+    let mut engine = made(Settings::new(64, 48, 2)).start();
+    let camera = engine.place().cameras[0].camera;
+    let mut told = Vec::new();
+    for _ in 0..3 {
+        engine.begin(&camera).expect("a walk");
+        engine.work_until(Duration::from_secs(60), Renderer::is_converged).expect("a walk");
+        told.extend(engine.end().expect("a frame").events);
+    }
+    assert_eq!(told, [Event::Converged]);
+}
+
+/// A camera that has gone some steps aside.
+fn aside(start: &Camera, steps: u32) -> Camera {
+    let by = (start.target - start.eye).cross(start.up).normalize() * (0.01 * steps as f32);
+    Camera { eye: start.eye + by, target: start.target + by, ..*start }
+}
+
+#[test]
+fn whoever_stalls_is_not_written_to_without_end() {
+    let mut engine = made(Settings::new(64, 48, 2)).start();
+    let camera = engine.place().cameras[0].camera;
+    engine.frame(&camera, Duration::from_millis(50)).expect("a frame");
+    engine.stall(Stalled::All);
+    for step in 0..600 {
+        let mut controls = engine.controls();
+        controls.set.tone.exposure = 1.0 + 0.001 * step as f32;
+        engine.set(&controls).expect("a walk");
+        engine.frame(&aside(&camera, step), Duration::ZERO).expect("a frame");
+    }
+    assert_eq!(engine.look(Renderer::waiting), Some(0), "nothing came back to the renderer");
+    for actor in engine.status().actors {
+        assert!(actor.waiting < 64, "{} messages wait for the {}", actor.waiting, actor.name);
+    }
+}
+
+#[test]
+fn a_cache_ager_that_falls_behind_ages_for_the_newest_view_alone() {
+    let mut engine = made(Settings::new(64, 48, 2)).start();
+    let start = engine.place().cameras[0].camera;
+    engine.begin(&start).expect("a walk");
+    engine.work_until(Duration::from_secs(60), Renderer::is_converged).expect("a walk");
+    engine.end().expect("a frame");
+    assert!(engine.rest(Duration::from_secs(60)).expect("a walk"));
+    let ager = engine.actors().correction.expect("corrections").cache_ager;
+    let delivered = |engine: &Engine| {
+        let counters = engine.runtime().counters();
+        counters.iter().find(|c| c.name == "cache ager").map_or(0, |c| c.delivered)
+    };
+    // Nobody traces, so that it is told of cameras only.
+    engine.stall(Stalled::Tracers);
+    engine.stall(Stalled::CacheAger);
+    for step in 1..8 {
+        engine.frame(&aside(&start, step), Duration::from_millis(1)).expect("a frame");
+    }
+    let before = delivered(&engine);
+    engine.begin(&aside(&start, 8)).expect("a walk");
+    engine.runtime().control(ager, Control::Resume);
+    assert!(engine.rest(Duration::from_secs(60)).expect("a walk"));
+    let frame = engine.end().expect("a frame");
+    assert!(frame.counts.reused > 0, "samples of the first view are shown in the last");
+    // The order to go on, and one camera of eight.
+    assert!(delivered(&engine) - before <= 2, "{} deliveries", delivered(&engine) - before);
+}

@@ -1,0 +1,234 @@
+//! From files to a world: load the scene, find or make its illumination.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use etcetera::base_strategy::{BaseStrategy, choose_native_strategy};
+use foveal::geometry::Accel;
+use foveal::illumination::Irradiance;
+use foveal::illumination::bake::{BakeSettings, Baked, Baker, cache_key};
+use foveal::illumination::cache::{load_illumination, save};
+use foveal::illumination::quick::quick_direct;
+use foveal::scene::{NamedCamera, Scene, load};
+use foveal::transport::light::Lights;
+use foveal::transport::particle::SceneTransport;
+use foveal::world::World;
+
+use foveal_actors::illuminator::Refinement;
+use foveal_actors::textures::TextureStore;
+
+use crate::bake_clock::{BakeClock, Watch};
+use crate::failure::Failure;
+use crate::interrupt::interrupted;
+use crate::light::Light;
+
+/// A scene that is ready for a picture.
+#[derive(Clone)]
+pub struct Opened {
+    /// The file it was read from; empty for a world that was made.
+    pub path: PathBuf,
+    /// Where its illumination came from.
+    pub light: Light,
+    /// Scene, geometry, lights and illumination.
+    pub world: World,
+    /// Textures, where they do not all fit into their limit; the world has them at their coarsest then.
+    pub textures: Option<Arc<TextureStore>>,
+    /// What the illumination is to be refined towards, where it is a first estimate.
+    pub refinement: Option<Refinement>,
+    /// What went wrong without stopping anything, each said once.
+    pub warnings: Vec<String>,
+}
+
+impl Opened {
+    /// A world that was made, under the light it has.
+    pub fn of_world(world: World) -> Self {
+        let light = Light::default();
+        Self { path: PathBuf::new(), light, world, textures: None, refinement: None, warnings: Vec::new() }
+    }
+
+    /// Keeps the textures within `limit` bytes, if they are more; their levels lie in the cache folder.
+    pub fn limit_textures(&mut self, limit: Option<u64>) -> Result<(), Failure> {
+        let scene = &self.world.scene;
+        let all: u64 = scene.textures.iter().map(|t| t.mips.bytes() as u64).sum();
+        let Some(limit) = limit.filter(|limit| all > *limit) else { return Ok(()) };
+        let folder = cache_folder(self.light.cache.as_deref())
+            .ok_or_else(|| {
+                Failure::Environment("nowhere to keep textures; set FOVEAL_CACHE or --cache".into())
+            })?
+            .join("textures");
+        let (store, textures) = TextureStore::new(scene, limit, &folder).map_err(|below| {
+            Failure::Limit(format!(
+                "textures cannot be kept within {limit} bytes: the smallest limit that works is {} bytes",
+                below.smallest
+            ))
+        })?;
+        for warning in &store.warnings {
+            tracing::warn!("{warning}");
+        }
+        self.warnings.extend(store.warnings.iter().cloned());
+        self.world = self.world.with_resident(textures);
+        self.textures = Some(Arc::new(store));
+        Ok(())
+    }
+}
+
+/// Loads a scene; warnings go to the log and into the list.
+pub fn load_scene(path: &Path) -> Result<(Arc<Scene>, Vec<String>), Failure> {
+    let loaded = load::load(path).map_err(|e| Failure::Input(e.to_string()))?;
+    let warnings: Vec<String> = loaded.warnings.iter().map(ToString::to_string).collect();
+    for warning in &warnings {
+        tracing::warn!("{warning}");
+    }
+    Ok((Arc::new(loaded.scene), warnings))
+}
+
+/// Loads a scene and its illumination.
+pub fn open(path: &Path, light: &Light, watch: &dyn Watch) -> Result<Opened, Failure> {
+    let (scene, warnings) = load_scene(path)?;
+    illuminated(path, scene, warnings, light, watch)
+}
+
+/// The illumination of a scene that is loaded, with what went wrong so far.
+pub fn illuminated(
+    path: &Path,
+    scene: Arc<Scene>,
+    mut warnings: Vec<String>,
+    light: &Light,
+    watch: &dyn Watch,
+) -> Result<Opened, Failure> {
+    // What is kept is read while the geometry index is built.
+    let (accel, kept) = rayon::join(|| Arc::new(Accel::build(&scene)), || kept(&scene, light, &mut warnings));
+    let lights = Arc::new(Lights::build(&scene));
+    let (illumination, unmet): (Arc<dyn Irradiance>, Unmet) = match kept? {
+        Some(kept) => (kept, None),
+        None => illuminate(&scene, &accel, &lights, light, watch, &mut warnings)?,
+    };
+    let world = World { scene, accel, lights, illumination };
+    let refinement = unmet.map(|(settings, keep)| Refinement { world: world.clone(), settings, keep });
+    Ok(Opened { path: path.to_owned(), light: light.clone(), world, textures: None, refinement, warnings })
+}
+
+/// The illumination that was asked for, from a file or the cache. `None` where it has to be made.
+fn kept(
+    scene: &Arc<Scene>,
+    a: &Light,
+    warnings: &mut Vec<String>,
+) -> Result<Option<Arc<dyn Irradiance>>, Failure> {
+    if a.quick {
+        return Ok(None);
+    }
+    let settings = a.settings.settings(scene);
+    let key = cache_key(scene, &settings);
+    let triangles = scene.mesh.triangles.len();
+    if let Some(file) = &a.bake {
+        let map = load_illumination(file, &key, triangles).map_err(|e| {
+            Failure::Input(format!(
+                "{}: {e}; bake this scene with the same --texels and --bake-seed again",
+                file.display()
+            ))
+        })?;
+        return Ok(Some(Arc::new(map)));
+    }
+    let kept = cache_file(a.cache.as_deref(), scene, &settings);
+    if let Some(file) = kept.as_ref().filter(|f| !a.refined && f.exists()) {
+        match load_illumination(file, &key, triangles) {
+            Ok(map) => return Ok(Some(Arc::new(map))),
+            Err(e) => {
+                let warning = format!("{}: {e}; the illumination is baked anew", file.display());
+                tracing::warn!("{warning}");
+                warnings.push(warning);
+            }
+        }
+    }
+    Ok(None)
+}
+
+/// Settings that the illumination does not meet yet, and where one that does is to be kept.
+type Unmet = Option<(BakeSettings, Option<PathBuf>)>;
+
+fn illuminate(
+    scene: &Arc<Scene>,
+    accel: &Accel,
+    lights: &Lights,
+    a: &Light,
+    watch: &dyn Watch,
+    warnings: &mut Vec<String>,
+) -> Result<(Arc<dyn Irradiance>, Unmet), Failure> {
+    let transport = SceneTransport::new(scene, accel, lights);
+    let first = || Arc::new(quick_direct(scene, &transport, a.settings.bake_seed));
+    if a.quick {
+        return Ok((first(), None));
+    }
+    let settings = a.settings.settings(scene);
+    let key = cache_key(scene, &settings);
+    let kept = cache_file(a.cache.as_deref(), scene, &settings);
+    if !a.baked {
+        return Ok((first(), Some((settings, kept))));
+    }
+    let baked = bake_within(scene, &transport, &settings, a.settings.time, watch);
+    if interrupted() {
+        return Err(Failure::Interrupted("interrupted while baking".into()));
+    }
+    // A bake that a time limit ended is not what the settings ask for.
+    if let Some(file) = kept.filter(|_| baked.complete) {
+        let kept = std::fs::create_dir_all(file.parent().unwrap_or(Path::new("."))).is_ok()
+            && save(&file, &key, &baked.illumination).is_ok();
+        if !kept {
+            let warning =
+                format!("{}: the illumination cannot be kept; set FOVEAL_CACHE or --cache", file.display());
+            tracing::warn!("{warning}");
+            warnings.push(warning);
+        }
+    }
+    Ok((Arc::new(baked.illumination), None))
+}
+
+/// Bakes until the settings are met, the time is up, or [`crate::interrupt`].
+pub fn bake_within(
+    scene: &Scene,
+    transport: &SceneTransport<'_>,
+    settings: &BakeSettings,
+    time: Option<Duration>,
+    watch: &dyn Watch,
+) -> Baked {
+    let aims = (settings.error.unwrap_or(0.0), settings.particles.unwrap_or(u64::MAX));
+    let clock = BakeClock::new(Instant::now(), watch, time, aims);
+    let keep_going = |p: &foveal::illumination::bake::Progress| {
+        clock.at(p);
+        !interrupted() && !clock.is_over()
+    };
+    // What was interrupted is not looked at.
+    let mut baker = Baker::new(scene, transport, settings).hurried_by(|| interrupted() || clock.is_late());
+    let baked = baker.run(&keep_going, &mut |_| {});
+    clock.finish();
+    baked
+}
+
+/// The folder of kept bakes: the one given, FOVEAL_CACHE, or `foveal` in the folder that the system has for caches.
+pub fn cache_folder(given: Option<&Path>) -> Option<PathBuf> {
+    let named = || std::env::var_os("FOVEAL_CACHE").filter(|v| !v.is_empty()).map(PathBuf::from);
+    let of_user = || Some(choose_native_strategy().ok()?.cache_dir().join("foveal"));
+    given.map(Path::to_path_buf).or_else(named).or_else(of_user)
+}
+
+/// Where the bake of a scene with these settings is kept: its name holds all that decides its content.
+pub fn cache_file(given: Option<&Path>, scene: &Scene, settings: &BakeSettings) -> Option<PathBuf> {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&cache_key(scene, settings));
+    hasher.update(&settings.particles.unwrap_or(0).to_le_bytes());
+    hasher.update(&settings.error.unwrap_or(0.0).to_le_bytes());
+    let name = format!("{}.fvbake", &hasher.finalize().to_hex()[..32]);
+    cache_folder(given).map(|folder| folder.join(name))
+}
+
+/// A camera of the scene by name, or the first.
+pub fn camera<'s>(scene: &'s Scene, name: Option<&str>) -> Result<&'s NamedCamera, Failure> {
+    match name {
+        None => scene.cameras.first().ok_or_else(|| Failure::Input("the scene has no camera".into())),
+        Some(name) => scene.cameras.iter().find(|c| c.name == name).ok_or_else(|| {
+            let names: Vec<&str> = scene.cameras.iter().map(|c| c.name.as_str()).collect();
+            Failure::Usage(format!("no camera \"{name}\"; the scene has {}", names.join(", ")))
+        }),
+    }
+}

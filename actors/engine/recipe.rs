@@ -1,0 +1,137 @@
+//! How a window's walks are made: of its scene, of the same read again, of another that is dropped on it.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use foveal::display::first_approximation::Probes;
+use foveal_actors::settings::Settings;
+use foveal_runtime::{Hashing, Record};
+
+use crate::bake_clock::Watch;
+use crate::engine::{Engine, Stalled};
+use crate::failure::Failure;
+use crate::light::Light;
+use crate::opened::{self, Opened};
+use crate::options::{Options, Recording};
+use crate::recording::program;
+use crate::source::{Build, FrameSource, Loader};
+
+/// What each walk of a window is made with.
+#[derive(Clone)]
+pub struct Recipe {
+    /// The scene to begin with.
+    pub scene: PathBuf,
+    /// Where light comes from.
+    pub light: Light,
+    /// Settings of all actors.
+    pub settings: Settings,
+    /// Frames per second to aim at; `None` is the scene's, else 10.
+    pub fps: Option<f32>,
+    /// Least quality of a frame that is shown, if frames are to wait for it.
+    pub quality: Option<f32>,
+    /// Most bytes of textures; `None` is the scene's limit, if it has one.
+    pub texture_bytes: Option<u64>,
+    /// Where the first walk is recorded, if at all; those after it go to FILE-2, FILE-3, …
+    pub record: Option<PathBuf>,
+    /// How densely hashes are recorded.
+    pub hashing: Hashing,
+    /// Who stops at once, to see that the walk goes on.
+    pub stalled: Stalled,
+}
+
+impl Recipe {
+    /// A scene by this name, in a picture of this size, as `foveal view` shows it.
+    pub fn new(scene: impl Into<PathBuf>, settings: Settings) -> Self {
+        Self {
+            scene: scene.into(),
+            light: Light::default(),
+            settings,
+            fps: None,
+            quality: None,
+            texture_bytes: None,
+            record: None,
+            hashing: Hashing::Exact,
+            stalled: Stalled::Nobody,
+        }
+    }
+
+    /// Everything of a walk but its threads, from a scene file. Takes long, so it may be done on a thread beside.
+    ///
+    /// # Errors
+    /// If the scene or its illumination cannot be read, or a limit cannot be met.
+    pub fn load(&self, path: &Path, watch: &dyn Watch) -> Result<Loaded, Failure> {
+        let mut opened = opened::open(path, &self.light, watch)?;
+        opened.limit_textures(self.texture_bytes.or(opened.world.scene.budget.texture_bytes))?;
+        let probes = Arc::new(Probes::of_world(&opened.world));
+        Ok(Loaded { opened, probes })
+    }
+
+    /// Starts walk `number`, counted from 1, on this thread.
+    ///
+    /// # Errors
+    /// If threads cannot be started.
+    pub fn start(&self, loaded: Loaded, number: u32) -> Result<Engine, Failure> {
+        let Loaded { opened, probes } = loaded;
+        let file = opened.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let recording = self.record.as_ref().map(|file| Recording {
+            into: Record::File(numbered(file, number)),
+            hashing: self.hashing,
+            command: "view",
+        });
+        let options = Options {
+            fps: self.fps,
+            quality: self.quality,
+            texture_bytes: self.texture_bytes,
+            recording,
+            probes: Some(probes),
+            facts: vec![("Software".to_owned(), program()), ("foveal file".to_owned(), file)],
+            ..Options::interactive(self.settings)
+        };
+        let engine = Engine::start(opened, options)?;
+        engine.stall(self.stalled);
+        Ok(engine)
+    }
+
+    /// The scene's walk, loaded and started.
+    ///
+    /// # Errors
+    /// As [`Recipe::load`] and [`Recipe::start`].
+    pub fn walk(&self, watch: &dyn Watch) -> Result<Engine, Failure> {
+        self.start(self.load(&self.scene, watch)?, 1)
+    }
+
+    /// Makes walks by this recipe. Scenes are read on the thread that asks, actors are started where they are shown.
+    pub fn loader(self) -> Loader {
+        let walks = AtomicU32::new(0);
+        let recipe = Arc::new(self);
+        Arc::new(move |path: Option<&Path>| {
+            let recipe = Arc::clone(&recipe);
+            let number = walks.fetch_add(1, Ordering::Relaxed) + 1;
+            let loaded = recipe.load(path.unwrap_or(&recipe.scene), &()).map_err(|e| e.to_string())?;
+            let build: Build = Box::new(move || {
+                let engine = recipe.start(loaded, number).map_err(|e| e.to_string())?;
+                Ok(Box::new(engine) as Box<dyn FrameSource>)
+            });
+            Ok(build)
+        })
+    }
+}
+
+/// A scene that is ready for a walk.
+pub struct Loaded {
+    /// With its light.
+    pub opened: Opened,
+    /// What each of its objects sees around.
+    pub probes: Arc<Probes>,
+}
+
+/// The file of a walk, counted from 1.
+fn numbered(file: &Path, walk: u32) -> PathBuf {
+    if walk == 1 {
+        return file.to_owned();
+    }
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+    let end = file.extension().map_or_else(String::new, |e| format!(".{}", e.to_string_lossy()));
+    file.with_file_name(format!("{stem}-{walk}{end}"))
+}

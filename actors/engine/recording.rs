@@ -1,0 +1,292 @@
+//! What a recording says of the run behind it: enough to make the same world again, and to name what differs.
+
+use std::path::{Path, PathBuf};
+
+use foveal::display::twin::Passes;
+use foveal::illumination::Irradiance;
+use foveal::illumination::cache::encode;
+use foveal::scene::Scene;
+use foveal_runtime::{Trace, TraceError};
+use serde::{Deserialize, Serialize};
+
+use foveal_actors::settings::Settings;
+
+use crate::bake_clock::Watch;
+use crate::failure::Failure;
+use crate::light::Light;
+use crate::machine::Machine;
+use crate::opened::{self, Opened};
+
+/// Most tracers of a session: with the thread of the light actors, as many as the runtime's threads.
+pub const TRACERS_MAX: u32 = 63;
+
+/// The application's part of a recording's header.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct RecordedRun {
+    /// Program and version that recorded.
+    pub program: String,
+    /// The command: walk, view, simulate.
+    pub command: String,
+    /// The scene file as it was named.
+    pub scene: PathBuf,
+    /// BLAKE3 of everything the scene was read from, hexadecimal.
+    pub scene_hash: String,
+    /// Settings that all actors shared.
+    pub settings: Settings,
+    /// Whether the texture-id pass ran.
+    pub texture_ids: bool,
+    /// Whether there was anything to correct.
+    pub corrects: bool,
+    /// Most bytes of textures in memory, where that was less than all.
+    pub texture_limit: Option<u64>,
+    /// Where the illumination came from.
+    pub illumination: Light,
+    /// BLAKE3 of the stored illumination, hexadecimal.
+    pub illumination_hash: String,
+    /// Particles of that illumination.
+    pub particles: u64,
+    /// Relative error of that illumination.
+    pub relative_error: f32,
+}
+
+impl RecordedRun {
+    /// Describes a run that is about to begin.
+    pub fn new(command: &str, opened: &Opened, machine: &Machine) -> Result<Self, Failure> {
+        let (particles, relative_error) = extent(&*opened.world.illumination);
+        Ok(Self {
+            program: program(),
+            command: command.to_owned(),
+            scene: opened.path.clone(),
+            scene_hash: hex(&opened.world.scene),
+            settings: machine.settings,
+            texture_ids: machine.passes.texture_ids,
+            corrects: machine.corrects,
+            texture_limit: opened.textures.as_ref().map(|store| store.limit),
+            illumination: Light { refined: opened.refinement.is_some(), ..opened.light.clone() },
+            illumination_hash: illumination_hash(&*opened.world.illumination)?,
+            particles,
+            relative_error,
+        })
+    }
+
+    /// As it stands in a header.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, Failure> {
+        serde_json::to_vec(self)
+            .map_err(|e| Failure::Check(format!("the recording's header cannot be written: {e}")))
+    }
+
+    /// From a header; every number in it is checked.
+    pub fn of(trace: &Trace, path: &Path) -> Result<Self, Failure> {
+        let wrong = |what: String| Failure::Input(format!("{}: {what}", path.display()));
+        let run: Self = serde_json::from_slice(&trace.header().application)
+            .map_err(|e| wrong(format!("this is no recording of foveal: {e}")))?;
+        match unsound(&run.settings) {
+            None => Ok(run),
+            Some(what) => Err(wrong(format!("the recording's header is damaged: {what}"))),
+        }
+    }
+
+    /// Which parts of the machine ran.
+    pub fn machine(&self) -> Machine {
+        let passes = Passes { texture_ids: self.texture_ids };
+        Machine { settings: self.settings, passes, corrects: self.corrects }
+    }
+
+    /// The world of the run. What is given in `elsewhere` takes the place of the recorded files.
+    pub fn open(&self, trace: &Path, elsewhere: &Elsewhere, watch: &dyn Watch) -> Result<Opened, Failure> {
+        let wrong = |what: String| Failure::Input(format!("{}: {what}", trace.display()));
+        let scene_file = match &elsewhere.scene {
+            Some(file) => file.clone(),
+            None => find(&self.scene, trace).ok_or_else(|| {
+                wrong(format!(
+                    "its scene {} is neither here nor beside the recording; name it with --scene",
+                    self.scene.display()
+                ))
+            })?,
+        };
+        let (scene, warnings) = opened::load_scene(&scene_file)?;
+        let here = hex(&scene);
+        if here != self.scene_hash {
+            return Err(wrong(format!(
+                "recorded in another scene: {} had the content {} then, {} has {here}",
+                self.scene.display(),
+                self.scene_hash,
+                scene_file.display()
+            )));
+        }
+        let mut illumination = self.illumination.clone();
+        illumination.cache.clone_from(&elsewhere.cache);
+        illumination.baked = !illumination.refined && !illumination.quick;
+        // Where the recorded file is gone, the same bake may be kept, or is made again: its hash tells.
+        illumination.bake = match (&elsewhere.bake, &self.illumination.bake) {
+            (Some(given), _) => Some(given.clone()),
+            (None, recorded) => recorded.as_ref().and_then(|file| find(file, trace)),
+        };
+        let mut opened = opened::illuminated(&scene_file, scene, warnings, &illumination, watch)?;
+        let stored = &*opened.world.illumination;
+        let here = illumination_hash(stored)?;
+        if here != self.illumination_hash {
+            let (particles, relative_error) = extent(stored);
+            return Err(wrong(format!(
+                "recorded under another illumination: {} particles, error {:.4}, content {} then; \
+                 {particles} particles, error {relative_error:.4}, content {here} here; name the recorded bake \
+                 with --bake",
+                self.particles, self.relative_error, self.illumination_hash
+            )));
+        }
+        opened.limit_textures(self.texture_limit)?;
+        Ok(opened)
+    }
+}
+
+/// Files that replay takes instead of the recorded ones.
+#[derive(Clone, Debug, Default)]
+pub struct Elsewhere {
+    /// The scene, where it has moved.
+    pub scene: Option<PathBuf>,
+    /// The bake the walk was recorded with, where it has moved.
+    pub bake: Option<PathBuf>,
+    /// Folder of kept bakes; `None` is FOVEAL_CACHE, else the user's cache folder.
+    pub cache: Option<PathBuf>,
+}
+
+/// Reads a recording. What is missing at its end costs only that end; what is damaged is refused.
+pub fn open_trace(path: &Path) -> Result<Trace, Failure> {
+    let trace = Trace::open(path).map_err(|e| match e {
+        TraceError::Io(e) => Failure::file(path, e),
+        other => Failure::file(path, other),
+    })?;
+    let Some(cut) = trace.damage() else { return Ok(trace) };
+    if !ends_early(path, cut.offset) {
+        return Err(Failure::Input(format!(
+            "{}: damaged at byte {}: {}; `foveal log cut` keeps what is before",
+            path.display(),
+            cut.offset,
+            cut.reason
+        )));
+    }
+    tracing::warn!("{}: {}; what is there is replayed", path.display(), cut.reason);
+    Ok(trace)
+}
+
+/// Whether the file simply ends behind `offset`, as after a kill, rather than holding something wrong.
+pub fn ends_early(path: &Path, offset: u64) -> bool {
+    use std::io::{Read, Seek, SeekFrom};
+    /// Lengths and checksum before each segment.
+    const HEAD: u64 = 12;
+    let left = || -> std::io::Result<(u64, [u8; 8])> {
+        let mut file = std::fs::File::open(path)?;
+        let left = file.metadata()?.len().saturating_sub(offset);
+        let mut lengths = [0; 8];
+        if left >= HEAD {
+            file.seek(SeekFrom::Start(offset))?;
+            file.read_exact(&mut lengths)?;
+        }
+        Ok((left, lengths))
+    };
+    left().is_ok_and(|(left, lengths)| {
+        let stored = u32::from_le_bytes([lengths[4], lengths[5], lengths[6], lengths[7]]);
+        left < HEAD || left < HEAD + u64::from(stored)
+    })
+}
+
+/// This program and its version.
+pub fn program() -> String {
+    concat!("foveal ", env!("CARGO_PKG_VERSION")).to_owned()
+}
+
+fn hex(scene: &Scene) -> String {
+    blake3::Hash::from_bytes(scene.content_hash).to_hex().to_string()
+}
+
+/// A hash of all stored values.
+pub fn illumination_hash(illumination: &dyn Irradiance) -> Result<String, Failure> {
+    let Some(stored) = illumination.stored() else { return Ok("none".to_owned()) };
+    let bytes = encode(&[0; 32], stored)
+        .map_err(|e| Failure::Check(format!("the illumination cannot be identified: {e}")))?;
+    Ok(blake3::hash(&bytes).to_hex().to_string())
+}
+
+fn extent(illumination: &dyn Irradiance) -> (u64, f32) {
+    illumination.stored().map_or((0, 0.0), |stored| (stored.summary.particles, stored.summary.relative_error))
+}
+
+/// A recorded file: where it was, or at the same place relative to the recording or a folder above it.
+fn find(file: &Path, trace: &Path) -> Option<PathBuf> {
+    if file.exists() {
+        return Some(file.to_owned());
+    }
+    let trace = trace.canonicalize().ok()?;
+    trace.ancestors().skip(1).map(|folder| folder.join(file)).find(|candidate| candidate.exists())
+}
+
+/// What no command line could have asked for.
+fn unsound(s: &Settings) -> Option<String> {
+    let pixels = u64::from(s.width) * u64::from(s.height);
+    let side = 1..=16384;
+    let checks = [
+        (side.contains(&s.width) && side.contains(&s.height) && pixels <= 1 << 26, "picture size"),
+        ((1..=TRACERS_MAX).contains(&s.tracers), "number of tracers"),
+        ((1..=1 << 20).contains(&s.samples_per_job), "samples of a job"),
+        (s.k_max <= 7, "number of levels"),
+        (s.cache_capacity <= 1 << 26, "size of the sample cache"),
+        ((0.0..=1.0).contains(&s.saliency_weight), "weight of saliency"),
+        (s.policy.reduction > 0.0 && s.policy.reduction < 1.0, "reduction of priorities"),
+    ];
+    checks.iter().find(|(sound, _)| !sound).map(|(_, what)| format!("no such {what}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_found_beside_the_recording_and_above() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (scenes, traces) = (folder.path().join("scenes"), folder.path().join("traces"));
+        std::fs::create_dir_all(&scenes).expect("made");
+        std::fs::create_dir_all(&traces).expect("made");
+        let (scene, trace) = (scenes.join("unheard-of.obj"), traces.join("a.fvl"));
+        std::fs::write(&scene, "").expect("written");
+        std::fs::write(&trace, "").expect("written");
+        let found = find(Path::new("scenes/unheard-of.obj"), &trace).expect("found");
+        assert_eq!(found, scene.canonicalize().expect("there"));
+        assert_eq!(find(Path::new("scenes/other.obj"), &trace), None);
+    }
+
+    #[test]
+    fn settings_that_no_command_line_gives_are_refused() {
+        let settings = Settings::new(64, 48, 3);
+        assert_eq!(unsound(&settings), None);
+        for wrong in [
+            Settings { width: 0, ..settings },
+            Settings { width: 16384, height: 16384, ..settings },
+            Settings { tracers: 64, ..settings },
+            Settings { samples_per_job: 0, ..settings },
+            Settings { k_max: 8, ..settings },
+            Settings { cache_capacity: usize::MAX, ..settings },
+            Settings { saliency_weight: f32::NAN, ..settings },
+        ] {
+            assert!(unsound(&wrong).is_some(), "{wrong:?}");
+        }
+    }
+
+    #[test]
+    fn what_ends_early_is_told_from_what_is_damaged() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.fvl");
+        let segment = |stored: u32, bytes: usize| {
+            let mut file = vec![7; 20];
+            file.extend_from_slice(&4u32.to_le_bytes());
+            file.extend_from_slice(&stored.to_le_bytes());
+            file.extend_from_slice(&[0; 4]);
+            file.resize(file.len() + bytes, 1);
+            std::fs::write(&path, file).expect("written");
+            ends_early(&path, 20)
+        };
+        assert!(!segment(10, 10), "all of it is there, so it is wrong");
+        assert!(segment(10, 9));
+        std::fs::write(&path, [7; 25]).expect("written");
+        assert!(ends_early(&path, 20));
+    }
+}

@@ -1,0 +1,11 @@
+//! Recordings: the world they were made in, systems that replay them from any moment, and what can be asked of them.
+
+mod index;
+mod player;
+mod source;
+mod stepper;
+pub mod why;
+
+pub use player::Player;
+pub use source::{How, Seen, Source, name, observe};
+pub use stepper::Stepper;

@@ -1,0 +1,343 @@
+//! A recording with the world it was made in: systems that replay it are built from here.
+
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crossbeam_queue::SegQueue;
+use foveal::world::World;
+use foveal_actors::renderer::{MARK_FRAME, Unseen};
+use foveal_actors::stages::StageTimes;
+use foveal_actors::wiring::{Actors, wire};
+use foveal_runtime::{
+    ActorId, Config, Delivery, Exit, Hashing, Limit, Mode, Observer, Runtime, Snapshot, Trace, Until,
+};
+
+use super::index::Index;
+use crate::bake_clock::Watch;
+use crate::failure::Failure;
+use crate::interrupt::interrupted;
+use crate::opened::Opened;
+use crate::recording::{Elsewhere, RecordedRun, open_trace, program};
+
+/// A delivery that was looked at.
+#[derive(Clone, Debug)]
+pub struct Seen {
+    /// Who received.
+    pub actor: ActorId,
+    /// Its number.
+    pub index: u64,
+    /// Who sent.
+    pub from: ActorId,
+    /// The message's variant.
+    pub kind: &'static str,
+    /// The delivery it was sent in.
+    pub cause: Option<(ActorId, u64)>,
+    /// The receiver's chained hash.
+    pub chain: u64,
+}
+
+impl Seen {
+    /// What an observer is shown, without the content.
+    pub fn of(d: &Delivery<'_>) -> Self {
+        Self { actor: d.actor, index: d.index, from: d.from, kind: d.kind, cause: d.cause, chain: d.chain }
+    }
+}
+
+/// How one replay is to run.
+#[derive(Clone, Default)]
+pub struct How {
+    /// Threads beside the main one.
+    pub threads: usize,
+    /// Where to stop.
+    pub until: Option<Until>,
+    /// Where to begin, if not at the start.
+    pub from: Option<Arc<Snapshot>>,
+    /// Begin at the last snapshot before `until`.
+    pub jump: bool,
+    /// With `jump`: so many frames earlier.
+    pub frames_before: usize,
+    /// Sees every delivery.
+    pub observer: Option<Observer>,
+    /// Deliveries of a turn; `None` for the runtime's own choice.
+    pub turn: Option<u64>,
+    /// Turns kept of each actor.
+    pub ring_turns: Option<usize>,
+}
+
+/// A recording and its world.
+pub struct Source {
+    /// The recording.
+    pub trace: Arc<Trace>,
+    /// Its file.
+    pub path: PathBuf,
+    /// What it says of the run.
+    pub recorded: RecordedRun,
+    /// The delivery of the renderer in which each frame was shown.
+    pub shown_in: Vec<u64>,
+    opened: Opened,
+    index: RefCell<Index>,
+}
+
+impl Source {
+    /// Reads a recording and makes its world again.
+    pub fn open(
+        path: &Path,
+        elsewhere: &Elsewhere,
+        verify: bool,
+        watch: &dyn Watch,
+    ) -> Result<Self, Failure> {
+        let trace = Arc::new(open_trace(path)?);
+        let recorded = RecordedRun::of(&trace, path)?;
+        if verify && trace.header().hashing == Hashing::Off {
+            return Err(Failure::Input(format!(
+                "{}: recorded without hashes; it cannot be verified",
+                path.display()
+            )));
+        }
+        let opened = recorded.open(path, elsewhere, watch)?;
+        let shown_in = shown_in(&trace);
+        let index = RefCell::new(Index::open(path, elsewhere.cache.as_deref()));
+        Ok(Self { trace, path: path.to_owned(), recorded, shown_in, opened, index })
+    }
+
+    /// The world it was recorded in, as it began.
+    pub fn world(&self) -> &World {
+        &self.opened.world
+    }
+
+    /// A system that replays it.
+    pub fn system(&self, how: How) -> Result<(Runtime, Actors), Failure> {
+        let live = Config::live(how.threads);
+        let mut config = Config {
+            mode: Mode::Replay { trace: Arc::clone(&self.trace), until: how.until },
+            observer: how.observer,
+            from: how.from,
+            program: program(),
+            ring_turns: how.ring_turns.unwrap_or(live.ring_turns),
+            ..live
+        };
+        if let Some(messages) = how.turn {
+            config.budget.messages = messages;
+        }
+        let (machine, stages) = (self.recorded.machine(), StageTimes::default());
+        let parts = machine.parts(&self.opened, None, None, stages, Box::new(Unseen));
+        Runtime::build(config, |w| wire(w, parts))
+            .map_err(|e| Failure::Input(format!("{}: {e}", self.path.display())))
+    }
+
+    /// Replays to where it is to stop, and leaves snapshots for others on the way. `look` is called now and then.
+    pub fn run(&self, mut how: How, mut look: impl FnMut(&Runtime)) -> Result<(Runtime, Actors), Failure> {
+        let mut index = self.index.borrow_mut();
+        if let (true, Some(Until::Delivery { actor, index: at })) = (how.jump, how.until) {
+            let (actor, at) = match how.frames_before {
+                0 => (actor, at),
+                // Frames are counted by the renderer.
+                frames => {
+                    let shown = self.shown_in.partition_point(|shown| *shown < at);
+                    (self.renderer(), shown.checked_sub(frames).map_or(0, |frame| self.shown_in[frame]))
+                }
+            };
+            how.from = index.before(actor, at).map(Arc::new);
+        }
+        let jumped = how.from.is_some();
+        let again = How { from: None, jump: false, ..how.clone() };
+        let (mut runtime, actors) = match self.system(how) {
+            // What was kept cannot be used after all.
+            Err(_) if jumped => self.system(again.clone())?,
+            built => built?,
+        };
+        loop {
+            let exit = runtime.pump_until(Limit::IDLE, |runtime| {
+                look(runtime);
+                interrupted() || index.is_due()
+            });
+            if interrupted() {
+                return Err(Failure::Interrupted("interrupted while replaying".into()));
+            }
+            match exit {
+                Exit::Until => index.keep(|| runtime.snapshot()),
+                _ => break,
+            }
+        }
+        look(&runtime);
+        if jumped && runtime.diverged() {
+            // A snapshot may be at fault: only a replay from the start can tell.
+            drop((index, runtime, actors));
+            return self.run(again, look);
+        }
+        Ok((runtime, actors))
+    }
+
+    /// The last snapshot that is kept before a delivery and has nothing behind it that `cut` does not.
+    pub fn kept(&self, actor: ActorId, index: u64, cut: &[u64]) -> Option<Arc<Snapshot>> {
+        self.index.borrow().before(actor, index).filter(|s| s.is_before(cut)).map(Arc::new)
+    }
+
+    /// The renderer's number.
+    pub fn renderer(&self) -> ActorId {
+        renderer(&self.trace)
+    }
+
+    /// Where `frame` was shown.
+    pub fn frame_shown(&self, frame: u32) -> Result<Until, Failure> {
+        let shown = self.shown_in.get(frame as usize);
+        let index = shown.copied().ok_or_else(|| {
+            let frames = self.shown_in.len();
+            Failure::Usage(format!("no frame {frame}; the recording shows {frames}, counted from 0"))
+        })?;
+        Ok(Until::Delivery { actor: self.renderer(), index })
+    }
+
+    /// `FRAME` or `ACTOR:INDEX`, the actor by name or number.
+    pub fn place(&self, text: &str) -> Result<Until, Failure> {
+        if let Ok(frame) = text.parse::<u32>() {
+            return self.frame_shown(frame);
+        }
+        let wrong =
+            || Failure::Usage(format!("{text}: a frame number, or an actor and an index as renderer:12"));
+        let (name, index) = text.rsplit_once(':').ok_or_else(wrong)?;
+        let actor = self.actor(name)?;
+        let index: u64 = index.parse().map_err(|_| wrong())?;
+        match self.trace.deliveries(actor) {
+            deliveries if index < deliveries => Ok(Until::Delivery { actor, index }),
+            deliveries => {
+                Err(Failure::Usage(format!("no {text}; {deliveries} deliveries to it are recorded, from 0")))
+            }
+        }
+    }
+
+    /// An actor by name or number.
+    pub fn actor(&self, name: &str) -> Result<ActorId, Failure> {
+        let nodes = &self.trace.header().nodes;
+        let by_number = || {
+            let number = name.strip_prefix('#').unwrap_or(name).parse::<u32>().ok()?;
+            ((number as usize) < nodes.len()).then_some(ActorId(number))
+        };
+        self.trace.find(name).or_else(by_number).ok_or_else(|| {
+            let names: Vec<&str> =
+                nodes.iter().filter(|n| n.class.is_some()).map(|n| n.name.as_str()).collect();
+            Failure::Usage(format!("no actor \"{name}\"; the recording has {}", names.join(", ")))
+        })
+    }
+
+    /// An actor's or port's name.
+    pub fn name(&self, id: ActorId) -> &str {
+        name(&self.trace, id)
+    }
+
+    /// A delivery's place, as it can be given to `--until`.
+    pub fn at(&self, (actor, index): (ActorId, u64)) -> String {
+        format!("{}:{index}", self.name(actor))
+    }
+
+    /// A delivery in one line.
+    pub fn line(&self, s: &Seen) -> String {
+        let from = match s.cause {
+            Some(cause) => self.at(cause),
+            None if s.from == s.actor => "itself".to_owned(),
+            None => self.name(s.from).to_owned(),
+        };
+        format!("{:<16} {:<16} from {from:<16} {:016x}", self.at((s.actor, s.index)), s.kind, s.chain)
+    }
+}
+
+/// An actor's or port's name.
+pub fn name(trace: &Trace, id: ActorId) -> &str {
+    trace.header().nodes.get(id.0 as usize).map_or("?", |node| node.name.as_str())
+}
+
+fn renderer(trace: &Trace) -> ActorId {
+    trace.find("renderer").unwrap_or(ActorId(0))
+}
+
+/// The delivery of the renderer in which each frame was shown.
+fn shown_in(trace: &Trace) -> Vec<u64> {
+    let frames = trace.marks(renderer(trace)).filter(|(_, kind, _)| *kind == MARK_FRAME);
+    frames.map(|(index, ..)| index.saturating_sub(1)).collect()
+}
+
+/// An observer that puts every delivery for which `wanted` holds into a queue.
+pub fn observe(
+    seen: &Arc<SegQueue<Seen>>,
+    wanted: impl Fn(&Delivery<'_>) -> bool + Send + Sync + 'static,
+) -> Observer {
+    let seen = Arc::clone(seen);
+    Arc::new(move |d: &Delivery<'_>| {
+        if wanted(d) {
+            seen.push(Seen::of(d));
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn kept(name: &str) -> Source {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../traces").join(name);
+        Source::open(&path, &Elsewhere::default(), true, &()).expect("a walk")
+    }
+
+    /// Whoever adds to an actor's state and forgets to save it fails here.
+    #[test]
+    fn a_walk_goes_on_from_every_frame() {
+        for name in ["box.fvl", "duck.fvl", "gallery.fvl", "table.fvl"] {
+            let source = kept(name);
+            let (mut whole, _) = source.system(How { threads: 2, ..How::default() }).expect("a system");
+            assert!(whole.replay().complete, "{name}");
+            for frame in 0..source.shown_in.len() as u32 {
+                let until = Some(source.frame_shown(frame).expect("a frame"));
+                let how = How { threads: frame as usize % 3, until, ..How::default() };
+                let (mut before, _) = source.system(how).expect("a system");
+                before.pump(Limit::IDLE);
+                let snapshot =
+                    before.snapshot().unwrap_or_else(|| panic!("{name}, frame {frame}: no snapshot"));
+                let from = Snapshot::from_bytes(&snapshot.to_bytes()).map(Arc::new);
+                assert_eq!(from.as_deref(), Some(&snapshot));
+                let (mut after, _) =
+                    source.system(How { threads: 2, from, ..How::default() }).expect("a system");
+                let report = after.replay();
+                assert_eq!(report.divergence, None, "{name}, frame {frame}");
+                assert!(
+                    report.complete && after.fingerprint() == whole.fingerprint(),
+                    "{name}, frame {frame}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn kept_snapshots_are_found_again_and_damage_is_seen() {
+        let source = kept("gallery.fvl");
+        let folder = tempfile::tempdir().expect("a folder");
+        let open = || Index::open(&source.path, Some(folder.path()));
+        let mut index = open();
+        let renderer = source.renderer();
+        for frame in [5, 2] {
+            let until = Some(source.frame_shown(frame).expect("a frame"));
+            let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
+            runtime.pump(Limit::IDLE);
+            index.keep(|| runtime.snapshot());
+        }
+        let at = |index: &Index, frame: usize| {
+            let snapshot = index.before(renderer, source.shown_in[frame])?;
+            Some(snapshot.positions()[renderer.0 as usize] - 1)
+        };
+        let again = open();
+        for index in [&index, &again] {
+            assert_eq!(at(index, 2), None);
+            assert_eq!((at(index, 3), at(index, 5)), (Some(source.shown_in[2]), Some(source.shown_in[2])));
+            assert_eq!(at(index, 7), Some(source.shown_in[5]));
+        }
+        let file = std::fs::read_dir(folder.path()).expect("files").next().expect("one").expect("one").path();
+        let mut bytes = std::fs::read(&file).expect("a file");
+        let last = bytes.len() - 10;
+        bytes[last] ^= 1;
+        std::fs::write(&file, &bytes).expect("written");
+        assert_eq!(at(&open(), 3), None, "damaged");
+        bytes[12] ^= 1;
+        std::fs::write(&file, &bytes).expect("written");
+        assert_eq!(at(&open(), 7), None, "of another program");
+    }
+}

@@ -1,0 +1,492 @@
+//! Why a pixel looks as it does: the chain from the input over snapshot, saliency, priority and job to the sample that
+//! it shows, or the cached sample and its age.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use crossbeam_queue::SegQueue;
+use foveal::allocation::jobs::SampleJob;
+use foveal::allocation::policy::bucket_of;
+use foveal::sampling::Lattice;
+use foveal::scene::{Camera, Scene};
+use foveal::splatting::{SampleBatch, SplatLayer, WarpedSample};
+use foveal_actors::message::{
+    AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameSnapshot, RendererInput,
+    RendererMessage, SampleOrder, TraceJob,
+};
+use foveal_runtime::{ActorId, Delivery, Observer};
+use glam::Vec3;
+use serde_json::{Value, json};
+
+use super::source::{How, Source};
+use crate::failure::Failure;
+
+/// A delivery: actor and number.
+type At = (ActorId, u64);
+
+/// What is kept of the deliveries on the way to the frame.
+enum Note {
+    Began {
+        frame: u32,
+        camera: Camera,
+    },
+    Shown {
+        frame: u32,
+    },
+    Drawn {
+        view: u32,
+    },
+    Aged {
+        view: u32,
+        samples: Arc<Vec<WarpedSample>>,
+    },
+    /// At the renderer.
+    Traced {
+        batch: Arc<SampleBatch>,
+    },
+    /// At the cache ager.
+    Kept {
+        batch: Arc<SampleBatch>,
+    },
+    Looked {
+        frame: u32,
+    },
+    Ranked {
+        saliency: Arc<Vec<f32>>,
+    },
+    Job {
+        view: u32,
+        order: SampleJob,
+        priority: f32,
+        attention: f32,
+    },
+    /// At the allocator: what made it hand out jobs.
+    Woke {
+        kind: &'static str,
+    },
+}
+
+struct Noted {
+    at: At,
+    cause: Option<At>,
+    note: Note,
+}
+
+/// Notes by delivery.
+#[derive(Default)]
+struct Notes {
+    all: BTreeMap<At, (Option<At>, Note)>,
+    /// Newest view seen.
+    view: u32,
+}
+
+impl Notes {
+    /// Takes over what came; samples and jobs of views so old that none of them can be shown any more go.
+    fn take(&mut self, queue: &SegQueue<Noted>, max_age: u32) {
+        let before = self.view;
+        while let Some(Noted { at, cause, note }) = queue.pop() {
+            if let Note::Drawn { view } = note {
+                self.view = self.view.max(view);
+            }
+            self.all.insert(at, (cause, note));
+        }
+        if self.view != before {
+            let oldest = self.view.saturating_sub(max_age + 1);
+            self.all.retain(|_, (_, note)| match note {
+                Note::Aged { view, .. } => *view == self.view,
+                Note::Traced { batch } | Note::Kept { batch } => batch.view >= oldest,
+                Note::Job { view, .. } => *view >= oldest,
+                _ => true,
+            });
+        }
+    }
+
+    /// The last frame that began with another camera than the one before.
+    fn moved(&self, source: &Source) -> Option<At> {
+        let renderer = source.renderer();
+        let (mut last, mut moved) = (None, None);
+        for (at, (_, note)) in self.all.range((renderer, 0)..=(renderer, u64::MAX)) {
+            if let Note::Began { camera, .. } = note
+                && last.replace(*camera) != Some(*camera)
+            {
+                moved = Some(*at);
+            }
+        }
+        moved
+    }
+
+    /// Whether every view whose samples `view` can show was drawn since the notes began.
+    fn reaches_back(&self, view: u32, max_age: u32) -> bool {
+        let drawn = self.all.values().filter_map(|(_, note)| match note {
+            Note::Drawn { view } => Some(*view),
+            _ => None,
+        });
+        drawn.min().is_some_and(|first| first <= view.saturating_sub(max_age).max(1))
+    }
+
+    fn cause(&self, at: At) -> Option<At> {
+        self.all.get(&at).and_then(|(cause, _)| *cause)
+    }
+
+    fn note(&self, at: At) -> Option<&Note> {
+        self.all.get(&at).map(|(_, note)| note)
+    }
+}
+
+fn note(d: &Delivery<'_>) -> Option<Note> {
+    let content = d.content;
+    if let Some(job) = content.downcast_ref::<TraceJob>() {
+        let TraceJob::Samples(job) = job else { return None };
+        let SampleOrder { drawn, order, seed: _, priority, attention } = job;
+        let (priority, attention) = (*priority, *attention);
+        return Some(Note::Job { view: drawn.view.0, order: *order, priority, attention });
+    }
+    if let Some(message) = content.downcast_ref::<RendererMessage>() {
+        return Some(match message {
+            RendererMessage::Input(RendererInput::FrameBegan { frame, camera }) => {
+                Note::Began { frame: frame.0, camera: *camera }
+            }
+            RendererMessage::Input(RendererInput::DeadlineReached { frame }) => {
+                Note::Shown { frame: frame.0 }
+            }
+            RendererMessage::SamplesAged { view, samples, .. } => {
+                Note::Aged { view: view.0, samples: samples.clone() }
+            }
+            RendererMessage::SamplesTraced { batch, .. } => Note::Traced { batch: batch.clone() },
+            _ => return None,
+        });
+    }
+    if let Some(message) = content.downcast_ref::<AllocatorMessage>() {
+        return Some(match message {
+            AllocatorMessage::ViewDrawn { drawn } => Note::Drawn { view: drawn.view.0 },
+            AllocatorMessage::ObjectsRanked { saliency, .. } => Note::Ranked { saliency: saliency.clone() },
+            _ => Note::Woke { kind: d.kind },
+        });
+    }
+    match content.downcast_ref::<AnalyzerMessage>() {
+        Some(AnalyzerMessage::FrameShown { snapshot }) => Some(Note::Looked { frame: snapshot.index.0 }),
+        None => match content.downcast_ref::<CacheAgerMessage>()? {
+            CacheAgerMessage::SamplesTraced { batch, .. } => Some(Note::Kept { batch: batch.clone() }),
+            _ => None,
+        },
+    }
+}
+
+/// What the pixel shows.
+struct Shown {
+    snapshot: Arc<FrameSnapshot>,
+    drawn: Arc<DrawnView>,
+    /// Radiance of the base layer and of the splat on it.
+    base: Vec3,
+    splat: Vec3,
+}
+
+/// The sample behind a splat.
+struct Found {
+    /// The batch and where it was delivered to whom it was found with; none where it came before the replay began.
+    batch: Option<(At, Arc<SampleBatch>)>,
+    /// Pixel it was traced through, in its own view.
+    pixel: Option<[u16; 2]>,
+    level_set: u32,
+    /// Views since it was traced: 0 for a fresh one.
+    age: u32,
+}
+
+/// The story of a pixel, in lines.
+pub fn story(
+    source: &Source,
+    pixel: (u32, u32),
+    frame: Option<u32>,
+    workers: usize,
+) -> Result<Vec<String>, Failure> {
+    explain(source, pixel, frame, workers).map(|document| told(&document))
+}
+
+/// The story of a pixel, as a document.
+pub fn explain(
+    source: &Source,
+    (x, y): (u32, u32),
+    frame: Option<u32>,
+    workers: usize,
+) -> Result<Value, Failure> {
+    let settings = &source.recorded.settings;
+    if x >= settings.width || y >= settings.height {
+        let size = format!("{} × {}", settings.width, settings.height);
+        return Err(Failure::Usage(format!("no pixel {x},{y}; the picture has {size}")));
+    }
+    let frame = frame.unwrap_or((source.shown_in.len() as u32).saturating_sub(1));
+    let until = Some(source.frame_shown(frame)?);
+    let queue: Arc<SegQueue<Noted>> = Arc::default();
+    let sink = Arc::clone(&queue);
+    let observer: Observer = Arc::new(move |d: &Delivery<'_>| {
+        if let Some(note) = note(d) {
+            sink.push(Noted { at: (d.actor, d.index), cause: d.cause, note });
+        }
+    });
+    // Samples live for so many views; what began before them is told of, too.
+    let frames_before = settings.ageing.max_age as usize + 8;
+    let mut how = How {
+        threads: workers,
+        until,
+        observer: Some(observer),
+        jump: true,
+        frames_before,
+        ..How::default()
+    };
+    let (mut runtime, mut actors, mut notes);
+    loop {
+        notes = Notes::default();
+        let max_age = settings.ageing.max_age;
+        (runtime, actors) = source.run(how.clone(), |_| notes.take(&queue, max_age))?;
+        let report = runtime.replay_report();
+        if let Some(divergence) = report.divergence {
+            return Err(Failure::Check(format!("the replay diverges: {divergence}")));
+        }
+        // A camera that stood still for long shows samples of long ago: then from the start.
+        let view = runtime.inspect(actors.renderer, |r| r.drawn().map(|d| d.view.0)).flatten();
+        if !how.jump || view.is_none_or(|view| notes.reaches_back(view, max_age)) {
+            break;
+        }
+        how.jump = false;
+    }
+    let (px, py) = (x as usize, y as usize);
+    let shown = runtime.inspect(actors.renderer, |r| {
+        let (snapshot, drawn) = (r.shown()?.clone(), r.drawn()?.clone());
+        let base = drawn.buffers.color.at(px, py);
+        Some(Shown { snapshot, drawn, base, splat: r.layer().color(px, py) })
+    });
+    let Some(shown) = shown.flatten() else {
+        return Err(Failure::Check("nothing was shown".into()));
+    };
+    let found = find(source, &notes, &shown, px, py);
+    let document = document(source, &notes, &shown, found.as_ref(), (px, py));
+    Ok(document)
+}
+
+/// Repeats the splats of the view on a layer of its own and sees which one painted the pixel last.
+fn find(source: &Source, notes: &Notes, shown: &Shown, x: usize, y: usize) -> Option<Found> {
+    let settings = &source.recorded.settings;
+    let (width, height) = (settings.width as usize, settings.height as usize);
+    let mut layer = SplatLayer::new(width, height, settings.k_max, settings.footprint);
+    let buffers = &shown.drawn.buffers;
+    let view = shown.drawn.view.0;
+    let mut painter: Option<At> = None;
+    let mut last_source = 0;
+    let renderer = source.renderer();
+    for (at, (_, note)) in notes.all.range((renderer, 0)..=(renderer, u64::MAX)) {
+        match note {
+            Note::Aged { view: of, samples } if *of == view => {
+                layer.splat_warped(samples, &buffers.object, &buffers.depth);
+                if layer.is_covered(x, y) && layer.source(x, y) == 0 {
+                    painter = Some(*at);
+                    last_source = 0;
+                }
+            }
+            Note::Traced { batch } if batch.view == view => {
+                // Another number than the painter's tells who painted.
+                let own = if last_source == 1 { 2 } else { 1 };
+                layer.splat_fresh(batch, &buffers.object, own);
+                if layer.source(x, y) == own {
+                    painter = Some(*at);
+                    last_source = own;
+                }
+            }
+            _ => {}
+        }
+    }
+    let color = layer.color(x, y);
+    let same = |c: &Vec3| c.to_array().map(f32::to_bits) == color.to_array().map(f32::to_bits);
+    let (level_set, _) = layer.shown_level(x, y)?;
+    match notes.note(painter?)? {
+        Note::Traced { batch } => {
+            let painted = |p: &[u16; 2]| {
+                let (dx, dy) = (x as i32 - i32::from(p[0]), y as i32 - i32::from(p[1]));
+                let reach = Lattice::square_side(batch.k);
+                dx.abs() <= reach && dy.abs() <= reach
+            };
+            let mut pairs = batch.pixels.iter().zip(&batch.colors).rev();
+            let pixel = pairs.find(|(p, c)| same(c) && painted(p)).map(|(p, _)| *p);
+            Some(Found { batch: Some((painter?, batch.clone())), pixel, level_set, age: 0 })
+        }
+        Note::Aged { samples, .. } => {
+            let covers = |s: &&WarpedSample| {
+                let reach = u32::from(s.half_side);
+                u32::from(s.x).abs_diff(x as u32) <= reach && u32::from(s.y).abs_diff(y as u32) <= reach
+            };
+            let sample = samples.iter().rev().filter(covers).find(|s| same(&s.color))?;
+            let age = u32::from(sample.age);
+            let of = view.wrapping_sub(age);
+            let kept = notes.all.iter().find_map(|(at, (_, note))| match note {
+                Note::Kept { batch }
+                    if batch.view == of
+                        && batch.object == sample.object
+                        && batch.k == u32::from(sample.k)
+                        && batch.colors.iter().any(same) =>
+                {
+                    Some((*at, batch.clone()))
+                }
+                _ => None,
+            });
+            let pixel = kept.as_ref().and_then(|(_, batch)| {
+                let mut pairs = batch.pixels.iter().zip(&batch.colors);
+                pairs.find(|(_, c)| same(c)).map(|(p, _)| *p)
+            });
+            Some(Found { batch: kept, pixel, level_set: u32::from(sample.k), age })
+        }
+        _ => None,
+    }
+}
+
+fn object_name(scene: &Scene, object: u32) -> String {
+    scene.objects.get(object as usize).map_or_else(String::new, |o| o.name.clone())
+}
+
+/// One link of the chain.
+fn link(source: &Source, step: &str, at: Option<At>, text: String) -> Value {
+    json!({"step": step, "at": at.map(|at| source.at(at)), "text": text})
+}
+
+fn document(
+    source: &Source,
+    notes: &Notes,
+    shown: &Shown,
+    found: Option<&Found>,
+    (x, y): (usize, usize),
+) -> Value {
+    let drawn = &shown.drawn;
+    let object = drawn.buffers.object.at(x, y);
+    let mut chain = Vec::new();
+    let what = match found {
+        None if object == 0 => "base layer: a diffuse surface, which needs no sample".to_owned(),
+        None if shown.splat != Vec3::ZERO => {
+            "its object's environment map: no sample has come yet".to_owned()
+        }
+        None => "base layer: no sample has come yet".to_owned(),
+        Some(found) if found.age == 0 => format!("a fresh sample of level set {}", found.level_set),
+        Some(found) => {
+            format!("a cached sample of level set {}, {} views old", found.level_set, found.age)
+        }
+    };
+    let view = drawn.view.0 - found.map_or(0, |f| f.age.min(drawn.view.0));
+    let began = notes.all.iter().find(|(_, (_, note))| matches!(note, Note::Drawn { view: v } if *v == view));
+    // The newest view may not yet have come to the allocator.
+    let newest = || (view == drawn.view.0).then(|| notes.moved(source)).flatten();
+    let input = began.and_then(|(_, (cause, _))| *cause).or_else(newest);
+    if let Some(at) = input {
+        let frame = match notes.note(at) {
+            Some(Note::Began { frame, .. }) => {
+                format!("frame {frame} began with a camera that had moved: view {view}")
+            }
+            _ => format!("view {view} began"),
+        };
+        chain.push(link(source, "input", Some(at), frame));
+    }
+    if let Some(found) = found {
+        samples(source, notes, shown, found, &mut chain);
+    }
+    let rgb = shown.snapshot.rgb8.at(x, y);
+    json!({
+        "schema": "foveal.why/1",
+        "frame": shown.snapshot.index.0,
+        "pixel": [x, y],
+        "view": drawn.view.0,
+        "object": object,
+        "name": object_name(&drawn.world.scene, object),
+        "shows": what,
+        "age": found.map(|f| f.age),
+        "rgb": rgb,
+        "base": shown.base.to_array(),
+        "splat": shown.splat.to_array(),
+        "chain": chain,
+    })
+}
+
+/// The links from what the analyzer saw to the sample.
+fn samples(source: &Source, notes: &Notes, shown: &Shown, found: &Found, chain: &mut Vec<Value>) {
+    let Some((delivered, batch)) = &found.batch else {
+        chain.push(link(source, "sample", None, "traced before this replay began".into()));
+        return;
+    };
+    let job_at = notes.cause(*delivered);
+    let job = job_at.and_then(|at| notes.note(at));
+    if let (Some(job_at), Some(Note::Job { order, priority, attention, .. })) = (job_at, job) {
+        let pushed = notes.cause(job_at);
+        if let Some((allocator, index)) = pushed {
+            let ranks = notes.all.range((allocator, 0)..=(allocator, index)).rev();
+            let ranked = ranks.filter_map(|(at, (cause, note))| match note {
+                Note::Ranked { saliency } => Some((*at, *cause, saliency)),
+                _ => None,
+            });
+            if let Some((at, cause, saliency)) = ranked.into_iter().next() {
+                if let Some(Note::Looked { frame }) = cause.and_then(|at| notes.note(at)) {
+                    let text = format!("the analyzer looked at frame {frame}");
+                    chain.push(link(source, "snapshot", cause, text));
+                }
+                let of = saliency.get(order.object as usize).copied().unwrap_or(0.0);
+                let rank = saliency.iter().skip(1).filter(|s| **s > of).count() + 1;
+                let text = format!("{of:.4} of object {}, rank {rank}", order.object);
+                chain.push(link(source, "saliency", Some(at), text));
+            } else {
+                chain.push(link(source, "saliency", None, "none was known yet".into()));
+            }
+            let woke = match notes.note((allocator, index)) {
+                Some(Note::Woke { kind }) => kind,
+                Some(Note::Drawn { .. }) => "ViewDrawn",
+                Some(Note::Ranked { .. }) => "ObjectsRanked",
+                _ => "a message",
+            };
+            let bucket = bucket_of(*priority);
+            let text =
+                format!("attention {attention:.4}, priority {priority:.4}, bucket {bucket}, given on {woke}");
+            chain.push(link(source, "priority", pushed, text));
+        }
+        let rect = &order.rect;
+        let text = format!(
+            "{} samples of object {}, level {}, pixels [{}, {}) × [{}, {})",
+            order.count, order.object, order.level, rect.x0, rect.x1, rect.y0, rect.y1
+        );
+        chain.push(link(source, "job", Some(job_at), text));
+    }
+    let place = match found.pixel {
+        Some([x, y]) => format!("traced through pixel {x},{y} of view {}", batch.view),
+        None => format!("traced in view {}", batch.view),
+    };
+    let told = if found.age == 0 { "" } else { ", kept by the cache ager" };
+    chain.push(link(source, "sample", Some(*delivered), format!("{place}{told}")));
+    if found.age > 0 {
+        let aged =
+            notes.all.iter().rev().find(
+                |(_, (_, note))| matches!(note, Note::Aged { view, .. } if *view == shown.drawn.view.0),
+            );
+        let text = format!("warped into view {}, {} views old", shown.drawn.view.0, found.age);
+        chain.push(link(source, "cache", aged.map(|(at, _)| *at), text));
+    }
+    let at = (source.renderer(), source.shown_in[shown.snapshot.index.0 as usize]);
+    if let Some(Note::Shown { frame }) = notes.note(at) {
+        chain.push(link(source, "pixel", Some(at), format!("shown in frame {frame}")));
+    }
+}
+
+/// The same in lines.
+pub fn told(d: &Value) -> Vec<String> {
+    let text = |v: &Value| v.as_str().unwrap_or_default().to_owned();
+    let mut lines = vec![
+        format!(
+            "frame {}, pixel {},{}: object {} \"{}\", rgb {} {} {}",
+            d["frame"],
+            d["pixel"][0],
+            d["pixel"][1],
+            d["object"],
+            text(&d["name"]),
+            d["rgb"][0],
+            d["rgb"][1],
+            d["rgb"][2],
+        ),
+        format!("shows     {}", text(&d["shows"])),
+    ];
+    for link in d["chain"].as_array().into_iter().flatten() {
+        let line = format!("{:<9} {:<15} {}", text(&link["step"]), text(&link["at"]), text(&link["text"]));
+        lines.push(line.trim_end().to_owned());
+    }
+    lines
+}

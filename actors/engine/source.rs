@@ -1,0 +1,220 @@
+//! What a window, a browser or a test shows: a walk or a recording, seen from outside.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use foveal::image::Map2d;
+use foveal::scene::{Camera, CameraPath, NamedCamera};
+use foveal_runtime::Ending;
+use glam::Vec3;
+
+use foveal_actors::insight::Insight;
+use foveal_actors::renderer::overlay::Overlay;
+use foveal_actors::settings::Adjustment;
+
+use crate::look::Mirror;
+
+/// What the user may change while walking.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Controls {
+    /// What reaches the actors, as messages.
+    pub set: Adjustment,
+    /// What is painted over the picture. Of the window alone.
+    pub overlay: Overlay,
+}
+
+/// How far [`Controls`] go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ranges {
+    /// Most tracers.
+    pub workers: u32,
+    /// Least and most bytes of textures, where they are limited.
+    pub textures: Option<[u64; 2]>,
+}
+
+/// One actor as the window sees it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ActorStatus {
+    /// Its name.
+    pub name: String,
+    /// Messages delivered to it.
+    pub delivered: u64,
+    /// Messages that wait for it.
+    pub waiting: u64,
+    /// Most messages that ever waited when it began to work, or wait now.
+    pub waiting_max: u64,
+    /// Time it has been at work.
+    pub busy: Duration,
+}
+
+/// Where a session stands.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Status {
+    /// Views so far.
+    pub view: u32,
+    /// Every non-diffuse pixel shows its own ray.
+    pub converged: bool,
+    /// It has been refined as far as was asked for.
+    pub refined: bool,
+    /// Samples that refined the view in the last frame.
+    pub supersampled: u32,
+    /// Fresh samples splatted in the last frame.
+    pub traced: u32,
+    /// Warped samples shown in the last frame.
+    pub reused: u32,
+    /// Samples that expired in the last frame.
+    pub expired: u32,
+    /// The illumination is final.
+    pub lit: bool,
+    /// The actors.
+    pub actors: Vec<ActorStatus>,
+}
+
+/// What a window needs to know of a scene.
+#[derive(Clone, Debug)]
+pub struct Place {
+    /// Title for people.
+    pub title: String,
+    /// Up axis, unit.
+    pub up: Vec3,
+    /// Diagonal of the bounds, scene units.
+    pub diagonal: f32,
+    /// Cameras; never empty, the first is the start view.
+    pub cameras: Vec<NamedCamera>,
+    /// Paths that can be played.
+    pub paths: Vec<CameraPath>,
+}
+
+/// Names for people.
+#[derive(Clone, Debug, Default)]
+pub struct Names {
+    /// Of objects, by id.
+    pub objects: Vec<String>,
+    /// Of textures.
+    pub textures: Vec<String>,
+}
+
+/// A recording at a moment, as its timeline shows it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TimelineShown {
+    /// Frames of the recording.
+    pub frames: u32,
+    /// The frame that is shown; `None` before the first.
+    pub frame: Option<u32>,
+    /// Deliveries made to each actor.
+    pub position: String,
+    /// The last deliveries.
+    pub lines: Vec<String>,
+    /// Why the pixel that was asked for looks as it does.
+    pub story: Vec<String>,
+}
+
+/// A walk that leaves a recording.
+pub struct Branch {
+    /// Its session.
+    pub source: Box<dyn FrameSource>,
+    /// Where it begins.
+    pub camera: Camera,
+}
+
+/// What the user wants of a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wish {
+    /// Go to a frame.
+    Frame(u32),
+    /// Go so many messages forward, or back.
+    Messages(i64),
+    /// Play, or pause.
+    Play,
+    /// Why a pixel looks as it does.
+    Why(u32, u32),
+    /// Leave the recording and walk on.
+    Branch,
+}
+
+/// A recording that one can go through.
+pub trait Timeline {
+    /// Where it stands.
+    fn shown(&self) -> TimelineShown;
+    /// Goes to where a frame was shown.
+    fn go_to(&mut self, frame: u32);
+    /// Goes to the next frame; `false` at the end.
+    fn next_frame(&mut self) -> bool;
+    /// Makes so many deliveries, or takes them back.
+    fn step(&mut self, messages: i64);
+    /// Tells the story of a pixel.
+    fn why(&mut self, x: u32, y: u32);
+    /// A walk on from here, with settings, light and camera of this moment; its samples are traced anew.
+    ///
+    /// # Errors
+    /// If no frame has begun, or threads cannot be started.
+    fn branch(&mut self) -> Result<Branch, String>;
+}
+
+/// A session of actors on the window's thread.
+pub trait FrameSource {
+    /// The scene.
+    fn place(&self) -> Place;
+    /// Columns and rows of the picture.
+    fn size(&self) -> [u32; 2];
+    /// What it starts with.
+    fn controls(&self) -> Controls;
+    /// How far controls go.
+    fn ranges(&self) -> Ranges;
+    /// What the allocator thought last, and names of objects and textures with it.
+    fn insight(&self) -> Option<(&Insight, &Names)>;
+    /// The user changed something.
+    fn set_controls(&mut self, controls: &Controls);
+    /// A frame begins, seen from `camera`.
+    fn begin_frame(&mut self, camera: &Camera);
+    /// Works for at most `time`; does not use the processor while there is nothing to do.
+    fn work(&mut self, time: Duration);
+    /// Quality of the view as estimated so far: [`Insight::quality`]; 0 where it has converged, −∞ while nothing is known of
+    /// it.
+    fn quality(&mut self) -> f32;
+    /// Whether the view has all that it gets, and all of it arrived.
+    fn is_done(&self) -> bool;
+    /// Why nothing more will come, where something went wrong that nobody can mend.
+    fn ended(&self) -> Option<String> {
+        None
+    }
+    /// Whether the last frame shows all that arrived.
+    fn is_shown(&self) -> bool {
+        true
+    }
+    /// The frame's time is up: shows what there is.
+    fn end_frame(&mut self);
+    /// The picture as it was last shown, with tone map and overlay of the controls; `None` before the first.
+    fn picture(&mut self) -> Option<Map2d<[u8; 3]>>;
+    /// Whether a display draws by itself, and is told of samples for that. Said before the first frame.
+    fn set_mirrored(&mut self, _mirrored: bool) {}
+    /// Lets a display that draws by itself show what the last frame shows. `false` where there are only finished
+    /// pictures, or it has no room.
+    fn draw_on(&mut self, _mirror: &mut dyn Mirror) -> bool {
+        false
+    }
+    /// Ends it, as another one is shown instead, without waiting for what its threads have in hand.
+    fn leave(self: Box<Self>) -> Ending {
+        Ending::default()
+    }
+    /// Where it stands.
+    fn status(&self) -> Status;
+    /// Names and values that say how a picture came to be, for a screenshot's metadata.
+    fn facts(&self) -> Vec<(String, String)>;
+    /// Its timeline, where it is a recording.
+    fn timeline(&self) -> Option<&dyn Timeline> {
+        None
+    }
+    /// The same, to go through.
+    fn timeline_mut(&mut self) -> Option<&mut dyn Timeline> {
+        None
+    }
+}
+
+/// Makes a session on the window's thread, of what was loaded on another.
+pub type Build = Box<dyn FnOnce() -> Result<Box<dyn FrameSource>, String> + Send>;
+
+/// Loads the scene at a path, or the first one (again) without path. Called on a thread of its own, so
+/// that the window lives on meanwhile.
+pub type Loader = Arc<dyn Fn(Option<&Path>) -> Result<Build, String> + Send + Sync>;

@@ -1,0 +1,50 @@
+//! A recording instead of a walk: its timeline, and the walk that branches off.
+
+use super::{Next, Walk};
+use crate::source::{Branch, TimelineShown, Wish};
+
+impl Walk {
+    /// The timeline of a recording, and whether it plays.
+    pub fn timeline(&self) -> Option<(TimelineShown, bool)> {
+        self.source.timeline().map(|timeline| (timeline.shown(), self.replaying.is_some()))
+    }
+
+    /// Does what the user wants of a recording. Nothing where this is none.
+    pub fn wish(&mut self, wish: Wish, now: f64) {
+        let replaying = self.replaying.take();
+        let Some(timeline) = self.source.timeline_mut() else { return };
+        match wish {
+            Wish::Frame(frame) => timeline.go_to(frame),
+            Wish::Messages(messages) => timeline.step(messages),
+            Wish::Play => self.replaying = if replaying.is_none() { Some(now) } else { None },
+            Wish::Why(x, y) => timeline.why(x, y),
+            Wish::Branch => match timeline.branch() {
+                Ok(Branch { source, camera }) => {
+                    self.move_to(source, now);
+                    self.navigator.set_camera(&camera, now);
+                    self.tell("walking on from the recording".into());
+                }
+                Err(e) => self.complain(e),
+            },
+        }
+        self.stale = true;
+    }
+
+    /// A recording: shows what was asked for, and the next frame while it plays.
+    pub(super) fn tick_recording(&mut self, now: f64) -> (bool, Next) {
+        let period = 1.0 / f64::from(self.controls.set.fps.clamp(0.1, 1000.0));
+        if let (Some(due), Some(timeline)) = (self.replaying, self.source.timeline_mut()) {
+            if now < due {
+                return (false, Next::At(due));
+            }
+            let goes_on = timeline.next_frame();
+            self.replaying = goes_on.then_some(due.max(now - period) + period);
+            self.stale = true;
+        }
+        if !std::mem::take(&mut self.stale) {
+            return (false, Next::Input);
+        }
+        self.picture = self.source.picture();
+        (true, self.replaying.map_or(Next::Input, Next::At))
+    }
+}

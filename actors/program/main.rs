@@ -1,0 +1,160 @@
+//! The program `foveal`: arguments in, results and exit codes out. All that it does, `foveal_engine` does.
+
+#![expect(clippy::disallowed_methods, reason = "outside of the actors, which it drives")]
+
+mod bake;
+mod compare;
+mod doctor;
+mod explain;
+mod figures;
+mod log;
+mod pictures;
+mod reference;
+mod replay;
+mod shell;
+mod simulate;
+mod texture_page;
+#[cfg(feature = "window")]
+mod view;
+mod walk;
+mod walk_report;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand, ValueEnum};
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, Layer};
+
+use foveal_engine::failure::Failure;
+use foveal_terminal::progress::Progress;
+
+/// Walk through lit buildings at interactive rates; rays are spent where the eye looks.
+#[derive(Debug, Parser)]
+#[command(name = "foveal", version, max_term_width = 100, arg_required_else_help = true)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// More messages (-v: decisions, -vv: every turn)
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    verbose: u8,
+    /// No progress and no messages but errors
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    quiet: bool,
+    /// Colour of messages
+    #[arg(long, global = true, value_enum, default_value_t = ColorChoice::Auto)]
+    color: ColorChoice,
+}
+
+/// When messages are coloured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ColorChoice {
+    /// On a terminal, unless NO_COLOR is set.
+    Auto,
+    /// Always.
+    Always,
+    /// Never.
+    Never,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Walk through a scene in a window
+    #[cfg(feature = "window")]
+    View(Box<view::ViewArguments>),
+    /// Walk along a camera path without a window; leaves pictures and a report
+    Walk(walk::WalkArguments),
+    /// Compute the view-independent illumination and keep it
+    Bake(bake::BakeArguments),
+    /// Render the gold standard: what a still view converges to, or an unbiased path-traced picture
+    Reference(reference::ReferenceArguments),
+    /// Run a recorded walk again, on any number of threads, and compare every message
+    Replay(replay::ReplayArguments),
+    /// Run the actors on one thread under seeded schedules and faults
+    Simulate(simulate::SimulateArguments),
+    /// Is a recording whole, what is in it, keep its good part
+    Log(log::LogArguments),
+    /// Measure how two pictures differ: FLIP, PSNR, relMSE
+    Compare(compare::CompareArguments),
+    /// Say what a scene needs, what is skipped, and why
+    Explain(explain::ExplainArguments),
+    /// Measure: tables of medians with aims and peers
+    #[command(subcommand)]
+    Bench(foveal_bench::BenchCommand),
+    /// Print the completions of a shell
+    Completions(shell::CompletionsArguments),
+    /// Write manual pages
+    Man(shell::ManArguments),
+    /// Say what this machine offers
+    Doctor(doctor::DoctorArguments),
+}
+
+fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(e) => {
+            let _ = e.print();
+            return ExitCode::from(if e.use_stderr() { 2 } else { 0 });
+        }
+    };
+    log_to_stderr(&cli);
+    let progress = Progress { shown: !cli.quiet && std::io::IsTerminal::is_terminal(&std::io::stderr()) };
+    let result = match cli.command {
+        #[cfg(feature = "window")]
+        Command::View(a) => view::run(*a, progress),
+        Command::Walk(a) => walk::run(&a, progress),
+        Command::Bake(a) => bake::run(&a, progress),
+        Command::Reference(a) => reference::run(&a, progress),
+        Command::Replay(a) => replay::run(&a, progress),
+        Command::Simulate(a) => simulate::run(&a, progress),
+        Command::Log(a) => log::run(&a),
+        Command::Compare(a) => compare::run(&a),
+        Command::Explain(a) => explain::run(&a),
+        Command::Bench(c) => foveal_bench::run(&c, progress),
+        Command::Completions(a) => shell::completions(&a),
+        Command::Man(a) => shell::man(&a),
+        Command::Doctor(a) => doctor::run(&a),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            report_failure(&failure);
+            ExitCode::from(failure.exit_code())
+        }
+    }
+}
+
+#[expect(clippy::print_stderr, reason = "the one message of a failure")]
+fn report_failure(failure: &Failure) {
+    eprintln!("foveal: {failure}");
+}
+
+fn log_to_stderr(cli: &Cli) {
+    let default = match (cli.quiet, cli.verbose) {
+        (true, _) => "error",
+        (_, 0) => "warn",
+        (_, 1) => "foveal=info,foveal_actors=info,foveal_engine=info,foveal_runtime=info,foveal_window=info",
+        _ => "foveal=debug,foveal_actors=debug,foveal_engine=debug,foveal_runtime=debug,foveal_window=debug",
+    };
+    let filter = EnvFilter::try_from_env("FOVEAL_LOG").unwrap_or_else(|_| EnvFilter::new(default));
+    let colored = match cli.color {
+        ColorChoice::Always => true,
+        ColorChoice::Never => false,
+        ColorChoice::Auto => {
+            std::env::var_os("NO_COLOR").is_none() && std::io::IsTerminal::is_terminal(&std::io::stderr())
+        }
+    };
+    let messages = tracing_subscriber::fmt::layer()
+        .with_writer(std::io::stderr)
+        .with_ansi(colored)
+        .with_target(false)
+        .without_time()
+        .with_filter(filter);
+    let listeners = tracing_subscriber::registry().with(messages);
+    #[cfg(feature = "tracy")]
+    let listeners = listeners.with(
+        tracing_tracy::TracyLayer::default()
+            .with_filter(EnvFilter::new("foveal=trace,foveal_actors=trace,foveal_runtime=trace")),
+    );
+    listeners.init();
+}

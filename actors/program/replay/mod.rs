@@ -1,0 +1,224 @@
+//! `foveal replay`: a recorded run again, on any number of threads, compared message by message, stepped through in both
+//! directions, and taken apart.
+
+mod diff;
+mod export;
+mod step;
+#[cfg(feature = "window")]
+mod view;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use clap::Args;
+use crossbeam_queue::SegQueue;
+use foveal_engine::Failure;
+use foveal_engine::files::{png_bytes, write_atomic};
+use foveal_engine::replay::{How, Source, observe, why};
+use foveal_runtime::{Divergence, ReplayReport};
+use foveal_terminal::light::ElsewhereArguments;
+use foveal_terminal::print::{print_json, print_line};
+use foveal_terminal::progress::{Progress, end_on_interrupt};
+use serde_json::{Value, json};
+
+/// A timeline as the bytes of a file, in the format that its name asks for.
+pub fn profile(timeline: &foveal_runtime::Timeline, file: &std::path::Path) -> Vec<u8> {
+    let perfetto = file.extension().is_some_and(|e| e == "pftrace" || e == "perfetto-trace");
+    export::encode(if perfetto { export::Format::Perfetto } else { export::Format::Chrome }, timeline)
+}
+
+/// Arguments of `foveal replay`.
+#[derive(Args, Debug)]
+pub struct ReplayArguments {
+    /// A recording that --record made
+    #[arg(required_unless_present = "diff")]
+    trace: Option<PathBuf>,
+    /// Refuse a recording without hashes, whose messages cannot be compared
+    #[arg(long)]
+    verify: bool,
+    /// Number of threads (default: one per core); the outcome is the same with any
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64))]
+    workers: Option<u32>,
+    /// Stop when this frame was shown, or after this delivery of an actor
+    #[arg(long, value_name = "FRAME|ACTOR:INDEX")]
+    until: Option<String>,
+    /// Read commands: step forward and back through the deliveries, from --until or the start; h lists them
+    #[arg(long)]
+    step: bool,
+    /// Take this many deliveries back from --until or the end, and say which
+    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "1", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    back: Option<u32>,
+    /// Show it in a window: a timeline to scrub, step and play, a click on a pixel for its story, and a walk on from there
+    #[cfg(feature = "window")]
+    #[arg(long, conflicts_with_all = ["verify", "until", "step", "back", "show", "why", "actor", "export", "json"])]
+    view: bool,
+    /// Folder for its screenshots (F12)
+    #[cfg(feature = "window")]
+    #[arg(long, value_name = "DIR", default_value = ".", requires = "view")]
+    screenshots: PathBuf,
+    /// Write this frame's picture to --out
+    #[arg(long, value_name = "FRAME", requires = "out", conflicts_with = "until")]
+    show: Option<u32>,
+    /// Where --show writes the picture
+    #[arg(long, value_name = "PNG", requires = "show")]
+    out: Option<PathBuf>,
+    /// Why this pixel of --frame looks as it does: the chain from input to sample
+    #[arg(long, value_name = "X,Y", value_parser = pixel)]
+    why: Option<(u32, u32)>,
+    /// The frame that --why looks at (default: the last)
+    #[arg(long, requires = "why")]
+    frame: Option<u32>,
+    /// Say what was delivered to this actor
+    #[arg(long, value_name = "NAME")]
+    actor: Option<String>,
+    /// Write every delivery of the replay, with arrows from input to job to pixel: for chrome://tracing, or Perfetto's
+    /// own format
+    #[arg(long, num_args = 2, value_names = ["chrome|perfetto", "FILE"])]
+    export: Option<Vec<String>>,
+    /// The first message at which two recordings part
+    #[arg(long, num_args = 2, value_names = ["A", "B"], conflicts_with_all = ["trace", "until", "show", "step", "back", "why", "export", "actor"])]
+    diff: Option<Vec<PathBuf>>,
+    #[command(flatten)]
+    elsewhere: ElsewhereArguments,
+    /// One JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+fn pixel(text: &str) -> Result<(u32, u32), String> {
+    let wrong = || format!("`{text}` is no pixel; write it as 30,20");
+    let (x, y) = text.split_once(',').ok_or_else(wrong)?;
+    Ok((x.trim().parse().map_err(|_| wrong())?, y.trim().parse().map_err(|_| wrong())?))
+}
+
+/// Runs the command.
+pub fn run(a: &ReplayArguments, progress: Progress) -> Result<(), Failure> {
+    end_on_interrupt();
+    if let Some([left, right]) = a.diff.as_deref() {
+        return diff::run(left, right, &a.elsewhere.files(), a.json, progress);
+    }
+    let export = a.export.as_deref().map(export::parse).transpose()?;
+    let Some(path) = &a.trace else { return Err(Failure::Usage("which recording?".into())) };
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let workers = a.workers.map_or(cores, |w| w as usize).min(64);
+    #[cfg(feature = "window")]
+    if a.view {
+        return view::run(a, path.clone(), workers);
+    }
+    let source = Source::open(path, &a.elsewhere.files(), a.verify, &progress.baking())?;
+    if let Some(pixel) = a.why {
+        let document = why::explain(&source, pixel, a.frame, workers)?;
+        match a.json {
+            true => print_json(&document),
+            false => why::told(&document).iter().for_each(|line| print_line(line)),
+        }
+        return Ok(());
+    }
+    if a.step || a.back.is_some() {
+        return step::run(source, a.until.as_deref(), a.back, a.step, workers);
+    }
+    verify(a, &source, workers, export)
+}
+
+fn verify(
+    a: &ReplayArguments,
+    source: &Source,
+    workers: usize,
+    export: Option<(export::Format, PathBuf)>,
+) -> Result<(), Failure> {
+    let until = match (a.show, &a.until) {
+        (Some(frame), _) => Some(source.frame_shown(frame)?),
+        (None, Some(until)) => Some(source.place(until)?),
+        (None, None) => None,
+    };
+    let asked = a.actor.as_deref().map(|name| source.actor(name)).transpose()?;
+    let seen = Arc::new(SegQueue::new());
+    let all = export.is_some();
+    let observer = (all || asked.is_some()).then(|| observe(&seen, move |d| all || Some(d.actor) == asked));
+    // Whoever wants to see all deliveries, or to be sure of all, begins at the start.
+    let jump = until.is_some() && observer.is_none() && !a.verify;
+    let mut how = How { threads: workers, until, observer, jump, ..How::default() };
+    if all {
+        // One delivery a turn, and all of them kept: so each has its time.
+        how.turn = Some(1);
+        how.ring_turns = Some(export::ring_turns(&source.trace));
+    }
+    tracing::info!("recorded by {}", source.trace.header().fingerprint);
+    let (mut runtime, actors) = source.run(how, |_| ())?;
+    let report = runtime.replay_report();
+    let shown = runtime.inspect(actors.renderer, |r| r.shown().cloned()).flatten();
+    let frames = shown.as_ref().map_or(0, |s| s.index.0 + 1);
+
+    let seen: Vec<_> = std::iter::from_fn(|| seen.pop()).collect();
+    if let (Some(asked), false) = (asked, a.json) {
+        seen.iter().filter(|s| s.actor == asked).for_each(|s| print_line(&source.line(s)));
+    }
+    if let (Some(frame), Some(out)) = (a.show, &a.out)
+        && let Some(snapshot) = shown.as_ref().filter(|s| s.index.0 == frame)
+    {
+        let picture = &snapshot.rgb8;
+        let (width, height) = (picture.width() as u32, picture.height() as u32);
+        write_atomic(out, &png_bytes(width, height, picture.data().as_flattened())?)?;
+    }
+    if let Some((format, file)) = export {
+        write_atomic(&file, &export::bytes(format, source, &runtime, &seen))?;
+    }
+    // Where the replay was to stop before the end, all that was asked for is there.
+    let complete =
+        report.complete || until.is_some() && source.trace.complete() && report.divergence.is_none();
+    let document = document(&report, source, frames, workers, complete);
+    if a.json {
+        print_json(&document);
+    } else {
+        summary(&report, frames, workers, complete);
+    }
+    match &report.divergence {
+        None => Ok(()),
+        Some(divergence) => Err(Failure::Check(match &report.foreign {
+            None => format!("the replay diverges: {divergence}"),
+            Some(foreign) => format!(
+                "{}: recorded elsewhere, where results have other bits: {foreign}; first at {divergence}",
+                source.path.display()
+            ),
+        })),
+    }
+}
+
+fn document(report: &ReplayReport, source: &Source, frames: u32, workers: usize, complete: bool) -> Value {
+    let diverged = |d: &Divergence| {
+        json!({
+            "actor": d.name,
+            "index": d.index,
+            "frame": frames,
+            "message": d.kind,
+            "from": d.from.map(|from| source.name(from)),
+            "expected": d.expected,
+            "found": d.found,
+            "turns": d.turns.iter().map(|t| json!({
+                "index": t.index, "message": t.kind, "from": source.name(t.from), "lane": t.lane,
+            })).collect::<Vec<_>>(),
+        })
+    };
+    json!({
+        "schema": "foveal.replay/1",
+        "frames": frames,
+        "messages": report.deliveries,
+        "recorded": report.recorded,
+        "workers": workers,
+        "diverged": report.divergence.as_ref().map(diverged),
+        "foreign": report.foreign,
+        "complete": complete,
+        "damage": source.trace.damage().map(|cut| json!({"offset": cut.offset, "reason": cut.reason})),
+    })
+}
+
+fn summary(report: &ReplayReport, frames: u32, workers: usize, complete: bool) {
+    if report.divergence.is_some() {
+        return;
+    }
+    let end = if complete { "" } else { "; the recording ends early" };
+    print_line(&format!(
+        "{frames} frames, {} messages on {workers} threads: each as recorded{end}",
+        report.deliveries
+    ));
+}

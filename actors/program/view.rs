@@ -1,0 +1,337 @@
+//! `foveal view`: a window on the walk.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use clap::builder::PossibleValue;
+use clap::{Args, ValueEnum};
+use foveal::image::Map2d;
+use foveal::splatting::supersampling::Supersampling;
+use foveal_actors::renderer::overlay::Overlay;
+use foveal_engine::files::write_atomic;
+use foveal_engine::interrupt::interrupted;
+use foveal_engine::recording::TRACERS_MAX;
+use foveal_engine::source::{Controls, FrameSource};
+use foveal_engine::walk::{Next, Walk};
+use foveal_engine::{Failure, Light, Recipe, Settings, Stalled, screenshot};
+use foveal_terminal::arguments::{Size, bytes, positive};
+use foveal_terminal::hashes::Hashes;
+use foveal_terminal::light::IlluminationArguments;
+use foveal_terminal::mode::ModeArguments;
+use foveal_terminal::print::{print_json, print_line};
+use foveal_terminal::progress::{Progress, end_on_interrupt};
+use foveal_window::{Backend, DrawnBy, WindowError};
+use serde_json::json;
+
+/// Arguments of `foveal view`.
+#[derive(Args, Clone, Debug)]
+pub struct ViewArguments {
+    /// An OBJ file or a sidecar
+    scene: PathBuf,
+    /// Picture size
+    #[arg(long, value_name = "WxH", default_value = "512x512")]
+    size: Size,
+    /// Frames per second to aim at (default: the scene's, else 10)
+    #[arg(long, value_parser = positive)]
+    fps: Option<f32>,
+    #[command(flatten)]
+    mode: ModeArguments,
+    /// Number of tracers (default: one per core)
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(TRACERS_MAX)))]
+    workers: Option<u32>,
+    /// Who paints the window
+    #[arg(long, value_enum, default_value_t = BackendName::Auto)]
+    backend: BackendName,
+    /// Who draws the picture
+    #[arg(long, value_enum, default_value_t = DisplayName::Auto)]
+    display: DisplayName,
+    /// The adapter is lost after so many seconds, to see that the walk goes on
+    #[arg(long, value_name = "SECONDS", hide = true)]
+    lose_adapter: Option<f64>,
+    /// The same of the window's surface
+    #[arg(long, value_name = "SECONDS", hide = true)]
+    lose_surface: Option<f64>,
+    /// Somebody stops at once, to see that the walk goes on
+    #[arg(long, value_enum, default_value = "nobody", hide = true)]
+    stall: StalledName,
+    /// Refine what has converged until the standard error of displayed values, 0 to 1, is below this; 0 leaves it
+    /// (default: 0.01, with --headless 0)
+    #[arg(long, value_name = "NOISE", value_parser = clap::value_parser!(f32))]
+    refine: Option<f32>,
+    /// Most samples of a pixel in that
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 16))]
+    refine_samples: u32,
+    /// Most bytes of textures in memory, e.g. 64MiB (default: the scene's, else no limit)
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
+    texture_budget: Option<u64>,
+    /// Record the walk, so that `foveal replay` can run it again; another scene, or the same read again, begins FILE-2
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// How densely hashes are recorded
+    #[arg(long, value_name = "WHICH", value_enum, default_value_t = Hashes::Each, requires = "record")]
+    hashes: Hashes,
+    /// Folder for screenshots (F12)
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    screenshots: PathBuf,
+    /// No window: correct the start view until it has converged, and write --out
+    #[arg(long, requires = "out")]
+    headless: bool,
+    /// The picture of --headless, PNG
+    #[arg(long, value_name = "FILE", requires = "headless")]
+    out: Option<PathBuf>,
+    /// What --headless paints over the picture
+    #[arg(long, value_enum, default_value_t = OverlayName::None, requires = "headless")]
+    overlay: OverlayName,
+    /// With --headless: the picture with the panel beside it, as in the window
+    #[arg(long, requires = "headless")]
+    panel: bool,
+    /// With --headless: stop after so many frames, converged or not
+    #[arg(long, value_name = "N", requires = "headless", value_parser = clap::value_parser!(u32).range(1..))]
+    frames: Option<u32>,
+    #[command(flatten)]
+    illumination: IlluminationArguments,
+    /// One JSON document, with --headless
+    #[arg(long, requires = "headless")]
+    json: bool,
+}
+
+impl ViewArguments {
+    /// Without a window nobody sees the light grow, so it is final at once.
+    fn light(&self) -> Light {
+        let baked = self.illumination.baked || self.headless && !self.illumination.quick;
+        Light { baked, ..self.illumination.light() }
+    }
+
+    fn recipe(&self) -> Recipe {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
+        let tracers = self.workers.unwrap_or(cores.min(TRACERS_MAX));
+        let noise = self.refine.unwrap_or(if self.headless { 0.0 } else { Supersampling::default().noise });
+        let rules = Supersampling { noise, max_samples: self.refine_samples };
+        let settings = Settings {
+            supersampling: (noise > 0.0).then_some(rules),
+            ..Settings::new(self.size.width, self.size.height, tracers)
+        };
+        Recipe {
+            scene: self.scene.clone(),
+            light: self.light(),
+            settings,
+            fps: self.fps,
+            quality: self.mode.least_quality(),
+            texture_bytes: self.texture_budget,
+            record: self.record.clone(),
+            hashing: self.hashes.into(),
+            stalled: self.stall.0,
+        }
+    }
+}
+
+/// Names of backends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum BackendName {
+    /// A graphics adapter if there is one, else the processor
+    Auto,
+    /// A graphics adapter, or fail
+    Gpu,
+    /// The processor
+    Cpu,
+}
+
+/// Names of who draws.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum DisplayName {
+    /// A graphics adapter that is hardware, else the processor
+    Auto,
+    /// The graphics adapter, or fail
+    Gpu,
+    /// The processor
+    Cpu,
+}
+
+impl From<DisplayName> for DrawnBy {
+    fn from(name: DisplayName) -> Self {
+        match name {
+            DisplayName::Auto => Self::Auto,
+            DisplayName::Gpu => Self::Adapter,
+            DisplayName::Cpu => Self::Processor,
+        }
+    }
+}
+
+impl From<BackendName> for Backend {
+    fn from(name: BackendName) -> Self {
+        match name {
+            BackendName::Auto => Self::Auto,
+            BackendName::Gpu => Self::Gpu,
+            BackendName::Cpu => Self::Cpu,
+        }
+    }
+}
+
+/// [`Stalled`] on a command line.
+#[derive(Clone, Copy, Debug)]
+struct StalledName(Stalled);
+
+impl ValueEnum for StalledName {
+    fn value_variants<'a>() -> &'a [Self] {
+        const EACH: [StalledName; Stalled::EACH.len()] = {
+            let mut each = [StalledName(Stalled::Nobody); Stalled::EACH.len()];
+            let mut i = 0;
+            while i < each.len() {
+                each[i] = StalledName(Stalled::EACH[i]);
+                i += 1;
+            }
+            each
+        };
+        &EACH
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(PossibleValue::new(self.0.name()))
+    }
+}
+
+/// Names of overlays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum OverlayName {
+    /// Nothing
+    None,
+    /// How much the eye is drawn to each object
+    Saliency,
+    /// Object ids
+    Objects,
+    /// Level of the shown sample
+    Level,
+    /// Age of the shown sample
+    Age,
+    /// Which tracer made the shown sample
+    Tracer,
+    /// Mip level wanted
+    Mip,
+    /// How much the task draws the eye to each object
+    Importance,
+    /// Which object the next samples go to
+    Priority,
+    /// Estimated error that each object shows
+    Error,
+    /// Mip level given
+    MipGiven,
+    /// All of them, three in a row, in the order of the window's panel
+    All,
+}
+
+impl From<OverlayName> for Overlay {
+    fn from(name: OverlayName) -> Self {
+        match name {
+            OverlayName::None | OverlayName::All => Self::None,
+            OverlayName::Saliency => Self::Saliency,
+            OverlayName::Objects => Self::Objects,
+            OverlayName::Level => Self::Level,
+            OverlayName::Age => Self::Age,
+            OverlayName::Tracer => Self::Tracer,
+            OverlayName::Mip => Self::Mip,
+            OverlayName::Importance => Self::Importance,
+            OverlayName::Priority => Self::Priority,
+            OverlayName::Error => Self::Error,
+            OverlayName::MipGiven => Self::MipGiven,
+        }
+    }
+}
+
+/// Runs the command.
+pub fn run(a: ViewArguments, progress: Progress) -> Result<(), Failure> {
+    if a.headless {
+        return headless(&a, progress);
+    }
+    if (a.display, a.backend) == (DisplayName::Gpu, BackendName::Cpu) {
+        return Err(Failure::Usage("--display gpu draws into a window that --backend gpu shows".into()));
+    }
+    foveal_window::run(options(a)).map(drop).map_err(|e| match e {
+        WindowError::Environment(m) => Failure::Environment(m),
+        WindowError::Scene(m) => Failure::Input(m),
+        WindowError::Ended(m) => Failure::ended(&m),
+    })
+}
+
+/// What the window is opened with.
+fn options(a: ViewArguments) -> foveal_window::Options {
+    foveal_window::Options {
+        backend: if a.display == DisplayName::Gpu { Backend::Gpu } else { a.backend.into() },
+        drawn_by: a.display.into(),
+        lose_adapter: a.lose_adapter,
+        lose_surface: a.lose_surface,
+        screenshots: a.screenshots.clone(),
+        ..foveal_window::Options::new(a.recipe())
+    }
+}
+
+/// The start view, converged, into a file: what the window would show after a while.
+fn headless(a: &ViewArguments, progress: Progress) -> Result<(), Failure> {
+    end_on_interrupt();
+    let mut source = a.recipe().walk(&progress.baking())?;
+    source.set(&Controls { overlay: a.overlay.into(), ..source.controls() })?;
+    let begin = Instant::now();
+    let mut walk = Walk::new(Box::new(source), 0.0);
+    let mut frames = 0u32;
+    loop {
+        if interrupted() {
+            break;
+        }
+        let now = begin.elapsed().as_secs_f64();
+        let (shown, next) = walk.tick(now);
+        if let Some(why) = walk.ended() {
+            return Err(Failure::ended(&why));
+        }
+        frames += u32::from(shown);
+        if a.frames.is_some_and(|most| frames >= most) {
+            break;
+        }
+        match next {
+            Next::Now => {}
+            Next::At(t) => std::thread::sleep(Duration::from_secs_f64((t - now).clamp(0.0, 0.1))),
+            Next::Input => break,
+        }
+    }
+    let (Some(picture), Some(out)) = (walk.picture().cloned(), &a.out) else {
+        return Err(Failure::Interrupted("interrupted before there was a picture".into()));
+    };
+    let picture = if a.panel {
+        let [width, height] = [picture.width() + foveal_window::panel::WIDTH as usize + 20, picture.height()];
+        foveal_window::interface::paint(&walk, [width, height])
+    } else if a.overlay == OverlayName::All {
+        sheet(&mut walk)
+    } else {
+        picture
+    };
+    let bytes =
+        screenshot::png(&picture, &walk.facts(begin.elapsed().as_secs_f64())).map_err(Failure::Input)?;
+    write_atomic(out, &bytes)?;
+    let converged = walk.status().converged;
+    if a.json {
+        print_json(&json!({
+            "schema": "foveal.view/1",
+            "scene": walk.place().title,
+            "size": [picture.width(), picture.height()],
+            "frames": frames,
+            "seconds": begin.elapsed().as_secs_f64(),
+            "converged": converged,
+            "file": out.display().to_string(),
+        }));
+    } else {
+        let state = if converged { "converged" } else { "still growing" };
+        print_line(&format!("{}: {frames} frames, {state}", out.display()));
+    }
+    if interrupted() {
+        return Err(Failure::Interrupted("interrupted; what was done is kept".into()));
+    }
+    Ok(())
+}
+
+/// The picture and all overlays, three in a row, each beneath what its colours mean.
+fn sheet(walk: &mut Walk) -> Map2d<[u8; 3]> {
+    let mut pictures = Vec::new();
+    for overlay in Overlay::ALL {
+        walk.set_controls(Controls { overlay, ..*walk.controls() });
+        pictures.extend(walk.picture().map(|picture| (overlay, picture.clone())));
+    }
+    foveal_window::legend::sheet(&pictures, 3)
+}

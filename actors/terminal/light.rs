@@ -1,0 +1,97 @@
+//! Where illumination comes from, as a command line says it.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::Args;
+use foveal_engine::light::{BakeOptions, Light};
+use foveal_engine::recording::Elsewhere;
+
+use crate::arguments::{duration, share};
+
+/// Where illumination comes from.
+#[derive(Args, Clone, Debug)]
+pub struct IlluminationArguments {
+    /// Illumination made by `foveal bake --out`; without it one is taken from the cache, or refined while walking
+    #[arg(long, value_name = "FILE")]
+    pub bake: Option<PathBuf>,
+    /// Stay with the first estimate, which takes about a second
+    #[arg(long, conflicts_with = "bake")]
+    pub quick: bool,
+    /// Bake before the walk begins instead of while it goes on
+    #[arg(long, conflicts_with = "quick")]
+    pub baked: bool,
+    /// Folder of kept bakes (default: FOVEAL_CACHE, else the user's cache folder)
+    #[arg(long, value_name = "DIR")]
+    pub cache: Option<PathBuf>,
+    /// When a bake is good enough
+    #[command(flatten)]
+    pub settings: BakeSettingsArguments,
+}
+
+impl IlluminationArguments {
+    /// As the engine takes them.
+    pub fn light(&self) -> Light {
+        Light {
+            bake: self.bake.clone(),
+            quick: self.quick,
+            baked: self.baked,
+            refined: false,
+            cache: self.cache.clone(),
+            settings: self.settings.options(),
+        }
+    }
+}
+
+/// When a bake is good enough.
+#[derive(Args, Clone, Debug)]
+pub struct BakeSettingsArguments {
+    /// Stop at this relative error of irradiance
+    #[arg(long, value_name = "SHARE", value_parser = share, default_value = "2%")]
+    pub error: f32,
+    /// Stop after so many particles
+    #[arg(long, value_name = "N", default_value_t = 1 << 22)]
+    pub particles: u64,
+    /// Texels of the lightmap, about (default: by the number of triangles, 32 Ki to 256 Ki; from 128 Ki where
+    /// lights without area cast sharp shadows)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1 << 26))]
+    pub texels: Option<u32>,
+    /// Fine texels also where no camera or path of the scene leads
+    #[arg(long)]
+    pub everything: bool,
+    /// Seed of the bake's random numbers
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub bake_seed: u64,
+    /// Stop after this time, e.g. 10s
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub time: Option<Duration>,
+}
+
+impl BakeSettingsArguments {
+    /// As the engine takes them.
+    pub fn options(&self) -> BakeOptions {
+        let Self { error, particles, texels, everything, bake_seed, time } = self.clone();
+        BakeOptions { error, particles, texels, everything, bake_seed, time }
+    }
+}
+
+/// Files that replay takes instead of the recorded ones.
+#[derive(Args, Clone, Debug, Default)]
+pub struct ElsewhereArguments {
+    /// The scene the walk was recorded in, where it has moved
+    #[arg(long, value_name = "FILE")]
+    pub scene: Option<PathBuf>,
+    /// The bake the walk was recorded with, where it has moved
+    #[arg(long, value_name = "FILE")]
+    pub bake: Option<PathBuf>,
+    /// Folder of kept bakes (default: FOVEAL_CACHE, else the user's cache folder)
+    #[arg(long, value_name = "DIR")]
+    pub cache: Option<PathBuf>,
+}
+
+impl ElsewhereArguments {
+    /// As the engine takes them.
+    pub fn files(&self) -> Elsewhere {
+        Elsewhere { scene: self.scene.clone(), bake: self.bake.clone(), cache: self.cache.clone() }
+    }
+}

@@ -1,0 +1,29 @@
+//! The display on a graphics adapter: WGSL twins of the passes in `foveal::display` and
+//! `foveal::splatting::layer`.
+//!
+//! In: a scene with its illumination, camera frames, samples. Out: the picture, and on demand the
+//! buffers of a view. Everything linear up to `compose`; the splat layer replaces, and the *sum* of
+//! both layers is tone-mapped (REFERENCE H13).
+//!
+//! Nothing here decides anything: a session is the same with and without an adapter, since actors
+//! work on the processor's buffers.
+
+pub mod adapter;
+mod base;
+mod compose;
+pub mod display;
+mod geometry;
+mod mirror;
+pub(crate) mod readback;
+mod rows;
+mod splat;
+#[cfg(test)]
+#[path = "../../engine/test_scene.rs"]
+pub(crate) mod test_scene;
+mod textures;
+#[cfg(test)]
+mod twin_tests;
+
+pub use adapter::{AdapterInfo, Gpu, adapter};
+pub use display::GpuDisplay;
+pub use mirror::Mirror;

@@ -153,7 +153,7 @@ fn base_layer_matches_its_twin() {
 fn base_layers_of_the_bundled_scenes_match_their_twins() {
     let Some(gpu) = gpu("base_layers_of_the_bundled_scenes_match_their_twins") else { return };
     let passes = passes(gpu);
-    let scenes = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes");
+    let scenes = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes");
     for name in ["box", "chess", "diffuse", "duck", "furnace", "gallery", "table"] {
         let file = scenes.join(name).join(format!("{name}.toml"));
         let scene = Arc::new(load(&file).expect("a bundled scene").scene);

@@ -1,4 +1,7 @@
 //! A tracer: pops the best job, traces it, sends the samples on. Owns nothing that lasts but what was not accepted.
+//!
+//! Before it tells what it found it claims the job: one that it lost, because it hung for longer than a job is lent,
+//! another tracer does, and nobody is told twice.
 
 use std::sync::Arc;
 
@@ -58,6 +61,9 @@ impl Tracer {
         let pixels = job_pixels(&self.lattice, &job.order, &drawn.buffers.object);
         let (batch, duration) =
             cx.measure(|| trace_samples(&drawn.world, &drawn.frame, &drawn.buffers, owner, pixels, job.seed));
+        if !cx.claim() {
+            return;
+        }
         let batch = Arc::new(batch);
         let (samples, hash) = (batch.len() as u32, batch.digest());
         // Samples before the word that the job is done: so the allocator's "converged" comes after them.
@@ -71,6 +77,9 @@ impl Tracer {
         let TileWork { drawn, order, seed } = work;
         let sums =
             supersample(&drawn.world, &drawn.frame, order.tile, order.on.as_deref(), order.count, *seed);
+        if !cx.claim() {
+            return;
+        }
         let (hash, view, sums) = (sums.digest(), drawn.view, Arc::new(sums));
         // To the renderer first, as with samples.
         self.outbox.tell(cx, &self.renderer, RendererMessage::TileSampled { view, sums: sums.clone(), hash });
@@ -86,6 +95,9 @@ impl Tracer {
                 let (split_sum, centre) = (&order.probes.split_sum, probe.centre);
                 let (seen, duration) =
                     cx.measure(|| capture(&order.world, split_sum, order.object, centre, side, texels));
+                if !cx.claim() {
+                    return;
+                }
                 let hash = environment_map::digest(&seen);
                 let seconds = duration.as_secs_f32();
                 let captured = AllocatorMessage::EnvironmentCaptured {
@@ -99,6 +111,9 @@ impl Tracer {
             EnvironmentWork::Filter { seen } => {
                 let map = EnvironmentMap::of_capture(probe.centre, order.side as usize, seen, order.exponent);
                 let contrast = contrast(&map, &probe.map);
+                if !cx.claim() {
+                    return;
+                }
                 let hash = map.digest();
                 let changed = RendererMessage::EnvironmentChanged {
                     object: order.object,
@@ -114,6 +129,9 @@ impl Tracer {
 
     fn look_ahead(&mut self, order: &PredictionOrder, cx: &mut Cx<'_, TracerMessage>) {
         let uses = predicted_uses(&order.drawn.world, &order.drawn.frame, &order.store.means);
+        if !cx.claim() {
+            return;
+        }
         let mut h = Xxh3::new();
         for used in &uses {
             h.update(bytemuck::cast_slice(&used.pixels));
@@ -131,6 +149,9 @@ impl Tracer {
         let texels = order.like.as_ref().and_then(|like| {
             read(like).inspect_err(|e| tracing::warn!("{}: {e}; a coarser level stays", file.display())).ok()
         });
+        if !cx.claim() {
+            return;
+        }
         let loaded = AllocatorMessage::LevelLoaded { texture: order.texture, level: order.level, texels };
         self.outbox.tell(cx, &self.allocator, loaded);
     }
@@ -183,9 +204,9 @@ impl Worker for Tracer {
         }
     }
 
-    fn stale(&mut self, job: TraceJob, cx: &mut Cx<'_, TracerMessage>) {
+    fn stale(&mut self, job: &TraceJob, cx: &mut Cx<'_, TracerMessage>) {
         match job {
-            TraceJob::Samples(order) => self.job_done(&order, 0, 0.0, cx),
+            TraceJob::Samples(order) => self.job_done(order, 0, 0.0, cx),
             TraceJob::Tile(TileWork { drawn, .. }) => {
                 let back = AllocatorMessage::TileSampled { view: drawn.view, sums: None, hash: 0 };
                 self.outbox.tell(cx, &self.allocator, back);
@@ -200,8 +221,8 @@ impl Worker for Tracer {
                 self.outbox.tell(cx, &self.allocator, nothing);
             }
             // These hold for every view and are never stale.
-            TraceJob::Prediction(order) => self.look_ahead(&order, cx),
-            TraceJob::Level(order) => self.load(&order, cx),
+            TraceJob::Prediction(order) => self.look_ahead(order, cx),
+            TraceJob::Level(order) => self.load(order, cx),
         }
     }
 }

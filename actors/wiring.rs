@@ -20,6 +20,7 @@
 //! | allocator, renderer, illuminator | the walk ends in order | nobody else knows what is out, shown, or baked so far |
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use foveal::display::first_approximation::{FirstApproximation, Probes};
 use foveal::display::twin::Passes;
@@ -41,6 +42,10 @@ use crate::settings::Settings;
 use crate::stages::StageTimes;
 use crate::textures::TextureStore;
 use crate::tracer::Tracer;
+
+/// For so long a tracer has a job, which takes milliseconds: a tracer that has not done it by then hangs, in a file of a
+/// disk that does not answer, say.
+const LEASE: Duration = Duration::from_secs(5);
 
 /// What a system of actors is made of.
 pub struct Parts {
@@ -146,6 +151,7 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
     let pool: JobPool<TraceJob> = wiring.pool(settings.jobs_in_flight() as usize + 64);
     wiring.supervisor(&allocator.address(), AllocatorMessage::Incident);
     wiring.gives_up(&pool, &allocator.address(), AllocatorMessage::JobDead);
+    wiring.leases(&pool, LEASE);
     let (mut addresses, mut tracers) = (Vec::new(), Vec::new());
     for index in 0..settings.tracers {
         let tracer: Declared<Tracer> = wiring.declare(Bounds::messages(4));

@@ -4,6 +4,8 @@
 //! replayed. The walk belongs to the thread that began it, which runs the renderer between [`Engine::begin`] and
 //! [`Engine::end`].
 
+mod shown;
+
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,7 +14,6 @@ use std::time::Duration;
 use crossbeam_queue::{ArrayQueue, SegQueue};
 use foveal::allocation::residency::smallest;
 use foveal::display::tone::Encoder;
-use foveal::image::Map2d;
 use foveal::scene::plan::ScenePlan;
 use foveal::scene::{Budget, Camera};
 use foveal::world::World;
@@ -25,16 +26,15 @@ use foveal_actors::settings::{Adjustment, Settings};
 use foveal_actors::stages::{Stage, StageTimes};
 use foveal_actors::textures::{TextureReport, TextureStore};
 use foveal_actors::wiring::{Actors, wire};
-use foveal_runtime::{BuildError, Control, Ending, Exit, Limit, Mode, RecordingStatus, Runtime, Shutdown};
+use foveal_runtime::{BuildError, Control, Exit, Limit, Mode, RecordingStatus, Runtime, Shutdown};
 
 use crate::bake_clock::Watch;
 use crate::failure::Failure;
-use crate::look::{self, Mirror};
 use crate::machine::Machine;
 use crate::opened::{self, Opened};
 use crate::options::{Clock, Options};
 use crate::recording::program;
-use crate::source::{Controls, FrameSource, Names, Place, Ranges, Status};
+use crate::source::{Controls, Names, Ranges};
 
 /// Time that actors have to come to rest when they are no longer needed.
 const SHUTDOWN: Duration = Duration::from_secs(2);
@@ -99,6 +99,11 @@ pub enum Event {
     RecordingStopped {
         /// Why.
         reason: String,
+    },
+    /// Something went wrong and the walk goes on: an actor began anew, a job was given up, an observer failed.
+    Incident {
+        /// What happened to whom.
+        what: String,
     },
 }
 
@@ -446,6 +451,8 @@ impl Engine {
             self.before.stopped = true;
             events.push(Event::RecordingStopped { reason: reason.to_string() });
         }
+        let incidents = self.runtime.as_ref().map(Runtime::incidents).unwrap_or_default();
+        events.extend(incidents.into_iter().map(|incident| Event::Incident { what: incident.to_string() }));
         events
     }
 
@@ -473,7 +480,7 @@ impl Engine {
     /// Goes on with pictures of another size: the light stays as it is, samples are traced anew, a recording ends.
     ///
     /// # Errors
-    /// If threads cannot be started; the walk has ended then.
+    /// If threads cannot be started: the walk goes on at the size it had.
     pub fn resize(&mut self, width: u32, height: u32) -> Result<(), Failure> {
         if [width, height] == [self.settings.width, self.settings.height] {
             return Ok(());
@@ -487,14 +494,13 @@ impl Engine {
         let cache_capacity = Settings::new(width, height, 1).cache_capacity;
         let settings = Settings { width, height, cache_capacity, ..self.settings };
         let options = Options { fps, quality, texture_bytes, whole, gives_way, ..Options::new(settings) };
-        let facts = std::mem::take(&mut self.facts);
-        let (controls, recorded) = (self.controls, self.recorded);
-        let mirrored = self.newest.mirrored.load(Ordering::Relaxed);
-        self.close();
-        *self = Self::start(opened, Options { facts, ..options })?;
-        self.before.stopped = recorded;
-        self.newest.mirrored.store(mirrored, Ordering::Relaxed);
-        self.set(&controls)
+        // The next walk stands before the old one ends: where threads cannot be had, there is still one to show.
+        let mut next = Self::start(opened, Options { facts: self.facts.clone(), ..options })?;
+        next.before.stopped = self.recorded;
+        next.newest.mirrored.store(self.newest.mirrored.load(Ordering::Relaxed), Ordering::Relaxed);
+        next.set(&self.controls)?;
+        *self = next;
+        Ok(())
     }
 
     /// Brings the actors to rest within `time`. They can be looked at afterwards; nothing else works.
@@ -654,149 +660,6 @@ fn range(store: &TextureStore) -> [u64; 2] {
 impl Drop for Engine {
     fn drop(&mut self) {
         self.close();
-    }
-}
-
-/// What cannot be done is told to people, who see the picture stand still.
-fn told(done: Result<(), Failure>) {
-    if let Err(e) = done {
-        tracing::warn!("{e}");
-    }
-}
-
-impl FrameSource for Engine {
-    fn place(&self) -> Place {
-        let scene = &self.opened.world.scene;
-        Place {
-            title: scene.title.clone(),
-            up: scene.up,
-            diagonal: scene.diagonal(),
-            cameras: scene.cameras.clone(),
-            paths: scene.paths.clone(),
-        }
-    }
-
-    fn size(&self) -> [u32; 2] {
-        [self.settings.width, self.settings.height]
-    }
-
-    fn controls(&self) -> Controls {
-        self.controls
-    }
-
-    fn ranges(&self) -> Ranges {
-        self.ranges
-    }
-
-    fn insight(&self) -> Option<(&Insight, &Names)> {
-        self.insight.as_ref().map(|insight| (insight, &self.names))
-    }
-
-    fn set_controls(&mut self, controls: &Controls) {
-        told(self.set(controls));
-    }
-
-    fn begin_frame(&mut self, camera: &Camera) {
-        told(self.begin(camera));
-    }
-
-    fn work(&mut self, time: Duration) {
-        told(self.work_until(time, Renderer::is_refined));
-    }
-
-    fn end_frame(&mut self) {
-        told(self.end().map(drop));
-    }
-
-    fn picture(&mut self) -> Option<Map2d<[u8; 3]>> {
-        self.listen();
-        let (controls, insight) = (self.controls, self.insight.as_ref());
-        // A mirror draws what has come since the frame was shown, too.
-        let newest = self.newest.mirrored.load(Ordering::Relaxed);
-        self.look(|renderer| {
-            look::picture(renderer, &self.opened.world, &controls, insight, &self.encoder, newest)
-        })?
-    }
-
-    fn set_mirrored(&mut self, mirrored: bool) {
-        self.newest.mirrored.store(mirrored, Ordering::Relaxed);
-    }
-
-    fn draw_on(&mut self, mirror: &mut dyn Mirror) -> bool {
-        self.listen();
-        while let Some((view, splats)) = self.newest.splats.pop() {
-            if view != self.splats.0 {
-                self.splats = (view, Vec::new());
-            }
-            self.splats.1.push(splats);
-        }
-        let (controls, insight, footprint) = (self.controls, self.insight.as_ref(), self.settings.footprint);
-        let splats = (self.splats.0, &*self.splats.1);
-        self.look(|r| look::draw_on(r, &controls, insight, splats, footprint, mirror)).unwrap_or(false)
-    }
-
-    fn quality(&mut self) -> f32 {
-        self.listen();
-        self.look(|renderer| quality_of(renderer, self.insight.as_ref())).unwrap_or(0.0)
-    }
-
-    fn is_done(&self) -> bool {
-        self.look(Renderer::is_refined).unwrap_or(true)
-    }
-
-    fn is_shown(&self) -> bool {
-        self.look(Renderer::is_shown).unwrap_or(true)
-    }
-
-    fn leave(mut self: Box<Self>) -> Ending {
-        self.end_baking();
-        // A recording is to have its end, if that comes soon; of other sessions nobody would see it.
-        let time = if self.recorded { LEAVING } else { Duration::ZERO };
-        self.runtime.take().map(|runtime| runtime.leave(time)).unwrap_or_default()
-    }
-
-    fn ended(&self) -> Option<String> {
-        self.runtime.as_ref()?.ended().map(ToString::to_string)
-    }
-
-    fn status(&self) -> Status {
-        let (view, converged, lit) = self
-            .look(|r| (r.drawn().map_or(0, |d| d.view.0), r.is_converged(), r.is_lit()))
-            .unwrap_or((0, true, true));
-        let refined = self.look(|r| r.is_refined() && r.is_supersampled()).unwrap_or(false);
-        let counts = self.shown.as_ref().map_or_else(FrameCounts::default, |frame| frame.counts);
-        Status {
-            view,
-            converged,
-            refined,
-            lit,
-            traced: counts.traced,
-            reused: counts.reused,
-            expired: counts.expired,
-            supersampled: counts.refined,
-            actors: self.runtime.as_ref().map(look::actors).unwrap_or_default(),
-        }
-    }
-
-    fn facts(&self) -> Vec<(String, String)> {
-        let mut facts = self.facts.clone();
-        let scene = &self.opened.world.scene;
-        let hash: String = scene.content_hash.iter().map(|b| format!("{b:02x}")).collect();
-        facts.push(("foveal scene".into(), format!("{} {hash}", scene.name)));
-        if let Ok(settings) = serde_json::to_string(&self.settings) {
-            facts.push(("foveal settings".into(), settings));
-        }
-        if let Ok(set) = serde_json::to_string(&self.controls.set) {
-            facts.push(("foveal controls".into(), set));
-        }
-        let of = |frame: &Frame| (frame.snapshot.drawn.view.0, frame.standing);
-        let (view, standing) = self.shown.as_ref().map_or((0, Standing::Growing), of);
-        facts.push(("foveal view".into(), format!("{view}, {}", standing.name())));
-        facts.push((
-            "foveal display".into(),
-            format!("{:?}, {}", self.controls.set.tone, self.controls.overlay.name()),
-        ));
-        facts
     }
 }
 

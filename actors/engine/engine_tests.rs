@@ -3,16 +3,19 @@
 use super::*;
 use crate::navigation::Motion;
 use crate::options::Recording;
+use crate::source::FrameSource;
 use crate::test_scene;
 use crate::walk::{Next, Walk};
 use foveal::allocation::policy::Policy;
 use foveal::display::first_approximation::Probes;
 use foveal::illumination::Uniform;
 use foveal::illumination::bake::BakeSettings;
+use foveal::image::Map2d;
 use foveal::splatting::AgeingRules;
 use foveal::splatting::supersampling::Supersampling;
 use foveal_actors::illuminator::Refinement;
-use foveal_runtime::{Hashing, Record};
+use foveal_runtime::simulate::{Fault, FaultKind, Faults, Simulation};
+use foveal_runtime::{ActorId, Hashing, Record};
 use glam::Vec3;
 use std::time::Instant;
 
@@ -330,6 +333,41 @@ fn what_happens_beside_the_frames_is_told_once() {
         told.extend(engine.end().expect("a frame").events);
     }
     assert_eq!(told, [Event::Converged]);
+}
+
+/// Walks until the view has converged, in virtual time, where this goes wrong; returns the picture and what happened.
+fn simulated(fault: Option<FaultKind>) -> (Map2d<[u8; 3]>, Vec<Event>) {
+    let mut made = made(Settings::new(64, 48, 2));
+    let faults = fault.map(|kind| Fault { actor: first_tracer(), kind, at: 1 }).into_iter().collect();
+    made.options.clock = Clock::Virtual(Simulation { faults: Faults::Listed(faults), ..Simulation::new(1) });
+    let mut engine = made.start();
+    let camera = engine.place().cameras[0].camera;
+    let mut events = Vec::new();
+    for _ in 0..1000 {
+        let frame = engine.frame(&camera, Duration::from_millis(20)).expect("a walk");
+        events.extend(frame.events);
+        if frame.standing != Standing::Growing {
+            return (Map2d::clone(&frame.snapshot.rgb8), events);
+        }
+    }
+    panic!("the view never converges");
+}
+
+/// Who the first tracer is among the actors.
+fn first_tracer() -> ActorId {
+    made(Settings::new(64, 48, 2)).start().actors().tracers[0].id()
+}
+
+#[test]
+fn a_tracer_that_panics_or_hangs_is_told_of_and_changes_no_picture() {
+    let (plain, events) = simulated(None);
+    assert_eq!(events, [Event::Converged]);
+    for (fault, word) in [(FaultKind::Panic, "panicked"), (FaultKind::Hang, "hangs")] {
+        let (picture, events) = simulated(Some(fault));
+        assert_eq!(picture, plain, "{word}");
+        let told = |e: &Event| matches!(e, Event::Incident { what } if what.contains(word));
+        assert_eq!(events.iter().filter(|e| told(e)).count(), 1, "{events:?}");
+    }
 }
 
 /// A camera that has gone some steps aside.

@@ -11,6 +11,7 @@ use crate::journal::Journal;
 use crate::log::format::{lane, quantise, unquantise, value};
 use crate::mailbox::{Address, Envelope, Inbound};
 use crate::message::{ActorId, LATEST_KEYS, Lane, Message, Reason, Rejected};
+use crate::pool::Lease;
 use crate::scheduler::ThreadCx;
 use crate::snapshot::{Loader, Saver};
 use crate::timer::{Alarm, TIMERS_PER_ACTOR};
@@ -121,6 +122,7 @@ pub struct Cx<'a, M: Message> {
     pub(crate) thread: &'a ThreadCx,
     pub(crate) env: &'a Arc<Env>,
     pub(crate) stop: &'a mut bool,
+    pub(crate) lease: Option<&'a dyn Lease>,
 }
 
 impl<M: Message> Cx<'_, M> {
@@ -237,6 +239,20 @@ impl<M: Message> Cx<'_, M> {
         if !self.journal.replaying() {
             to.mailbox.link.control(control, self.thread);
         }
+    }
+
+    /// Takes the job at hand for this worker's own: what it tells from now on, nobody else will. False where the
+    /// [lease](crate::Wiring::leases) was over before and another worker has the job: then this one tells nothing.
+    ///
+    /// Ask once the work is done. True for what is no job, and where jobs are not leased.
+    pub fn claim(&mut self) -> bool {
+        self.lease.is_none_or(|lease| lease.claim(self.journal))
+    }
+
+    /// The same with a job at hand.
+    pub(crate) fn at<'b>(&'b mut self, lease: &'b dyn Lease) -> Cx<'b, M> {
+        let Cx { address, journal, timers, thread, env, stop, lease: _ } = self;
+        Cx { address, journal, timers, thread, env, stop, lease: Some(lease) }
     }
 
     /// Stops this actor after this message.

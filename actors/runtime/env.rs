@@ -272,8 +272,9 @@ impl Env {
         Some(self.pops[index].2)
     }
 
-    /// Deliveries at which an actor is to panic, and sends which are to come back.
-    pub(crate) fn faults_of(&self, actor: ActorId) -> (VecDeque<u64>, VecDeque<u64>) {
+    /// Deliveries at which an actor is to panic, sends which are to come back, and deliveries from which on it hangs at
+    /// its next job.
+    pub(crate) fn faults_of(&self, actor: ActorId) -> [VecDeque<u64>; 3] {
         let faults = self.faults.of(self.seed, actor);
         let of = |kind| {
             let mut at: Vec<u64> =
@@ -281,12 +282,13 @@ impl Env {
             at.sort_unstable();
             VecDeque::from(at)
         };
-        (of(FaultKind::Panic), of(FaultKind::Full))
+        [FaultKind::Panic, FaultKind::Full, FaultKind::Hang].map(of)
     }
 
     /// Tells the supervisor what an actor did.
     pub(crate) fn report(&self, journal: &mut Journal, thread: &ThreadCx, incident: Incident) {
         tracing::warn!("{incident}");
+        self.scheduler.keep(incident.clone());
         let Some(supervisor) = self.supervisor.get() else { return };
         let told =
             guarded(|| journal.without_faults(|journal| supervisor(journal, thread, incident.clone())));

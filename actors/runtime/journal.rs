@@ -71,6 +71,7 @@ pub(crate) struct Journal {
     seen: Vec<(ActorId, u8, u32)>,
     panics: VecDeque<u64>,
     fulls: VecDeque<u64>,
+    hangs: VecDeque<u64>,
     link: Arc<Link>,
     env: Arc<Env>,
 }
@@ -78,7 +79,7 @@ pub(crate) struct Journal {
 impl Journal {
     pub(crate) fn new(link: &Arc<Link>, script: Option<Script>) -> Self {
         let env = &link.env;
-        let (panics, fulls) = env.faults_of(link.id);
+        let [panics, fulls, hangs] = env.faults_of(link.id);
         Self {
             id: link.id,
             index: 0,
@@ -99,6 +100,7 @@ impl Journal {
             seen: Vec::new(),
             panics,
             fulls,
+            hangs,
             link: Arc::clone(link),
             env: Arc::clone(env),
         }
@@ -381,6 +383,32 @@ impl Journal {
             recorder.value(index, value::FAULT);
         }
         true
+    }
+
+    /// Simulation: whether the worker hangs at the job at hand.
+    #[inline]
+    pub(crate) fn hangs_by_fault(&mut self) -> bool {
+        let hangs = self.hangs.front().is_some_and(|at| *at < self.index);
+        if hangs {
+            self.hangs.pop_front();
+        }
+        hangs
+    }
+
+    /// Whether the job at hand is still this worker's: `live` tells, and the recording where it was not.
+    pub(crate) fn keeps_lease(&mut self, live: impl FnOnce() -> bool) -> bool {
+        if let Some(script) = &mut self.script {
+            let lost = script.peek_value() == Some((self.index, value::LOST));
+            if lost {
+                let _ = script.value();
+            }
+            return !lost;
+        }
+        let kept = live();
+        if !kept && let Some(recorder) = &mut self.recorder {
+            recorder.value(self.index, value::LOST);
+        }
+        kept
     }
 
     // --- sends ------------------------------------------------------------------------------------------------------

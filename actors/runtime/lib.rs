@@ -135,7 +135,9 @@
 //! [`Worker`], whose [`Worker::run`] gets the best job whenever its mailbox is empty (one job a turn; make it
 //! [`Class::Heavy`]). Any actor pushes with `cx.push(&pool, bucket, epoch, job)` (bucket 0 first, 63 last) and retires
 //! old ones with `cx.retire(&pool, epoch)`. A job whose worker panics goes back; the third time it is given up, and a
-//! [`DeadJob`] says what it was and why to the actor named by `wiring.gives_up(&pool, &address, |dead| message)`.
+//! [`DeadJob`] says what it was and why to the actor named by `wiring.gives_up(&pool, &address, |dead| message)`. With
+//! `wiring.leases(&pool, time)` a worker that hangs for so long loses its job to another one, and [`Cx::claim`] tells it
+//! so when it comes back: ask before telling what came of a job, and each is told once.
 //!
 //! # Panics
 //!

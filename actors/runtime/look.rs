@@ -125,7 +125,7 @@ impl Runtime {
         self.env.ended()
     }
 
-    /// What went wrong since the last call and was survived, though no actor can be told of it; at most the last 64.
+    /// What went wrong since the last call, whether an actor was told of it or none can be; at most the last 64.
     pub fn incidents(&self) -> Vec<Incident> {
         self.env.scheduler.incidents()
     }

@@ -76,6 +76,8 @@ pub(crate) struct Link {
     pub(crate) closed: AtomicBool,
     /// Has log bytes that are not yet with the writer.
     pub(crate) unflushed: AtomicBool,
+    /// A turn of it takes one of the places for heavy ones.
+    pub(crate) in_slot: AtomicBool,
     /// Replay: nothing is delivered beyond so many deliveries.
     pub(crate) limit: AtomicU64,
     pub(crate) counters: Arc<Counters>,

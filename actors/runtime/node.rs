@@ -445,9 +445,8 @@ impl<A: Actor> Runnable for Node<A> {
                 (made > 0 && made == recorded && hashed && chain != expected).then_some((expected, chain));
             let waits_for = script.next().map(|next| {
                 let from = match next.payload {
-                    // A job comes from who made it, or from the worker it killed before.
-                    Payload::Job { id, attempt: 0 } => Some(ActorId((id >> 40) as u32)),
-                    Payload::Job { id, attempt } => self.link.env.popped_by(id, attempt - 1),
+                    // A job comes from who made it.
+                    Payload::Job { id, .. } => Some(ActorId((id >> 40) as u32)),
                     _ => Some(next.symbol.from),
                 };
                 (from, next.symbol.lane)

@@ -4,6 +4,7 @@
 //! of the worker that made it, so a recording knows who did what, and replay hands each job to the same worker.
 
 mod bitmap;
+mod lease;
 mod seat;
 
 use crossbeam_queue::SegQueue;
@@ -11,8 +12,10 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
+use std::time::Duration;
 
 use crate::actor::{Actor, Cx};
+use crate::clock::nanoseconds;
 use crate::env::Env;
 use crate::eventcount::EventCount;
 use crate::journal::Journal;
@@ -24,12 +27,14 @@ use crate::snapshot::{Loader, Saver};
 use crate::supervise::{Incident, guarded};
 
 pub(crate) use bitmap::Bitmap;
+use lease::Hold;
+pub(crate) use lease::Lease;
 use seat::SeatOf;
 pub(crate) use seat::{Popped, Seat, job_symbol};
 
 /// Priority buckets of a pool.
 pub const BUCKETS: u8 = 64;
-/// A job that panicked so often is given up.
+/// A job that so many workers did not survive, or did not come to the end of, is given up.
 pub const KILLS_MAX: u32 = 3;
 
 /// A job that is given up, as whoever [`crate::Wiring::gives_up`] names is told of it.
@@ -48,15 +53,17 @@ pub struct DeadJob<B> {
 /// Why a job is given up.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Death {
-    /// [`KILLS_MAX`] workers did not survive it; this is what the last one panicked with.
+    /// [`KILLS_MAX`] workers had it, and this is what the last one panicked with.
     Panicked(String),
+    /// [`KILLS_MAX`] workers had it, and the last one's lease was over before it had done with it.
+    Expired,
 }
 
 /// Tells of a dead job; false if there is no room.
 type Undertaker<B> = Box<dyn Fn(&mut Journal, &ThreadCx, DeadJob<B>) -> bool + Send + Sync>;
 
 /// A piece of work that any worker of a pool can do.
-pub trait Job: Send + 'static {
+pub trait Job: Send + Sync + 'static {
     /// What is told of a job that is given up: enough to know what is missing now.
     type Brief: fmt::Debug + Send + 'static;
 
@@ -90,11 +97,12 @@ pub trait Worker: Actor {
     /// What it does.
     type Job: Job;
 
-    /// Does one job. If this panics, the job goes back and another worker does it.
+    /// Does one job. If this panics, the job goes back and another worker does it. Where the pool
+    /// [leases](crate::Wiring::leases) its jobs, ask [`Cx::claim`] before telling anybody what came of it.
     fn run(&mut self, job: &Self::Job, cx: &mut Cx<'_, Self::Msg>);
 
     /// Takes a job whose epoch has passed and which will not be done.
-    fn stale(&mut self, _job: Self::Job, _cx: &mut Cx<'_, Self::Msg>) {}
+    fn stale(&mut self, _job: &Self::Job, _cx: &mut Cx<'_, Self::Msg>) {}
 }
 
 /// What a pool has seen.
@@ -108,7 +116,7 @@ pub struct PoolStats {
     pub stale: u64,
     /// Jobs given up.
     pub dead: u64,
-    /// Times a job went back because its worker panicked.
+    /// Times a job went back because its worker panicked or lost its lease.
     pub requeued: u64,
     /// Jobs that wait.
     pub waiting: u64,
@@ -125,16 +133,25 @@ struct Entry<J> {
     bucket: u32,
     /// Deliveries to its maker before it was pushed, the one at hand included.
     pushed_in: u64,
-    job: J,
+    /// Shared with those who get it if this worker does not come to its end.
+    job: Arc<J>,
+}
+
+impl<J> Clone for Entry<J> {
+    fn clone(&self) -> Self {
+        Self { job: Arc::clone(&self.job), ..*self }
+    }
 }
 
 /// One worker's place at a pool.
 struct Place<J> {
+    number: usize,
     link: Arc<Link>,
     /// Jobs meant for this worker: those that killed another one and, in replay, all that the script gives it.
     inbound: SegQueue<Entry<J>>,
-    /// Takes no jobs: paused or stopped.
+    /// Takes no jobs: paused, stopped, or hanging.
     away: AtomicBool,
+    hold: Hold<J>,
 }
 
 struct Shared<J: Job> {
@@ -148,6 +165,9 @@ struct Shared<J: Job> {
     undertaker: OnceLock<Undertaker<J::Brief>>,
     arriving: SegQueue<Arc<Place<J>>>,
     places: OnceLock<Box<[Arc<Place<J>>]>>,
+    /// Nanoseconds that a worker has for a job; none: as long as it takes.
+    lease: OnceLock<u64>,
+    watched: AtomicBool,
     idle: EventCount,
     workers: AtomicUsize,
     pushed: AtomicU64,
@@ -169,10 +189,6 @@ impl<J: Job> Shared<J> {
     }
 
     fn put(&self, entry: Entry<J>, thread: &ThreadCx) {
-        if self.env.replaying() {
-            self.route(entry, thread);
-            return;
-        }
         let bucket = entry.bucket;
         self.buckets[bucket as usize].push(entry);
         self.bitmap.raise(bucket);
@@ -187,28 +203,30 @@ impl<J: Job> Shared<J> {
         }
     }
 
-    /// Replay: a job goes straight to the worker that popped it when the recording was made.
-    fn route(&self, entry: Entry<J>, thread: &ThreadCx) {
-        let Some(worker) = self.env.popped_by(entry.id, entry.attempt) else { return };
-        if let Some(place) = self.places().iter().find(|place| place.link.id == worker) {
-            place.inbound.push(entry);
-            place.link.raise(signal::JOBS, thread);
+    /// Replay: a job goes straight to those who popped it when the recording was made, all of them at once.
+    fn route(&self, entry: &Entry<J>, thread: &ThreadCx) {
+        for attempt in 0..=KILLS_MAX {
+            let Some(worker) = self.env.popped_by(entry.id, attempt) else { return };
+            if let Some(place) = self.places().iter().find(|place| place.link.id == worker) {
+                place.inbound.push(Entry { attempt, ..entry.clone() });
+                place.link.raise(signal::JOBS, thread);
+            }
         }
     }
 
-    /// Gives a job that killed a worker to the next one, or back to all if there is no other.
+    /// Gives a job that a worker did not come to the end of to the next one, or back to all if there is no other.
     fn hand_on(&self, entry: Entry<J>, from: usize, thread: &ThreadCx) {
         let places = self.places();
         let others = (1..places.len()).map(|step| &places[(from + step) % places.len()]);
         match others.into_iter().find(|place| !place.away.load(Ordering::SeqCst)) {
-            Some(place) if !self.env.replaying() => {
+            Some(place) => {
                 place.inbound.push(entry);
                 place.link.raise(signal::JOBS, thread);
                 if place.away.load(Ordering::SeqCst) {
                     self.give_back(place, thread);
                 }
             }
-            _ => self.put(entry, thread),
+            None => self.put(entry, thread),
         }
     }
 
@@ -281,6 +299,8 @@ impl<J: Job> JobPool<J> {
             undertaker: OnceLock::new(),
             arriving: SegQueue::new(),
             places: OnceLock::new(),
+            lease: OnceLock::new(),
+            watched: AtomicBool::new(false),
             idle: EventCount::new(),
             workers: AtomicUsize::new(0),
             pushed: AtomicU64::new(0),
@@ -309,22 +329,28 @@ impl<J: Job> JobPool<J> {
     }
 
     pub(crate) fn sit<A: Worker<Job = J>>(&self, link: &Arc<Link>) -> Box<dyn Seat<A>> {
+        let number = self.shared.workers.fetch_add(1, Ordering::SeqCst);
         let place = Arc::new(Place {
+            number,
             link: Arc::clone(link),
             inbound: SegQueue::new(),
             away: AtomicBool::new(false),
+            hold: Hold::new(),
         });
-        let number = self.shared.workers.fetch_add(1, Ordering::SeqCst);
         assert!(number < 64, "a pool has at most 64 workers");
         self.shared.arriving.push(Arc::clone(&place));
         Box::new(SeatOf {
-            number,
             place,
             pool: self.clone(),
             left: AtomicBool::new(false),
             current: None,
             early: std::collections::BTreeMap::new(),
         })
+    }
+
+    /// Says how long a worker has for a job.
+    pub(crate) fn lease(&self, time: Duration) {
+        let _ = self.shared.lease.set(nanoseconds(time).max(1));
     }
 
     /// Says who is told of jobs that are given up.
@@ -374,7 +400,12 @@ impl<M: Message> Cx<'_, M> {
         let id = self.journal.next_job();
         let bucket = (u32::from(bucket.min(BUCKETS - 1)) + shared.base.load(Ordering::Relaxed)) % 64;
         let pushed_in = self.journal.index;
-        shared.put(Entry { id, attempt: 0, epoch, bucket, pushed_in, job }, self.thread);
+        let entry = Entry { id, attempt: 0, epoch, bucket, pushed_in, job: Arc::new(job) };
+        if self.journal.replaying() {
+            shared.route(&entry, self.thread);
+        } else {
+            shared.put(entry, self.thread);
+        }
         Ok(id)
     }
 

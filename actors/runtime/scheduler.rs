@@ -16,6 +16,7 @@ use std::time::Duration;
 use crate::actor::Class;
 use crate::env::Env;
 use crate::eventcount::EventCount;
+use crate::mailbox::Link;
 use crate::node::Runnable;
 use crate::priority::give_way;
 use crate::supervise::{Incident, guarded};
@@ -71,7 +72,7 @@ pub(crate) struct Scheduler {
     stopping: AtomicBool,
     /// Worker threads that rest because the system is halted.
     resting: AtomicUsize,
-    /// What went wrong and no actor did, oldest first.
+    /// What went wrong, oldest first.
     incidents: ArrayQueue<Incident>,
 }
 
@@ -294,13 +295,18 @@ impl Scheduler {
         self.resting.fetch_sub(1, Ordering::SeqCst);
     }
 
-    /// Keeps an incident for whoever asks; where there are too many, the oldest are forgotten.
+    /// Keeps an incident that no actor can be told of.
     pub(crate) fn note(&self, incident: Incident) {
         tracing::error!("{incident}");
+        self.keep(incident);
+    }
+
+    /// Keeps an incident for whoever asks; where there are too many, the oldest are forgotten.
+    pub(crate) fn keep(&self, incident: Incident) {
         self.incidents.force_push(incident);
     }
 
-    /// What was noted since the last call.
+    /// What was kept since the last call.
     pub(crate) fn incidents(&self) -> Vec<Incident> {
         std::iter::from_fn(|| self.incidents.pop()).collect()
     }
@@ -353,6 +359,22 @@ impl Scheduler {
             self.offer_heavy();
         }
         actor
+    }
+
+    /// A heavy actor's turn is over, or hangs: another one may run. True the first time.
+    fn release_slot_of(&self, link: &Link) -> bool {
+        let held = link.in_slot.swap(false, Ordering::SeqCst);
+        if held {
+            self.release_heavy();
+        }
+        held
+    }
+
+    /// A heavy actor hangs in its turn: another one may run on another thread.
+    pub(crate) fn free_slot_of(&self, link: &Link) {
+        if self.release_slot_of(link) {
+            self.offer_heavy();
+        }
     }
 
     fn release_heavy(&self) {
@@ -502,7 +524,9 @@ fn work(env: &Env, nodes: &[Box<dyn Runnable>], thread: &ThreadCx, index: usize)
 
 fn run_heavy(env: &Env, nodes: &[Box<dyn Runnable>], thread: &ThreadCx) -> bool {
     let Some(actor) = env.scheduler.claim_heavy() else { return false };
+    let link = nodes[actor as usize].link();
+    link.in_slot.store(true, Ordering::Relaxed);
     env.scheduler.run(nodes, actor, thread);
-    env.scheduler.release_heavy();
+    env.scheduler.release_slot_of(link);
     true
 }

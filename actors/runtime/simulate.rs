@@ -49,9 +49,11 @@ pub enum FaultKind {
     TornLog,
     /// The disk that is recorded to has room for so many bytes. Of no actor, as above.
     DiskFull,
+    /// A worker hangs at its next job from this delivery on, so that it loses its lease. Nothing where jobs have none.
+    Hang,
 }
 
-/// One thing that goes wrong: at this delivery (panic), send (full) or turn (delay, stall, slow) of this actor.
+/// One thing that goes wrong: at this delivery (panic, hang), send (full) or turn (delay, stall, slow) of this actor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Fault {
     /// Where.

@@ -29,8 +29,8 @@ impl<A> OnPanic<A> {
     }
 }
 
-/// What went wrong. The supervisor is told of what an actor did; what no actor did is with
-/// [`crate::Runtime::incidents`].
+/// What went wrong. The supervisor is told of what an actor did; [`crate::Runtime::incidents`] has that and what no
+/// actor did.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Incident {
     /// A turn panicked.
@@ -52,6 +52,15 @@ pub enum Incident {
         job: u64,
         /// Why nobody could be told.
         message: String,
+    },
+    /// A worker hung at a job, and another one has it now.
+    LeaseLost {
+        /// The worker.
+        actor: ActorId,
+        /// Its name.
+        name: String,
+        /// The job's identity.
+        job: u64,
     },
     /// A worker panicked too often and was stopped.
     CircuitOpen {
@@ -84,6 +93,9 @@ impl fmt::Display for Incident {
         match self {
             Self::Panicked { name, kind, message, .. } => write!(f, "{name} panicked over {kind}: {message}"),
             Self::JobLost { job, message, .. } => write!(f, "job {job:#x} is given up, untold: {message}"),
+            Self::LeaseLost { name, job, .. } => {
+                write!(f, "{name} hangs at job {job:#x}: another one does it")
+            }
             Self::CircuitOpen { name, .. } => write!(f, "{name} panicked too often and was stopped"),
             Self::TurnBroke { name, message, .. } => write!(f, "a turn of {name} broke off: {message}"),
             Self::Beside { what, message } => write!(f, "{what} panicked: {message}"),

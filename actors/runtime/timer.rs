@@ -17,6 +17,11 @@ pub const TIMERS_PER_ACTOR: usize = 64;
 /// The mailbox side of a timer.
 pub(crate) trait Alarm: Send + Sync {
     fn fire(&self, timer: u32, thread: &ThreadCx);
+
+    /// Whether an actor waits for it: a system is not at rest while such a timer runs.
+    fn is_of_an_actor(&self) -> bool {
+        true
+    }
 }
 
 struct Entry {
@@ -95,7 +100,9 @@ impl Timers {
         while heap.peek().is_some_and(|Reverse(entry)| entry.deadline <= now) {
             if let Some(Reverse(entry)) = heap.pop() {
                 entry.target.fire(entry.timer, thread);
-                scheduler.timer_fired();
+                if entry.target.is_of_an_actor() {
+                    scheduler.timer_fired();
+                }
             }
         }
         let next = heap.peek().map_or(u64::MAX, |Reverse(entry)| entry.deadline);

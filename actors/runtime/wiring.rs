@@ -4,6 +4,7 @@ use std::any::Any;
 use std::marker::PhantomData;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::time::Duration;
 
 use crate::activation::Activation;
 use crate::actor::{Actor, Class, post};
@@ -92,6 +93,7 @@ impl Wiring {
             signals: Signals::new(),
             closed: AtomicBool::new(false),
             unflushed: AtomicBool::new(false),
+            in_slot: AtomicBool::new(false),
             limit: AtomicU64::new(u64::MAX),
             counters: Arc::new(Counters::new(self.ring_turns)),
             env: Arc::clone(&self.env),
@@ -150,6 +152,14 @@ impl Wiring {
         pool
     }
 
+    /// Lends the jobs of `pool` for `time`: a worker that has not come to the end by then loses the job to another one,
+    /// and [`crate::Cx::claim`] tells it so. Looked after by any thread of the system that is not in a turn, so with at
+    /// least two worker threads; not in replay, which knows. Choose much more than a job takes: one that is only slow is
+    /// done twice. Later calls change nothing.
+    pub fn leases<J: Job>(&mut self, pool: &JobPool<J>, time: Duration) {
+        pool.lease(time);
+    }
+
     /// Says who is told of jobs of `pool` that are given up, and how that actor puts it. Later calls change nothing.
     /// Choose [`crate::Lane::Control`] for the message: where it finds no room, the system ends.
     pub fn gives_up<J: Job, M: Message>(
@@ -203,6 +213,7 @@ impl PortNode {
             signals: Signals::new(),
             closed: AtomicBool::new(true),
             unflushed: AtomicBool::new(false),
+            in_slot: AtomicBool::new(false),
             limit: AtomicU64::new(u64::MAX),
             counters: Arc::new(Counters::new(1)),
             env: Arc::clone(env),

@@ -112,6 +112,8 @@ enum FaultName {
     TornLog,
     /// The walk is recorded, and the disk is full
     DiskFull,
+    /// A tracer hangs at a job and loses it to another one
+    Hang,
 }
 
 /// The name of the recording among the actors.
@@ -162,6 +164,7 @@ impl From<FaultName> for FaultKind {
             FaultName::Full => Self::Full,
             FaultName::TornLog => Self::TornLog,
             FaultName::DiskFull => Self::DiskFull,
+            FaultName::Hang => Self::Hang,
         }
     }
 }
@@ -175,6 +178,7 @@ fn word(kind: FaultKind) -> &'static str {
         FaultKind::Full => "full",
         FaultKind::TornLog => "torn-log",
         FaultKind::DiskFull => "disk-full",
+        FaultKind::Hang => "hang",
     }
 }
 

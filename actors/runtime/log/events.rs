@@ -61,6 +61,11 @@ pub enum Event {
         /// The simulator made it.
         injected: bool,
     },
+    /// The worker hung at a job for so long that another one got it.
+    LeaseLost {
+        /// Deliveries by then.
+        index: u64,
+    },
 }
 
 /// What comes next of an actor: a value, or deliveries from an index on.
@@ -233,6 +238,7 @@ fn event_of(value: Value) -> Event {
         value::MEASURED => Event::Measured { index, nanoseconds: unquantise(content) },
         value::COUNT => Event::Counted { index, count: content },
         value::MARK => Event::Mark { index, kind, value: content },
+        value::LOST => Event::LeaseLost { index },
         _ => Event::Panicked { index, injected: tag == value::FAULT },
     }
 }

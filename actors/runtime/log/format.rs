@@ -164,6 +164,7 @@ pub(crate) mod value {
     pub(crate) const VERDICT: u8 = 3;
     pub(crate) const FAULT: u8 = 4;
     pub(crate) const COUNT: u8 = 5;
+    pub(crate) const LOST: u8 = 6;
     /// Bits of a tag; the deliveries since the last value stand above them.
     pub(crate) const TAG_BITS: u32 = 3;
 
@@ -175,6 +176,7 @@ pub(crate) mod value {
             VERDICT => "a panic",
             FAULT => "an injected fault",
             COUNT => "a count",
+            LOST => "a lost lease",
             _ => "an unknown value",
         }
     }

@@ -9,7 +9,7 @@ use crate::journal::{Halted, Payload};
 use crate::log::format::{Symbol, lane};
 use crate::mailbox::Envelope;
 use crate::message::{ActorId, Message};
-use crate::pool::{Popped, job_symbol};
+use crate::pool::{KILLS_MAX, Popped, job_symbol};
 use crate::scheduler::ThreadCx;
 use crate::signals::signal;
 use crate::supervise::{Incident, Injected, OnPanic, guarded, message_of, verdict};
@@ -53,7 +53,7 @@ impl<A: Actor> Node<A> {
             let env = &self.link.env;
             actor.handle(
                 message,
-                &mut Cx { address: &self.address, journal, timers, thread, env, stop: stopping },
+                &mut Cx { address: &self.address, journal, timers, thread, env, stop: stopping, lease: None },
             );
             stage = Stage::Hash;
             journal.handled(|| actor.digest())
@@ -84,13 +84,21 @@ impl<A: Actor> Node<A> {
                 resume_unwind(Box::new(Injected));
             }
             let env = &self.link.env;
-            let mut cx = Cx { address: &self.address, journal, timers, thread, env, stop: stopping };
-            if popped.stale {
-                seat.stale(actor, &mut cx)
+            if popped.attempt >= KILLS_MAX {
+                seat.give_up(journal, thread);
             } else {
-                seat.run(actor, &mut cx)
+                if journal.hangs_by_fault() {
+                    seat.hang(thread);
+                }
+                let mut cx =
+                    Cx { address: &self.address, journal, timers, thread, env, stop: stopping, lease: None };
+                if popped.stale {
+                    seat.stale(actor, &mut cx)
+                } else {
+                    seat.run(actor, &mut cx)
+                }
+                seat.completed(journal);
             }
-            seat.completed();
             stage = Stage::Hash;
             journal.handled(|| actor.digest())
         }));
@@ -189,7 +197,15 @@ impl<A: Actor> Node<A> {
                 resume_unwind(Box::new(Injected));
             }
             let env = &self.link.env;
-            actor.started(&mut Cx { address: &self.address, journal, timers, thread, env, stop: stopping });
+            actor.started(&mut Cx {
+                address: &self.address,
+                journal,
+                timers,
+                thread,
+                env,
+                stop: stopping,
+                lease: None,
+            });
         }));
         if let Err(panic) = begun {
             self.panicked(core, thread, "start", panic);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use super::{Death, Entry, Job, JobPool, KILLS_MAX, Place, Worker};
+use super::{Death, Entry, Job, JobPool, KILLS_MAX, Lease, Place, Worker};
 use crate::actor::{Actor, Cx};
 use crate::journal::Journal;
 use crate::log::format::{Symbol, lane};
@@ -33,7 +33,12 @@ pub(crate) trait Seat<A: Actor>: Send {
     fn content(&self) -> &dyn Any;
     fn run(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>);
     fn stale(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>);
-    fn completed(&mut self);
+    /// The job is done with.
+    fn completed(&mut self, journal: &mut Journal);
+    /// Simulation: the worker hangs at the job it holds until that is somebody else's.
+    fn hang(&self, thread: &ThreadCx);
+    /// Nobody came to the end of the job: it is given up.
+    fn give_up(&mut self, journal: &mut Journal, thread: &ThreadCx);
     /// The job panicked with this: it goes back, or is given up.
     fn killed(&mut self, journal: &mut Journal, thread: &ThreadCx, message: &str);
     /// Waits for jobs; false if one is there already.
@@ -49,7 +54,6 @@ pub(crate) trait Seat<A: Actor>: Send {
 }
 
 pub(super) struct SeatOf<J: Job> {
-    pub(super) number: usize,
     pub(super) place: Arc<Place<J>>,
     pub(super) pool: JobPool<J>,
     pub(super) left: AtomicBool,
@@ -63,13 +67,23 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
         self.place.away.store(false, Ordering::SeqCst);
         let entry = self.place.inbound.pop().or_else(|| shared.take())?;
         shared.waiting.fetch_sub(1, Ordering::Relaxed);
-        shared.idle.cancel(self.number);
+        shared.idle.cancel(self.place.number);
         if !shared.bitmap.is_empty() {
             // The one who was woken for what is left may be this busy worker.
             shared.wake(thread);
         }
         let stale = entry.epoch < shared.epoch.load(Ordering::Relaxed);
         let popped = Popped { id: entry.id, attempt: entry.attempt, pushed_in: entry.pushed_in, stale };
+        match shared.lease.get() {
+            Some(time) if !stale && entry.attempt < KILLS_MAX => {
+                let until = shared.env.clock.now().saturating_add(*time);
+                self.place.hold.lend(entry.clone(), until);
+                if !shared.env.simulated() {
+                    shared.watch(until);
+                }
+            }
+            _ => self.place.hold.own(),
+        }
         self.current = Some(entry);
         Some(popped)
     }
@@ -79,6 +93,7 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
             self.early.insert((entry.id, entry.attempt), entry);
         }
         self.current = self.early.remove(&(id, attempt));
+        self.place.hold.replay();
         self.current.as_ref().map(|entry| entry.pushed_in)
     }
 
@@ -96,33 +111,46 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
 
     fn content(&self) -> &dyn Any {
         match &self.current {
-            Some(entry) => &entry.job,
+            Some(entry) => &*entry.job,
             None => &(),
         }
     }
 
     fn run(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>) {
         if let Some(entry) = &self.current {
-            actor.run(&entry.job, cx);
+            actor.run(&entry.job, &mut cx.at(&*self.place));
         }
     }
 
     fn stale(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>) {
         if let Some(entry) = self.current.take() {
             self.pool.shared.stale.fetch_add(1, Ordering::Relaxed);
-            actor.stale(entry.job, cx);
+            actor.stale(&entry.job, cx);
         }
     }
 
-    fn completed(&mut self) {
-        if self.current.take().is_some() {
+    fn completed(&mut self, journal: &mut Journal) {
+        if self.current.take().is_some() && self.place.claim(journal) {
             self.pool.shared.completed.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    fn hang(&self, thread: &ThreadCx) {
+        self.pool.shared.expire(&self.place, 0, thread);
+    }
+
+    fn give_up(&mut self, journal: &mut Journal, thread: &ThreadCx) {
+        if let Some(entry) = self.current.take() {
+            self.pool.shared.bury(&entry, Death::Expired, journal, thread);
         }
     }
 
     fn killed(&mut self, journal: &mut Journal, thread: &ThreadCx, message: &str) {
         let shared = &self.pool.shared;
         let Some(entry) = self.current.take() else { return };
+        if !self.place.claim(journal) {
+            return;
+        }
         let attempt = entry.attempt + 1;
         if attempt >= KILLS_MAX {
             return shared.bury(&entry, Death::Panicked(message.to_owned()), journal, thread);
@@ -130,16 +158,16 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
         shared.requeued.fetch_add(1, Ordering::Relaxed);
         if !shared.env.replaying() {
             shared.waiting.fetch_add(1, Ordering::Relaxed);
+            shared.hand_on(Entry { attempt, ..entry }, self.place.number, thread);
         }
-        shared.hand_on(Entry { attempt, ..entry }, self.number, thread);
     }
 
     fn rest(&self) -> bool {
         let shared = &self.pool.shared;
-        shared.idle.prepare(self.number);
+        shared.idle.prepare(self.place.number);
         let rests = shared.bitmap.is_empty() && self.place.inbound.is_empty();
         if !rests {
-            shared.idle.cancel(self.number);
+            shared.idle.cancel(self.place.number);
         }
         rests
     }
@@ -150,7 +178,7 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
             return;
         }
         self.place.away.store(true, Ordering::SeqCst);
-        shared.idle.cancel(self.number);
+        shared.idle.cancel(self.place.number);
         shared.give_back(&self.place, thread);
         if !shared.bitmap.is_empty() {
             shared.wake(thread);
@@ -191,7 +219,7 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
         let count: u64 = loader.take()?;
         for _ in 0..count {
             let (id, attempt, epoch, bucket, pushed_in) = loader.take()?;
-            let job = J::restore(loader)?;
+            let job = Arc::new(J::restore(loader)?);
             self.early.insert((id, attempt), Entry { id, attempt, epoch, bucket, pushed_in, job });
         }
         Some(())

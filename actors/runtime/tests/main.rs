@@ -8,6 +8,7 @@ mod damage;
 mod derived;
 mod ends;
 mod hostile;
+mod leases;
 mod live;
 mod panics;
 mod planted;

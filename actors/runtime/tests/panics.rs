@@ -52,6 +52,12 @@ impl Message for Word {
     }
 }
 
+/// What no actor was told of.
+fn beside(runtime: &Runtime) -> Vec<Incident> {
+    let told = |incident: &Incident| matches!(incident, Incident::Beside { .. });
+    runtime.incidents().into_iter().filter(told).collect()
+}
+
 /// Panics as it is told, and counts what it survives.
 #[derive(Default)]
 struct Listener {
@@ -171,7 +177,7 @@ fn an_actor_that_cannot_start_anew_ends_the_system() {
         let shutdown = runtime.end(WAIT);
         assert!(shutdown.drained && shutdown.ended.is_some(), "{shutdown:?}");
         assert_eq!(runtime.inspect(supervisor, |supervisor| supervisor.0.len()), Some(1));
-        let beside = runtime.incidents();
+        let beside = beside(&runtime);
         assert!(
             matches!(&beside[..], [Incident::Beside { message, .. }] if message == "no new one"),
             "{beside:?}"
@@ -214,7 +220,7 @@ fn an_observer_that_panics_is_asked_no_more() {
         Some(0),
         "it was not the actor's fault"
     );
-    let beside = runtime.incidents();
+    let beside = beside(&runtime);
     assert!(matches!(&beside[..], [Incident::Beside { message, .. }] if message == "observer"), "{beside:?}");
     assert!(runtime.shutdown(WAIT).drained);
 }
@@ -240,9 +246,7 @@ fn an_incident_that_cannot_be_told_ends_the_system() {
         .expect("builds");
         port.send(Word(Where::Wording)).expect("room");
         assert_eq!(runtime.pump(Limit::time(WAIT)), Exit::Ended);
-        assert!(
-            matches!(&runtime.incidents()[..], [Incident::Beside { message, .. }] if message == "wording")
-        );
+        assert!(matches!(&beside(&runtime)[..], [Incident::Beside { message, .. }] if message == "wording"));
         assert!(matches!(runtime.ended(), Some(Incident::Panicked { name, .. }) if name == "fragile"));
         assert!(runtime.shutdown(WAIT).drained);
     }
@@ -293,7 +297,7 @@ fn a_waker_that_panics_leaves_the_threads_alone() {
     }
     assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
     assert_eq!(runtime.inspect(supervisor, |supervisor| supervisor.0.len()), Some(1));
-    let beside = runtime.incidents();
+    let beside = beside(&runtime);
     assert!(beside.iter().all(|told| matches!(told, Incident::Beside { message, .. } if message == "waker")));
     assert!(!beside.is_empty() && runtime.shutdown(WAIT).drained);
 }

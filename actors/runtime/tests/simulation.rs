@@ -16,7 +16,7 @@ const STRATEGIES: [Strategy; 4] =
 
 fn faults() -> Faults {
     use FaultKind::*;
-    Faults::Seeded { kinds: vec![Panic, Full, Delay, Stall, Slow], each: 2, horizon: 60 }
+    Faults::Seeded { kinds: vec![Panic, Full, Delay, Stall, Slow, Hang], each: 2, horizon: 60 }
 }
 
 /// Runs the workshop under a seed; returns its fingerprint.

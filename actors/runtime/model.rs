@@ -217,7 +217,7 @@ impl Actor for Tally {
 #[derive(Clone)]
 struct System {
     address: Address<Word>,
-    nodes: std::sync::Arc<[Box<dyn Runnable>]>,
+    nodes: std::sync::Arc<[std::sync::Arc<dyn Runnable>]>,
 }
 
 impl System {

@@ -61,7 +61,10 @@ pub(crate) struct ScriptState {
 
 /// An actor's state and what travels with it; owned by whoever runs the turn.
 struct Core<A: Actor> {
-    actor: A,
+    /// None in a place that is reserved and still empty.
+    actor: Option<A>,
+    /// It came while the system ran.
+    came: bool,
     journal: Journal,
     timers: OwnTimers<A::Msg>,
     seat: Option<Box<dyn Seat<A>>>,
@@ -82,6 +85,14 @@ pub(crate) struct Node<A: Actor> {
     address: Address<A::Msg>,
     /// Empty only while a turn runs, or while the main thread looks.
     core: AtomicCell<Option<Box<Core<A>>>>,
+    /// Who comes into a reserved place, until its first turn.
+    newcomer: AtomicCell<Option<Box<Newcomer<A>>>>,
+}
+
+/// An actor on its way into a reserved place.
+struct Newcomer<A> {
+    actor: A,
+    on_panic: OnPanic<A>,
 }
 
 /// How a turn ended.
@@ -113,7 +124,7 @@ impl<A: Actor> Drop for InTurn<'_, A> {
 impl<A: Actor> Node<A> {
     pub(crate) fn new(
         address: &Address<A::Msg>,
-        actor: A,
+        actor: Option<A>,
         on_panic: OnPanic<A>,
         seat: Option<Box<dyn Seat<A>>>,
         script: Option<Script>,
@@ -121,6 +132,7 @@ impl<A: Actor> Node<A> {
         let link = Arc::clone(&address.mailbox.link);
         let core = Core {
             actor,
+            came: false,
             journal: Journal::new(&link, script),
             timers: OwnTimers::new(),
             seat,
@@ -134,7 +146,23 @@ impl<A: Actor> Node<A> {
             stopped: false,
             broken: false,
         };
-        Self { link, address: address.clone(), core: AtomicCell::new(Some(Box::new(core))) }
+        Self {
+            link,
+            address: address.clone(),
+            core: AtomicCell::new(Some(Box::new(core))),
+            newcomer: AtomicCell::new(None),
+        }
+    }
+
+    pub(crate) fn id(&self) -> ActorId {
+        self.link.id
+    }
+
+    /// An actor comes into this reserved place, and begins in its next turn.
+    pub(crate) fn arrive(&self, actor: A, on_panic: OnPanic<A>, thread: &ThreadCx) -> Address<A::Msg> {
+        self.newcomer.store(Some(Box::new(Newcomer { actor, on_panic })));
+        self.link.raise(signal::START, thread);
+        self.address.clone()
     }
 
     fn mailbox(&self) -> &Mailbox<A::Msg> {
@@ -339,7 +367,7 @@ impl<A: Actor> Node<A> {
                 }
                 seat.leave_regardless(thread);
             }
-            let _ = guarded(|| core.actor.stopped());
+            let _ = guarded(|| core.actor.as_mut().map(Actor::stopped));
         }
         let mailbox = self.mailbox();
         let mut dead = 0;
@@ -428,7 +456,11 @@ impl<A: Actor> Runnable for Node<A> {
     }
 
     fn look(&self, show: &mut dyn FnMut(&dyn Any)) {
-        self.with_core(|core| show(&core.actor));
+        self.with_core(|core| {
+            if let Some(actor) = &core.actor {
+                show(actor);
+            }
+        });
     }
 
     fn position(&self) -> Option<(u64, u64)> {
@@ -476,7 +508,12 @@ impl<A: Actor> Runnable for Node<A> {
             if let Some(seat) = &mut core.seat {
                 seat.save(saver);
             }
-            core.actor.save(saver);
+            match &core.actor {
+                Some(actor) if !core.came => actor.save(saver),
+                // Nobody would know whom to restore.
+                Some(_) => saver.refuse(),
+                None => {}
+            }
         });
         if saved.is_none() {
             saver.refuse();
@@ -497,7 +534,7 @@ impl<A: Actor> Runnable for Node<A> {
                 seat.restore(loader)?;
             }
             self.link.closed.store(core.stopped, Ordering::SeqCst);
-            core.actor.restore(loader)
+            core.actor.as_mut().map_or(Some(()), |actor| actor.restore(loader))
         })?
     }
 
@@ -511,6 +548,7 @@ impl<A: Actor> Runnable for Node<A> {
         while mailbox.urgent.pop().is_some() {}
         while mailbox.inbound.pop().is_some() {}
         mailbox.latest.iter().for_each(|slot| drop(slot.pop()));
+        drop(self.newcomer.take());
         drop(self.core.take());
     }
 

@@ -65,7 +65,7 @@ pub enum Exit {
 /// A running system. It belongs to the thread that built it, which runs the pinned actors.
 pub struct Runtime {
     pub(crate) env: Arc<Env>,
-    pub(crate) nodes: Arc<[Box<dyn Runnable>]>,
+    pub(crate) nodes: Arc<[Arc<dyn Runnable>]>,
     pub(crate) pools: Vec<Box<dyn AnyPool>>,
     pub(crate) threads: Option<Threads>,
     pub(crate) writer: Option<Writer>,
@@ -95,7 +95,7 @@ impl Runtime {
             same_system(&trace.header().nodes, &infos)?;
         }
         env.set_nodes(infos.clone());
-        let nodes: Arc<[Box<dyn Runnable>]> = nodes
+        let nodes: Arc<[Arc<dyn Runnable>]> = nodes
             .into_iter()
             .zip(&infos)
             .map(|(node, info)| {
@@ -104,7 +104,7 @@ impl Runtime {
                     "{} is declared and never spawned",
                     info.name
                 );
-                node.unwrap_or_else(|| Box::new(PortNode::new(&env)))
+                node.unwrap_or_else(|| Arc::new(PortNode::new(&env)))
             })
             .collect();
         pools.iter().for_each(|pool| pool.seal());

@@ -313,7 +313,7 @@ impl Scheduler {
 
     /// Runs one turn of `actor` on this thread and puts it back on a queue if it is not done.
     #[inline]
-    pub(crate) fn run(&self, nodes: &[Box<dyn Runnable>], actor: u32, thread: &ThreadCx) {
+    pub(crate) fn run(&self, nodes: &[Arc<dyn Runnable>], actor: u32, thread: &ThreadCx) {
         let node = &nodes[actor as usize];
         let goes_on = guarded(|| node.turn(thread)).unwrap_or_else(|message| {
             let link = node.link();
@@ -425,7 +425,7 @@ impl Threads {
     /// Starts one thread for each run queue.
     pub(crate) fn start(
         env: &Arc<Env>,
-        nodes: &Arc<[Box<dyn Runnable>]>,
+        nodes: &Arc<[Arc<dyn Runnable>]>,
         locals: Vec<Worker<u32>>,
         gives_way: bool,
     ) -> std::io::Result<Self> {
@@ -454,7 +454,7 @@ impl Threads {
     }
 }
 
-fn worker(env: &Env, nodes: &[Box<dyn Runnable>], local: Worker<u32>, index: usize) {
+fn worker(env: &Env, nodes: &[Arc<dyn Runnable>], local: Worker<u32>, index: usize) {
     let scheduler = &env.scheduler;
     while scheduler.handles.get().is_none() && !scheduler.stopping.load(Ordering::SeqCst) {
         std::thread::park();
@@ -469,7 +469,7 @@ fn worker(env: &Env, nodes: &[Box<dyn Runnable>], local: Worker<u32>, index: usi
 }
 
 /// What a worker thread does until the system stops.
-fn work(env: &Env, nodes: &[Box<dyn Runnable>], thread: &ThreadCx, index: usize) {
+fn work(env: &Env, nodes: &[Arc<dyn Runnable>], thread: &ThreadCx, index: usize) {
     let scheduler = &env.scheduler;
     let mut tick = 0_u32;
     // This thread ran a heavy actor and is the one to run the next, unless it finds something else to do. Were another
@@ -522,7 +522,7 @@ fn work(env: &Env, nodes: &[Box<dyn Runnable>], thread: &ThreadCx, index: usize)
     }
 }
 
-fn run_heavy(env: &Env, nodes: &[Box<dyn Runnable>], thread: &ThreadCx) -> bool {
+fn run_heavy(env: &Env, nodes: &[Arc<dyn Runnable>], thread: &ThreadCx) -> bool {
     let Some(actor) = env.scheduler.claim_heavy() else { return false };
     let link = nodes[actor as usize].link();
     link.in_slot.store(true, Ordering::Relaxed);

@@ -60,7 +60,7 @@ const SHUTDOWN_LEAST: Duration = Duration::from_secs(1);
 /// What of a system waits for its threads. Ends when it is dropped, on whichever thread that is.
 pub(crate) struct Rest {
     pub(crate) env: Arc<Env>,
-    pub(crate) nodes: Arc<[Box<dyn Runnable>]>,
+    pub(crate) nodes: Arc<[Arc<dyn Runnable>]>,
     pub(crate) threads: Option<Threads>,
     pub(crate) writer: Option<Writer>,
     /// The recording has all that was accepted.
@@ -221,7 +221,7 @@ impl Runtime {
 }
 
 /// What is left in mailboxes and timers may hold addresses, and with them itself. When nothing runs any more.
-pub(crate) fn clear(env: &Env, nodes: &[Box<dyn Runnable>]) {
+pub(crate) fn clear(env: &Env, nodes: &[Arc<dyn Runnable>]) {
     nodes.iter().for_each(|node| node.clear());
     env.timers.clear();
 }

@@ -18,6 +18,7 @@ use crate::pool::{AnyPool, DeadJob, Job, JobPool, Seat, Worker};
 use crate::port::{External, Port};
 use crate::profile::Counters;
 use crate::replay::Script;
+use crate::reserve::Reserve;
 use crate::scheduler::ThreadCx;
 use crate::signals::Signals;
 use crate::snapshot::{Loader, Saver};
@@ -50,6 +51,10 @@ impl<A> Clone for Handle<A> {
 impl<A> Copy for Handle<A> {}
 
 impl<A> Handle<A> {
+    pub(crate) fn new(id: ActorId) -> Self {
+        Self { id, kind: PhantomData }
+    }
+
     /// The actor's identity.
     pub fn id(self) -> ActorId {
         self.id
@@ -62,7 +67,7 @@ pub struct Wiring {
     env: Arc<Env>,
     pub(crate) infos: Vec<NodeInfo>,
     pub(crate) links: Vec<Option<Arc<Link>>>,
-    pub(crate) nodes: Vec<Option<Box<dyn Runnable>>>,
+    pub(crate) nodes: Vec<Option<Arc<dyn Runnable>>>,
     pub(crate) pools: Vec<Box<dyn AnyPool>>,
     pub(crate) context: Option<Arc<dyn Any + Send + Sync>>,
     ring_turns: usize,
@@ -129,8 +134,20 @@ impl Wiring {
         let id = declared.address.id();
         let script = self.env.trace.as_ref().and_then(|trace| Script::new(trace, id));
         self.nodes[id.0 as usize] =
-            Some(Box::new(Node::new(&declared.address, actor, on_panic, seat, script)));
-        Handle { id, kind: PhantomData }
+            Some(Arc::new(Node::new(&declared.address, Some(actor), on_panic, seat, script)));
+        Handle::new(id)
+    }
+
+    /// Reserves places for `count` actors that come while the system runs: see [`Cx::spawn`](crate::Cx::spawn).
+    pub fn reserve<A: Actor>(&mut self, count: usize, bounds: Bounds) -> Reserve<A> {
+        let places = (0..count).map(|_| {
+            let address = self.declare::<A>(bounds).address;
+            let script = self.env.trace.as_ref().and_then(|trace| Script::new(trace, address.id()));
+            let node = Arc::new(Node::new(&address, None, OnPanic::Stop, None, script));
+            self.nodes[address.id().0 as usize] = Some(Arc::clone(&node) as Arc<dyn Runnable>);
+            node
+        });
+        Reserve::new(places.collect())
     }
 
     /// Makes an ingress from outside to an actor.

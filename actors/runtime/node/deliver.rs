@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
-use super::{Core, Node};
+use super::{Core, Newcomer, Node};
 use crate::actor::{Actor, Cx, OwnTimer};
 use crate::journal::{Halted, Payload};
 use crate::log::format::{Symbol, lane};
@@ -42,7 +42,7 @@ impl<A: Actor> Node<A> {
         message: A::Msg,
     ) -> Result<(), Halted> {
         let (mut stage, mut kind) = (Stage::Read, UNREADABLE);
-        let Core { actor, journal, timers, stopping, .. } = core;
+        let Core { actor: Some(actor), journal, timers, stopping, .. } = core else { return Ok(()) };
         let done = catch_unwind(AssertUnwindSafe(|| {
             kind = message.kind();
             journal.deliver(symbol, payload, kind, &message, |digest| message.digest(digest))?;
@@ -74,8 +74,9 @@ impl<A: Actor> Node<A> {
         core.journal.comes_of(ActorId((popped.id >> 40) as u32), popped.pushed_in);
         let _span = tracing::trace_span!("job", actor = A::NAME, job = popped.id).entered();
         let (mut stage, mut kind) = (Stage::Read, UNREADABLE);
-        let Core { actor, journal, timers, stopping, seat, .. } = core;
-        let Some(seat) = seat else { return Ok(()) };
+        let Core { actor: Some(actor), journal, timers, stopping, seat: Some(seat), .. } = core else {
+            return Ok(());
+        };
         let done = catch_unwind(AssertUnwindSafe(|| {
             kind = seat.kind();
             journal.deliver(symbol, payload, kind, seat.content(), |digest| seat.digest(digest))?;
@@ -128,7 +129,7 @@ impl<A: Actor> Node<A> {
     /// After a delivery that ran no code of the actor.
     fn handled(&self, core: &mut Core<A>, thread: &ThreadCx) -> Result<(), Halted> {
         let Core { actor, journal, .. } = core;
-        match catch_unwind(AssertUnwindSafe(|| journal.handled(|| actor.digest()))) {
+        match catch_unwind(AssertUnwindSafe(|| journal.handled(|| actor.as_ref()?.digest()))) {
             Ok(handled) => handled,
             Err(panic) => {
                 self.panicked(core, thread, "the hash of its state", panic);
@@ -172,7 +173,7 @@ impl<A: Actor> Node<A> {
         }
         match made.take() {
             Some(Ok(actor)) if verdict == verdict::GO_ON => {
-                let before = std::mem::replace(&mut core.actor, actor);
+                let before = core.actor.replace(actor);
                 let _ = guarded(|| drop(before));
             }
             Some(Err(message)) => {
@@ -187,11 +188,20 @@ impl<A: Actor> Node<A> {
         while let Some(decoder) = self.mailbox().decoders.pop() {
             core.decoders.push(decoder);
         }
+        if core.actor.is_none()
+            && let Some(newcomer) = self.newcomer.take()
+        {
+            let Newcomer { actor, on_panic } = *newcomer;
+            (core.actor, core.on_panic, core.came) = (Some(actor), on_panic, true);
+        }
+        if core.actor.is_none() {
+            return;
+        }
         // One that was put where a snapshot was taken has started before.
         if std::mem::replace(&mut core.started, true) {
             return;
         }
-        let Core { actor, journal, timers, stopping, .. } = core;
+        let Core { actor: Some(actor), journal, timers, stopping, .. } = core else { return };
         let begun = catch_unwind(AssertUnwindSafe(|| {
             if journal.panics_by_fault() {
                 resume_unwind(Box::new(Injected));

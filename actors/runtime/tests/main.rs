@@ -16,4 +16,5 @@ mod recording;
 mod ring;
 mod simulation;
 mod snapshots;
+mod spawning;
 mod workshop;

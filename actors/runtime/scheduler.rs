@@ -7,7 +7,9 @@
 use crossbeam_deque::{Injector, Steal, Stealer, Worker};
 use crossbeam_queue::{ArrayQueue, SegQueue};
 use crossbeam_utils::{Backoff, CachePadded};
+use std::any::Any;
 use std::cell::Cell;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, AtomicUsize, Ordering, fence};
 use std::sync::{Arc, OnceLock};
 use std::thread::Thread;
@@ -19,7 +21,7 @@ use crate::eventcount::EventCount;
 use crate::mailbox::Link;
 use crate::node::Runnable;
 use crate::priority::give_way;
-use crate::supervise::{Incident, guarded};
+use crate::supervise::{Incident, guarded, message_of};
 use crate::sync::QueueOrder;
 
 /// What code on one thread of the system knows about its thread.
@@ -185,12 +187,19 @@ impl Scheduler {
             AWAY => {
                 if let Some(waker) = &self.main.waker
                     && !self.main.called.swap(true, Ordering::AcqRel)
-                    && let Err(message) = guarded(waker)
                 {
-                    self.note(Incident::Beside { what: "the waker".to_owned(), message });
+                    self.call(waker);
                 }
             }
             _ => {}
+        }
+    }
+
+    /// Calls the event loop: once for all that waits, so not where messages are counted in nanoseconds.
+    #[cold]
+    fn call(&self, waker: &(dyn Fn() + Send + Sync)) {
+        if let Err(message) = guarded(waker) {
+            self.note(Incident::Beside { what: "the waker".to_owned(), message });
         }
     }
 
@@ -315,17 +324,23 @@ impl Scheduler {
     #[inline]
     pub(crate) fn run(&self, nodes: &[Arc<dyn Runnable>], actor: u32, thread: &ThreadCx) {
         let node = &nodes[actor as usize];
-        let goes_on = guarded(|| node.turn(thread)).unwrap_or_else(|message| {
-            let link = node.link();
-            self.note(Incident::TurnBroke { actor: link.id, name: link.env.name(link.id), message });
-            // What is left of it is closed in its next turn.
-            true
-        });
+        let goes_on = match catch_unwind(AssertUnwindSafe(|| node.turn(thread))) {
+            Ok(goes_on) => goes_on,
+            Err(panic) => self.broke_off(node.link(), panic.as_ref()),
+        };
         if goes_on {
             self.again(node.link().class, actor, thread);
         } else if self.active.fetch_sub(1, Ordering::SeqCst) % TIMER == 1 {
             self.notify_main();
         }
+    }
+
+    /// A turn did not come to its end; what is left of it is closed in the next one.
+    #[cold]
+    fn broke_off(&self, link: &Link, panic: &(dyn Any + Send)) -> bool {
+        let message = message_of(panic);
+        self.note(Incident::TurnBroke { actor: link.id, name: link.env.name(link.id), message });
+        true
     }
 
     /// Makes every worker thread end.

@@ -137,8 +137,14 @@ pub(crate) mod verdict {
 pub(crate) struct Injected;
 
 /// Runs code that is not ours; what it panics with comes back as text.
+#[inline]
 pub(crate) fn guarded<R>(body: impl FnOnce() -> R) -> Result<R, String> {
-    catch_unwind(AssertUnwindSafe(body)).map_err(|panic| message_of(panic.as_ref()))
+    catch_unwind(AssertUnwindSafe(body)).map_err(told)
+}
+
+#[cold]
+fn told(panic: Box<dyn Any + Send>) -> String {
+    message_of(panic.as_ref())
 }
 
 /// What a panic said.

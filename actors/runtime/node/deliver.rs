@@ -43,22 +43,29 @@ impl<A: Actor> Node<A> {
     ) -> Result<(), Halted> {
         let (mut stage, mut kind) = (Stage::Read, UNREADABLE);
         let Core { actor: Some(actor), journal, timers, stopping, .. } = core else { return Ok(()) };
+        // Lent to what may panic, not moved into it: that would be three copies more.
+        let mut message = Some(message);
         let done = catch_unwind(AssertUnwindSafe(|| {
-            kind = message.kind();
-            journal.deliver(symbol, payload, kind, &message, |digest| message.digest(digest))?;
+            let Some(read) = &message else { return Ok(()) };
+            kind = read.kind();
+            journal.deliver(symbol, payload, kind, read, |digest| read.digest(digest))?;
             stage = Stage::Handle;
             if journal.panics_by_fault() {
                 resume_unwind(Box::new(Injected));
             }
             let env = &self.link.env;
-            actor.handle(
-                message,
-                &mut Cx { address: &self.address, journal, timers, thread, env, stop: stopping, lease: None },
-            );
+            let mut cx =
+                Cx { address: &self.address, journal, timers, thread, env, stop: stopping, lease: None };
+            if let Some(message) = message.take() {
+                actor.handle(message, &mut cx);
+            }
             stage = Stage::Hash;
             journal.handled(|| actor.digest())
         }));
-        done.unwrap_or_else(|panic| self.broke_off(core, thread, (symbol, payload), (stage, kind), panic))
+        done.unwrap_or_else(|panic| {
+            let _ = guarded(|| drop(message));
+            self.broke_off(core, thread, (symbol, payload), (stage, kind), panic)
+        })
     }
 
     /// The one way a job gets to the worker; its seat holds it.

@@ -7,8 +7,8 @@
 //! materials and smoothing go into [`Segment`]s beside the stream.
 
 use std::borrow::Cow;
-use std::collections::{BTreeMap, HashMap, VecDeque};
-use std::io::{Read, Write};
+use std::collections::{BTreeMap, HashMap};
+use std::io::Read;
 
 /// Faces with more corners than this are left out: cutting them up takes quadratic time at worst.
 pub(super) const CORNERS_MAX: usize = 1 << 16;
@@ -115,7 +115,9 @@ pub(super) struct ObjLines<'a> {
     lines: Lines<'a>,
     /// The line that is read.
     line: u32,
-    out: VecDeque<u8>,
+    /// Clean text, of which so many bytes are handed on.
+    out: Vec<u8>,
+    handed: usize,
     /// Counts of v, vt, vn so far, and in the whole file: faces may refer forward.
     counts: [usize; 3],
     totals: [usize; 3],
@@ -147,11 +149,6 @@ fn numbered(known: &mut HashMap<String, u32>, name: &str, add: impl FnOnce(Strin
     number
 }
 
-/// Memory takes all that is written.
-macro_rules! put {
-    ($out:expr, $($text:tt)+) => { let _ = write!($out, $($text)+); };
-}
-
 impl<'a> ObjLines<'a> {
     /// Of a whole file, without byte-order mark.
     pub fn new(text: &'a str) -> Self {
@@ -164,7 +161,8 @@ impl<'a> ObjLines<'a> {
             lines: lines(),
             line: 0,
             // What absent texture coordinates and normals refer to.
-            out: b"vt 0 0\nvn 0 0 0\n".to_vec().into(),
+            out: b"vt 0 0\nvn 0 0 0\n".to_vec(),
+            handed: 0,
             counts: [0; 3],
             totals,
             faces: 0,
@@ -178,6 +176,10 @@ impl<'a> ObjLines<'a> {
             segments: Vec::new(),
             odd: BTreeMap::new(),
         }
+    }
+
+    fn put(&mut self, text: &str) {
+        self.out.extend_from_slice(text.as_bytes());
     }
 
     fn note(&mut self, oddity: Oddity) {
@@ -225,7 +227,7 @@ impl<'a> ObjLines<'a> {
     }
 
     fn vertex<'w>(&mut self, mut words: impl Iterator<Item = &'w str>) {
-        put!(self.out, "v");
+        self.put("v");
         let mut good = true;
         for _ in 0..3 {
             good &= self.coordinate(words.next(), "nan");
@@ -235,7 +237,8 @@ impl<'a> ObjLines<'a> {
             if words.next().is_some() {
                 self.note(Oddity::Colors);
             } else if w.parse::<f32>().is_ok_and(|w| w != 0.0 && w.is_finite()) {
-                put!(self.out, " {w}");
+                self.put(" ");
+                self.put(w);
             } else {
                 good = false;
             }
@@ -243,18 +246,19 @@ impl<'a> ObjLines<'a> {
         if !good {
             self.note(Oddity::Vertex);
         }
-        put!(self.out, "\n");
+        self.put("\n");
     }
 
     /// Hands on a number, or `instead` where there is none. Whether it was a finite one.
     fn coordinate(&mut self, word: Option<&str>, instead: &str) -> bool {
         let number = word.and_then(|w| w.parse::<f32>().ok());
-        put!(self.out, " {}", word.filter(|_| number.is_some()).unwrap_or(instead));
+        self.put(" ");
+        self.put(word.filter(|_| number.is_some()).unwrap_or(instead));
         number.is_some_and(f32::is_finite)
     }
 
     fn attribute<const N: usize>(&mut self, keyword: &str, words: [Option<&str>; N]) {
-        put!(self.out, "{keyword}");
+        self.put(keyword);
         let mut good = true;
         for word in words {
             good &= self.coordinate(word, "0");
@@ -262,7 +266,7 @@ impl<'a> ObjLines<'a> {
         if !good {
             self.note(Oddity::Number);
         }
-        put!(self.out, "\n");
+        self.put("\n");
     }
 
     /// The absolute index from 1 of an index among what `kind` counts; `None` if there is no such.
@@ -302,23 +306,33 @@ impl<'a> ObjLines<'a> {
             self.segments.push(now);
         }
         self.faces += 1;
-        put!(self.out, "f");
-        for [v, vt, vn] in &self.corners {
-            put!(self.out, " {v}/{vt}/{vn}");
+        self.put("f");
+        let mut digits = itoa::Buffer::new();
+        for corner in &self.corners {
+            for (index, before) in corner.iter().zip([" ", "/", "/"]) {
+                self.out.extend_from_slice(before.as_bytes());
+                self.out.extend_from_slice(digits.format(*index).as_bytes());
+            }
         }
-        put!(self.out, "\n");
+        self.put("\n");
     }
 }
 
 impl Read for ObjLines<'_> {
     fn read(&mut self, buf: &mut [u8]) -> std::io::Result<usize> {
-        while self.out.len() < CHUNK
-            && let Some((number, line)) = self.lines.next()
-        {
-            self.line = number;
-            self.statement(&line);
+        if self.handed == self.out.len() {
+            self.out.clear();
+            self.handed = 0;
+            while self.out.len() < CHUNK
+                && let Some((number, line)) = self.lines.next()
+            {
+                self.line = number;
+                self.statement(&line);
+            }
         }
-        self.out.read(buf)
+        let count = (&self.out[self.handed..]).read(buf)?;
+        self.handed += count;
+        Ok(count)
     }
 }
 

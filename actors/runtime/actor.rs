@@ -1,20 +1,24 @@
 //! What an actor is, and the only doors it has to the world.
 
+pub(crate) mod node;
+pub(crate) mod reserve;
+pub(crate) mod supervise;
+
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::clock::{Time, nanoseconds};
 use crate::env::Env;
 use crate::journal::Journal;
 use crate::log::format::{lane, quantise, unquantise, value};
 use crate::mailbox::{Address, Envelope, Inbound};
 use crate::message::{ActorId, LATEST_KEYS, Lane, Message, Reason, Rejected};
 use crate::pool::Lease;
+use crate::replay::snapshot::{Loader, Saver};
 use crate::scheduler::ThreadCx;
-use crate::snapshot::{Loader, Saver};
-use crate::timer::{Alarm, TIMERS_PER_ACTOR};
+use crate::scheduler::clock::{Time, nanoseconds};
+use crate::scheduler::timer::{Alarm, TIMERS_PER_ACTOR};
 
 /// How an actor is scheduled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -7,20 +7,20 @@ use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use crate::actor::Delivery;
-use crate::clock::Clock;
-use crate::config::{Budget, Config, Mode, Observer, Record};
+use crate::actor::supervise::{Incident, guarded};
 use crate::journal::Journal;
 use crate::log::fingerprint::Fingerprint;
 use crate::log::format::{Hashing, NodeInfo};
 use crate::log::reader::Trace;
 use crate::log::writer::LogQueue;
 use crate::message::ActorId;
+use crate::replay::snapshot::Snapshot;
 use crate::replay::{Divergence, Until};
+use crate::runtime::config::{Budget, Config, Mode, Observer, Record};
+use crate::scheduler::clock::Clock;
+use crate::scheduler::timer::Timers;
 use crate::scheduler::{Scheduler, ThreadCx};
 use crate::simulate::{FaultKind, Faults, Simulation};
-use crate::snapshot::Snapshot;
-use crate::supervise::{Incident, guarded};
-use crate::timer::Timers;
 
 /// Tells the supervisor; false if it has no room.
 type Supervisor = Box<dyn Fn(&mut Journal, &ThreadCx, Incident) -> bool + Send + Sync>;

@@ -14,8 +14,8 @@ use crate::log::format::{CHUNK_DELIVERIES_MAX, Hashing, Symbol, lane, put, put_s
 use crate::log::writer::BACKLOG_BYTES_MAX;
 use crate::mailbox::Link;
 use crate::message::{ActorId, Digest, Reason};
+use crate::replay::snapshot::JournalState;
 use crate::replay::{Divergence, Script, Turn};
-use crate::snapshot::JournalState;
 
 use recorder::Recorder;
 

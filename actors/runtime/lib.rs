@@ -170,65 +170,58 @@
 //! `crossbeam_deque`s, parking is an eventcount over `std::thread::park`. A queue's push or pop may have to wait for
 //! another thread that is in the middle of one: it spins, then gives its core away.
 
+// Where things are, each knowing those above it, and all of them `env`, which is what one system shares:
+// sync, message    what is told, hashed and saved
+// log              the format of recordings, reading and writing them
+// scheduler        threads, run queues, timers, the clock, what turns took
+// mailbox          how a message comes to an actor, and wakes it
+// journal          the one place through which deliveries pass
+// pool             jobs, their priorities and leases
+// actor            what an actor is and can do, how a delivery is made, what becomes of a panic
+// replay           scripts and snapshots
+// runtime          wiring, running, looking at and ending a system
+// simulate         schedules and faults by a seed
 #[cfg(doctest)]
 #[doc = include_str!("README.md")]
 struct Readme;
 
-mod activation;
 mod actor;
-#[expect(clippy::disallowed_methods, reason = "the one clock, which actors reach by their `Cx`")]
-mod clock;
-mod config;
 mod env;
-mod eventcount;
 mod journal;
 mod log;
-mod look;
 mod mailbox;
 mod message;
 #[cfg(all(test, loom))]
 mod model;
-mod node;
 pub mod pool;
-mod port;
-mod priority;
-mod profile;
 mod replay;
-mod reserve;
 mod runtime;
 mod scheduler;
-mod shutdown;
-mod signals;
 pub mod simulate;
-mod snapshot;
-mod supervise;
 mod sync;
-mod timeline;
-mod timer;
-mod wiring;
 
 pub use actor::{Actor, Class, Control, Cx, Delivery, Ticket, TimerId};
-pub use clock::Time;
 pub use foveal_runtime_derive::Message;
+pub use scheduler::clock::Time;
 
-pub use config::{Budget, BuildError, Config, Mode, Observer, Record};
+pub use actor::reserve::Reserve;
+pub use actor::supervise::{Incident, OnPanic};
 pub use log::events::Event;
 pub use log::fingerprint::Fingerprint;
 pub use log::format::{Hashing, Header, NodeInfo};
 pub use log::reader::{Cut, Trace, TraceError, TraceStat};
 pub use log::writer::RecordingStatus;
+pub use mailbox::port::{External, Port};
 pub use mailbox::{Address, Bounds};
 pub use message::{ActorId, Credits, Digest, LATEST_KEYS, Lane, Message, Reason, Rejected};
 pub use pool::{DeadJob, Death, Job, JobPool, PoolStats, Worker};
-pub use port::{External, Port};
-pub use priority::give_way;
-pub use profile::{ActorCounters, TurnTime, ring_cost};
+pub use replay::snapshot::{Loader, Saver, Snapshot};
 pub use replay::{Divergence, ReplayReport, Turn, Until};
-pub use reserve::Reserve;
+pub use runtime::config::{Budget, BuildError, Config, Mode, Observer, Record};
+pub use runtime::shutdown::{Ending, Shutdown};
+pub use runtime::timeline::{Slice, Timeline};
+pub use runtime::wiring::{Declared, Handle, Wiring};
 pub use runtime::{Exit, Limit, Runtime};
-pub use shutdown::{Ending, Shutdown};
-pub use snapshot::{Loader, Saver, Snapshot};
-pub use supervise::{Incident, OnPanic};
-pub use timeline::{Slice, Timeline};
-pub use timer::TIMERS_PER_ACTOR;
-pub use wiring::{Declared, Handle, Wiring};
+pub use scheduler::priority::give_way;
+pub use scheduler::profile::{ActorCounters, TurnTime, ring_cost};
+pub use scheduler::timer::TIMERS_PER_ACTOR;

@@ -1,6 +1,10 @@
 //! A mailbox: one bounded queue for data, a small one for control messages, newest-only slots, timers, and a
 //! word of signals that can never overflow.
 
+pub(crate) mod activation;
+pub(crate) mod port;
+pub(crate) mod signals;
+
 use crossbeam_queue::{ArrayQueue, SegQueue};
 use crossbeam_utils::CachePadded;
 use serde::{Serialize, Serializer};
@@ -8,14 +12,14 @@ use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 
-use crate::activation::Activation;
 use crate::actor::{Class, Control};
 use crate::env::Env;
+use crate::mailbox::activation::Activation;
+use crate::mailbox::signals::{Signals, signal};
 use crate::message::{ActorId, LATEST_KEYS, Lane, Message, Reason, Rejected};
-use crate::profile::Counters;
 use crate::scheduler::ThreadCx;
-use crate::signals::{Signals, signal};
-use crate::timer::{Alarm, TIMERS_PER_ACTOR};
+use crate::scheduler::profile::Counters;
+use crate::scheduler::timer::{Alarm, TIMERS_PER_ACTOR};
 
 /// Bounds of a mailbox.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

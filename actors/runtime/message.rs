@@ -4,7 +4,7 @@ use postcard::ser_flavors::Flavor;
 use serde::Serialize;
 use std::fmt;
 
-use crate::snapshot::{Loader, Saver};
+use crate::replay::snapshot::{Loader, Saver};
 
 /// Identity of an actor or a port: the order in which the wiring made it, never an address in memory.
 ///

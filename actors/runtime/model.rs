@@ -11,17 +11,17 @@ use loom::sync::atomic::{AtomicUsize, Ordering};
 use loom::thread;
 use std::collections::VecDeque;
 
+use crate::actor::node::Runnable;
+use crate::actor::supervise::OnPanic;
 use crate::actor::{Actor, Control, Cx};
-use crate::config::{Budget, Config};
-use crate::eventcount::EventCount;
+use crate::mailbox::signals::signal;
 use crate::mailbox::{Address, Bounds, Envelope, Link};
 use crate::message::{ActorId, Digest, Lane, Message};
-use crate::node::Runnable;
 use crate::pool::Bitmap;
 use crate::runtime::Runtime;
+use crate::runtime::config::{Budget, Config};
 use crate::scheduler::ThreadCx;
-use crate::signals::signal;
-use crate::supervise::OnPanic;
+use crate::scheduler::eventcount::EventCount;
 
 /// A linearisable queue.
 #[expect(clippy::disallowed_types, reason = "a stand-in for a lock-free queue inside the model checker")]

@@ -14,17 +14,17 @@ use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering}
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
+use crate::actor::supervise::{Incident, guarded};
 use crate::actor::{Actor, Cx};
-use crate::clock::nanoseconds;
 use crate::env::Env;
-use crate::eventcount::EventCount;
 use crate::journal::Journal;
 use crate::mailbox::Link;
+use crate::mailbox::signals::signal;
 use crate::message::{ActorId, Digest, Message, Reason, Rejected};
+use crate::replay::snapshot::{Loader, Saver};
 use crate::scheduler::ThreadCx;
-use crate::signals::signal;
-use crate::snapshot::{Loader, Saver};
-use crate::supervise::{Incident, guarded};
+use crate::scheduler::clock::nanoseconds;
+use crate::scheduler::eventcount::EventCount;
 
 pub(crate) use bitmap::Bitmap;
 use lease::Hold;

@@ -1,21 +1,23 @@
 //! Replay: every actor is delivered what its recording says, in that order, from messages that are made anew.
 
+pub(crate) mod snapshot;
+
 use std::collections::VecDeque;
 use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use crate::clock::nanoseconds;
+use crate::actor::node::ScriptState;
 use crate::journal::Payload;
 use crate::log::format::{Hashing, Symbol, value};
 use crate::log::reader::Trace;
 use crate::log::walk::{ActorLog, Walk};
 use crate::mailbox::Inbound;
+use crate::mailbox::signals::signal;
 use crate::message::{ActorId, Reason};
-use crate::node::ScriptState;
 use crate::runtime::{Limit, Runtime};
-use crate::signals::signal;
+use crate::scheduler::clock::nanoseconds;
 
 /// One delivery in a report.
 #[derive(Clone, Debug, PartialEq, Eq)]

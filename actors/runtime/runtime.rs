@@ -1,26 +1,32 @@
 //! Building a system, running it from the main thread, and ending it.
 
+pub(crate) mod config;
+pub(crate) mod look;
+pub(crate) mod shutdown;
+pub(crate) mod timeline;
+pub(crate) mod wiring;
+
 use std::io::Write;
 use std::marker::PhantomData;
 use std::sync::Arc;
 use std::time::Duration;
 
 use crate::actor::Class;
-use crate::clock::nanoseconds;
-use crate::config::{BuildError, Config, Record};
+use crate::actor::node::Runnable;
 use crate::env::Env;
 use crate::log::fingerprint::Fingerprint;
 use crate::log::format::{Header, NODES_MAX, NodeInfo};
 use crate::log::writer::Writer;
 use crate::mailbox::Link;
+use crate::mailbox::signals::signal;
 use crate::message::ActorId;
-use crate::node::Runnable;
 use crate::pool::AnyPool;
+use crate::runtime::config::{BuildError, Config, Record};
+use crate::runtime::shutdown::clear;
+use crate::runtime::wiring::{PortNode, Wiring};
+use crate::scheduler::clock::nanoseconds;
 use crate::scheduler::{ThreadCx, Threads};
-use crate::shutdown::clear;
-use crate::signals::signal;
 use crate::simulate::{Driver, Failure};
-use crate::wiring::{PortNode, Wiring};
 
 /// How long [`Runtime::pump`] works.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

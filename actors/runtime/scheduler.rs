@@ -4,6 +4,13 @@
 //! actors. Light actors go to the deque of the thread that woke them; heavy ones (jobs of milliseconds) to a queue of
 //! their own, of which at most `k − 1` run at once when `k > 1`; pinned ones to the main thread.
 
+#[expect(clippy::disallowed_methods, reason = "the one clock, which actors reach by their `Cx`")]
+pub(crate) mod clock;
+pub(crate) mod eventcount;
+pub(crate) mod priority;
+pub(crate) mod profile;
+pub(crate) mod timer;
+
 use crossbeam_deque::{Injector, Steal, Stealer, Worker};
 use crossbeam_queue::{ArrayQueue, SegQueue};
 use crossbeam_utils::{Backoff, CachePadded};
@@ -16,12 +23,12 @@ use std::thread::Thread;
 use std::time::Duration;
 
 use crate::actor::Class;
+use crate::actor::node::Runnable;
+use crate::actor::supervise::{Incident, guarded, message_of};
 use crate::env::Env;
-use crate::eventcount::EventCount;
 use crate::mailbox::Link;
-use crate::node::Runnable;
-use crate::priority::give_way;
-use crate::supervise::{Incident, guarded, message_of};
+use crate::scheduler::eventcount::EventCount;
+use crate::scheduler::priority::give_way;
 use crate::sync::QueueOrder;
 
 /// What code on one thread of the system knows about its thread.

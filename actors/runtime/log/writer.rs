@@ -14,8 +14,8 @@ use super::format::{
     put_bytes,
 };
 use crate::mailbox::Link;
+use crate::mailbox::signals::signal;
 use crate::scheduler::ThreadCx;
-use crate::signals::signal;
 
 /// Chunks that may wait for the writer.
 const CHUNKS_MAX: usize = 4096;

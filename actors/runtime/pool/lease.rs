@@ -9,10 +9,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 
 use super::{Entry, Job, Place, Shared};
+use crate::actor::supervise::Incident;
 use crate::journal::Journal;
 use crate::scheduler::ThreadCx;
-use crate::supervise::Incident;
-use crate::timer::Alarm;
+use crate::scheduler::timer::Alarm;
 
 /// A worker's hold on the job it is at.
 pub(super) struct Hold<J> {

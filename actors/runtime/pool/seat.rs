@@ -10,8 +10,8 @@ use crate::actor::{Actor, Cx};
 use crate::journal::Journal;
 use crate::log::format::{Symbol, lane};
 use crate::message::Digest;
+use crate::replay::snapshot::{Loader, Saver};
 use crate::scheduler::ThreadCx;
-use crate::snapshot::{Loader, Saver};
 
 /// What a seat popped.
 #[derive(Clone, Copy, Debug)]

@@ -4,15 +4,15 @@ use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
 use super::{Core, Newcomer, Node};
+use crate::actor::supervise::{Incident, Injected, OnPanic, guarded, message_of, verdict};
 use crate::actor::{Actor, Cx, OwnTimer};
 use crate::journal::{Halted, Payload};
 use crate::log::format::{Symbol, lane};
 use crate::mailbox::Envelope;
+use crate::mailbox::signals::signal;
 use crate::message::{ActorId, Message};
 use crate::pool::{KILLS_MAX, Popped, job_symbol};
 use crate::scheduler::ThreadCx;
-use crate::signals::signal;
-use crate::supervise::{Incident, Injected, OnPanic, guarded, message_of, verdict};
 
 /// How far a delivery came.
 #[derive(Clone, Copy, PartialEq, Eq)]

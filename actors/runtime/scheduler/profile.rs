@@ -3,7 +3,7 @@
 use crossbeam_utils::CachePadded;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::timeline::{Slice, Timeline};
+use crate::runtime::timeline::{Slice, Timeline};
 
 /// Turns an actor's ring holds unless the configuration says otherwise.
 pub const RING_TURNS: usize = 256;
@@ -167,7 +167,7 @@ fn add(counter: &AtomicU64, amount: u64) {
 /// The time that so many turns take to enter an actor's ring and counters, with their clock readings or without: for
 /// benchmarks.
 pub fn ring_cost(turns: u32, reads_clock: bool) -> std::time::Duration {
-    let (counters, clock) = (Counters::new(RING_TURNS), crate::clock::Clock::real());
+    let (counters, clock) = (Counters::new(RING_TURNS), crate::scheduler::clock::Clock::real());
     let mut last = 0;
     for _ in 0..turns {
         // A turn begins where the last one ended: one reading each.

@@ -9,10 +9,10 @@ use crate::actor::Delivery;
 use crate::log::format::Hashing;
 use crate::log::reader::Trace;
 use crate::message::ActorId;
-use crate::profile::RING_TURNS;
 use crate::replay::Until;
+use crate::replay::snapshot::Snapshot;
+use crate::scheduler::profile::RING_TURNS;
 use crate::simulate::Simulation;
-use crate::snapshot::Snapshot;
 
 /// How a turn is bounded: the actor goes to the back of the queue after either.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -5,15 +5,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use crate::actor::Control;
-use crate::clock::{Deadline, nanoseconds};
+use crate::actor::node::Runnable;
+use crate::actor::supervise::Incident;
 use crate::env::Env;
 use crate::log::writer::{RecordingStatus, Writer};
 use crate::mailbox::Link;
-use crate::node::Runnable;
-use crate::profile::ActorCounters;
 use crate::runtime::{Exit, Limit, Runtime};
 use crate::scheduler::Threads;
-use crate::supervise::Incident;
+use crate::scheduler::clock::{Deadline, nanoseconds};
+use crate::scheduler::profile::ActorCounters;
 
 /// What a shutdown left.
 #[derive(Clone, Debug, PartialEq, Eq)]

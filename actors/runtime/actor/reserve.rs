@@ -6,12 +6,12 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
+use crate::actor::node::Node;
+use crate::actor::supervise::OnPanic;
 use crate::actor::{Actor, Cx};
 use crate::mailbox::Address;
 use crate::message::Message;
-use crate::node::Node;
-use crate::supervise::OnPanic;
-use crate::wiring::Handle;
+use crate::runtime::wiring::Handle;
 
 /// Places for actors of one kind; belongs to the actor that will spawn them. Made by [`crate::Wiring::reserve`].
 pub struct Reserve<A: Actor> {

@@ -9,17 +9,17 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
+use crate::actor::supervise::{Circuit, OnPanic, guarded};
 use crate::actor::{Actor, OwnTimers};
 use crate::journal::{Halted, Journal, Payload};
 use crate::log::format::lane;
+use crate::mailbox::signals::signal;
 use crate::mailbox::{Address, Decoder, Inbound, Link, Mailbox};
 use crate::message::{ActorId, LATEST_KEYS, Message};
 use crate::pool::{Popped, Seat};
+use crate::replay::snapshot::{Loader, Saver, load_messages, load_timers, save_messages, save_timers};
 use crate::replay::{Next, Script, Stash};
 use crate::scheduler::ThreadCx;
-use crate::signals::signal;
-use crate::snapshot::{Loader, Saver, load_messages, load_timers, save_messages, save_timers};
-use crate::supervise::{Circuit, OnPanic, guarded};
 
 /// An actor as the scheduler sees it.
 pub(crate) trait Runnable: Send + Sync {

@@ -3,17 +3,17 @@
 use std::any::Any;
 use std::time::Duration;
 
+use crate::actor::supervise::Incident;
 use crate::actor::{Actor, Class, Control};
-use crate::clock::Time;
 use crate::log::format::NodeInfo;
 use crate::log::writer::RecordingStatus;
 use crate::message::Digest;
-use crate::profile::{ActorCounters, TurnTime, timeline};
 use crate::runtime::Runtime;
+use crate::runtime::timeline::Timeline;
+use crate::runtime::wiring::Handle;
+use crate::scheduler::clock::Time;
+use crate::scheduler::profile::{ActorCounters, TurnTime, timeline};
 use crate::simulate::Failure;
-use crate::supervise::Incident;
-use crate::timeline::Timeline;
-use crate::wiring::Handle;
 
 /// A live system need never come to rest.
 const LIVE_SETTLE_MAX: Duration = Duration::from_secs(10);

@@ -6,23 +6,23 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Duration;
 
-use crate::activation::Activation;
+use crate::actor::node::{Node, Runnable, ScriptState};
+use crate::actor::reserve::Reserve;
+use crate::actor::supervise::{Incident, OnPanic};
 use crate::actor::{Actor, Class, post};
 use crate::env::Env;
 use crate::journal::Journal;
 use crate::log::format::NodeInfo;
+use crate::mailbox::activation::Activation;
+use crate::mailbox::port::{External, Port};
+use crate::mailbox::signals::Signals;
 use crate::mailbox::{Address, Bounds, Link, Mailbox};
 use crate::message::{ActorId, Message, Reason, Rejected};
-use crate::node::{Node, Runnable, ScriptState};
 use crate::pool::{AnyPool, DeadJob, Job, JobPool, Seat, Worker};
-use crate::port::{External, Port};
-use crate::profile::Counters;
 use crate::replay::Script;
-use crate::reserve::Reserve;
+use crate::replay::snapshot::{Loader, Saver};
 use crate::scheduler::ThreadCx;
-use crate::signals::Signals;
-use crate::snapshot::{Loader, Saver};
-use crate::supervise::{Incident, OnPanic};
+use crate::scheduler::profile::Counters;
 
 /// An address whose actor is still to come.
 pub struct Declared<A: Actor> {

@@ -10,7 +10,7 @@ use super::stored::{Illumination, Summary};
 use crate::geometry::{Accel, Ray};
 use crate::image::luminance;
 use crate::rng::Stream;
-use crate::scene::{Light, Model, Reflectance, Scene};
+use crate::scene::{Light, Material, Model, Reflectance, Scene};
 use crate::transport::bsdf::cosine_hemisphere;
 use crate::transport::radiosity::mesh::RadiosityMesh;
 use crate::transport::radiosity::{Patch, Radiosity, Refinement};
@@ -220,13 +220,63 @@ impl SceneRadiosity {
             bias_error: self.error,
             mean: (sum / area.max(1e-300)).as_vec3().to_array(),
             has_indirect: self.solution.patches().iter().any(|p| p.reflectance.iter().any(|&r| r > 0.0)),
-            notes: atlas.notes.clone(),
+            notes: atlas.notes.iter().cloned().chain(left_out(scene)).collect(),
             ..Summary::default()
         };
         map
     }
 }
 
+/// Says which materials send light on that radiosity does not know of, and so neither does the error that it states.
+fn left_out(scene: &Scene) -> Option<String> {
+    let mut seen = vec![false; scene.materials.len()];
+    for material in &scene.mesh.materials {
+        seen[material.0 as usize] = true;
+    }
+    let of_glints = |m: &Material| !matches!(m.model, Model::Lambert { .. });
+    let all = scene.materials.iter().zip(seen);
+    let names: Vec<&str> = all.filter(|(m, seen)| *seen && of_glints(m)).map(|(m, _)| &*m.name).collect();
+    (!names.is_empty()).then(|| {
+        format!(
+            "radiosity knows of light between diffuse surfaces only: what comes by way of {} is left out, and the \
+             error stated does not know of it; --method particles does",
+            names.join(", ")
+        )
+    })
+}
+
 fn node_parent(solution: &Radiosity<3>, i: usize) -> usize {
     solution.nodes[i].parent.map_or(0, |p| p as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::illumination::bake::{BakeSettings, Baker};
+    use crate::illumination::test_scenes::{cube, join, lambert, quad, scene};
+    use crate::transport::light::Lights;
+    use crate::transport::particle::SceneTransport;
+
+    #[test]
+    fn what_radiosity_leaves_out_is_named() {
+        let mut mesh = cube(Vec3::ZERO, 2.0, false);
+        join(&mut mesh, &quad(Vec3::new(0.5, 1.9, 0.5), Vec3::X, Vec3::Z), 1);
+        let plain = vec![lambert(0.5, 0.0), lambert(0.2, 3.0)];
+        let notes = |materials: Vec<Material>, mesh: &crate::scene::Mesh| {
+            let room = scene(mesh.clone(), materials, Vec::new());
+            let (accel, lights) = (Accel::build(&room), Lights::build(&room));
+            let solution = SceneRadiosity::new(&room, &accel).expect("lamps have areas");
+            let settings = BakeSettings { texels: 100, everything: true, ..BakeSettings::default() };
+            let baker = Baker::new(&room, SceneTransport::new(&room, &accel, &lights), &settings);
+            let notes = solution.lightmap(&room, baker.atlas()).summary.notes;
+            notes.into_iter().filter(|note| note.starts_with("radiosity")).collect::<Vec<_>>()
+        };
+        assert!(notes(plain.clone(), &mesh).is_empty());
+        join(&mut mesh, &cube(Vec3::splat(0.5), 0.5, true), 2);
+        let specular = Reflectance::constant(Vec3::ONE);
+        let mirror = Material::new("chrome".to_owned(), Model::Mirror { specular });
+        let unused = Material { name: "unused".into(), ..mirror.clone() };
+        let notes = notes([plain, vec![mirror, unused]].concat(), &mesh);
+        assert!(notes.len() == 1 && notes[0].contains("chrome") && !notes[0].contains("unused"), "{notes:?}");
+    }
 }

@@ -16,9 +16,9 @@ use crate::rng::Stream;
 use crate::scene::Scene;
 
 /// Surfaces that every path meets before roulette begins.
-const CERTAIN: u32 = 4;
+pub(super) const CERTAIN: u32 = 4;
 /// No path is longer; roulette ends nearly all long before.
-const BOUNCES_MAX: u32 = 1000;
+pub(super) const BOUNCES_MAX: u32 = 1000;
 
 /// One sample of the radiance that arrives at the ray's origin against its direction. Finite.
 pub fn path_radiance(scene: &Scene, accel: &Accel, lights: &Lights, ray: &Ray, mut stream: Stream) -> Vec3 {

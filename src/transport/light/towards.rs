@@ -93,6 +93,21 @@ impl Lights {
         (scene.materials[material].is_emissive() && self.place(emitter).is_some()).then_some(emitter)
     }
 
+    /// Whether a light has no area, so that no ray meets it.
+    pub(in crate::transport) fn is_dirac(&self, emitter: Emitter) -> bool {
+        matches!(emitter, Emitter::Analytic(_))
+    }
+
+    /// Whether there are lights without area.
+    pub(in crate::transport) fn has_dirac(&self) -> bool {
+        self.emitters.iter().any(|e| self.is_dirac(*e))
+    }
+
+    /// Whether a light is the surrounding or directional.
+    pub(in crate::transport) fn is_from_afar(&self, emitter: Emitter) -> bool {
+        self.place(emitter).is_some_and(|i| i >= self.near_count)
+    }
+
     /// Place of a light among all.
     pub(super) fn place(&self, emitter: Emitter) -> Option<usize> {
         let triangle = |e: &Emitter| match e {

@@ -47,7 +47,7 @@ impl Bidirectional<'_> {
     }
 
     /// A light sample at a vertex from the eye.
-    pub(super) fn from_light(&self, z: &Vertex, choice: f64, u: [f32; 2]) -> Vec3 {
+    pub(super) fn sampled(&self, z: &Vertex, choice: f64, u: [f32; 2]) -> Vec3 {
         let (scene, lights) = (self.scene, self.lights);
         let Some((emitter, light)) = lights.draw_towards(scene, &receiver(&z.at), choice, u) else {
             return Vec3::ZERO;

@@ -31,6 +31,7 @@ use super::light::Lights;
 use super::medium::Media;
 use photons::{Photon, Photons};
 use vertex::Vertex;
+use walk::Seen;
 
 /// Radius of the first pass's disks, widths of a pixel where they lie.
 const FIRST_RADIUS: f32 = 2.0;
@@ -59,6 +60,13 @@ pub struct Pass {
     pub connected: Map2d<Vec3>,
     /// Radiance of merged photons: within the pass's radius, and of those within 1/√2 of it. `None` where there are none.
     pub merged: Option<Map2d<[Vec3; 2]>>,
+}
+
+/// What the subpaths that belong to a row of pixels find.
+struct Row {
+    seen: Vec<Seen>,
+    /// Of light traced to the eye: pixels and what is added to them.
+    splats: Vec<(usize, Vec3)>,
 }
 
 impl<'a> Bidirectional<'a> {
@@ -93,7 +101,7 @@ impl<'a> Bidirectional<'a> {
         let shrunk = math::powf((pass + 1) as f64, SHRINKS) as f32;
         let radius = FIRST_RADIUS * self.frame.pixel_angle() * shrunk;
         let merged = (!photons.is_empty()).then_some((&photons, radius));
-        let rows: Vec<(Vec<walk::Seen>, Vec<(usize, Vec3)>)> = (0..height)
+        let rows: Vec<Row> = (0..height)
             .into_par_iter()
             .map(|y| {
                 let (mut splats, mut light): (_, Vec<Vertex>) = (Vec::new(), Vec::new());
@@ -108,13 +116,13 @@ impl<'a> Bidirectional<'a> {
                     let direction = self.frame.direction(x as f32 + dx, y as f32 + dy);
                     self.eye_path(direction, stream, &light, merged)
                 });
-                (seen.collect(), splats)
+                Row { seen: seen.collect(), splats }
             })
             .collect();
         let finite = |v: Vec3| if v.is_finite() { v } else { Vec3::ZERO };
-        let seen = || rows.iter().flat_map(|row| &row.0);
+        let seen = || rows.iter().flat_map(|row| &row.seen);
         let mut connected = Map2d::from_vec(width, height, seen().map(|s| finite(s.connected)).collect());
-        for (pixel, value) in rows.iter().flat_map(|row| &row.1) {
+        for (pixel, value) in rows.iter().flat_map(|row| &row.splats) {
             connected.data_mut()[*pixel] += *value;
         }
         let merged = merged.map(|_| Map2d::from_vec(width, height, seen().map(|s| s.merged).collect()));

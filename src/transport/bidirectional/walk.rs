@@ -123,7 +123,7 @@ impl Bidirectional<'_> {
             let vertex = Vertex { at, bsdf, throughput, media: walk.media, odds: walk.odds };
             if bsdf.is_connectible() {
                 let (choice, u) = (walk.stream.next_f64(), walk.stream.next_2d());
-                seen.connected += self.from_light(&vertex, choice, u);
+                seen.connected += self.sampled(&vertex, choice, u);
                 for y in light {
                     seen.connected += self.connected(&vertex, y);
                 }

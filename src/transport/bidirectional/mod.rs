@@ -3,7 +3,7 @@
 //! One pass traces for each pixel a subpath from the eye and one from a light, and joins them in every way: lights that
 //! are met, lights that are sampled, all pairs of vertices, and each vertex from the light with the pinhole (Veach 1997;
 //! weights by the recursion of Georgiev 2012). Nothing is cut and no stored illumination is known. What no joining
-//! finds, a lamp's caustic seen in a mirror or glass, is merged from photons in a layer of its own ([`photons`]); only
+//! finds, a lamp's caustic seen in a mirror or glass, is merged from photons in a layer of its own; only
 //! that layer is biased, by as much as it tells.
 //!
 //! It finds the radiance that [`super::path`] defines: f with the shading normal as the eye sees it, black backs,

@@ -82,6 +82,17 @@ impl Stream {
         }
     }
 
+    /// The next number in [0, 1) with as many bits as there are, for a choice among many. What is shared out among
+    /// neighbours are its first bits.
+    #[inline]
+    pub fn next_f64(&mut self) -> f64 {
+        const BELOW: f64 = 1.0 / (1u64 << 53) as f64;
+        match self.pattern {
+            None => (self.next_u64() >> 11) as f64 * BELOW,
+            Some(_) => f64::from(self.next_f32()) + (self.next_u64() >> 35) as f64 * BELOW,
+        }
+    }
+
     /// The next two numbers in [0, 1)².
     #[inline]
     pub fn next_2d(&mut self) -> [f32; 2] {

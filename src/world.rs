@@ -7,7 +7,9 @@ use glam::Vec3;
 use crate::geometry::{Accel, Ray};
 use crate::illumination::Irradiance;
 use crate::rng::Stream;
+use crate::scene::camera::CameraFrame;
 use crate::scene::{Scene, Texture};
+use crate::transport::bidirectional::Bidirectional;
 use crate::transport::light::Lights;
 use crate::transport::path::path_radiance;
 use crate::transport::tracer::{Settings, Tracer};
@@ -42,6 +44,11 @@ impl World {
     /// Unbiased radiance along a ray, without the illumination.
     pub fn path_radiance(&self, ray: &Ray, stream: Stream) -> Vec3 {
         path_radiance(&self.scene, &self.accel, &self.lights, ray, stream)
+    }
+
+    /// Bidirectional paths of a view, without the illumination.
+    pub fn bidirectional<'a>(&'a self, frame: &'a CameraFrame) -> Bidirectional<'a> {
+        Bidirectional::new(&self.scene, &self.accel, &self.lights, frame)
     }
 
     /// The same world with other levels of its textures in memory.

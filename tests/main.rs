@@ -21,6 +21,7 @@ mod support;
 mod system;
 mod textures;
 mod tidy;
+mod truth;
 mod walk;
 #[cfg(all(feature = "window", target_os = "linux"))]
 mod window;

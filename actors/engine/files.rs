@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::io::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use atomic_write_file::AtomicWriteFile;
 use glam::Vec3;
@@ -10,6 +10,7 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder, Rgb32FImage};
 
 use foveal::image::{Map2d, linear_from_srgb};
+use foveal::metrics::Batches;
 
 use crate::failure::Failure;
 
@@ -87,6 +88,46 @@ pub fn read_picture(path: &Path) -> Result<Map2d<Vec3>, Failure> {
     Ok(Map2d::from_vec(w as usize, h as usize, pixels))
 }
 
+/// Where the batches of a picture are kept: beside it, `.batches.json` in place of its extension.
+pub fn batches_of(picture: &Path) -> PathBuf {
+    picture.with_extension("batches.json")
+}
+
+/// Writes the batches of a picture beside it: one JSON object of schema `foveal.batches/1` with the fields of [`Batches`];
+/// `means` holds for each block, row by row, 16 mean luminances.
+pub fn write_batches(picture: &Path, batches: &Batches) -> Result<(), Failure> {
+    let file = BatchesFile { schema: BATCHES_SCHEMA.into(), batches: batches.clone() };
+    let text = serde_json::to_vec(&file)
+        .map_err(|e| Failure::Input(format!("batches cannot be written as JSON: {e}")))?;
+    write_atomic(&batches_of(picture), &text)
+}
+
+/// The batches beside a picture, where there are any.
+pub fn read_batches(picture: &Path) -> Result<Option<Batches>, Failure> {
+    let path = batches_of(picture);
+    if !path.exists() {
+        return Ok(None);
+    }
+    let wrong = |e: &dyn std::fmt::Display| {
+        Failure::Input(format!("{}: {e}; remove it or make the picture again", path.display()))
+    };
+    let text = fs::read(&path).map_err(|e| wrong(&e))?;
+    let file: BatchesFile = serde_json::from_slice(&text).map_err(|e| wrong(&e))?;
+    if file.schema != BATCHES_SCHEMA || !file.batches.is_whole() {
+        return Err(wrong(&"not the batches of a picture"));
+    }
+    Ok(Some(file.batches))
+}
+
+const BATCHES_SCHEMA: &str = "foveal.batches/1";
+
+#[derive(serde::Serialize, serde::Deserialize)]
+struct BatchesFile {
+    schema: String,
+    #[serde(flatten)]
+    batches: Batches,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -101,6 +142,27 @@ mod tests {
         write_atomic(&path, &exr_bytes(&picture).expect("bytes")).expect("written");
         assert_eq!(read_picture(&path).expect("read"), picture);
         assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 1, "no part is left");
+    }
+
+    #[test]
+    fn batches_lie_beside_their_picture() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.exr");
+        assert_eq!(read_batches(&path).expect("none"), None);
+        let picture = Map2d::from_fn(24, 17, |x, y| Vec3::splat(x as f32 / (y as f32 + 3.0)));
+        let batches = Batches::exact(&picture, 8);
+        write_batches(&path, &batches).expect("written");
+        let read = read_batches(&path).expect("read").expect("batches");
+        // To the last digit but one.
+        let pairs = read.means.as_flattened().iter().zip(batches.means.as_flattened());
+        assert!(pairs.clone().count() == 96 && pairs.clone().all(|(a, b)| (a - b).abs() <= 1e-15 * b));
+        assert_eq!(Batches { means: batches.means.clone(), ..read }, batches);
+        let text = fs::read_to_string(folder.path().join("a.batches.json")).expect("a text");
+        for wrong in [text.replace("/1", "/9"), text.replace("\"columns\":3", "\"columns\":4"), String::new()]
+        {
+            fs::write(folder.path().join("a.batches.json"), wrong).expect("written");
+            assert_eq!(read_batches(&path).expect_err("wrong").exit_code(), 3);
+        }
     }
 
     #[test]

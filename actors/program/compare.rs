@@ -7,10 +7,10 @@ use serde_json::json;
 
 use foveal::display::tone::{ToneCurve, ToneMap};
 use foveal::image::Map2d;
-use foveal::metrics::{self, BlockErrors, heat::heat_map};
+use foveal::metrics::{self, Agreement, Batches, BlockErrors, heat::heat_map};
 
 use foveal_engine::failure::Failure;
-use foveal_engine::files::{png_bytes, read_picture, write_atomic};
+use foveal_engine::files::{png_bytes, read_batches, read_picture, write_atomic};
 use foveal_terminal::arguments::{positive, share};
 use foveal_terminal::print::{print_json, print_line};
 
@@ -25,7 +25,8 @@ pub struct CompareArguments {
     #[arg(long, default_value = "1", value_parser = positive)]
     exposure: f32,
     /// Errors of the means of blocks of so many pixels along an edge, in which noise averages out (default: 8), and
-    /// of other sizes beside it
+    /// of other sizes beside it. Where both pictures have their batches beside them, also whether their blocks differ by
+    /// more than noise
     #[arg(long, value_name = "PIXELS", num_args = 0..=1, default_missing_value = "8",
         value_parser = clap::value_parser!(u16).range(1..=1024))]
     blocks: Option<u16>,
@@ -57,6 +58,13 @@ pub fn run(a: &CompareArguments) -> Result<(), Failure> {
         })?),
     };
     let sizes: Vec<BlockErrors> = blocks.iter().flat_map(|_| SIZES).filter_map(of_size).collect();
+    let of_noise = |path| if blocks.is_some() { read_batches(path) } else { Ok(None) };
+    let noise = [of_noise(&a.test)?, of_noise(&a.reference)?];
+    let agreement = match &noise {
+        [Some(test), Some(reference)] => Agreement::new(test, reference),
+        _ => None,
+    };
+    let noise = noise.map(|batches| batches.as_ref().map(Batches::relative_error));
     if let Some(path) = &a.heat {
         let heat: Map2d<[u8; 3]> = heat_map(&c.flip_map);
         let bytes: Vec<u8> = heat.data().as_flattened().to_vec();
@@ -85,6 +93,16 @@ pub fn run(a: &CompareArguments) -> Result<(), Failure> {
                 "over_10_percent": b.over_10_percent,
                 "bias": b.bias,
                 "mean_by_size": by_size.collect::<serde_json::Map<_, _>>(),
+                "noise": { "test": noise[0], "reference": noise[1] },
+                "agreement": agreement.map(|z| json!({
+                    "holds": z.holds(),
+                    "blocks": z.blocks,
+                    "mean_square": z.mean_square,
+                    "over_3": z.over_3,
+                    "together": z.together,
+                    "largest": z.largest.is_finite().then_some(z.largest),
+                    "of_largest": z.of_largest,
+                })),
             });
         }
         print_json(&document);
@@ -114,6 +132,23 @@ pub fn run(a: &CompareArguments) -> Result<(), Failure> {
             ));
             let by_size = sizes.iter().map(|s| format!("{}: {}", s.size, percent(s.mean)));
             print_line(&format!("         by size {}", by_size.collect::<Vec<_>>().join(", ")));
+            for (noise, path) in noise.iter().zip([&a.test, &a.reference]) {
+                if let Some(noise) = noise {
+                    print_line(&format!("noise    {} in {}", percent(*noise), path.display()));
+                }
+            }
+        }
+        if let Some(z) = &agreement {
+            print_line(&format!(
+                "z        of {} blocks: mean square {:.3}, above 3 {:.2} %, together {:.2} standard errors, largest {:.2} (p = {:.3}): {}",
+                z.blocks,
+                z.mean_square,
+                100.0 * z.over_3,
+                z.together,
+                z.largest,
+                z.of_largest,
+                if z.holds() { "they differ by noise alone" } else { "they differ by more than noise" }
+            ));
         }
         if c.linear.not_finite > 0 {
             print_line(&format!("{} values are NaN or infinite", c.linear.not_finite));

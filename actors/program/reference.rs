@@ -5,14 +5,16 @@ use std::time::Instant;
 
 use clap::{Args, ValueEnum};
 use foveal::display::tone::ToneMap;
+use foveal::image::Map2d;
+use foveal::metrics::Batches;
 use foveal::splatting::supersampling::Tiles;
 use foveal::world::World;
-use foveal_engine::files::{exr_bytes, png_bytes, write_atomic};
+use foveal_engine::files::{exr_bytes, png_bytes, write_atomic, write_batches};
 use foveal_engine::interrupt::interrupted;
 use foveal_engine::opened::{self, camera};
-use foveal_engine::reference::{path_picture, traced_picture};
+use foveal_engine::reference::{Enough, Sampled, sampled_paths, sampled_truth, traced_picture};
 use foveal_engine::{Failure, Light};
-use foveal_terminal::arguments::Size;
+use foveal_terminal::arguments::{Size, share};
 use foveal_terminal::light::IlluminationArguments;
 use foveal_terminal::print::{print_json, print_line};
 use foveal_terminal::progress::{Progress, end_on_interrupt};
@@ -27,9 +29,12 @@ pub struct ReferenceArguments {
     /// What to render
     #[arg(long, value_enum, default_value_t = Kind::Traced)]
     kind: Kind,
-    /// Samples per pixel; traced: as many as `walk --refine` gives a pixel
+    /// Samples per pixel, with --until-error or --time at least; traced: as many as `walk --refine` gives a pixel
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1 << 16))]
     spp: u32,
+    /// Path and truth: go on until the means of 8 × 8 blocks are that sure, e.g. 0.5%, or until --time is over
+    #[arg(long, value_name = "SHARE", value_parser = share)]
+    until_error: Option<f32>,
     /// Camera (default: the first)
     #[arg(long, value_name = "NAME")]
     camera: Option<String>,
@@ -39,7 +44,8 @@ pub struct ReferenceArguments {
     /// Seed of the random numbers
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Where to write it: .exr (linear) or .png (as shown)
+    /// Where to write it: .exr (linear) or .png (as shown); path and truth of a multiple of 16 samples write
+    /// .batches.json beside it, from which `compare --blocks` knows their noise
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     #[command(flatten)]
@@ -56,6 +62,8 @@ enum Kind {
     Traced,
     /// Unbiased path tracing, without the baked light
     Path,
+    /// Bidirectional path tracing, which finds all light that can be found, and says how sure it is
+    Truth,
 }
 
 /// Runs the command.
@@ -66,24 +74,34 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
             let light = Light { baked: !a.illumination.quick, ..a.illumination.light() };
             opened::open(&a.scene, &light, &progress.baking())?.world
         }
-        Kind::Path => {
+        Kind::Path | Kind::Truth => {
             let (scene, _) = opened::load_scene(&a.scene)?;
             World::new(scene, std::sync::Arc::new(foveal::illumination::Uniform(Vec3::ZERO)))
         }
     };
     let view = camera(&world.scene, a.camera.as_deref())?;
     let frame = view.camera.frame(a.size.width, a.size.height);
-    let refined = a.kind == Kind::Traced && a.spp > 1;
-    let tiles = if refined { Tiles::of_size(a.size.width, a.size.height).len() } else { 0 };
-    let bar = progress.bar(u64::from(a.size.height) + tiles as u64, "reference");
+    // Where nothing is baked, the bake's time is the picture's.
+    let enough =
+        Enough { samples: a.spp, error: a.until_error.map(f64::from), time: a.illumination.settings.time };
+    let steps = match a.kind {
+        Kind::Traced if a.until_error.is_some() => {
+            return Err(Failure::Usage("--until-error is for --kind path and truth".into()));
+        }
+        Kind::Traced if a.spp == 1 => u64::from(a.size.height),
+        Kind::Traced => (a.size.height as usize + Tiles::of_size(a.size.width, a.size.height).len()) as u64,
+        Kind::Path | Kind::Truth => u64::from(a.spp),
+    };
+    let bar = progress.bar(steps, "reference");
     let goes_on = || {
         bar.inc(1);
         !interrupted()
     };
     let start = Instant::now();
-    let picture = match a.kind {
-        Kind::Traced => traced_picture(&world, &frame, a.seed, a.spp, &goes_on),
-        Kind::Path => path_picture(&world, &frame, a.seed, a.spp, &goes_on),
+    let (picture, sampled) = match a.kind {
+        Kind::Traced => (traced_picture(&world, &frame, a.seed, a.spp, &goes_on), None),
+        Kind::Path => parted(sampled_paths(&world, &frame, a.seed, &enough, &goes_on)),
+        Kind::Truth => parted(sampled_truth(&world, &frame, a.seed, &enough, &goes_on)),
     };
     let seconds = start.elapsed().as_secs_f64();
     bar.finish_and_clear();
@@ -98,19 +116,48 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
         exr_bytes(&picture)?
     };
     write_atomic(&a.out, &bytes)?;
+    let batches = sampled.as_ref().and_then(|s| s.batches.as_ref());
+    let error = batches.map(Batches::relative_error);
+    if let Some(batches) = batches {
+        write_batches(&a.out, batches)?;
+    }
     if a.json {
-        print_json(&json!({
+        let mut document = json!({
             "schema": "foveal.reference/1",
             "scene": world.scene.name,
             "camera": view.name,
-            "kind": match a.kind { Kind::Traced => "traced", Kind::Path => "path" },
-            "spp": a.spp,
+            "kind": match a.kind { Kind::Traced => "traced", Kind::Path => "path", Kind::Truth => "truth" },
+            "spp": sampled.as_ref().map_or(a.spp, |s| s.samples),
             "size": [a.size.width, a.size.height],
             "seconds": seconds,
             "file": a.out.display().to_string(),
-        }));
+        });
+        if let Some(s) = &sampled {
+            document["error"] = json!(error);
+            document["merged"] = json!({ "share": s.merged.share, "bias": s.merged.bias });
+        }
+        print_json(&document);
     } else {
         print_line(&format!("{} in {seconds:.1} s", a.out.display()));
+        if let (Some(s), Some(error)) = (&sampled, error) {
+            print_line(&format!(
+                "{} samples per pixel; blocks of 8 × 8 pixels are sure to {:.2} % on average",
+                s.samples,
+                100.0 * error
+            ));
+        }
+        if let Some(m) = sampled.map(|s| s.merged).filter(|m| m.share > 0.0) {
+            print_line(&format!(
+                "{:.2} % of the light is merged from photons, which makes the picture {:+.3} % brighter than it is",
+                100.0 * m.share,
+                100.0 * m.bias
+            ));
+        }
     }
     Ok(())
+}
+
+/// The picture, and what is known of it.
+fn parted(mut sampled: Sampled) -> (Map2d<Vec3>, Option<Sampled>) {
+    (std::mem::take(&mut sampled.picture), Some(sampled))
 }

@@ -8,7 +8,7 @@ use glam::Vec3;
 use crate::image::{Map2d, luminance};
 
 /// Share of the median that is added to each denominator, so that black blocks do not decide the mean.
-const FLOOR: f64 = 0.05;
+pub(super) const FLOOR: f64 = 0.05;
 /// Relative error above which a block counts as off.
 const OFF: f64 = 0.1;
 
@@ -56,7 +56,7 @@ pub fn block_errors(test: &Map2d<Vec3>, reference: &Map2d<Vec3>, size: usize) ->
 }
 
 /// Mean luminance of each whole block, row by row.
-fn block_means(picture: &Map2d<Vec3>, size: usize) -> Vec<f64> {
+pub(super) fn block_means(picture: &Map2d<Vec3>, size: usize) -> Vec<f64> {
     let finite = |v: f32| if v.is_finite() { f64::from(v) } else { 0.0 };
     let mean = |x0: usize, y0: usize| {
         let pixels = (y0..y0 + size).flat_map(|y| (x0..x0 + size).map(move |x| (x, y)));

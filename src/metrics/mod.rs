@@ -3,6 +3,7 @@
 //! In: two pictures of linear radiance and how they are shown. Out: numbers, error maps, curves over time.
 //! Perceptual measures and PSNR look at what is displayed, relative measures at linear values.
 
+pub mod batches;
 pub mod blocks;
 pub mod curve;
 pub mod flip;
@@ -19,6 +20,7 @@ use crate::display::tone::ToneMap;
 use crate::image::Map2d;
 use crate::perception::color_difference::{delta_e76, lab};
 
+pub use batches::{Agreement, BATCHES, BatchSums, Batches};
 pub use blocks::{BlockErrors, block_errors};
 pub use curve::ErrorCurve;
 pub use pixels::LinearErrors;

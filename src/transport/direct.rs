@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use super::bsdf::fresnel;
 use super::interaction::Interaction;
-use super::light::{LightSample, Lights};
+use super::light::{LightSample, Lights, Receiver};
 use super::medium::Media;
 use crate::geometry::{Accel, Hit, Ray};
 use crate::scene::{Model, Scene};
@@ -72,23 +72,32 @@ pub(super) fn arriving(
     (passed.max_element() > 0.0).then(|| sample.radiance * passed)
 }
 
-/// How a ray was found whose end may be a light: by sampling a BSDF from `point` with density `pdf`, `n` such
-/// samples standing beside `m` light samples.
+/// How a ray was found whose end may be a light: by sampling a BSDF at `from` with density `pdf`, `n` such samples
+/// standing beside `m` light samples.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Found {
-    pub point: Vec3,
+    pub from: Receiver,
     pub pdf: f32,
     pub n: u32,
     pub m: u32,
 }
 
 impl Found {
-    /// Weight of the light seen along unit `wi`, at `hit` or in the surrounding.
+    /// Weight of the light seen along unit `wi`, at `hit` or in the surrounding, where light samples choose lights by
+    /// what they bring.
     pub fn weight(&self, scene: &Scene, lights: &Lights, wi: Vec3, hit: Option<&Hit>) -> f32 {
         if self.m == 0 {
             return 1.0;
         }
-        mis_weight(self.n, self.pdf, self.m, lights.pdf_direct(scene, self.point, wi, hit))
+        mis_weight(self.n, self.pdf, self.m, lights.pdf_towards(scene, &self.from, wi, hit))
+    }
+
+    /// The same where they choose lights by power alone.
+    pub fn weight_by_power(&self, scene: &Scene, lights: &Lights, wi: Vec3, hit: Option<&Hit>) -> f32 {
+        if self.m == 0 {
+            return 1.0;
+        }
+        mis_weight(self.n, self.pdf, self.m, lights.pdf_direct(scene, self.from.point, wi, hit))
     }
 }
 

@@ -39,6 +39,8 @@ pub struct Interaction {
     pub object: u32,
     /// Whether the ray met the back side.
     pub back: bool,
+    /// Whether the shading normal was tilted to be visible from `wo`: another direction may see another one.
+    pub tilted: bool,
     /// Unit vector against the ray's direction.
     pub wo: Vec3,
     /// Distance along the ray, in its own units.
@@ -54,6 +56,9 @@ pub fn mip_level(uv_density: f32, footprint: f32, texture_size: [usize; 2]) -> f
     let texels = footprint * uv_density * texture_size[0].max(texture_size[1]) as f32;
     if texels > 1.0 { math::log2(texels).min(31.0) } else { 0.0 }
 }
+
+/// Least cosine between the shading normal and the direction that it is seen from.
+const GRAZING: f32 = 0.01;
 
 impl Interaction {
     /// The interaction of a hit of `ray`.
@@ -96,6 +101,7 @@ impl Interaction {
             material,
             object: mesh.objects[hit.triangle as usize],
             back: area_normal.dot(ray.direction) > 0.0,
+            tilted: false,
             wo,
             t: hit.t,
             footprint: 0.0,
@@ -114,6 +120,21 @@ impl Interaction {
             (at.tangent, at.bitangent) = at.shading_normal.any_orthonormal_pair();
         }
         at
+    }
+
+    /// The same point as another unit direction on its side sees it; `None` where that is no different but for `wo`.
+    pub fn seen_from(&self, scene: &Scene, direction: Vec3) -> Option<Self> {
+        if !self.tilted && direction.dot(self.facing_shading()) >= GRAZING {
+            return None;
+        }
+        let hit = Hit { t: self.t, triangle: self.triangle, b1: self.b1, b2: self.b2 };
+        let ray = Ray::new(self.position + direction, -direction);
+        Some(Self::at(scene, &ray, &hit).with_footprint(self.footprint))
+    }
+
+    /// Whether a direction on either side is so close to the surface that the shading normal would be tilted for it.
+    pub fn is_grazed_by(&self, direction: Vec3) -> bool {
+        direction.dot(self.shading_normal).abs() < GRAZING
     }
 
     /// The same point seen through a cone of this width, scene units.
@@ -198,10 +219,10 @@ impl Interaction {
     /// Where interpolation or bumps turned the shading normal away from the viewer, tilts it back until
     /// the view just grazes it, so that reflections do not go black (as Keller et al. 2017 do for bumps).
     fn keep_visible(&mut self) {
-        const GRAZING: f32 = 0.01;
         let side = if self.back { -1.0 } else { 1.0 };
         let cosine = side * self.shading_normal.dot(self.wo);
         if cosine < GRAZING {
+            self.tilted = true;
             let tilted = self.shading_normal + self.wo * (side * (GRAZING - cosine));
             if let Some(n) = tilted.try_normalize() {
                 self.shading_normal = n;

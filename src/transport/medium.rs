@@ -3,6 +3,7 @@
 use glam::Vec3;
 
 use super::interaction::Interaction;
+use crate::geometry::{Accel, Ray};
 use crate::math;
 use crate::scene::{MaterialId, Model, Scene};
 
@@ -35,6 +36,35 @@ fn after(scene: &Scene, material: MaterialId, distance: f32) -> Vec3 {
 }
 
 impl Media {
+    /// Those around the beginning of a ray: the ones that a straight way out of the scene leaves more often than it enters
+    /// them.
+    pub fn around(scene: &Scene, accel: &Accel, ray: &Ray) -> Self {
+        /// More surfaces than lie on a way out of any body.
+        const SURFACES_MAX: usize = 256;
+        let (mut ray, mut entered, mut left) = (*ray, Vec::new(), Vec::new());
+        for _ in 0..SURFACES_MAX {
+            let Some(hit) = accel.intersect(scene, &ray) else { break };
+            let at = Interaction::at(scene, &ray, &hit);
+            if matches!(at.material(scene).model, Model::Dielectric { thin: false, .. }) {
+                if !at.back {
+                    entered.push(at.material);
+                } else if let Some(i) = entered.iter().rposition(|m| *m == at.material) {
+                    entered.remove(i);
+                } else {
+                    left.push(at.material);
+                }
+            }
+            ray = at.spawn(ray.direction);
+        }
+        let mut media = Self::EMPTY;
+        // The innermost was left first.
+        for material in left.into_iter().take(REMEMBERED).rev() {
+            media.inside[usize::from(media.count)] = material;
+            media.count += 1;
+        }
+        media
+    }
+
     /// Whether no dielectric is around.
     pub fn is_empty(&self) -> bool {
         self.count == 0

@@ -1,9 +1,10 @@
 //! BSDFs, lights and the tracers.
 //!
 //! In: a scene, its geometry index and (for the tracer) stored illumination. Out: radiance along rays, in
-//! W·sr⁻¹·m⁻² per band; [`tracer`] for corrections, [`path`] for references, [`particle`] and [`radiosity`]
+//! W·sr⁻¹·m⁻² per band; [`tracer`] for corrections, [`path`] and [`bidirectional`] for references, [`particle`] and [`radiosity`]
 //! for the stored illumination.
 
+pub mod bidirectional;
 pub mod bsdf;
 mod direct;
 pub mod interaction;

@@ -1,7 +1,7 @@
 //! The reference: an unbiased path tracer that knows of no stored illumination.
 //!
-//! Light sampling and BSDF sampling joined by multiple importance sampling (Veach 1997), Russian roulette
-//! after a few surfaces. Light of point, spot and directional lights through refracting glass is not found by
+//! Light sampling and BSDF sampling joined by multiple importance sampling (Veach 1997), lights chosen by what they
+//! bring, Russian roulette after a few surfaces. Light of point, spot and directional lights through refracting glass is not found by
 //! any path and stays dark; light of areas and of the surrounding is.
 
 use glam::Vec3;
@@ -9,16 +9,16 @@ use glam::Vec3;
 use super::bsdf::Bsdf;
 use super::direct::{Found, arriving, is_pane, mis_weight};
 use super::interaction::Interaction;
-use super::light::Lights;
+use super::light::{Lights, Receiver};
 use super::medium::Media;
 use crate::geometry::{Accel, Ray};
 use crate::rng::Stream;
 use crate::scene::Scene;
 
 /// Surfaces that every path meets before roulette begins.
-const CERTAIN: u32 = 4;
+pub(super) const CERTAIN: u32 = 4;
 /// No path is longer; roulette ends nearly all long before.
-const BOUNCES_MAX: u32 = 1000;
+pub(super) const BOUNCES_MAX: u32 = 1000;
 
 /// One sample of the radiance that arrives at the ray's origin against its direction. Finite.
 pub fn path_radiance(scene: &Scene, accel: &Accel, lights: &Lights, ray: &Ray, mut stream: Stream) -> Vec3 {
@@ -47,7 +47,8 @@ pub fn path_radiance(scene: &Scene, accel: &Accel, lights: &Lights, ray: &Ray, m
         // The density of light samples is needed for the next surface's weights too, so they are drawn
         // wherever something other than a delta lobe reflects.
         let m = u32::from(!lights.is_empty());
-        if let Some(light) = lights.sample_direct(scene, at.position, stream.next_f32(), stream.next_2d()) {
+        let from = Receiver::from(&at);
+        if let Some(light) = lights.sample_towards(scene, &from, stream.next_f64(), stream.next_2d()) {
             let f = bsdf.evaluate_all(at.wo, light.wi) * light.wi.dot(at.facing_shading()).max(0.0);
             if f.max_element() > 0.0
                 && let Some(arriving) = arriving(scene, accel, &at, &media, &light)
@@ -67,7 +68,7 @@ pub fn path_radiance(scene: &Scene, accel: &Accel, lights: &Lights, ray: &Ray, m
             media = media.crossed(scene, &at);
         }
         if !(sample.transmitted && is_pane(scene, &at)) {
-            found = (!sample.delta).then_some(Found { point: at.position, pdf: sample.pdf, n: 1, m });
+            found = (!sample.delta).then_some(Found { from, pdf: sample.pdf, n: 1, m });
         }
         if bounce >= CERTAIN {
             let survival = throughput.max_element().min(0.95);

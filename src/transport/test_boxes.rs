@@ -35,6 +35,24 @@ impl Builder {
         self.materials.push(material);
     }
 
+    /// A grid of n × n patches over (u, v) ∈ [0, 1]², each point with its normal, fronts along ∂p/∂u × ∂p/∂v.
+    pub fn surface(&mut self, n: usize, material: u32, point: impl Fn(f32, f32) -> (Vec3, Vec3)) {
+        let at = |i: usize, j: usize| point(i as f32 / n as f32, j as f32 / n as f32);
+        for i in 0..n {
+            for j in 0..n {
+                let p = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+                for corners in [[0, 1, 2], [0, 2, 3]] {
+                    self.triangle(corners.map(|c| p[c].0), corners.map(|c| p[c].1), material);
+                }
+            }
+        }
+    }
+
+    /// The material that was made, to be changed.
+    pub fn edit(&mut self, material: u32) -> &mut Material {
+        &mut self.palette[material as usize]
+    }
+
     /// The rectangle `centre ± a ± b`, its front along a × b.
     pub fn rectangle(&mut self, centre: Vec3, a: Vec3, b: Vec3, material: u32) {
         let p = [centre - a - b, centre + a - b, centre + a + b, centre - a + b];

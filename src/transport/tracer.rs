@@ -215,7 +215,7 @@ impl<'a> Tracer<'a> {
                 return self.bounded(light, branch.contribution);
             }
             let Some(found) = branch.found.filter(|_| light != Vec3::ZERO) else { return light };
-            light * found.weight(self.scene, self.lights, ray.direction, hit.as_ref())
+            light * found.weight_by_power(self.scene, self.lights, ray.direction, hit.as_ref())
         };
         let Some(hit) = &hit else {
             return share(self.lights.escaped(self.scene, ray.direction)) * scale;
@@ -304,7 +304,7 @@ impl<'a> Tracer<'a> {
             // One lobe needs no choice.
             let u_lobe = if bsdf.is_delta() { s.next_f32() } else { 0.0 };
             let Some(sample) = bsdf.sample(at.wo, [u, v], u_lobe) else { continue };
-            let found = (!sample.delta).then_some(Found { point: at.position, pdf: sample.pdf, n, m });
+            let found = (!sample.delta).then_some(Found { from: at.into(), pdf: sample.pdf, n, m });
             let share = 1.0 / n as f32;
             let sample = BsdfSample { weight: sample.weight * share, ..sample };
             add(self.follow_sample(at, &sample, branch, found, s));

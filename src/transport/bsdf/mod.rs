@@ -222,6 +222,21 @@ impl Bsdf {
         !matches!(self.lobe, Lobe::Glossy { .. } | Lobe::Ward { .. })
     }
 
+    /// Whether light from any direction is scattered in many, so that points on a surface can be connected.
+    pub fn is_connectible(&self) -> bool {
+        self.diffuse != Vec3::ZERO || !self.is_delta()
+    }
+
+    /// Whether light that comes back along a sample of a Dirac lobe goes back to `wo`: not where the mirrored direction
+    /// was turned out of the surface.
+    pub fn is_reversible(&self, wo: Vec3, sample: &BsdfSample) -> bool {
+        /// Difference of cosines that are one but for rounding.
+        const ROUNDING: f32 = 1e-4;
+        let is_rough = matches!(self.lobe, Lobe::Glass { microfacet: Some(_), .. });
+        let difference = sample.wi.dot(self.normal) - wo.dot(self.normal);
+        is_rough || sample.transmitted || difference.abs() < ROUNDING
+    }
+
     fn local(&self, w: Vec3) -> Vec3 {
         Vec3::new(w.dot(self.tangent), w.dot(self.bitangent), w.dot(self.normal))
     }

@@ -31,7 +31,57 @@ fn cone(axis: Vec3, low: f32, u: [f32; 2]) -> Vec3 {
     x * (r * c) + y * (r * s) + axis * z
 }
 
+/// How particles leave a light along a ray.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::transport) struct Leaving {
+    /// Density of point and direction, with the probability of the light: per area and solid angle, of lights without
+    /// area per solid angle, of directional ones per area of the disk.
+    pub density: f64,
+    /// Cosine at the light; 1 where it has no area.
+    pub cosine: f32,
+}
+
 impl Lights {
+    /// A particle as [`Self::sample_emission`] gives it, with its light. Lights from afar get the share that they have in
+    /// light samples.
+    pub(in crate::transport) fn begin(
+        &self,
+        scene: &Scene,
+        stream: &mut Stream,
+    ) -> Option<(Emitter, Ray, Vec3)> {
+        let (emitter, probability) = self.choose_emitter(stream.next_f64(), f64::from(self.distant_share))?;
+        let (ray, flux) = self.emit(scene, emitter, probability, stream)?;
+        Some((emitter, ray, flux))
+    }
+
+    /// How [`Self::begin`] finds particles that leave a light along a unit direction.
+    pub(in crate::transport) fn leaving(&self, scene: &Scene, emitter: Emitter, direction: Vec3) -> Leaving {
+        let share = f64::from(self.distant_share);
+        let probability = match self.place(emitter) {
+            None => 0.0,
+            Some(i) if i < self.near_count => (1.0 - share) * self.near.probability(i),
+            Some(i) => share * self.distant.probability(i - self.near_count),
+        };
+        let disk = f64::from(PI * self.radius * self.radius);
+        let (density, cosine) = match emitter {
+            Emitter::Triangle(t) => {
+                let (normal, area) = normal_and_area(scene.mesh.corners(t));
+                let cosine = normal.dot(direction).max(0.0);
+                (f64::from(cosine / PI) / f64::from(area), cosine)
+            }
+            Emitter::Analytic(i) => match scene.lights[i as usize] {
+                Light::Point { .. } => (1.0 / f64::from(2.0 * TAU), 1.0),
+                Light::Spot { outer, .. } => (1.0 / f64::from(TAU * (1.0 - math::cos(outer))), 1.0),
+                Light::Directional { .. } => (1.0 / disk, 1.0),
+            },
+            Emitter::Surrounding => match (&self.environment, &scene.environment) {
+                (Some(d), Some(environment)) => (f64::from(d.pdf(environment, -direction)) / disk, 1.0),
+                _ => (0.0, 1.0),
+            },
+        };
+        Leaving { density: density * probability, cosine }
+    }
+
     /// A particle: its ray and its flux per band in W, divided by the density of its choice, so that the mean
     /// flux of many is the power of all lights. `None` is a particle without flux.
     ///
@@ -39,21 +89,24 @@ impl Lights {
     /// through a disk around the scene's bounds.
     pub fn sample_emission(&self, scene: &Scene, stream: &mut Stream) -> Option<(Ray, Vec3)> {
         // More bits than an f32 has: there may be millions of lights.
-        let choice = (stream.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
-        let share = self.distant_power_share;
-        let (emitter, probability) = if choice < share {
+        let (emitter, probability) = self.choose_emitter(stream.next_f64(), self.distant_power_share)?;
+        self.emit(scene, emitter, probability, stream)
+    }
+
+    /// A light by power, where those from afar get this share of the choice, and its probability.
+    fn choose_emitter(&self, choice: f64, share: f64) -> Option<(Emitter, f64)> {
+        if choice < share {
             let i = self.distant.sample(choice / share)?;
-            (self.emitters[self.near_count + i], share * self.distant.probability(i))
+            Some((self.emitters[self.near_count + i], share * self.distant.probability(i)))
         } else {
             let i = self.near.sample((choice - share) / (1.0 - share))?;
-            (self.emitters[i], (1.0 - share) * self.near.probability(i))
-        };
-        self.emit(scene, emitter, probability, stream)
+            Some((self.emitters[i], (1.0 - share) * self.near.probability(i)))
+        }
     }
 
     /// The same for the lights inside of the scene only.
     pub fn sample_near_emission(&self, scene: &Scene, stream: &mut Stream) -> Option<(Ray, Vec3)> {
-        let choice = (stream.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
+        let choice = stream.next_f64();
         let i = self.near.sample(choice)?;
         self.emit(scene, self.emitters[i], self.near.probability(i), stream)
     }

@@ -134,7 +134,12 @@ impl Lights {
         self.emitters.len() - self.near_count
     }
 
-    fn sample_surrounding(&self, scene: &Scene, normal: Vec3, [u, v]: [f32; 2]) -> Option<LightSample> {
+    pub(super) fn sample_surrounding(
+        &self,
+        scene: &Scene,
+        normal: Vec3,
+        [u, v]: [f32; 2],
+    ) -> Option<LightSample> {
         let (environment, distribution) = (scene.environment.as_ref()?, self.environment.as_ref()?);
         let by_cosine = |u: f32| {
             let (x, y) = normal.any_orthonormal_pair();

@@ -1,14 +1,19 @@
 //! Lights: emissive triangles, lights without area, the surrounding.
 //!
-//! In: a scene. Out: directions towards light with their densities ([`Lights::sample_direct`]), the densities of
-//! directions found otherwise ([`Lights::pdf_direct`]), and particles that leave the lights
+//! In: a scene. Out: directions towards light with their densities ([`Lights::sample_towards`]), the densities of
+//! directions found otherwise ([`Lights::pdf_towards`]), and particles that leave the lights
 //! ([`Lights::sample_emission`]). Radiance in W·sr⁻¹·m⁻² per band, power in W.
+//!
+//! Lights inside of the scene are chosen by what they may bring to the surface (`tree`). The tracer of corrections
+//! still chooses by power alone ([`Lights::sample_direct`]).
 
 mod distribution;
 mod emission;
 mod groups;
 mod irradiance;
 mod spherical_triangle;
+mod towards;
+mod tree;
 
 use std::f32::consts::{PI, TAU};
 
@@ -21,6 +26,9 @@ use crate::scene::{Light, Scene, TriangleIndex};
 use distribution::{Choice, EnvironmentDistribution};
 use groups::{LightGroups, Member};
 use spherical_triangle::{SAMPLED, SphericalTriangle, barycentrics};
+use tree::{Bounds, LightTree};
+
+pub use towards::Receiver;
 
 /// Least and largest share of next-event samples that go to the surrounding and directional lights where there
 /// are others too: seen from a room, their power is mostly outside of it.
@@ -50,7 +58,7 @@ impl LightSample {
 
 /// One light of a scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Emitter {
+pub(in crate::transport) enum Emitter {
     /// A triangle that emits from its front.
     Triangle(TriangleIndex),
     /// `Scene::lights[index]`.
@@ -76,6 +84,8 @@ pub struct Lights {
     radius: f32,
     power: Vec3,
     groups: LightGroups,
+    /// Those inside of the scene, in their order.
+    tree: LightTree,
 }
 
 /// Front normal and area of a triangle.
@@ -121,6 +131,7 @@ impl Lights {
             radius,
             power: Vec3::ZERO,
             groups: LightGroups::default(),
+            tree: LightTree::default(),
         };
         let mut power = glam::DVec3::ZERO;
         let mut weights: Vec<f64> = Vec::new();
@@ -173,6 +184,8 @@ impl Lights {
         let (a, b) = weights.split_at(lights.near_count);
         lights.near = Choice::new(a.iter().copied());
         lights.groups = LightGroups::new(&lights.members(scene, a));
+        lights.tree =
+            LightTree::new(lights.emitters.iter().zip(a).map(|(&e, &w)| lights.bounds(scene, e, w)));
         lights.distant = Choice::new(b.iter().copied());
         let total = lights.near.total() + lights.distant.total();
         if total > 0.0 {
@@ -196,6 +209,28 @@ impl Lights {
             Some(Member { corners, normal, material, power })
         };
         self.emitters.iter().zip(powers).filter_map(of).collect()
+    }
+
+    /// Bounds of what a light inside of the scene sends out, from its `power`, luminance, W.
+    fn bounds(&self, scene: &Scene, emitter: Emitter, power: f64) -> Option<Bounds> {
+        match emitter {
+            Emitter::Triangle(t) => {
+                let corners = scene.mesh.corners(t);
+                // Straight ahead.
+                Some(Bounds::of_triangle(corners, normal_and_area(corners).0, power / f64::from(PI)))
+            }
+            Emitter::Analytic(i) => match scene.lights[i as usize] {
+                Light::Point { position, intensity } => {
+                    Some(Bounds::of_point(position, f64::from(luminance(intensity))))
+                }
+                Light::Spot { position, direction, intensity, inner, outer } => {
+                    let strength = f64::from(luminance(intensity));
+                    Some(Bounds::of_spot(position, direction.normalize(), inner, outer, strength))
+                }
+                Light::Directional { .. } => None,
+            },
+            Emitter::Surrounding => None,
+        }
     }
 
     /// Whether nothing emits.

@@ -39,7 +39,7 @@ pub fn traced_picture(
             *out += tracer.view_dependent(&at, pixel_stream(seed, px, py, 0));
         }
     });
-    if samples > 1 { supersampled(world, frame, seed, samples, picture, goes_on) } else { picture }
+    if samples > 1 { supersampled(world, frame, &buffers, seed, samples, &picture, goes_on) } else { picture }
 }
 
 /// Path-traced picture, box-filtered over each pixel.
@@ -62,7 +62,7 @@ pub fn path_picture(
                 let mut stream = pixel_stream(seed, x as u32, y as u32, u64::from(sample));
                 let [dx, dy] = stream.next_2d();
                 let ray = Ray::new(frame.eye, frame.direction(x as f32 + dx, y as f32 + dy));
-                sum += world.path_radiance(&ray, stream);
+                sum += world.path_radiance(&ray, stream.split(0));
             }
             *out = sum / samples as f32;
         }

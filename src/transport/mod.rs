@@ -1,17 +1,17 @@
 //! BSDFs, lights and the tracers.
 //!
 //! In: a scene, its geometry index and (for the tracer) stored illumination. Out: radiance along rays, in
-//! W·sr⁻¹·m⁻² per band; [`tracer`] for corrections, [`path`] for references, [`particle`] and [`radiosity`]
+//! W·sr⁻¹·m⁻² per band; [`tracer`] for corrections, [`gather`] for references and refinement, [`particle`] and [`radiosity`]
 //! for the stored illumination.
 
 pub mod bsdf;
 mod direct;
+pub mod gather;
 pub mod interaction;
 pub mod light;
 pub mod lit;
 pub mod medium;
 pub mod particle;
-pub mod path;
 pub mod radiosity;
 pub mod surface;
 #[cfg(test)]

@@ -4,13 +4,14 @@
 //! directions found otherwise ([`Lights::pdf_towards`]), and particles that leave the lights
 //! ([`Lights::sample_emission`]). Radiance in W·sr⁻¹·m⁻² per band, power in W.
 //!
-//! Lights inside of the scene are chosen by what they may bring to the surface ([`tree`]). The tracer of corrections
+//! Lights inside of the scene are chosen by what they may bring to the surface (`tree`). The tracer of corrections
 //! still chooses by power alone ([`Lights::sample_direct`]).
 
 mod distribution;
 mod emission;
 mod groups;
 mod irradiance;
+mod named;
 mod spherical_triangle;
 mod towards;
 mod tree;

@@ -12,6 +12,7 @@ use foveal::display::environment_map::{self, EnvironmentMap, capture, direction,
 use foveal::image::luminance;
 use foveal::sampling::Lattice;
 use foveal::scene::mip_cache;
+use foveal::splatting::settled::settled;
 use foveal::splatting::supersampling::supersample;
 use foveal::splatting::trace::{Owner, trace_samples};
 use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver, Worker};
@@ -21,7 +22,7 @@ use xxhash_rust::xxh3::Xxh3;
 use crate::message::tracer::EnvironmentWork;
 use crate::message::{
     AllocatorMessage, CacheAgerMessage, EnvironmentOrder, LevelOrder, PredictionOrder, RendererMessage,
-    SampleOrder, TileWork, TraceJob, TracerMessage,
+    SampleOrder, SettleWork, TileWork, TraceJob, TracerMessage,
 };
 use crate::outbox::Outbox;
 
@@ -84,6 +85,18 @@ impl Tracer {
         // To the renderer first, as with samples.
         self.outbox.tell(cx, &self.renderer, RendererMessage::TileSampled { view, sums: sums.clone(), hash });
         self.outbox.tell(cx, &self.allocator, AllocatorMessage::TileSampled { view, sums: Some(sums), hash });
+    }
+
+    fn settle(&mut self, work: &SettleWork, cx: &mut Cx<'_, TracerMessage>) {
+        let SettleWork { drawn, tiles } = work;
+        let settled = settled(&drawn.world, &drawn.frame, &drawn.buffers, tiles);
+        if !cx.claim() {
+            return;
+        }
+        let (view, stated, hash) = (drawn.view, Some(settled.stated), settled.digest());
+        let shown = RendererMessage::RefinedShown { view, settled: Arc::new(settled), hash };
+        self.outbox.tell(cx, &self.renderer, shown);
+        self.outbox.tell(cx, &self.allocator, AllocatorMessage::Settled { view, stated });
     }
 
     fn capture(&mut self, order: &EnvironmentOrder, cx: &mut Cx<'_, TracerMessage>) {
@@ -198,6 +211,7 @@ impl Worker for Tracer {
         match job {
             TraceJob::Samples(order) => self.trace_samples(order, cx),
             TraceJob::Tile(work) => self.supersample(work, cx),
+            TraceJob::Settle(work) => self.settle(work, cx),
             TraceJob::Environment(order) => self.capture(order, cx),
             TraceJob::Prediction(order) => self.look_ahead(order, cx),
             TraceJob::Level(order) => self.load(order, cx),
@@ -209,6 +223,10 @@ impl Worker for Tracer {
             TraceJob::Samples(order) => self.job_done(order, 0, 0.0, cx),
             TraceJob::Tile(TileWork { drawn, .. }) => {
                 let back = AllocatorMessage::TileSampled { view: drawn.view, sums: None, hash: 0 };
+                self.outbox.tell(cx, &self.allocator, back);
+            }
+            TraceJob::Settle(SettleWork { drawn, .. }) => {
+                let back = AllocatorMessage::Settled { view: drawn.view, stated: None };
                 self.outbox.tell(cx, &self.allocator, back);
             }
             TraceJob::Environment(order) => {

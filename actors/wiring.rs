@@ -43,9 +43,9 @@ use crate::stages::StageTimes;
 use crate::textures::TextureStore;
 use crate::tracer::Tracer;
 
-/// For so long a tracer has a job, which takes milliseconds: a tracer that has not done it by then hangs, in a file of a
-/// disk that does not answer, say.
-const LEASE: Duration = Duration::from_secs(5);
+/// For so long a tracer has a job. Most take milliseconds, the filter of a large picture seconds: a tracer that has not
+/// done it by then hangs, in a file of a disk that does not answer, say.
+const LEASE: Duration = Duration::from_secs(300);
 
 /// What a system of actors is made of.
 pub struct Parts {

@@ -73,6 +73,15 @@ impl Stream {
         Self { pattern, ..Self::new(seed, u64::from(y) << 32 | u64::from(x), sample) }
     }
 
+    /// Sample `index` of a sequence of its own, `key` of `seed`: all samples together are stratified.
+    #[inline]
+    pub fn in_sequence(seed: u64, key: u64, index: u32) -> Self {
+        // As many points as the tables hold; then another scramble.
+        const POINTS: u32 = 1 << 16;
+        let pattern = Pattern { index: index % POINTS, key: hash(seed, key, !u64::from(index / POINTS)) };
+        Self { pattern: Some(pattern), ..Self::new(seed, key, u64::from(index)) }
+    }
+
     /// The next number in [0, 1). Advances the dimension by one.
     #[inline]
     pub fn next_f32(&mut self) -> f32 {
@@ -132,6 +141,12 @@ impl Stream {
         let first = self.split(0);
         let pattern = first.pattern.filter(|_| n <= 16).map(|p| Pattern { index: p.index * n + i, ..p });
         Self { pattern, ..self.split(u64::from(i)) }
+    }
+
+    /// The same stream at another dimension: where each use has a dimension of its own, one more changes no other.
+    #[inline]
+    pub fn at(self, dimension: u32) -> Self {
+        Self { dimension, ..self }
     }
 
     /// Whether its numbers are shared out among pixels and samples.

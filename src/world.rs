@@ -10,8 +10,8 @@ use crate::rng::Stream;
 use crate::scene::camera::CameraFrame;
 use crate::scene::{Scene, Texture};
 use crate::transport::bidirectional::Bidirectional;
+use crate::transport::gather::{Gather, Trust};
 use crate::transport::light::Lights;
-use crate::transport::path::path_radiance;
 use crate::transport::tracer::{Settings, Tracer};
 
 /// Everything rays need, shared by all who trace and never changed. A refined illumination makes a
@@ -43,7 +43,12 @@ impl World {
 
     /// Unbiased radiance along a ray, without the illumination.
     pub fn path_radiance(&self, ray: &Ray, stream: Stream) -> Vec3 {
-        path_radiance(&self.scene, &self.accel, &self.lights, ray, stream)
+        self.gather(Trust::Nobody).radiance(ray, stream)
+    }
+
+    /// The integrator of this world's light, with as much trust in a map.
+    pub fn gather<'a>(&'a self, trust: Trust<'a>) -> Gather<'a> {
+        Gather::new(&self.scene, &self.accel, &self.lights, trust)
     }
 
     /// Bidirectional paths of a view, without the illumination.

@@ -101,7 +101,7 @@ fn a_refined_view_is_the_reference_of_many_samples() {
         .json();
         assert_eq!(
             (&d["converged"], &d["samples"]["refined"]),
-            (&true.into(), &(50 * 40 * 6).into()),
+            (&true.into(), &(50 * 40 * 7).into()),
             "{name}"
         );
         assert_same_bits(&picture(&out.join("last.exr")), &expected, name);
@@ -112,7 +112,7 @@ fn a_refined_view_is_the_reference_of_many_samples() {
         .arg(scene(name))
         .json();
         let refined = d["samples"]["refined"].as_u64().expect("a count");
-        assert!((4 * 2000..59 * 2000).contains(&refined), "{name}: {refined}");
+        assert!((16 * 2000..60 * 2000).contains(&refined), "{name}: {refined}");
     }
 }
 

@@ -170,6 +170,7 @@ impl Actor for Allocator {
                 self.on_job_done(cx);
             }
             AllocatorMessage::TileSampled { view, sums, hash: _ } => self.on_tile_sampled(view, sums, cx),
+            AllocatorMessage::Settled { view, stated } => self.on_settled(view, stated, cx),
             AllocatorMessage::ResidualsMeasured { view, object, level, pixel, residual } => {
                 self.order.record(u64::from(view.0), object, level, pixel, &residual);
             }
@@ -253,7 +254,14 @@ impl Allocator {
     fn on_job_dead(&mut self, dead: DeadJob<TraceBrief>, cx: &mut Cx<'_, AllocatorMessage>) {
         self.lost_jobs += 1;
         match &dead.brief {
-            TraceBrief::Samples { .. } | TraceBrief::Tile { .. } => self.on_job_done(cx),
+            TraceBrief::Samples { .. } | TraceBrief::Settle { .. } => self.on_job_done(cx),
+            TraceBrief::Tile { view, tile, .. } => {
+                let is_shown = self.drawn.as_ref().is_some_and(|drawn| drawn.view == *view);
+                if let Some(supersampler) = self.supersampler.as_mut().filter(|_| is_shown) {
+                    supersampler.lose(*tile);
+                }
+                self.on_job_done(cx);
+            }
             TraceBrief::Environment { .. } => {
                 self.environments.on_job_lost();
                 self.capture_maps(cx);

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use foveal::allocation::policy::bucket_of;
 use foveal::allocation::supersampling::Supersampler;
 use foveal::display::tone::ToneMap;
-use foveal::splatting::supersampling::TileSums;
+use foveal::splatting::tile_sums::TileSums;
 use foveal_runtime::Cx;
 
 use super::Allocator;
-use crate::message::{AllocatorMessage, DrawnView, RendererMessage, TileWork, TraceJob, View};
+use crate::message::{AllocatorMessage, DrawnView, RendererMessage, SettleWork, TileWork, TraceJob, View};
 use crate::stages::Stage;
 
 impl Allocator {
@@ -31,11 +31,28 @@ impl Allocator {
         self.tell_insight_if_due();
     }
 
+    pub(super) fn on_settled(&mut self, view: View, stated: Option<f32>, cx: &mut Cx<'_, AllocatorMessage>) {
+        self.in_flight = self.in_flight.saturating_sub(1);
+        let is_shown = self.drawn.as_ref().is_some_and(|drawn| drawn.view == view);
+        if let (Some(supersampler), Some(stated), true) = (&mut self.supersampler, stated, is_shown) {
+            supersampler.state(stated);
+            self.since_insight += 1;
+        }
+        self.fill_pool(cx);
+        self.tell_insight_if_due();
+    }
+
     /// Orders more samples for tiles of a view that has converged.
     pub(super) fn refine(&mut self, drawn: &Arc<DrawnView>, cx: &mut Cx<'_, AllocatorMessage>) {
         let Some(supersampler) = &mut self.supersampler else { return };
         if !supersampler.has_begun() {
             supersampler.begin();
+        }
+        // At the end of a round the picture is made while the next one goes on.
+        if let Some(tiles) = supersampler.end_round(&ToneMap::from(&drawn.world.scene.display)) {
+            let work = SettleWork { drawn: drawn.clone(), tiles };
+            self.outbox.push(cx, &self.pool, bucket_of(1.0), u64::from(drawn.view.0), TraceJob::Settle(work));
+            self.in_flight += 1;
         }
         while self.in_flight < self.settings.jobs_in_flight() {
             let Some(order) = supersampler.next_order() else { break };
@@ -55,9 +72,7 @@ impl Allocator {
     pub(super) fn adjust_refinement(&mut self) {
         match (self.settings.supersampling, &mut self.supersampler, &self.drawn) {
             (None, supersampler, _) => *supersampler = None,
-            (Some(rules), Some(supersampler), Some(drawn)) => {
-                supersampler.set_rules(rules, &ToneMap::from(&drawn.world.scene.display));
-            }
+            (Some(rules), Some(supersampler), Some(_)) => supersampler.set_rules(rules),
             (Some(rules), supersampler, _) => {
                 let (width, height) = (self.settings.width, self.settings.height);
                 *supersampler = Some(Supersampler::new(rules, width, height));

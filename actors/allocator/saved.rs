@@ -62,7 +62,7 @@ impl Allocator {
             drawn.save(saver);
         }
         if let Some(supersampler) = supersampler {
-            saver.put(&(supersampler.open(), supersampler.tiles().len() as u64));
+            saver.put(&(supersampler.open(), supersampler.progress(), supersampler.tiles().len() as u64));
             for tile in supersampler.tiles() {
                 tile.save(saver);
             }
@@ -93,9 +93,9 @@ impl Allocator {
         ) = loader.take()?;
         self.drawn = if is_drawn { Some(Saved::restore(loader)?) } else { None };
         if let Some(supersampler) = &mut self.supersampler {
-            let (open, count): (_, u64) = loader.take()?;
+            let (open, progress, count): (_, _, u64) = loader.take()?;
             let tiles: Option<Vec<_>> = (0..count).map(|_| Saved::restore(loader)).collect();
-            supersampler.restore(tiles?, open)?;
+            supersampler.restore(tiles?, open, progress)?;
         }
         self.environments.restore(loader)
     }

@@ -43,7 +43,7 @@ pub fn traced_picture(
             *out += tracer.view_dependent(&at, pixel_stream(seed, px, py, 0));
         }
     });
-    if samples > 1 { supersampled(world, frame, seed, samples, picture, goes_on) } else { picture }
+    if samples > 1 { supersampled(world, frame, &buffers, seed, samples, &picture, goes_on) } else { picture }
 }
 
 /// When samples are enough.
@@ -160,7 +160,7 @@ pub fn sampled_paths(
                 let mut stream = pixel_stream(seed, x as u32, y as u32, sample);
                 let [dx, dy] = stream.next_2d();
                 let ray = Ray::new(frame.eye, frame.direction(x as f32 + dx, y as f32 + dy));
-                *out = world.path_radiance(&ray, stream);
+                *out = world.path_radiance(&ray, stream.split(0));
             }
         });
         Pass { connected, merged: None }

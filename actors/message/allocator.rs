@@ -7,7 +7,7 @@ use foveal::allocation::rays::Residual;
 use foveal::allocation::texture_demand::TextureUse;
 use foveal::display::environment_map::Seen;
 use foveal::scene::texture::LevelTexels;
-use foveal::splatting::supersampling::TileSums;
+use foveal::splatting::tile_sums::TileSums;
 use foveal_runtime::{DeadJob, Incident, Message};
 
 use super::tracer::TraceBrief;
@@ -73,6 +73,13 @@ pub enum AllocatorMessage {
         sums: Option<Arc<TileSums>>,
         /// Hash of it.
         hash: u64,
+    },
+    /// From a tracer: the picture of all tiles is with the renderer.
+    Settled {
+        /// The view.
+        view: View,
+        /// What is said of its error, a share of the mean; none where the order came back.
+        stated: Option<f32>,
     },
     /// From a tracer: part of an environment map is captured.
     EnvironmentCaptured {

@@ -6,7 +6,8 @@ use foveal::display::environment_map::EnvironmentMap;
 use foveal::illumination::stored::Illumination;
 use foveal::scene::Camera;
 use foveal::scene::texture::LevelTexels;
-use foveal::splatting::supersampling::TileSums;
+use foveal::splatting::settled::Settled;
+use foveal::splatting::tile_sums::TileSums;
 use foveal::splatting::{SampleBatch, WarpedSample};
 use foveal_runtime::Message;
 
@@ -100,6 +101,17 @@ pub enum RendererMessage {
         #[message(skip = "`hash` tells it", with = saved)]
         sums: Arc<TileSums>,
         /// Hash of them.
+        hash: u64,
+    },
+    /// From a tracer: what the samples of all tiles come to.
+    #[message(size = settled.size_bytes())]
+    RefinedShown {
+        /// Which view.
+        view: View,
+        /// The picture.
+        #[message(skip = "`hash` tells it", with = saved)]
+        settled: Arc<Settled>,
+        /// Its hash.
         hash: u64,
     },
     /// From the allocator: the view is as good as it gets, and all of its tiles are in the mailbox before this message.

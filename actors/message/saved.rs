@@ -10,7 +10,8 @@ use foveal::image::Map2d;
 use foveal::scene::camera::CameraFrame;
 use foveal::scene::texture::LevelTexels;
 use foveal::splatting::SampleBatch;
-use foveal::splatting::supersampling::TileSums;
+use foveal::splatting::settled::Settled;
+use foveal::splatting::tile_sums::TileSums;
 use foveal::world::World;
 use foveal_runtime::{Digest, Loader, Saver};
 
@@ -165,6 +166,17 @@ impl Saved for Arc<SampleBatch> {
 impl Saved for Arc<TileSums> {
     fn save(&self, saver: &mut Saver) {
         saver.shared(self, |sums, saver| saver.put(sums));
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        loader.shared(|loader| loader.take())
+    }
+}
+
+/// Who takes it up checks that it fits the picture.
+impl Saved for Arc<Settled> {
+    fn save(&self, saver: &mut Saver) {
+        saver.shared(self, |settled, saver| saver.put(settled));
     }
 
     fn restore(loader: &mut Loader<'_>) -> Option<Self> {

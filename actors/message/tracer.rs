@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use foveal::allocation::jobs::SampleJob;
-use foveal::allocation::supersampling::TileOrder;
+use foveal::allocation::supersampling::{AllSums, TileOrder};
 use foveal::display::environment_map::Seen;
 use foveal::display::first_approximation::Probes;
 use foveal::scene::texture::LevelTexels;
@@ -21,6 +21,8 @@ pub enum TraceJob {
     Samples(SampleOrder),
     /// More samples for a tile of a converged view.
     Tile(TileWork),
+    /// The picture of all tiles.
+    Settle(SettleWork),
     /// Part of an environment map.
     Environment(EnvironmentOrder),
     /// Which levels of which textures a view wants.
@@ -77,6 +79,15 @@ pub struct TileWork {
     pub seed: u64,
 }
 
+/// Tiles to make a picture of.
+#[derive(Clone, Debug)]
+pub struct SettleWork {
+    /// The view.
+    pub drawn: Arc<DrawnView>,
+    /// What each tile has.
+    pub tiles: Arc<AllSums>,
+}
+
 /// Part of an object's environment map.
 #[derive(Clone, Debug)]
 pub struct EnvironmentOrder {
@@ -118,6 +129,11 @@ pub enum TraceBrief {
         count: u32,
         /// Seed of the random numbers.
         seed: u64,
+    },
+    /// The picture of all tiles.
+    Settle {
+        /// The view.
+        view: View,
     },
     /// Part of an environment map, or its filter.
     Environment {
@@ -181,6 +197,11 @@ impl Job for TraceJob {
                 // Its samples were hashed when they came.
                 digest.value(&(tile, on.as_ref().map(|on| on.samples), count, seed));
             }
+            Self::Settle(SettleWork { drawn, tiles }) => {
+                drawn.digest(digest);
+                // They were hashed when they came.
+                digest.value(&tiles.iter().flatten().map(|t| u64::from(t.samples)).sum::<u64>());
+            }
             Self::Environment(EnvironmentOrder { world: _, probes: _, object, side, exponent, work }) => {
                 digest.value(&(object, side, exponent));
                 match work {
@@ -209,6 +230,7 @@ impl Job for TraceJob {
                 count: order.count,
                 seed: *seed,
             },
+            Self::Settle(work) => TraceBrief::Settle { view: work.drawn.view },
             Self::Environment(o) => TraceBrief::Environment {
                 object: o.object,
                 side: o.side,
@@ -226,6 +248,7 @@ impl Job for TraceJob {
         match self {
             Self::Samples(_) => "TraceJob",
             Self::Tile(_) => "TileJob",
+            Self::Settle(_) => "SettleJob",
             Self::Environment(_) => "EnvironmentJob",
             Self::Prediction(_) => "PredictionJob",
             Self::Level(_) => "LevelJob",
@@ -242,6 +265,11 @@ impl Job for TraceJob {
                 saver.put(&(2_u8, tile, count, seed));
                 drawn.save(saver);
                 on.save(saver);
+            }
+            Self::Settle(SettleWork { drawn, tiles }) => {
+                saver.put(&(3_u8, tiles.len() as u64));
+                drawn.save(saver);
+                tiles.iter().for_each(|tile| tile.save(saver));
             }
             Self::Environment(EnvironmentOrder { world: _, probes: _, object, side, exponent, work }) => {
                 saver.put(&(1_u8, object, side, exponent));
@@ -267,6 +295,12 @@ impl Job for TraceJob {
                 let (tile, count, seed) = loader.take()?;
                 let (drawn, on) = (Saved::restore(loader)?, Saved::restore(loader)?);
                 return Some(Self::Tile(TileWork { drawn, order: TileOrder { tile, on, count }, seed }));
+            }
+            3 => {
+                let count: u64 = loader.take()?;
+                let drawn = Saved::restore(loader)?;
+                let tiles: Option<AllSums> = (0..count).map(|_| Saved::restore(loader)).collect();
+                return Some(Self::Settle(SettleWork { drawn, tiles: Arc::new(tiles?) }));
             }
             _ => return None,
         }

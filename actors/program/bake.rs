@@ -11,6 +11,7 @@ use foveal::geometry::Accel;
 use foveal::illumination::bake::{BakeSettings, BakeState, Baker, cache_key};
 use foveal::illumination::cache::{CacheError, load, load_illumination, save};
 use foveal::illumination::from_radiosity::SceneRadiosity;
+use foveal::illumination::statement::{Statement, statement};
 use foveal::illumination::stored::Illumination;
 use foveal::scene::Scene;
 use foveal::transport::light::Lights;
@@ -94,6 +95,8 @@ enum CriterionName {
 struct Made {
     map: Illumination,
     complete: bool,
+    /// The error at points that it was not made of.
+    measured: Option<Statement>,
     /// More keys for the document.
     more: Value,
     stages: Vec<(&'static str, f64)>,
@@ -134,7 +137,11 @@ pub fn run(a: &BakeArguments, progress: Progress) -> Result<(), Failure> {
     let (bar, lines) = (progress.baking(), BakeLines::default());
     let watch: &dyn Watch = if a.jsonl { &lines } else { &bar };
     let made = match (found, method) {
-        (Some(map), _) => Made { map, complete: true, more: json!({}), stages: Vec::new() },
+        (Some(map), _) => {
+            let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
+            let measured = measured_by((&scene, &accel, &lights), &map, &settings);
+            Made { map, complete: true, measured, more: json!({}), stages: Vec::new() }
+        }
         (None, Method::Particles) => particles(a, &scene, &settings, &key, &file, start, watch)?,
         (None, Method::Radiosity) => radiosity(a, &scene, &settings, start, watch)?,
     };
@@ -229,6 +236,7 @@ fn particles(
     };
     let baked = baker.run(&keep_going, &mut |_| {});
     let stages = clock.finish();
+    let measured = measured_by((scene, &accel, &lights), &baked.illumination, settings);
     if baked.complete {
         // Nothing to go on with. That there was none is no failure.
         let _ = std::fs::remove_file(&state);
@@ -248,7 +256,7 @@ fn particles(
         "error_particles": s.particle_error,
         "error_bias": s.bias_error,
     });
-    Ok(Made { map: baked.illumination, complete: baked.complete, more, stages })
+    Ok(Made { map: baked.illumination, complete: baked.complete, measured, more, stages })
 }
 
 fn radiosity(
@@ -299,7 +307,17 @@ fn radiosity(
         keys.insert("elements".into(), json!(cut.elements));
         keys.insert("squared_error".into(), json!(cut.squared_error));
     }
-    Ok(Made { map, complete, more, stages: clock.finish() })
+    // Its error is the solution's bound; elements may be fewer than that by wish.
+    Ok(Made { map, complete, measured: None, more, stages: clock.finish() })
+}
+
+/// The error of a map at points that it was not made of; not of one that was interrupted.
+fn measured_by(
+    with: (&Scene, &Accel, &Lights),
+    map: &Illumination,
+    settings: &BakeSettings,
+) -> Option<Statement> {
+    (!interrupted()).then(|| statement(with, map, settings.seed)).flatten()
 }
 
 #[expect(clippy::too_many_arguments, reason = "the one caller has them all")]
@@ -314,6 +332,8 @@ fn report(
     warnings: &[String],
 ) {
     let s = &made.map.summary;
+    // What the bake says of itself, and never less than was found where it is seen.
+    let error = s.relative_error.max(made.measured.map_or(0.0, |m| m.at_least()));
     if a.json {
         let mut document = json!({
             "schema": "foveal.bake/1",
@@ -321,8 +341,9 @@ fn report(
             "method": if method == Method::Particles { "particles" } else { "radiosity" },
             "seconds": seconds,
             "stage_seconds": made.stages.iter().map(|(n, t)| ((*n).to_owned(), json!(t))).collect::<serde_json::Map<_, _>>(),
-            "error": s.relative_error,
-            "error_reached": s.relative_error <= a.settings.error,
+            "error": error,
+            "error_reached": error <= a.settings.error,
+            "error_measured": made.measured.map(|m| [m.at_least(), m.at_most()]),
             "complete": made.complete && s.relative_error <= a.settings.error,
             "texels": made.map.element_count(),
             "has_indirect": s.has_indirect,
@@ -348,11 +369,15 @@ fn report(
     print_line(&format!(
         "{} texels, {how}, error {:.2} % in {seconds:.1} s{}",
         made.map.element_count(),
-        100.0 * s.relative_error,
+        100.0 * error,
         if cached { " (kept from before)" } else { "" },
     ));
     if let Some(elements) = made.more.get("elements") {
         print_line(&format!("{} elements simplified to {elements}", made.more["elements_before"]));
+    }
+    if let Some(measured) = made.measured {
+        let [least, most] = [measured.at_least(), measured.at_most()].map(|e| 100.0 * e);
+        print_line(&format!("where it is seen {least:.1} to {most:.1} % off what paths find"));
     }
     if !made.stages.is_empty() {
         let stages: Vec<String> = made.stages.iter().map(|(name, t)| format!("{name} {t:.1} s")).collect();

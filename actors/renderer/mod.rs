@@ -24,7 +24,9 @@ use foveal::perception::tvi::TviTable;
 use foveal::perception::viewing::Viewing;
 use foveal::scene::texture::LevelTexels;
 use foveal::scene::{Camera, Scene};
-use foveal::splatting::supersampling::{self, TileSums, Tiles};
+use foveal::splatting::settled::Settled;
+use foveal::splatting::supersampling::Tiles;
+use foveal::splatting::tile_sums::TileSums;
 use foveal::splatting::{SampleBatch, SplatLayer, WarpedSample};
 use foveal::world::World;
 use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver};
@@ -137,6 +139,8 @@ pub struct Renderer {
     converged: bool,
     /// What the tiles of the converged view have been refined to, by tile; none before that.
     tiles: Vec<Option<Arc<TileSums>>>,
+    /// What is shown of them.
+    settled: Option<Arc<Settled>>,
     /// Whether the current view is as good as it gets.
     refined: bool,
     /// Better light that the shown one moves towards, and whether it is the last.
@@ -205,6 +209,7 @@ impl Renderer {
             counts: FrameCounts::default(),
             converged: false,
             tiles: Vec::new(),
+            settled: None,
             refined: false,
             target: None,
             lit: true,
@@ -284,14 +289,20 @@ impl Renderer {
         &self.layer
     }
 
-    /// The picture as it stands, linear radiance: base layer + splat layer, and tiles in their places. `None` before
+    /// The picture as it stands, linear radiance: base layer + splat layer, and what that is refined to. `None` before
     /// the first frame.
     pub fn picture(&self) -> Option<Map2d<Vec3>> {
         let base = &self.drawn.as_ref()?.buffers.color;
-        let sum = base.data().iter().zip(self.layer.colors().data()).map(|(&b, &s)| b + s).collect();
-        let mut picture = Map2d::from_vec(base.width(), base.height(), sum);
-        supersampling::show(self.tiles(), &mut picture);
-        Some(picture)
+        let first = |x, y| base.at(x, y) + self.layer.color(x, y);
+        Some(Map2d::from_fn(base.width(), base.height(), |x, y| match &self.settled {
+            Some(settled) => settled.pixel(x, y, base.at(x, y), first(x, y)),
+            None => first(x, y),
+        }))
+    }
+
+    /// What the converged view has been refined to, over its base layer and its first samples.
+    pub fn settled(&self) -> Option<&Arc<Settled>> {
+        self.settled.as_ref()
     }
 
     /// What the user changed last; `None` where all is as it began.
@@ -309,6 +320,7 @@ impl Renderer {
         self.settings.adjust(&adjustment);
         if self.settings.supersampling.is_none() && !self.tiles.is_empty() {
             self.tiles.clear();
+            self.settled = None;
             self.changed = true;
         }
         self.adjustment = Some(adjustment);
@@ -407,6 +419,7 @@ impl Renderer {
         self.converged = self.neighbours.is_none();
         self.refined = false;
         self.tiles.clear();
+        self.settled = None;
         self.changed = true;
         let frame = camera.frame(self.settings.width, self.settings.height);
         if let Some(neighbours) = &self.neighbours {
@@ -551,9 +564,16 @@ impl Renderer {
         self.tiles.resize(tiles.len(), None);
         let tile = &mut self.tiles[sums.tile as usize];
         let before = tile.as_ref().map_or(0, |tile| tile.samples);
-        self.counts.refined += (sums.samples - before.min(sums.samples)) * sums.sums.len() as u32;
+        self.counts.refined += (sums.samples - before.min(sums.samples)) * sums.pixels.len() as u32;
         *tile = Some(sums);
-        self.changed = true;
+    }
+
+    fn on_refined_shown(&mut self, view: View, settled: Arc<Settled>) {
+        let (width, height) = (self.settings.width, self.settings.height);
+        if view == self.view && settled.fits(width, height) && self.settings.supersampling.is_some() {
+            self.settled = Some(settled);
+            self.changed = true;
+        }
     }
 }
 
@@ -585,6 +605,7 @@ impl Actor for Renderer {
             }
             RendererMessage::ViewConverged { view } => self.on_view_converged(view),
             RendererMessage::TileSampled { view, sums, hash: _ } => self.on_tile_sampled(view, sums),
+            RendererMessage::RefinedShown { view, settled, hash: _ } => self.on_refined_shown(view, settled),
             RendererMessage::ViewRefined { view } => self.refined |= view == self.view,
             RendererMessage::Illuminated { map, last, hash: _ } => self.target = Some((map, last)),
             RendererMessage::SamplesForgotten => self.on_samples_forgotten(cx),

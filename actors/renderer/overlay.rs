@@ -6,7 +6,8 @@ use foveal::display::tone::ToneMap;
 use foveal::image::Map2d;
 use foveal::math;
 use foveal::splatting::SplatLayer;
-use foveal::splatting::supersampling::{TILE, TileSums};
+use foveal::splatting::supersampling::TILE;
+use foveal::splatting::tile_sums::TileSums;
 use glam::Vec3;
 
 /// What is painted over the picture.

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use foveal::display::first_approximation::FirstApproximation;
-use foveal::splatting::supersampling::{TileSums, Tiles};
+use foveal::splatting::supersampling::Tiles;
+use foveal::splatting::tile_sums::TileSums;
 use foveal_runtime::{Loader, Saver};
 
 use super::{FrameCounts, Renderer};
@@ -39,6 +40,7 @@ impl Renderer {
             counts,
             converged,
             tiles,
+            settled,
             refined,
             changed,
             shown,
@@ -59,6 +61,7 @@ impl Renderer {
         for tile in tiles {
             tile.save(saver);
         }
+        settled.save(saver);
         if let Some(drawn) = drawn {
             drawn.save(saver);
         }
@@ -91,6 +94,10 @@ impl Renderer {
         let tiles: Option<Vec<Option<Arc<TileSums>>>> = (0..count).map(|_| Saved::restore(loader)).collect();
         let grid = Tiles::of_size(self.settings.width, self.settings.height);
         self.tiles = tiles.filter(|tiles| tiles.iter().flatten().all(|sums| sums.fits(&grid)))?;
+        self.settled = Saved::restore(loader)?;
+        if self.settled.as_ref().is_some_and(|s| !s.fits(self.settings.width, self.settings.height)) {
+            return None;
+        }
         self.drawn = if is_drawn { Some(Saved::restore(loader)?) } else { None };
         self.shown = if is_shown { Some(Saved::restore(loader)?) } else { None };
         let (color, rank, source) = loader.take()?;

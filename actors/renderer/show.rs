@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use foveal::display::FrameBuffers;
 use foveal::image::Map2d;
-use foveal::splatting::supersampling::Tiles;
 use foveal_runtime::Cx;
 use rayon::prelude::*;
 
@@ -80,12 +79,15 @@ impl Renderer {
                     *out = encoder.rgb8(tone, base + splat);
                 }
             });
-        let grid = Tiles::of_size(width as u32, height as u32);
-        for tile in self.tiles() {
-            for (i, (x, y)) in grid.pixels(tile.tile).enumerate() {
-                let first = buffers.color.at(x, y) + self.layer.color(x, y);
-                *rgb8.at_mut(x, y) = encoder.rgb8(tone, tile.mean(i, first));
-            }
+        if let Some(settled) = &self.settled {
+            let (base, splats) = (&buffers.color, self.layer.colors());
+            let rows = rgb8.data_mut().par_chunks_mut(width.max(1)).enumerate();
+            rows.for_each(|(y, row)| {
+                for (x, out) in row.iter_mut().enumerate() {
+                    let base = base.at(x, y);
+                    *out = encoder.rgb8(tone, settled.pixel(x, y, base, base + splats.at(x, y)));
+                }
+            });
         }
         rgb8
     }

@@ -135,8 +135,11 @@ fn state(ui: &mut Ui, shown: &Shown<'_>) {
     ui.label(format!("{} traced, {} reused, {} expired", status.traced, status.reused, status.expired));
     let quality = shown.quality.map_or_else(|| "not known".to_owned(), |quality| format!("{quality:.3}"));
     ui.label(format!("speed {:.3} per second, quality {quality}", shown.speed));
-    if let Some(Standing { tiles, quiet, error: Some(error) }) = refinement {
+    if let Some(Standing { tiles, quiet, error: Some(error), stated }) = refinement {
         ui.label(format!("{quiet} of {tiles} tiles below the noise bound, worst {error:.4}"));
+        if let Some(stated) = stated {
+            ui.label(format!("error of the picture below {:.1} %", 100.0 * stated));
+        }
     }
     if let Some(notice) = shown.notice {
         let color = if notice.failed { ui.visuals().error_fg_color } else { ui.visuals().text_color() };

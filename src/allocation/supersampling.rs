@@ -1,17 +1,23 @@
 //! Which tile of a converged view is sampled next: the one with the largest error.
+//!
+//! In rounds: every tile that is not done gets as many samples as the round wants before any gets more. What is shown
+//! changes between rounds only, so that it does not depend on the order within, and whether a tile is done is decided there.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::sync::Arc;
 
 use crate::display::tone::ToneMap;
-use crate::splatting::supersampling::{SAMPLES_MAX, Supersampling, TileSums, Tiles};
+use crate::splatting::supersampling::{SAMPLES_MAX, Supersampling, Tiles};
+use crate::splatting::tile_sums::TileSums;
 
 /// Samples of each pixel in one order: a few milliseconds of a tile.
 const SAMPLES_PER_ORDER: u32 = 4;
+/// Samples of each pixel in the first round; every later one doubles what there is.
+const FIRST_ROUND: u32 = 8;
 /// Samples before an error is believed: so few that a quiet wall costs little, so many that an edge is not missed by
 /// all pixels of a tile.
-const SAMPLES_MIN: u32 = 4;
+const SAMPLES_MIN: u32 = 16;
 
 /// More samples for a tile.
 #[derive(Clone, Debug)]
@@ -33,11 +39,15 @@ pub struct Standing {
     pub quiet: u32,
     /// Largest standard error of a tile, root mean square of displayed values in [0, 1]; `None` before any is known.
     pub error: Option<f32>,
+    /// What is said of the picture shown: the error of its blocks of 8 × 8 pixels is below this share of their mean, 95 %
+    /// certain; `None` before anything is known.
+    pub stated: Option<f32>,
 }
 
-/// Samples that a pixel may still get after `samples` later ones.
+/// Samples that a pixel may still get after `samples`. One is what a converged view has anyway.
 fn room(rules: &Supersampling, samples: u32) -> u32 {
-    rules.max_samples.min(SAMPLES_MAX).saturating_sub(samples + 1)
+    let most = if rules.max_samples > 1 { rules.max_samples.min(SAMPLES_MAX - 1) } else { 0 };
+    most.saturating_sub(samples)
 }
 
 /// Whether a tile needs no more samples, or may not have them.
@@ -59,7 +69,25 @@ pub struct Supersampler {
     errors: Vec<f32>,
     /// Tiles that may be ordered, the largest error first (as bits: errors are not negative), the first tile of those.
     open: BinaryHeap<(u32, Reverse<u32>)>,
+    round: Round,
+    /// Tiles whose orders were given up: they stay as they are.
+    lost: Vec<u32>,
+    stated: Option<f32>,
 }
+
+/// How far a round is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Round {
+    /// Samples that each pixel of an open tile gets.
+    wanted: u32,
+    /// Tiles that were ordered and have not come back.
+    ordered: u32,
+    /// Whether any tile has come back since the picture was made.
+    is_news: bool,
+}
+
+/// What each tile has.
+pub type AllSums = Vec<Option<Arc<TileSums>>>;
 
 impl Supersampler {
     /// For pictures of a size; nothing is open until a view has converged.
@@ -70,6 +98,9 @@ impl Supersampler {
             sums: Vec::new(),
             errors: Vec::new(),
             open: BinaryHeap::new(),
+            round: Round::default(),
+            lost: Vec::new(),
+            stated: None,
         }
     }
 
@@ -78,23 +109,17 @@ impl Supersampler {
         self.sums.clear();
         self.errors.clear();
         self.open.clear();
+        self.round = Round::default();
+        self.lost.clear();
+        self.stated = None;
     }
 
-    /// Other rules; tiles that were done go on where they are not any more.
-    pub fn set_rules(&mut self, rules: Supersampling, tone: &ToneMap) {
-        let before = std::mem::replace(&mut self.rules, rules);
-        for (at, sums) in self.sums.iter().enumerate() {
-            // What is open stays so, and what is ordered comes back.
-            let was_done = is_done(&before, sums.as_deref(), tone);
-            if was_done && !is_done(&rules, sums.as_deref(), tone) {
-                let error = sums.as_ref().map_or(f32::INFINITY, |sums| sums.error(tone)[0]);
-                self.open.push((error.to_bits(), Reverse(at as u32)));
-            }
+    /// Other rules, from the next round on.
+    pub fn set_rules(&mut self, rules: Supersampling) {
+        self.rules = rules;
+        if room(&rules, self.round.wanted) == 0 {
+            self.open.clear();
         }
-        let sums = &self.sums;
-        self.open.retain(|&(_, Reverse(tile))| {
-            !is_done(&rules, sums.get(tile as usize).and_then(|s| s.as_deref()), tone)
-        });
     }
 
     /// Whether a view is being refined or is refined.
@@ -107,32 +132,64 @@ impl Supersampler {
         self.open.is_empty()
     }
 
-    /// The view has converged: all tiles are open.
+    /// The view has converged.
     pub fn begin(&mut self) {
         self.forget();
         self.sums.resize(self.tiles.len(), None);
-        if room(&self.rules, 0) > 0 {
-            self.open
-                .extend((0..self.tiles.len() as u32).map(|tile| (f32::INFINITY.to_bits(), Reverse(tile))));
+    }
+
+    /// Where all tiles of a round have come back, opens those that the next one wants. What to make a picture of, if there
+    /// is anything new.
+    pub fn end_round(&mut self, tone: &ToneMap) -> Option<Arc<AllSums>> {
+        if !self.has_begun() || !self.open.is_empty() || self.round.ordered > 0 {
+            return None;
         }
+        let is_news = std::mem::take(&mut self.round.is_news);
+        for (tile, sums) in self.sums.iter().enumerate() {
+            let is_lost = self.lost.contains(&(tile as u32));
+            if !is_lost && !is_done(&self.rules, sums.as_deref(), tone) {
+                let error = sums.as_ref().map_or(f32::INFINITY, |sums| sums.error(tone)[0]);
+                self.open.push((error.to_bits(), Reverse(tile as u32)));
+            }
+        }
+        if !self.open.is_empty() {
+            let most = self.sums.iter().flatten().map(|sums| sums.samples).max().unwrap_or(0);
+            self.round.wanted = (2 * most).max(FIRST_ROUND);
+        }
+        is_news.then(|| Arc::new(self.sums.clone()))
+    }
+
+    /// An order of a tile was given up.
+    pub fn lose(&mut self, tile: u32) {
+        self.round.ordered = self.round.ordered.saturating_sub(1);
+        self.lost.push(tile);
+    }
+
+    /// What is said of the picture that is shown.
+    pub fn state(&mut self, error: f32) {
+        self.stated = error.is_finite().then_some(error);
     }
 
     /// The order that helps most.
     pub fn next_order(&mut self) -> Option<TileOrder> {
         let (_, Reverse(tile)) = self.open.pop()?;
         let on = self.sums.get(tile as usize).cloned().flatten();
-        let count = SAMPLES_PER_ORDER.min(room(&self.rules, on.as_ref().map_or(0, |on| on.samples)));
-        Some(TileOrder { tile, on, count })
+        let samples = on.as_ref().map_or(0, |on| on.samples);
+        let wanted = self.round.wanted.saturating_sub(samples).min(room(&self.rules, samples));
+        self.round.ordered += 1;
+        Some(TileOrder { tile, on, count: SAMPLES_PER_ORDER.min(wanted) })
     }
 
     /// A tile has come back.
     pub fn record(&mut self, sums: Arc<TileSums>, tone: &ToneMap) {
+        self.round.ordered = self.round.ordered.saturating_sub(1);
         if let Some(slot) = self.sums.get_mut(sums.tile as usize) {
             *slot = Some(sums.clone());
             let error = sums.error(tone)[0];
             self.errors.resize(self.tiles.len(), f32::INFINITY);
             self.errors[sums.tile as usize] = error;
-            if !is_done(&self.rules, Some(&sums), tone) {
+            self.round.is_news = true;
+            if sums.samples < self.round.wanted && room(&self.rules, sums.samples) > 0 {
                 self.open.push((error.to_bits(), Reverse(sums.tile)));
             }
         }
@@ -145,6 +202,7 @@ impl Supersampler {
             tiles: self.tiles.len() as u32,
             quiet: known().filter(|error| **error < self.rules.noise).count() as u32,
             error: known().copied().reduce(f32::max),
+            stated: self.stated,
         })
     }
 
@@ -160,15 +218,26 @@ impl Supersampler {
         open
     }
 
+    /// How far the round is, and what is said of the picture, for a snapshot.
+    pub fn progress(&self) -> (Round, Vec<u32>, Option<f32>) {
+        (self.round, self.lost.clone(), self.stated)
+    }
+
     /// Takes a snapshot up again; `None` if it is one of another picture.
-    pub fn restore(&mut self, sums: Vec<Option<Arc<TileSums>>>, open: Vec<(u32, u32)>) -> Option<()> {
+    pub fn restore(
+        &mut self,
+        sums: AllSums,
+        open: Vec<(u32, u32)>,
+        (round, lost, stated): (Round, Vec<u32>, Option<f32>),
+    ) -> Option<()> {
         let whole = sums.is_empty() || sums.len() == self.tiles.len();
         let fits = |(at, sums): (usize, &Arc<TileSums>)| sums.tile as usize == at && sums.fits(&self.tiles);
         let all_fit = sums.iter().enumerate().all(|(at, sums)| sums.as_ref().is_none_or(|s| fits((at, s))));
         if !whole || !all_fit || open.iter().any(|&(_, tile)| tile as usize >= sums.len()) {
             return None;
         }
-        self.sums = sums;
+        (self.sums, self.round, self.lost, self.stated) = (sums, round, lost, stated);
+        self.errors.clear();
         self.open = open.into_iter().map(|(error, tile)| (error, Reverse(tile))).collect();
         Some(())
     }

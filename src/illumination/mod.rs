@@ -26,6 +26,7 @@ pub mod simplify;
 mod smooth_direct;
 mod smoothing;
 mod sources;
+pub mod statement;
 pub mod stored;
 #[cfg(test)]
 pub(crate) mod test_scenes;

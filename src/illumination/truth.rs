@@ -6,11 +6,10 @@ use rayon::prelude::*;
 use super::atlas::Atlas;
 use crate::image::luminance;
 use crate::rng::Stream;
-use crate::transport::bsdf::cosine_hemisphere;
+use crate::transport::gather::{Gather, Trust};
 use crate::transport::interaction::Interaction;
 use crate::transport::light::Lights;
-use crate::transport::particle::{LightTransport, SceneTransport};
-use crate::transport::path::path_radiance;
+use crate::transport::medium::Media;
 
 use super::Irradiance;
 use crate::geometry::{Accel, Hit, Ray};
@@ -32,7 +31,7 @@ pub struct Truth {
 }
 
 /// Irradiance on the front of about `count` elements of `atlas` that `counts` accepts, drawn in proportion to their
-/// area, from `samples` light samples and as many paths each.
+/// area, from `samples` paths each.
 pub fn truth(
     (scene, accel, lights): (&Scene, &Accel, &Lights),
     atlas: &Atlas,
@@ -70,8 +69,7 @@ pub fn truth(
         .collect()
 }
 
-/// Irradiance on the front of one point, from `samples` light samples and as many paths. Light straight from lights
-/// comes from light samples, all other from paths whose first emission is left out.
+/// Irradiance on the front of one point, from `samples` paths.
 pub fn at_point(
     (scene, accel, lights): (&Scene, &Accel, &Lights),
     triangle: u32,
@@ -80,26 +78,14 @@ pub fn at_point(
     samples: u32,
     key: u64,
 ) -> Truth {
-    let transport = SceneTransport::new(scene, accel, lights);
     let [a, b, c] = scene.mesh.corners(triangle);
     let normal = (b - a).cross(c - a).normalize_or_zero();
     let p = a * (1.0 - b1 - b2) + b * b1 + c * b2;
     let at = Interaction::at(scene, &Ray::new(p + normal, -normal), &Hit { t: 1.0, triangle, b1, b2 });
-    let (x, y) = normal.any_orthonormal_pair();
-    let certain = transport.certain(triangle, b1, b2, false);
+    let gather = Gather::new(scene, accel, lights, Trust::Nobody);
     let (mut sum, mut squares) = (glam::DVec3::ZERO, 0.0f64);
     for s in 0..samples {
-        let u = sobol_burley::sample_4d(s, 0, key as u32);
-        let v = sobol_burley::sample_4d(s, 1, key as u32);
-        let direct = certain + transport.direct(triangle, b1, b2, false, [u[0], u[1], u[2]]).irradiance;
-        let local = cosine_hemisphere([v[0], v[1]]);
-        let ray = at.spawn(x * local.x + y * local.y + normal * local.z);
-        let mut arriving = path_radiance(scene, accel, lights, &ray, Stream::new(key, s.into(), 1));
-        arriving -= match accel.intersect(scene, &ray) {
-            Some(hit) => Interaction::at(scene, &ray, &hit).point().emission(scene),
-            None => lights.escaped(scene, ray.direction),
-        };
-        let value = direct + std::f32::consts::PI * arriving;
+        let value = gather.arriving(&at, Media::EMPTY, Stream::in_sequence(key, 1, s)).total();
         sum += value.as_dvec3();
         squares += f64::from(luminance(value)).powi(2);
     }
@@ -132,6 +118,7 @@ mod tests {
     use crate::math;
     use crate::scene::load::load;
     use crate::scene::{Model, Reflectance};
+    use crate::transport::particle::SceneTransport;
 
     /// A bundled scene without what makes caustics, which are sharper than any kernel and noisy by paths: polished
     /// things lose their polish, mirrors, metal and thick glass are black, panes stay.

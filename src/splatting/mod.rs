@@ -5,9 +5,12 @@
 //! linear: splats replace each other and the *sum* is tone-mapped (correction H13).
 
 pub mod cache;
+pub mod filter;
 pub mod layer;
 pub mod sample;
+pub mod settled;
 pub mod supersampling;
+pub mod tile_sums;
 pub mod trace;
 pub mod warp;
 

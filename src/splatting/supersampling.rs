@@ -1,23 +1,28 @@
 //! What a converged still view is refined to: more samples for each pixel, anywhere inside it.
 //!
-//! A converged view shows one sample for each non-diffuse pixel, through its centre. From then on whole tiles are
-//! sampled again and again, each time through another point of each pixel and with other numbers for glossy lobes and
-//! area lights: edges are smoothed, and noise falls. A pixel shows the mean of what it showed and its later samples.
+//! A converged view shows one sample for each non-diffuse pixel, through its centre, over diffuse light as the map has it.
+//! From then on whole tiles are sampled again and again, each time through another point of each pixel and along other
+//! paths, on diffuse surfaces as on all others: edges are smoothed, noise falls, and what is wrong with the map goes. In the
+//! limit nothing of it is left (`transport::gather`).
 //!
-//! Each tile goes on from its own sums, one order at a time, so the bits of a refined picture depend neither on who
-//! traces nor on the order of tiles.
+//! Each tile goes on from its own sums, one order at a time, so its bits depend neither on who traces nor on the order of
+//! tiles. What is shown of them is made of all tiles at once (`splatting::settled`).
+
+use std::sync::Arc;
 
 use glam::Vec3;
 use rayon::prelude::*;
-use xxhash_rust::xxh3::Xxh3;
 
+use crate::display::FrameBuffers;
 use crate::display::tone::ToneMap;
-use crate::image::{Map2d, luminance, srgb_from_linear};
-use crate::rng::hash;
+use crate::geometry::Ray;
+use crate::image::{Map2d, srgb_from_linear};
+use crate::rng::{Stream, hash};
 use crate::sampling::Rect;
 use crate::scene::camera::CameraFrame;
-use crate::splatting::trace::pixel_stream;
-use crate::transport::tracer::Tracer;
+use crate::splatting::settled::settled;
+use crate::splatting::tile_sums::{BATCHES, PixelSample, TileSums};
+use crate::transport::gather::{Gather, Trust};
 use crate::world::World;
 
 /// Side of a tile, pixels.
@@ -31,7 +36,7 @@ pub struct Supersampling {
     /// A tile is done when the standard error of its pixels, as displayed values in [0, 1], is below this (root mean
     /// square over the tile; no pixel above four times it).
     pub noise: f32,
-    /// Most samples of a pixel, the first one included.
+    /// Most samples of a pixel, not counting the one that it converged with.
     pub max_samples: u32,
 }
 
@@ -64,6 +69,13 @@ impl Tiles {
         self.len() == 0
     }
 
+    /// The tile of a pixel.
+    #[inline]
+    pub fn at(&self, x: usize, y: usize) -> usize {
+        let side = TILE as usize;
+        y / side * (self.width as usize).div_ceil(side) + x / side
+    }
+
     /// The pixels of a tile; those at the right and lower rim may be smaller.
     pub fn rect(&self, tile: u32) -> Rect {
         let columns = self.width.div_ceil(TILE).max(1);
@@ -79,87 +91,22 @@ impl Tiles {
     }
 }
 
-/// Sums over the samples of a tile's pixels after the first.
-#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct TileSums {
-    /// Which tile.
-    pub tile: u32,
-    /// Samples of each pixel in the sums.
-    pub samples: u32,
-    /// Radiance, linear RGB, row by row.
-    pub sums: Vec<Vec3>,
-    /// Squares of luminance.
-    squares: Vec<f32>,
-}
-
-impl TileSums {
-    /// What a pixel shows: the mean of its `first` value and of its later samples.
-    #[inline]
-    pub fn mean(&self, pixel: usize, first: Vec3) -> Vec3 {
-        mean(first, self.sums[pixel], self.samples)
-    }
-
-    /// Standard error of what the pixels show, as displayed values in [0, 1]: root mean square and largest.
-    /// Infinite before two samples.
-    pub fn error(&self, tone: &ToneMap) -> [f32; 2] {
-        if self.samples < 2 {
-            return [f32::INFINITY; 2];
-        }
-        let n = self.samples as f32;
-        let (mut sum, mut largest) = (0.0, 0.0_f32);
-        for (&radiance, &squares) in self.sums.iter().zip(&self.squares) {
-            let mean = luminance(radiance) / n;
-            let variance = (squares / n - mean * mean).max(0.0) / (n - 1.0);
-            let error = displayed_difference(tone, mean, variance.sqrt());
-            sum += error * error;
-            largest = largest.max(error);
-        }
-        [(sum / self.sums.len().max(1) as f32).sqrt(), largest]
-    }
-
-    /// Whether its columns fit a tile of the picture: what was read from a file must.
-    pub fn fits(&self, tiles: &Tiles) -> bool {
-        let area = tiles.rect(self.tile).area();
-        (self.tile as usize) < tiles.len()
-            && self.sums.len() as u64 == area
-            && self.squares.len() as u64 == area
-            && self.samples < SAMPLES_MAX
-    }
-
-    /// Bytes of the sums.
-    pub fn size_bytes(&self) -> usize {
-        self.sums.len() * 16 + size_of::<Self>()
-    }
-
-    /// Hash of everything in it.
-    pub fn digest(&self) -> u64 {
-        let mut h = Xxh3::new();
-        h.update(bytemuck::cast_slice(&[self.tile, self.samples]));
-        h.update(bytemuck::cast_slice(&self.sums));
-        h.update(bytemuck::cast_slice(&self.squares));
-        h.digest()
-    }
-}
-
-#[inline]
-fn mean(first: Vec3, later: Vec3, samples: u32) -> Vec3 {
-    (first + later) / (samples + 1) as f32
-}
-
 /// Half of what a luminance error of one `deviation` to both sides makes on the display.
-fn displayed_difference(tone: &ToneMap, mean: f32, deviation: f32) -> f32 {
+pub(super) fn displayed_difference(tone: &ToneMap, mean: f32, deviation: f32) -> f32 {
     let shown = |l: f32| srgb_from_linear(tone.to_linear(Vec3::splat(l)).y);
     let difference = 0.5 * (shown(mean + deviation) - shown((mean - deviation).max(0.0)));
     if difference.is_finite() { difference } else { 1.0 }
 }
 
-/// Radiance of sample number `sample` ≥ 1 of a pixel: through another point of it, with numbers of its own.
-fn sample(tracer: &Tracer<'_>, frame: &CameraFrame, seed: u64, [x, y]: [u32; 2], sample: u32) -> Vec3 {
-    // The points of one pixel share it out among themselves.
-    let scramble = hash(seed, u64::from(y) << 32 | u64::from(x), u64::MAX) as u32;
-    let [dx, dy] = [0, 1].map(|dimension| sobol_burley::sample(sample, dimension, scramble));
-    let direction = frame.direction(x as f32 + dx, y as f32 + dy);
-    tracer.seen(frame.eye, direction, frame.pixel_angle(), pixel_stream(seed, x, y, u64::from(sample)))
+/// Sample number `sample` of a pixel, counted from 0 without the first: through another point of it, with numbers of its
+/// own. Each batch shares the pixel, and everything else that is chosen by chance, out among its samples.
+fn sample(gather: &Gather<'_>, frame: &CameraFrame, seed: u64, [x, y]: [u32; 2], sample: u32) -> PixelSample {
+    let (batch, index) = (sample % BATCHES as u32, sample / BATCHES as u32);
+    let of_batch = hash(seed, u64::from(y) << 32 | u64::from(x), u64::from(batch));
+    let mut stream = Stream::in_sequence(of_batch, u64::MAX, index);
+    let [dx, dy] = stream.next_2d();
+    let ray = Ray::new(frame.eye, frame.direction(x as f32 + dx, y as f32 + dy));
+    gather.seen(&ray, frame.pixel_angle(), stream.split(0)).into()
 }
 
 /// Adds `count` samples to each pixel of a tile, going `on` from what it has.
@@ -174,35 +121,14 @@ pub fn supersample(
     let [width, height] = frame.size;
     let tiles = Tiles::of_size(width, height);
     let area = tiles.rect(tile).area() as usize;
-    let mut next = on.cloned().unwrap_or_else(|| TileSums {
-        tile,
-        samples: 0,
-        sums: vec![Vec3::ZERO; area],
-        squares: vec![0.0; area],
-    });
-    let tracer = world.tracer();
-    let (begin, end) = (next.samples, next.samples.saturating_add(count).min(SAMPLES_MAX - 1));
-    let sums = next.sums.iter_mut().zip(&mut next.squares);
-    for ((sum, squares), (x, y)) in sums.zip(tiles.pixels(tile)) {
-        for number in begin + 1..=end {
-            let radiance = sample(&tracer, frame, seed, [x as u32, y as u32], number);
-            *sum += radiance;
-            *squares += luminance(radiance).powi(2);
-        }
+    let mut sums = on.cloned().unwrap_or_else(|| TileSums::new(tile, area));
+    let gather = world.gather(Trust::EndValue(&*world.illumination));
+    for number in sums.samples..sums.samples.saturating_add(count).min(SAMPLES_MAX - 1) {
+        let of_pixel = |(x, y)| sample(&gather, frame, seed, [x as u32, y as u32], number);
+        let samples: Vec<PixelSample> = tiles.pixels(tile).map(of_pixel).collect();
+        sums.add(&samples);
     }
-    next.samples = end;
-    next
-}
-
-/// Puts what tiles have into the picture of first samples.
-pub fn show<'a>(tiles: impl Iterator<Item = &'a TileSums>, picture: &mut Map2d<Vec3>) {
-    let grid = Tiles::of_size(picture.width() as u32, picture.height() as u32);
-    for tile in tiles {
-        for (i, (x, y)) in grid.pixels(tile.tile).enumerate() {
-            let pixel = picture.at_mut(x, y);
-            *pixel = tile.mean(i, *pixel);
-        }
-    }
+    sums
 }
 
 /// The picture that a view is refined to after `samples` of each pixel, from its `first` samples. Before each tile it is
@@ -210,38 +136,58 @@ pub fn show<'a>(tiles: impl Iterator<Item = &'a TileSums>, picture: &mut Map2d<V
 pub fn supersampled(
     world: &World,
     frame: &CameraFrame,
+    buffers: &FrameBuffers,
     seed: u64,
     samples: u32,
-    mut first: Map2d<Vec3>,
+    first: &Map2d<Vec3>,
     goes_on: &(dyn Fn() -> bool + Sync),
 ) -> Map2d<Vec3> {
     let [width, height] = frame.size;
-    let tiles: Vec<TileSums> = (0..Tiles::of_size(width, height).len() as u32)
-        .into_par_iter()
-        .filter(|_| goes_on())
-        .map(|tile| supersample(world, frame, tile, None, samples.saturating_sub(1), seed))
-        .collect();
-    show(tiles.iter(), &mut first);
-    first
+    let of_tile = |tile| goes_on().then(|| Arc::new(supersample(world, frame, tile, None, samples, seed)));
+    let tiles: Vec<_> =
+        (0..Tiles::of_size(width, height).len() as u32).into_par_iter().map(of_tile).collect();
+    let settled = settled(world, frame, buffers, &tiles);
+    let pixel = |x, y| settled.pixel(x, y, buffers.color.at(x, y), first.at(x, y));
+    Map2d::from_fn(width as usize, height as usize, pixel)
 }
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use super::*;
-    use crate::display::FrameBuffers;
     use crate::display::twin::{self, Passes};
     use crate::illumination::Uniform;
     use crate::scene::test_scenes::{add_box, grey, scene};
-    use crate::scene::{Camera, Mesh};
+    use crate::scene::{Camera, Material, Mesh, Model, Reflectance};
 
-    /// A grey box before black, under uniform light: radiance 0.5 where it is, 0 elsewhere.
+    /// A box that shines before black: radiance 0.5 where it is, 0 elsewhere.
     fn world() -> World {
         let mut mesh = Mesh::default();
         add_box(&mut mesh, Vec3::splat(-0.5), Vec3::splat(0.5), 0, false);
-        let scene = scene(mesh, vec![grey()]);
-        World::new(Arc::new(scene), Arc::new(Uniform(Vec3::splat(std::f32::consts::PI))))
+        let black = Model::Lambert { albedo: Reflectance::constant(Vec3::ZERO) };
+        let shining = Material { model: black, emission: Reflectance::constant(Vec3::splat(0.5)), ..grey() };
+        World::new(Arc::new(scene(mesh, vec![shining])), Arc::new(Uniform(Vec3::ZERO)))
+    }
+
+    /// A room with a lamp, under a map that is wrong by half of all light: after some samples nothing is left of it.
+    #[test]
+    fn diffuse_pixels_come_to_what_paths_find() {
+        let mut mesh = Mesh::default();
+        add_box(&mut mesh, Vec3::splat(-1.0), Vec3::splat(1.0), 0, true);
+        add_box(&mut mesh, Vec3::new(-0.2, 0.9, -0.2), Vec3::new(0.2, 0.95, 0.2), 1, false);
+        let lamp = Material { emission: Reflectance::constant(Vec3::splat(8.0)), ..grey() };
+        let scene = Arc::new(scene(mesh, vec![grey(), lamp]));
+        let camera = Camera { eye: Vec3::new(0.0, 0.0, 0.9), target: Vec3::ZERO, up: Vec3::Y, fov_y: 1.2 };
+        let frame = camera.frame(32, 16);
+        let mean = |irradiance: f32, samples: u32| {
+            let world = World::new(scene.clone(), Arc::new(Uniform(Vec3::splat(irradiance))));
+            let mut buffers = FrameBuffers::new(32, 16);
+            twin::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
+            let picture = supersampled(&world, &frame, &buffers, 1, samples, &buffers.color, &|| true);
+            picture.data().iter().map(|c| f64::from(c.x)).sum::<f64>() / 512.0
+        };
+        let [dark, bright] = [0.0, 9.0].map(|map| mean(map, 256));
+        assert!((dark / bright - 1.0).abs() < 0.02, "{dark} {bright}");
+        assert!(mean(9.0, 0) > 1.5 * bright);
     }
 
     #[test]
@@ -251,9 +197,9 @@ mod tests {
         let frame = camera.frame(40, 24);
         let mut buffers = FrameBuffers::new(40, 24);
         twin::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
-        let seen = |n| supersampled(&world, &frame, 1, n, buffers.color.clone(), &|| true);
-        assert_eq!(seen(1).data(), buffers.color.data());
-        let (few, many) = (seen(65), seen(4097));
+        let seen = |n| supersampled(&world, &frame, &buffers, 1, n, &buffers.color, &|| true);
+        assert_eq!(seen(0).data(), buffers.color.data());
+        let (few, many) = (seen(64), seen(4096));
         let full = buffers.color.data().iter().fold(0.0_f32, |m, c| m.max(c.x));
         let edges = many.data().iter().filter(|c| c.x > 0.02 * full && c.x < 0.98 * full).count();
         assert!(edges > 20, "{edges} pixels lie on an edge");
@@ -277,24 +223,5 @@ mod tests {
             assert_eq!(whole, second);
             assert!(whole.fits(&tiles) && !whole.fits(&Tiles::of_size(15, 90)));
         }
-    }
-
-    #[test]
-    fn the_error_is_that_of_the_mean_as_displayed() {
-        let tone = ToneMap::default();
-        let one = |values: &[f32]| TileSums {
-            tile: 0,
-            samples: values.len() as u32,
-            sums: vec![Vec3::splat(values.iter().sum())],
-            squares: vec![values.iter().map(|v| v * v).sum()],
-        };
-        assert_eq!(one(&[0.3]).error(&tone), [f32::INFINITY; 2]);
-        assert!(one(&[0.25; 8]).error(&tone)[0] < 1e-3);
-        // Mean 0.25, standard error of the mean √(0.0025 · 2/(2 − 1)/2)…: ± 0.05 about 0.25.
-        let error = one(&[0.2, 0.3]).error(&tone)[0];
-        let expected = 0.5 * (srgb_from_linear(0.3) - srgb_from_linear(0.2));
-        assert!((error - expected).abs() < 1e-4, "{error} {expected}");
-        // What is white anyway has no error that shows, and what is no number has the largest.
-        assert_eq!(one(&[5.0, 9.0]).error(&tone)[0], 0.0);
     }
 }

@@ -83,17 +83,9 @@ pub(super) struct Found {
 }
 
 impl Found {
-    /// Weight of the light seen along unit `wi`, at `hit` or in the surrounding, where light samples choose lights by
-    /// what they bring.
+    /// Weight of the light seen along unit `wi`, at `hit` or in the surrounding, beside light samples that choose by power
+    /// alone.
     pub fn weight(&self, scene: &Scene, lights: &Lights, wi: Vec3, hit: Option<&Hit>) -> f32 {
-        if self.m == 0 {
-            return 1.0;
-        }
-        mis_weight(self.n, self.pdf, self.m, lights.pdf_towards(scene, &self.from, wi, hit))
-    }
-
-    /// The same where they choose lights by power alone.
-    pub fn weight_by_power(&self, scene: &Scene, lights: &Lights, wi: Vec3, hit: Option<&Hit>) -> f32 {
         if self.m == 0 {
             return 1.0;
         }

@@ -164,13 +164,6 @@ impl<'a> Tracer<'a> {
         self.finite(self.follow(&ray, Branch::START, stream))
     }
 
-    /// Radiance seen along a direction through a cone that widens by `spread` per unit of length (the angle of a
-    /// pixel, so that textures are filtered as the display filters them). Finite.
-    pub fn seen(&self, eye: Vec3, direction: Vec3, spread: f32, stream: Stream) -> Vec3 {
-        let branch = Branch { spread, ..Branch::START };
-        self.finite(self.follow(&Ray::new(eye, direction), branch, stream))
-    }
-
     fn finite(&self, value: Vec3) -> Vec3 {
         if value.is_finite() {
             return value;
@@ -215,7 +208,7 @@ impl<'a> Tracer<'a> {
                 return self.bounded(light, branch.contribution);
             }
             let Some(found) = branch.found.filter(|_| light != Vec3::ZERO) else { return light };
-            light * found.weight_by_power(self.scene, self.lights, ray.direction, hit.as_ref())
+            light * found.weight(self.scene, self.lights, ray.direction, hit.as_ref())
         };
         let Some(hit) = &hit else {
             return share(self.lights.escaped(self.scene, ray.direction)) * scale;

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use foveal::display::tone::ToneMap;
 use foveal::illumination::Irradiance;
 use foveal::splatting::layer::APPROXIMATED;
+use foveal::splatting::settled::Settled;
 use foveal::splatting::supersampling::Tiles;
 use foveal::splatting::{Footprint, SplatLayer};
 use glam::Vec3;
@@ -35,8 +36,8 @@ struct OfScene {
     /// The view that is drawn, and how many of its splats.
     view: Option<View>,
     splats: usize,
-    /// Samples in each tile, 0 where it is not refined.
-    tiles: Vec<u32>,
+    /// What is shown of a refined view.
+    settled: Option<Arc<Settled>>,
     /// First approximations that were sent, by pixel; NaN where none was.
     approximated: Vec<Vec3>,
 }
@@ -118,7 +119,7 @@ impl Mirror {
             illumination: Arc::clone(&world.illumination),
             view: None,
             splats: 0,
-            tiles: vec![0; Tiles::of_size(size[0], size[1]).len()],
+            settled: None,
             approximated: vec![Vec3::NAN; size[0] as usize * size[1] as usize],
         });
         Some(())
@@ -154,7 +155,7 @@ impl OfScene {
         }
         self.view = Some(drawn.view);
         self.splats = 0;
-        self.tiles.fill(0);
+        self.settled = None;
         self.approximated.fill(Vec3::NAN);
         self.display.begin_view(&drawn.frame);
     }
@@ -177,25 +178,21 @@ impl OfScene {
         self.display.approximate(new);
     }
 
-    /// Tiles that were refined further.
+    /// What the view was refined to, where that is new.
     fn take_tiles(&mut self, drawn: &DrawnView, renderer: &Renderer, tone: &ToneMap) {
+        let settled = renderer.settled();
+        if self.settled.as_ref().map(Arc::as_ptr) == settled.map(Arc::as_ptr) {
+            return;
+        }
+        self.settled = settled.cloned();
+        let Some(settled) = settled else { return self.display.unrefine() };
         let [width, height] = self.display.size();
         let grid = Tiles::of_size(width, height);
-        let mut is_refined = false;
+        let (base, splats) = (&drawn.buffers.color, renderer.layer());
         for tile in renderer.tiles() {
-            is_refined = true;
-            let Some(before) = self.tiles.get_mut(tile.tile as usize).filter(|n| **n != tile.samples) else {
-                continue;
-            };
-            *before = tile.samples;
-            let (base, splats) = (&drawn.buffers.color, renderer.layer());
-            let mean = |(i, (x, y))| tile.mean(i, base.at(x, y) + splats.color(x, y));
-            let radiance: Vec<Vec3> = grid.pixels(tile.tile).enumerate().map(mean).collect();
+            let pixel = |(x, y)| settled.pixel(x, y, base.at(x, y), base.at(x, y) + splats.color(x, y));
+            let radiance: Vec<Vec3> = grid.pixels(tile.tile).map(pixel).collect();
             self.display.refine(grid.rect(tile.tile), &radiance, tile_error(tile, tone));
-        }
-        if !is_refined && self.tiles.iter().any(|n| *n > 0) {
-            self.tiles.fill(0);
-            self.display.unrefine();
         }
     }
 }

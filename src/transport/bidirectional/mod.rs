@@ -1,4 +1,4 @@
-//! The truth: bidirectional path tracing, which finds light that [`super::path`] finds rarely or never.
+//! The truth: bidirectional path tracing, which finds light that [`super::gather`] finds rarely or never.
 //!
 //! One pass traces for each pixel a subpath from the eye and one from a light, and joins them in every way: lights that
 //! are met, lights that are sampled, all pairs of vertices, and each vertex from the light with the pinhole (Veach 1997;
@@ -6,7 +6,7 @@
 //! finds, a lamp's caustic seen in a mirror or glass, is merged from photons in a layer of its own; only
 //! that layer is biased, by as much as it tells.
 //!
-//! It finds the radiance that [`super::path`] defines: f with the shading normal as the eye sees it, black backs,
+//! It finds the radiance that [`super::gather`] defines: f with the shading normal as the eye sees it, black backs,
 //! panes that attenuate, media that absorb. Two exceptions: it knows which media lie around eye and lamps, and where
 //! the shading normal of a mirror or of glass is bent by the view, light from lamps without area that goes by there is
 //! not found.

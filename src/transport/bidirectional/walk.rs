@@ -11,12 +11,16 @@ use crate::transport::direct::is_pane;
 use crate::transport::interaction::Interaction;
 use crate::transport::light::{Emitter, Receiver};
 use crate::transport::medium::Media;
-use crate::transport::path::{BOUNCES_MAX, CERTAIN};
 
 use super::Bidirectional;
 use super::odds::{Odds, squared};
 use super::photons::Photons;
 use super::vertex::{End, Vertex, geometric_cosine, receiver, scattering};
+
+/// Surfaces that every subpath meets before roulette begins.
+const CERTAIN: u32 = 4;
+/// No subpath is longer; roulette ends nearly all long before.
+const BOUNCES_MAX: u32 = 1000;
 
 /// A subpath on its way.
 struct Walk {

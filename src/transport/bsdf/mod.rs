@@ -445,8 +445,8 @@ impl Bsdf {
         }
     }
 
-    /// Probability of choosing the view-dependent lobes in the `_all` functions.
-    fn specular_share(&self, wo: Vec3) -> f32 {
+    /// Probability of choosing the view-dependent lobes where one part is chosen: about their share of what is reflected.
+    pub fn lobe_share(&self, wo: Vec3) -> f32 {
         let specular = luminance(self.view_dependent_albedo(wo));
         let diffuse = luminance(self.diffuse);
         match (specular > 0.0, diffuse > 0.0) {
@@ -471,7 +471,7 @@ impl Bsdf {
 
     /// Density with which `sample_all` gives a non-delta `wi`.
     pub fn pdf_all(&self, wo: Vec3, wi: Vec3) -> f32 {
-        let share = self.specular_share(wo);
+        let share = self.lobe_share(wo);
         let cosine = wi.dot(self.normal);
         let diffuse = if cosine > 0.0 && wi.dot(self.geometric) > 0.0 { cosine * FRAC_1_PI } else { 0.0 };
         share * self.pdf(wo, wi) + (1.0 - share) * diffuse
@@ -479,7 +479,7 @@ impl Bsdf {
 
     /// A direction of any lobe.
     pub fn sample_all(&self, wo: Vec3, u: [f32; 2], u_lobe: f32) -> Option<BsdfSample> {
-        let share = self.specular_share(wo);
+        let share = self.lobe_share(wo);
         let wi = if u_lobe < share {
             let s = self.sample(wo, u, u_lobe / share)?;
             if s.delta {

@@ -130,7 +130,7 @@ impl Lights {
         chosen
     }
 
-    fn distant_count(&self) -> usize {
+    pub(super) fn distant_count(&self) -> usize {
         self.emitters.len() - self.near_count
     }
 

@@ -11,6 +11,7 @@ mod distribution;
 mod emission;
 mod groups;
 mod irradiance;
+mod named;
 mod spherical_triangle;
 mod towards;
 mod tree;

@@ -10,7 +10,7 @@ use glam::Vec3;
 
 use super::{Emitter, LightSample, Lights, TriangleView, sample_analytic, sample_triangle};
 use crate::geometry::Hit;
-use crate::scene::Scene;
+use crate::scene::{Scene, TriangleIndex};
 use crate::transport::interaction::Interaction;
 
 /// What light falls on: a point and the unit normal on the side that it falls on, the one whose cosine weighs it. No
@@ -144,20 +144,32 @@ impl Lights {
         let density = match emitter {
             Emitter::Analytic(_) => 1.0,
             Emitter::Surrounding => f64::from(self.surrounding_pdf(scene, at.normal, wi)),
-            Emitter::Triangle(t) => match TriangleView::new(scene.mesh.corners(t), at.point) {
-                None => 0.0,
-                Some(TriangleView::Spherical(s)) => 1.0 / s.solid_angle,
-                Some(TriangleView::Area { normal, area }) => {
-                    f64::from(distance).powi(2) / f64::from(area * normal.dot(wi).abs())
-                }
-            },
+            Emitter::Triangle(t) => self.triangle_density(scene, at, t, wi, distance),
         };
         let pdf = (density * probability) as f32;
         if pdf.is_finite() { pdf } else { 0.0 }
     }
 
+    /// Density per solid angle of a point of a triangle at `distance` along `wi`, before the choice of the light.
+    pub(super) fn triangle_density(
+        &self,
+        scene: &Scene,
+        at: &Receiver,
+        triangle: TriangleIndex,
+        wi: Vec3,
+        distance: f32,
+    ) -> f64 {
+        match TriangleView::new(scene.mesh.corners(triangle), at.point) {
+            None => 0.0,
+            Some(TriangleView::Spherical(s)) => 1.0 / s.solid_angle,
+            Some(TriangleView::Area { normal, area }) => {
+                f64::from(distance).powi(2) / f64::from(area * normal.dot(wi).abs())
+            }
+        }
+    }
+
     /// Density per solid angle of [`Self::sample_surrounding`], before the choice of the light.
-    fn surrounding_pdf(&self, scene: &Scene, normal: Vec3, wi: Vec3) -> f32 {
+    pub(super) fn surrounding_pdf(&self, scene: &Scene, normal: Vec3, wi: Vec3) -> f32 {
         let (Some(environment), Some(d)) = (&scene.environment, &self.environment) else { return 0.0 };
         let cosine = normal.dot(wi).max(0.0) / PI;
         if environment.map.is_none() { cosine } else { 0.5 * cosine + 0.5 * d.pdf(environment, wi) }

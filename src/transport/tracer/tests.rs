@@ -1,7 +1,7 @@
 use super::*;
 use crate::illumination::Uniform;
 use crate::scene::{Model, Reflectance};
-use crate::transport::path::path_radiance;
+use crate::transport::gather::{Gather, Trust};
 use crate::transport::test_boxes::{Builder, glass, lambert, mean, rough};
 
 struct Prepared {
@@ -104,8 +104,8 @@ fn agrees_with_the_path_tracer_in_a_furnace() {
         let p = Prepared::new(b.under_sky(Vec3::ONE), std::f32::consts::PI);
         let ray = Ray::new(Vec3::new(0.4, 0.3, -3.0), Vec3::Z);
         let (a, ea) = p.trace(ray, 2000, Settings::default());
-        let (b, eb) =
-            mean(8000, |i| path_radiance(&p.scene, &p.accel, &p.lights, &ray, Stream::new(4, i, 0)));
+        let paths = Gather::new(&p.scene, &p.accel, &p.lights, Trust::Nobody);
+        let (b, eb) = mean(8000, |i| paths.radiance(&ray, Stream::new(4, i, 0)));
         assert!((a - b).abs() < 4.0 * (ea + eb) + 0.01, "{model:?}: {a} ± {ea}, path {b} ± {eb}");
     }
 }

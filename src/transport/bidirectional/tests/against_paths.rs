@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::scene::{Distribution, Roughness, Texture, TextureId, texture::MipChain};
-use crate::transport::path::path_radiance;
+use crate::transport::gather::{Gather, Trust};
 use crate::transport::test_boxes::rough;
 
 /// Batches by paths from the eye alone.
@@ -18,7 +18,7 @@ fn paths(scene: &Scene, view: View, samples: u64, seed: u64) -> Batches {
                     let mut stream = Stream::of_pixel(seed, x, y, i);
                     let [dx, dy] = stream.next_2d();
                     let ray = Ray::new(frame.eye, frame.direction(x as f32 + dx, y as f32 + dy));
-                    path_radiance(scene, &accel, &lights, &ray, stream)
+                    Gather::new(scene, &accel, &lights, Trust::Nobody).radiance(&ray, stream.split(0))
                 };
                 (0..view.side).map(pixel).collect()
             })

@@ -1,14 +1,18 @@
-use std::f32::consts::{FRAC_1_PI, PI};
+//! With no trust in any map: an unbiased path tracer.
 
 use super::*;
 use crate::math;
 use crate::scene::{Distribution, Light, Model, Reflectance, Roughness};
 use crate::transport::test_boxes::{Builder, glass, lambert, mean, rough};
 
+fn nobody<'a>(scene: &'a Scene, accel: &'a Accel, lights: &'a Lights) -> Gather<'a> {
+    Gather::new(scene, accel, lights, Trust::Nobody)
+}
+
 /// Mean radiance along `ray` and its standard error.
 fn render(scene: &Scene, ray: Ray, n: u64) -> (f64, f64) {
     let (accel, lights) = (Accel::build(scene), Lights::build(scene));
-    mean(n, |i| path_radiance(scene, &accel, &lights, &ray, Stream::new(5, i, 0)))
+    mean(n, |i| nobody(scene, &accel, &lights).radiance(&ray, Stream::new(5, i, 0)))
 }
 
 fn check((value, error): (f64, f64), expected: f64, what: &str) {

@@ -1,0 +1,337 @@
+//! What a converged view shows once samples of all its tiles are there: the map, and what samples certainly know better.
+//!
+//! Lobes show the filtered mean of their samples. The diffuse part shows the map plus the filtered difference to it, with
+//! the albedo multiplied afterwards so that textures stay sharp. What was cut off bright samples is light that is missing:
+//! its mean over wide surroundings is shown as far as both halves found it. Whether that difference is shown at all is decided by
+//! samples that it does not know: with Z from one half and R the raw mean of the other, the mean over blocks of
+//! `(Z − map)(Z + map − 2R)` is the squared error of Z less that of the map, without R's own noise. The map stays until
+//! that is below 0 for certain. The same blocks tell the error of what is shown.
+//!
+//! A function of the view and the sums alone: whoever computes it, and whatever was shown before, the bits are the same.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use xxhash_rust::xxh3::Xxh3;
+
+use super::filter::{Halves, Surfaces};
+use super::supersampling::Tiles;
+use super::tile_sums::{BATCHES, PixelSums, TileSums};
+use crate::display::FrameBuffers;
+use crate::image::{Map2d, luminance};
+use crate::scene::camera::CameraFrame;
+use crate::world::World;
+
+/// Pixels along an edge of the blocks whose errors are told.
+const BLOCK: usize = 8;
+/// Standard errors for certain: one side, 5 %.
+const CERTAIN: f64 = 1.65;
+/// Least albedo that is divided by.
+const ALBEDO_MIN: f32 = 1e-3;
+/// So many paths of a pixel are worth as much as the first sample, which branches.
+const FIRST_WORTH: f32 = 16.0;
+/// Samples of a pixel from which the first one, which believes the map, counts no more.
+const FIRST_LEFT: u32 = 64;
+
+/// A refined picture.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Settled {
+    /// Emission and diffuse part. Radiance.
+    diffuse: Map2d<Vec3>,
+    /// By lobes.
+    lobes: Map2d<Vec3>,
+    /// Samples of the pixels of each tile.
+    samples: Vec<u32>,
+    /// Upper limit of the error of blocks of 8 × 8 pixels, relative to their mean: noise, the map and the filter's own
+    /// faults, 95 % certain; infinite while nothing is known.
+    pub stated: f32,
+    /// Whether samples know better than the map.
+    pub corrects: bool,
+}
+
+impl Settled {
+    /// What a pixel shows, from what the base layer (`base`) and the converged view (`first`) show.
+    #[inline]
+    pub fn pixel(&self, x: usize, y: usize, base: Vec3, first: Vec3) -> Vec3 {
+        let tiles = Tiles::of_size(self.diffuse.width() as u32, self.diffuse.height() as u32);
+        let n = self.samples.get(tiles.at(x, y)).copied().unwrap_or(0);
+        if n == 0 {
+            return first;
+        }
+        let worth = if n < FIRST_LEFT { FIRST_WORTH } else { 0.0 };
+        let lobes = ((first - base) * worth + self.lobes.at(x, y) * n as f32) / (worth + n as f32);
+        (self.diffuse.at(x, y) + lobes).max(Vec3::ZERO)
+    }
+
+    /// Whether it fits a picture: what was read from a file must.
+    pub fn fits(&self, width: u32, height: u32) -> bool {
+        let size = [width as usize, height as usize];
+        let is_sound = |map: &Map2d<Vec3>| {
+            [map.width(), map.height()] == size
+                && map.data().len() == size[0] * size[1]
+                && map.data().iter().all(|v| v.is_finite())
+        };
+        is_sound(&self.diffuse)
+            && is_sound(&self.lobes)
+            && self.samples.len() == Tiles::of_size(width, height).len()
+    }
+
+    /// Bytes of it.
+    pub fn size_bytes(&self) -> usize {
+        2 * size_of_val(self.diffuse.data()) + size_of_val(&self.samples[..])
+    }
+
+    /// Hash of everything that is shown.
+    pub fn digest(&self) -> u64 {
+        let mut h = Xxh3::new();
+        h.update(bytemuck::cast_slice(self.diffuse.data()));
+        h.update(bytemuck::cast_slice(self.lobes.data()));
+        h.update(bytemuck::cast_slice(&self.samples));
+        h.update(&self.stated.to_le_bytes());
+        h.digest()
+    }
+}
+
+/// The sums of every pixel, as a picture.
+struct Pixels<'a> {
+    at: Vec<Option<(&'a PixelSums, u32)>>,
+}
+
+impl<'a> Pixels<'a> {
+    fn new(width: usize, height: usize, tiles: &'a [Option<Arc<TileSums>>]) -> Self {
+        let grid = Tiles::of_size(width as u32, height as u32);
+        let mut at = vec![None; width * height];
+        // Fewer leave a batch empty.
+        for tile in tiles.iter().flatten().filter(|tile| tile.samples as usize >= BATCHES) {
+            for (sums, (x, y)) in tile.pixels.iter().zip(grid.pixels(tile.tile)) {
+                at[y * width + x] = Some((sums, tile.samples));
+            }
+        }
+        Self { at }
+    }
+
+    /// One value of each pixel; 0 where there are no samples.
+    fn of(&self, value: impl Fn(&PixelSums, u32) -> Vec3) -> Vec<Vec3> {
+        self.at.iter().map(|p| p.map_or(Vec3::ZERO, |(sums, n)| value(sums, n))).collect()
+    }
+
+    /// Estimates of the residual of the diffuse part, divided by the albedo, from these sets of batches.
+    fn residuals(&self, sets: [&[usize]; 2]) -> Halves {
+        let albedo = |sums: &PixelSums, n: u32| sums.albedo(n).max(Vec3::splat(ALBEDO_MIN));
+        Halves {
+            values: sets.map(|set| self.of(|sums, n| sums.residual(set, n) / albedo(sums, n))),
+            variances: sets.map(|set| {
+                let variance = |(sums, n): (&PixelSums, u32)| {
+                    sums.residual_variance(set, n) / luminance(albedo(sums, n)).powi(2)
+                };
+                self.at.iter().map(|p| p.map_or(0.0, variance)).collect()
+            }),
+            known: self.at.iter().map(|p| p.is_some_and(|(sums, n)| sums.albedo(n) != Vec3::ZERO)).collect(),
+        }
+    }
+
+    /// The residual, divided by the albedo, as far as both sets of batches show it.
+    fn reconstructed(&self, surfaces: &Surfaces, sets: [&[usize]; 2]) -> Vec<Vec3> {
+        let albedo = self.of(PixelSums::albedo);
+        let excess = sets.map(|set| self.of(|sums, n| sums.excess(set, n)));
+        let missing = surfaces.agreed_around(&excess, &albedo);
+        let residual = self.residuals(sets).reconstructed(surfaces);
+        residual.into_iter().zip(missing).map(|(r, m)| r + m).collect()
+    }
+
+    /// That of the lobes.
+    fn lobes(&self) -> Halves {
+        Halves {
+            values: HALVES.map(|set| self.of(|sums, n| sums.lobes(&set, n))),
+            variances: HALVES.map(|set| {
+                self.at.iter().map(|p| p.map_or(0.0, |(s, n)| s.lobes_variance(&set, n))).collect()
+            }),
+            known: self.at.iter().map(|p| p.is_some_and(|(sums, _)| sums.has_lobes())).collect(),
+        }
+    }
+}
+
+/// The batches of each half.
+const HALVES: [[usize; 2]; 2] = [[0, 1], [2, 3]];
+
+/// Mean and standard error of values.
+fn mean_and_error(values: &[f64]) -> (f64, f64) {
+    let n = values.len().max(1) as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+    (mean, (variance / n).sqrt())
+}
+
+/// Luminances of the means of blocks; those that the edges cut are left out unless there are no others.
+fn blocks(width: usize, height: usize, value: impl Fn(usize) -> f32) -> Vec<f64> {
+    let (columns, rows) = ((width / BLOCK).max(1), (height / BLOCK).max(1));
+    let mean = |x0: usize, y0: usize| {
+        let (x1, y1) = ((x0 + BLOCK).min(width), (y0 + BLOCK).min(height));
+        let pixels = (y0..y1).flat_map(|y| (x0..x1).map(move |x| y * width + x));
+        pixels.map(|i| f64::from(value(i))).sum::<f64>() / ((x1 - x0) * (y1 - y0)).max(1) as f64
+    };
+    (0..rows)
+        .flat_map(|j| (0..columns).map(move |i| (i * BLOCK, j * BLOCK)))
+        .map(|(x, y)| mean(x, y))
+        .collect()
+}
+
+/// How a picture from one half does beside the other one, block by block: its squared error less that of the map, and that
+/// error itself.
+fn against(
+    surfaces: &Surfaces,
+    pixels: &Pixels<'_>,
+    [from, with]: [[usize; 2]; 2],
+    (width, height): (usize, usize),
+) -> (Vec<f64>, Vec<f64>) {
+    let guess = pixels.reconstructed(surfaces, [&from[..1], &from[1..]]);
+    let albedo = pixels.of(PixelSums::albedo);
+    let z = blocks(width, height, |i| luminance(guess[i] * albedo[i]));
+    let [a, b] = [0, 1].map(|i| {
+        // Uncut, or what is cut off both would seem right.
+        let with = &with[i..=i];
+        let residual = pixels.of(|sums, n| sums.residual(with, n) + sums.excess(with, n));
+        blocks(width, height, |i| luminance(residual[i]))
+    });
+    let each = |i: usize| {
+        let (r, noise) = (0.5 * (a[i] + b[i]), 0.25 * (a[i] - b[i]).powi(2));
+        (z[i] * (z[i] - 2.0 * r), (z[i] - r).powi(2) - noise, r * r - noise)
+    };
+    let helps = (0..z.len()).map(|i| each(i).0).collect::<Vec<f64>>();
+    let better = mean_and_error(&helps);
+    let corrects = better.0 + CERTAIN * better.1 < 0.0;
+    let errors = (0..z.len()).map(|i| if corrects { each(i).1 } else { each(i).2 }).collect();
+    (helps, errors)
+}
+
+/// The picture that the samples of `tiles` make of a view.
+pub fn settled(
+    world: &World,
+    frame: &CameraFrame,
+    buffers: &FrameBuffers,
+    tiles: &[Option<Arc<TileSums>>],
+) -> Settled {
+    let (width, height) = (buffers.width(), buffers.height());
+    let surfaces = Surfaces::of_view(world, frame, buffers);
+    let pixels = Pixels::new(width, height, tiles);
+    let both =
+        [HALVES, [HALVES[1], HALVES[0]]].map(|roles| against(&surfaces, &pixels, roles, (width, height)));
+    let [helps, errors] = [|r: &(Vec<f64>, Vec<f64>)| r.0.clone(), |r: &(Vec<f64>, Vec<f64>)| r.1.clone()]
+        .map(|of| of(&both[0]).iter().zip(&of(&both[1])).map(|(a, b)| 0.5 * (a + b)).collect::<Vec<f64>>());
+    let (better, doubt) = mean_and_error(&helps);
+    let corrects = better + CERTAIN * doubt < 0.0;
+    let mut diffuse = pixels.of(PixelSums::shown);
+    if corrects {
+        let residual = pixels.reconstructed(&surfaces, [&HALVES[0], &HALVES[1]]);
+        let albedo = pixels.of(PixelSums::albedo);
+        for ((pixel, residual), albedo) in diffuse.iter_mut().zip(residual).zip(albedo) {
+            *pixel += residual * albedo;
+        }
+    }
+    let lobes = pixels.lobes().mean(&surfaces);
+    let bright = blocks(width, height, |i| luminance(diffuse[i] + lobes[i]));
+    let mean = bright.iter().sum::<f64>() / bright.len().max(1) as f64;
+    let (squared, doubt) = mean_and_error(&errors);
+    let limit = (squared + CERTAIN * doubt).max(0.0).sqrt();
+    let known = pixels.at.iter().all(Option::is_some) && mean > 0.0;
+    let enough = |t: &&Arc<TileSums>| t.samples as usize >= BATCHES;
+    let samples = tiles.iter().map(|t| t.as_ref().filter(enough).map_or(0, |t| t.samples)).collect();
+    Settled {
+        diffuse: Map2d::from_vec(width, height, diffuse),
+        lobes: Map2d::from_vec(width, height, lobes),
+        samples,
+        stated: if known { (limit / mean) as f32 } else { f32::INFINITY },
+        corrects,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::display::twin::{self, Passes};
+    use crate::illumination::Uniform;
+    use crate::rng::Stream;
+    use crate::scene::test_scenes::{add_box, grey, scene};
+    use crate::scene::{Camera, Mesh};
+    use crate::splatting::tile_sums::PixelSample;
+
+    const SIZE: (u32, u32) = (96, 64);
+
+    /// The inside of a box.
+    fn view() -> (World, CameraFrame, FrameBuffers) {
+        let mut mesh = Mesh::default();
+        add_box(&mut mesh, Vec3::splat(-1.0), Vec3::splat(1.0), 0, true);
+        let world = World::new(Arc::new(scene(mesh, vec![grey()])), Arc::new(Uniform(Vec3::ONE)));
+        let camera = Camera { eye: Vec3::new(0.1, 0.0, 0.9), target: Vec3::ZERO, up: Vec3::Y, fov_y: 1.0 };
+        let frame = camera.frame(SIZE.0, SIZE.1);
+        let mut buffers = FrameBuffers::new(SIZE.0 as usize, SIZE.1 as usize);
+        twin::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
+        (world, frame, buffers)
+    }
+
+    /// A map that says 1 everywhere, off by `residual`, with samples of this deviation.
+    fn of(residual: f32, deviation: f32, samples: u32, seed: u64) -> Settled {
+        let (world, frame, buffers) = view();
+        let grid = Tiles::of_size(SIZE.0, SIZE.1);
+        let tile = |tile: u32| {
+            let mut sums = TileSums::new(tile, grid.rect(tile).area() as usize);
+            let mut stream = Stream::new(seed, u64::from(tile), 0);
+            for _ in 0..samples {
+                let mut sample = |_| {
+                    let noise = 12f32.sqrt() * (stream.next_f32() - 0.5) * deviation;
+                    let parts = [Vec3::ZERO, Vec3::splat(residual + noise)];
+                    PixelSample { shown: Vec3::ONE, albedo: Vec3::splat(0.5), parts }
+                };
+                let all: Vec<PixelSample> = (0..sums.pixels.len()).map(&mut sample).collect();
+                sums.add(&all);
+            }
+            Some(Arc::new(sums))
+        };
+        let tiles: Vec<_> = (0..grid.len() as u32).map(tile).collect();
+        settled(&world, &frame, &buffers, &tiles)
+    }
+
+    fn error(shown: &Settled, truth: f32) -> f32 {
+        let values = shown.diffuse.data();
+        (values.iter().map(|v| (v.x - truth).powi(2)).sum::<f32>() / values.len() as f32).sqrt()
+    }
+
+    /// Samples three times as bright or dark as the mean: what a map is off by 20 % is shown, to a fraction of it; a map
+    /// that is right stays to the bit.
+    #[test]
+    fn the_map_gives_way_only_where_samples_certainly_know_better() {
+        for seed in 0..3 {
+            let off = of(0.2, 3.0, 64, seed);
+            assert!(off.corrects && error(&off, 1.2) < 0.06, "{seed}: {}", error(&off, 1.2));
+            let right = of(0.0, 3.0, 16, seed);
+            assert!(!right.corrects && error(&right, 1.0) == 0.0, "{seed}");
+        }
+    }
+
+    /// What is stated is above the true error, and not far above it once samples are many.
+    #[test]
+    fn what_is_stated_holds() {
+        for (residual, deviation, samples) in
+            [(0.2, 3.0, 16), (0.2, 3.0, 256), (0.02, 1.0, 64), (0.0, 1.0, 64)]
+        {
+            let shown = of(residual, deviation, samples, 7);
+            let truth = error(&shown, 1.0 + residual) / (1.0 + residual);
+            assert!(shown.stated >= truth, "{residual}: {truth} stated below {}", shown.stated);
+            let noise = deviation / (samples as f32).sqrt() / 8.0;
+            assert!(shown.stated < 3.0 * truth + 2.0 * noise, "{residual}: {truth}, {}", shown.stated);
+        }
+    }
+
+    #[test]
+    fn pixels_without_samples_show_what_they_showed() {
+        let (world, frame, buffers) = view();
+        let none = settled(&world, &frame, &buffers, &vec![None; Tiles::of_size(SIZE.0, SIZE.1).len()]);
+        let (base, first) = (Vec3::splat(0.1), Vec3::splat(0.3));
+        assert_eq!(none.pixel(3, 4, base, first), first);
+        assert!(none.stated.is_infinite() && none.fits(SIZE.0, SIZE.1) && !none.fits(SIZE.1, SIZE.0));
+        // One whose samples are few believes the first one, which branches, more than them.
+        let few = of(0.0, 0.0, 4, 1);
+        assert!((few.pixel(3, 4, base, first) - Vec3::splat(1.0 + 0.8 * 0.2)).abs().max_element() < 1e-5);
+        assert_eq!(of(0.0, 0.0, 64, 1).pixel(3, 4, base, first), Vec3::ONE);
+    }
+}

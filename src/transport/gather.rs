@@ -1,0 +1,451 @@
+//! One integrator for light on surfaces: what arrives at a point, and what a ray sees, by samples of paths.
+//!
+//! In Heckbert's notation D is the diffuse part of a surface (also the base under a coat) and S every lobe. A path is
+//! followed from surface to surface; where a surface has both parts, chance chooses one of them. At a D vertex y the
+//! irradiance E(y) is wanted, of which a [`Trust`] says how much is believed of a map M:
+//!
+//! `Ê(y) = M + (B / q) · (N + A + C + I − M)`, B = 1 with probability q: roulette with something better than 0 for what
+//! is cut. The mean of Ê is E whatever M is, as long as q > ρ² of the surface, else single paths grow without bound (Szirmay-Kalos
+//! et al. 2005; Rhee & Glynn 2015).
+//!
+//! The classes of what arrives at a D point:
+//!
+//! | class | paths | found by |
+//! | --- | --- | --- |
+//! | N named | L x, from few lights without area | a shadow ray to each |
+//! | A area | L x, from all other lights | a light sample and a direction, power heuristic |
+//! | C caustic | L S⁺ x | chance: a direction that meets the light; a light sample at each S that is no mirror |
+//! | I indirect | L … D S* x | a direction, then Ê at the next D point |
+//!
+//! Maps hold all four in one number, so all four are estimated here, C too. What no sampling finds is C of lights without
+//! area over mirrors and clear glass: it stays dark. Going straight through a pane is no vertex, light is attenuated only.
+//!
+//! Irradiance is `∫ L · coat(ω) · max(0, n_s·ω) dω` over the directions above the surface, whatever the albedo is: it is
+//! multiplied in where a surface is looked at.
+//!
+//! A vertex takes its random numbers from dimensions of its own, so that a new use of one changes no other.
+
+use std::f32::consts::{FRAC_1_PI, PI};
+
+use glam::Vec3;
+
+use super::bsdf::{Bsdf, cosine_hemisphere};
+use super::direct::{arriving, is_pane, mis_weight};
+use super::interaction::Interaction;
+use super::light::{Lights, Receiver};
+use super::medium::Media;
+use crate::geometry::{Accel, Hit, Ray};
+use crate::illumination::Irradiance;
+use crate::rng::Stream;
+use crate::scene::Scene;
+
+/// How much of a map is believed at the D points that paths meet.
+#[derive(Clone, Copy)]
+pub enum Trust<'a> {
+    /// All: a path ends at the first. Little noise, and as wrong as the map is.
+    Map(&'a dyn Irradiance),
+    /// As the value of what roulette cuts: without bias, and the less noise the better the map.
+    EndValue(&'a dyn Irradiance),
+    /// Nothing: what is cut is 0.
+    Nobody,
+}
+
+/// A sample of irradiance, W/m² per band.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Arriving {
+    /// Straight from lights: classes N and A. It has edges.
+    pub sharp: Vec3,
+    /// All else: C and I.
+    pub soft: Vec3,
+}
+
+impl Arriving {
+    /// Both.
+    pub fn total(&self) -> Vec3 {
+        self.sharp + self.soft
+    }
+}
+
+/// A sample of what a ray sees.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Seen {
+    /// Emission of the surface, or the surrounding. Radiance.
+    pub emission: Vec3,
+    /// Reflectance of its D part towards the ray, times π: albedo and coat.
+    pub albedo: Vec3,
+    /// What the map says of the irradiance there; 0 where there is none.
+    pub map: Vec3,
+    /// The sample of it.
+    pub light: Arriving,
+    /// Radiance by way of its S lobes.
+    pub lobes: Vec3,
+}
+
+impl Seen {
+    /// The radiance.
+    pub fn radiance(&self) -> Vec3 {
+        self.emission + self.albedo * (self.light.total() * FRAC_1_PI) + self.lobes
+    }
+
+    /// The part that the map tells: emission, and the D part under the map's light. Radiance.
+    pub fn shown(&self) -> Vec3 {
+        self.emission + self.albedo * (self.map * FRAC_1_PI)
+    }
+}
+
+/// What a vertex needs random numbers for, in the order of its dimensions.
+#[derive(Clone, Copy)]
+enum Dimension {
+    LightChoice,
+    Light,
+    Part,
+    Direction,
+    Roulette,
+    Lobe = 6,
+}
+
+/// Dimensions of a vertex; one is left for directions that are learnt.
+const DIMENSIONS: u32 = 8;
+/// Vertices whose numbers are stratified over the samples of a pixel; of later ones none matters much.
+const STRATIFIED: u32 = 4;
+/// S surfaces in a row that every path meets before roulette begins.
+const CERTAIN: u32 = 4;
+/// Most that a path goes on with, also between surfaces that lose nothing.
+const SURVIVAL_MAX: f32 = 0.95;
+/// No path is longer; roulette ends nearly all long before.
+const VERTICES_MAX: u32 = 1000;
+
+/// How a direction was found along which a light may lie.
+#[derive(Clone, Copy)]
+struct Found {
+    from: Receiver,
+    pdf: f32,
+}
+
+/// A path on its way.
+#[derive(Clone, Copy)]
+struct Path {
+    ray: Ray,
+    /// What radiance found from here on counts.
+    throughput: Vec3,
+    /// Its part since the last D vertex.
+    since: Vec3,
+    /// Squares of refractive indices crossed; kept apart, so that roulette does not end paths inside of glass.
+    index_scale: f32,
+    media: Media,
+    /// How the direction was found, where light samples were taken beside it.
+    found: Option<Found>,
+    /// Vertices behind it, and the D ones among them.
+    vertices: u32,
+    diffuse: u32,
+    /// S surfaces in a row behind it.
+    specular: u32,
+    /// Whether no S vertex lies between it and its beginning.
+    straight: bool,
+    /// Width of its cone here, and what a unit of length adds; for textures.
+    width: f32,
+    spread: f32,
+}
+
+/// Estimates light in a scene. Costs nothing to make.
+#[derive(Clone, Copy)]
+pub struct Gather<'a> {
+    scene: &'a Scene,
+    accel: &'a Accel,
+    lights: &'a Lights,
+    trust: Trust<'a>,
+}
+
+impl<'a> Gather<'a> {
+    /// For a scene, with as much trust.
+    pub fn new(scene: &'a Scene, accel: &'a Accel, lights: &'a Lights, trust: Trust<'a>) -> Self {
+        Self { scene, accel, lights, trust }
+    }
+
+    /// One sample of the irradiance on the side of a surface that `at` shows, which lies inside of `media`. Finite.
+    pub fn arriving(&self, at: &Interaction, media: Media, stream: Stream) -> Arriving {
+        self.arriving_at(at, &Bsdf::at(self.scene, at), media, stream, 0)
+    }
+
+    /// One sample of what arrives at the ray's origin against its direction, seen through a cone that widens by `spread`
+    /// per unit of length. Finite.
+    pub fn seen(&self, ray: &Ray, spread: f32, stream: Stream) -> Seen {
+        let Some(direction) = ray.direction.try_normalize() else { return Seen::default() };
+        let scale = ray.direction.length();
+        let ray = Ray { direction, t_min: ray.t_min * scale, t_max: ray.t_max * scale, ..*ray };
+        let Some(hit) = self.accel.intersect(self.scene, &ray) else {
+            return Seen { emission: finite(self.lights.escaped(self.scene, direction)), ..Seen::default() };
+        };
+        let at = Interaction::at(self.scene, &ray, &hit).with_footprint(spread * hit.t);
+        let bsdf = Bsdf::at(self.scene, &at);
+        let absorbed = Media::EMPTY.transmittance_to(self.scene, &at, hit.t);
+        let albedo = finite(bsdf.diffuse_albedo() * bsdf.coat_factor(at.wo) * absorbed);
+        let mut seen =
+            Seen { emission: finite(at.point().emission(self.scene) * absorbed), albedo, ..Seen::default() };
+        if albedo != Vec3::ZERO {
+            seen.map = self.map_at(&at).unwrap_or(Vec3::ZERO);
+            seen.light = self.arriving_at(&at, &bsdf, Media::EMPTY, stream, 0);
+        }
+        if bsdf.has_view_dependent() {
+            // Numbers of its own: both parts are followed here.
+            let stream = { stream }.split(1);
+            let path = Path { width: at.footprint, spread, ..Path::at(&at, absorbed) };
+            let mut sum = Vec3::ZERO;
+            if let Some(path) = self.pass_lobe(&at, &bsdf, path, stream, &mut sum) {
+                sum += self.follow(path, stream).total();
+            }
+            seen.lobes = finite(sum);
+        }
+        seen
+    }
+
+    /// One sample of the radiance that arrives at the ray's origin against its direction. Finite.
+    pub fn radiance(&self, ray: &Ray, stream: Stream) -> Vec3 {
+        self.seen(ray, 0.0, stream).radiance()
+    }
+
+    fn map_at(&self, at: &Interaction) -> Option<Vec3> {
+        match self.trust {
+            Trust::Map(map) | Trust::EndValue(map) => {
+                Some(map.irradiance(at.triangle, at.b1, at.b2, at.back))
+            }
+            Trust::Nobody => None,
+        }
+    }
+
+    fn arriving_at(&self, at: &Interaction, bsdf: &Bsdf, media: Media, stream: Stream, v: u32) -> Arriving {
+        let mut path = Path { media, vertices: v, diffuse: 1, ..Path::at(at, Vec3::ONE) };
+        let sharp = self.straight_light(at, bsdf, &path, stream);
+        self.reflect(at, bsdf, &mut path, stream);
+        let beyond = self.follow(path, stream);
+        Arriving { sharp: finite(sharp + beyond.sharp), soft: finite(beyond.soft) }
+    }
+
+    /// Follows a path to its end: what it finds straight from lights, and all else.
+    fn follow(&self, mut path: Path, stream: Stream) -> Arriving {
+        let mut sum = Arriving::default();
+        while path.vertices < VERTICES_MAX {
+            let hit = self.accel.intersect(self.scene, &path.ray);
+            let Some(hit) = &hit else {
+                self.shine(self.lights.escaped(self.scene, path.ray.direction), &path, None, &mut sum);
+                break;
+            };
+            path.width += path.spread * hit.t;
+            let at = Interaction::at(self.scene, &path.ray, hit).with_footprint(path.width);
+            let absorbed = path.media.transmittance_to(self.scene, &at, hit.t);
+            path.weigh(absorbed);
+            self.shine(at.point().emission(self.scene), &path, Some(hit), &mut sum);
+            let bsdf = Bsdf::at(self.scene, &at);
+            let lobes = bsdf.lobe_share(at.wo);
+            let chosen = path.numbers(stream, Dimension::Part).next_f32();
+            if chosen < lobes {
+                path.weigh(Vec3::splat(1.0 / lobes));
+                match self.pass_lobe(&at, &bsdf, path, stream, &mut sum.soft) {
+                    Some(on) => path = on,
+                    None => break,
+                }
+            } else {
+                let diffuse = bsdf.diffuse_albedo() * bsdf.coat_factor(at.wo);
+                path.weigh(diffuse / (1.0 - lobes));
+                path.throughput *= FRAC_1_PI;
+                let lit = path.throughput.max_element() > 0.0;
+                if !lit || !self.goes_on(&at, &mut path, stream, &mut sum.soft) {
+                    break;
+                }
+                sum.soft +=
+                    path.throughput * self.straight_light(&at, &bsdf, &path, stream) * path.index_scale;
+                self.reflect(&at, &bsdf, &mut path, stream);
+                path.straight = false;
+            }
+        }
+        sum
+    }
+
+    /// Whether a path that has come to a D point asks what arrives there. What the map says of it is added where it is
+    /// believed, so that the mean stays.
+    fn goes_on(&self, at: &Interaction, path: &mut Path, stream: Stream, sum: &mut Vec3) -> bool {
+        let scale = path.index_scale;
+        let counts = |throughput: Vec3, map: Vec3| throughput * map * scale;
+        let map = self.map_at(at).unwrap_or(Vec3::ZERO);
+        if let Trust::Map(_) = self.trust {
+            *sum += counts(path.throughput, map);
+            return false;
+        }
+        // What is looked at, and the first D point that light comes from, are asked for certain.
+        if path.diffuse >= 2 {
+            *sum += counts(path.throughput, map);
+            // `since` is the albedo here times the weights on the way.
+            let survival = path.since.max_element().min(SURVIVAL_MAX);
+            if survival.is_nan() || path.numbers(stream, Dimension::Roulette).next_f32() >= survival {
+                return false;
+            }
+            path.throughput /= survival;
+            *sum -= counts(path.throughput, map);
+        }
+        path.diffuse += 1;
+        true
+    }
+
+    /// Adds the light that a path meets at `hit` or in the surrounding, weighed beside light samples of the vertex it
+    /// comes from.
+    fn shine(&self, light: Vec3, path: &Path, hit: Option<&Hit>, sum: &mut Arriving) {
+        if light == Vec3::ZERO {
+            return;
+        }
+        let share = path.found.map_or(1.0, |Found { from, pdf }| {
+            let other = self.lights.pdf_unnamed(self.scene, &from, path.ray.direction, hit);
+            mis_weight(1, pdf, 1, other)
+        });
+        let sum = if path.straight { &mut sum.sharp } else { &mut sum.soft };
+        *sum += path.throughput * light * (path.index_scale * share);
+    }
+
+    /// Light samples at a surface, each times what `reflects` gives for its direction: a value, and the density with
+    /// which that direction is found otherwise.
+    fn light_samples(
+        &self,
+        at: &Interaction,
+        path: &Path,
+        stream: Stream,
+        reflects: impl Fn(Vec3) -> (Vec3, f32),
+    ) -> Vec3 {
+        let mut sum = Vec3::ZERO;
+        for light in self.lights.named(self.scene, at.position) {
+            let (value, _) = reflects(light.wi);
+            if value.max_element() > 0.0
+                && let Some(light) = arriving(self.scene, self.accel, at, &path.media, &light)
+            {
+                sum += value * light;
+            }
+        }
+        let choice = path.numbers(stream, Dimension::LightChoice).next_f64();
+        let point = path.numbers(stream, Dimension::Light).next_2d();
+        if let Some(light) = self.lights.sample_unnamed(self.scene, &at.into(), choice, point) {
+            let (value, pdf) = reflects(light.wi);
+            if value.max_element() > 0.0
+                && let Some(radiance) = arriving(self.scene, self.accel, at, &path.media, &light)
+            {
+                let weight = if light.delta { 1.0 } else { mis_weight(1, light.pdf, 1, pdf) };
+                sum += value * radiance * (weight / light.pdf);
+            }
+        }
+        sum
+    }
+
+    /// Irradiance straight from lights, by samples of them.
+    fn straight_light(&self, at: &Interaction, bsdf: &Bsdf, path: &Path, stream: Stream) -> Vec3 {
+        let (normal, geometric) = (at.facing_shading(), at.facing_geometric());
+        self.light_samples(at, path, stream, |wi| {
+            let cosine = normal.dot(wi);
+            if cosine <= 0.0 || geometric.dot(wi) <= 0.0 {
+                return (Vec3::ZERO, 0.0);
+            }
+            (Vec3::splat(cosine * bsdf.coat_factor(wi)), cosine * FRAC_1_PI)
+        })
+    }
+
+    /// Sends the path on from a D point, by the cosine. Directions below the surface see nothing.
+    fn reflect(&self, at: &Interaction, bsdf: &Bsdf, path: &mut Path, stream: Stream) {
+        let local = cosine_hemisphere(path.numbers(stream, Dimension::Direction).next_2d());
+        let normal = at.facing_shading();
+        let (x, y) = normal.any_orthonormal_pair();
+        let wi = (x * local.x + y * local.y + normal * local.z).normalize_or(normal);
+        let above = if at.facing_geometric().dot(wi) > 0.0 { bsdf.coat_factor(wi) } else { 0.0 };
+        // Cosine / density.
+        path.throughput *= PI;
+        path.since = Vec3::ONE;
+        path.weigh(Vec3::splat(above));
+        let pdf = normal.dot(wi).max(0.0) * FRAC_1_PI;
+        path.found = (!self.lights.is_empty()).then_some(Found { from: at.into(), pdf });
+        path.specular = 0;
+        path.vertices += 1;
+        (path.width, path.spread) = (0.0, 0.0);
+        path.ray = at.spawn(wi);
+    }
+
+    /// Light samples of the lobes, and the path that goes on along a direction of theirs.
+    fn pass_lobe(
+        &self,
+        at: &Interaction,
+        bsdf: &Bsdf,
+        mut path: Path,
+        stream: Stream,
+        sum: &mut Vec3,
+    ) -> Option<Path> {
+        let normal = at.facing_shading();
+        if !bsdf.is_delta() {
+            let light = self.light_samples(at, &path, stream, |wi| {
+                let (f, pdf) = bsdf.evaluate_and_pdf(at.wo, wi);
+                (f * normal.dot(wi).max(0.0), pdf)
+            });
+            *sum += path.throughput * light * path.index_scale;
+        }
+        let direction = path.numbers(stream, Dimension::Direction).next_2d();
+        let [choice, roulette] =
+            [Dimension::Lobe, Dimension::Roulette].map(|of| path.numbers(stream, of).next_f32());
+        let sample = bsdf.sample(at.wo, direction, choice)?;
+        path.weigh(sample.weight);
+        path.index_scale *= sample.radiance_scale;
+        if sample.transmitted {
+            path.media = path.media.crossed(self.scene, at);
+        }
+        // Light samples of the vertex before see through panes.
+        if !(sample.transmitted && is_pane(self.scene, at)) {
+            let pdf = sample.pdf;
+            path.found = (!sample.delta && !self.lights.is_empty()).then_some(Found { from: at.into(), pdf });
+            path.straight = false;
+        }
+        path.specular += 1;
+        path.vertices += 1;
+        if path.specular > CERTAIN {
+            let survival = path.since.max_element().min(SURVIVAL_MAX);
+            // Also ends what is black or not a number.
+            if survival.is_nan() || roulette >= survival {
+                return None;
+            }
+            path.weigh(Vec3::splat(1.0 / survival));
+        }
+        path.ray = at.spawn(sample.wi);
+        (path.throughput.max_element() > 0.0).then_some(path)
+    }
+}
+
+impl Path {
+    /// That begins at a surface.
+    fn at(at: &Interaction, throughput: Vec3) -> Self {
+        Self {
+            ray: Ray::new(at.position, at.wo),
+            throughput,
+            since: Vec3::ONE,
+            index_scale: 1.0,
+            media: Media::EMPTY,
+            found: None,
+            vertices: 0,
+            diffuse: 0,
+            specular: 0,
+            straight: true,
+            width: 0.0,
+            spread: 0.0,
+        }
+    }
+
+    fn weigh(&mut self, by: Vec3) {
+        self.throughput *= by;
+        self.since *= by;
+    }
+
+    /// The random numbers of one use at the vertex that it is at.
+    fn numbers(&self, stream: Stream, of: Dimension) -> Stream {
+        let stream = if self.vertices < STRATIFIED { stream } else { stream.independent() };
+        stream.at(DIMENSIONS * self.vertices + of as u32)
+    }
+}
+
+fn finite(value: Vec3) -> Vec3 {
+    if value.is_finite() { value } else { Vec3::ZERO }
+}
+
+#[cfg(test)]
+mod path_tests;
+#[cfg(test)]
+mod tests;

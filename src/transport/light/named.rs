@@ -1,0 +1,91 @@
+//! Lights in two kinds: a few without area, each of which is asked (*named*), and all others, of which a sample chooses.
+//! What is named has no noise but that of what hides it, and no other way of sampling finds it.
+
+use glam::Vec3;
+
+use super::{DISTANT_SHARE, Emitter, LightSample, Lights, Receiver, sample_analytic, sample_triangle};
+use crate::geometry::Hit;
+use crate::scene::Scene;
+
+/// More lights without area than these cost more rays than they save noise; then all are chosen among by chance.
+const NAMED_MAX: usize = 4;
+
+impl Lights {
+    fn has_named(&self) -> bool {
+        let surroundings = usize::from(self.environment.is_some());
+        self.emitters.len() - self.triangle_count - surroundings <= NAMED_MAX
+    }
+
+    /// The light that each named light sends to `point`.
+    pub fn named<'a>(&'a self, scene: &'a Scene, point: Vec3) -> impl Iterator<Item = LightSample> + 'a {
+        let some = if self.has_named() { &self.emitters[self.triangle_count..] } else { &[] };
+        some.iter()
+            .filter_map(move |emitter| match emitter {
+                Emitter::Analytic(i) => sample_analytic(&scene.lights[*i as usize], point),
+                Emitter::Triangle(_) | Emitter::Surrounding => None,
+            })
+            .filter(|s| s.radiance.is_finite() && s.radiance.max_element() > 0.0)
+    }
+
+    /// Share of the sky among samples of what is not named, where that is not all.
+    fn sky_share(&self) -> f64 {
+        let near = if self.triangle_count > 0 { self.near.sum_of_first(self.triangle_count) } else { 0.0 };
+        match (near > 0.0, self.environment.is_some()) {
+            (_, false) => 0.0,
+            (false, true) => 1.0,
+            (true, true) => {
+                let sky = self.distant.total() * self.distant.probability(self.distant_count() - 1);
+                f64::from(((sky / (sky + near)) as f32).clamp(DISTANT_SHARE.0, DISTANT_SHARE.1))
+            }
+        }
+    }
+
+    /// A direction in which light that is not named arrives, as [`Self::sample_towards`]. Where lamps without area hang
+    /// among those with one, some samples choose what is named and count as zero.
+    pub fn sample_unnamed(
+        &self,
+        scene: &Scene,
+        at: &Receiver,
+        u_choice: f64,
+        u: [f32; 2],
+    ) -> Option<LightSample> {
+        if !self.has_named() {
+            return self.sample_towards(scene, at, u_choice, u);
+        }
+        let share = self.sky_share();
+        let (sample, probability) = if u_choice < share {
+            (self.sample_surrounding(scene, at.normal, u)?, share)
+        } else {
+            let (i, of_tree) = self.tree.choose(at, (u_choice - share) / (1.0 - share))?;
+            let Emitter::Triangle(t) = self.emitters[i] else { return None };
+            (sample_triangle(scene, t, at.point, u)?, (1.0 - share) * of_tree)
+        };
+        let sample = LightSample { pdf: (f64::from(sample.pdf) * probability) as f32, ..sample };
+        let usable = sample.pdf > 0.0
+            && sample.pdf.is_finite()
+            && sample.radiance.is_finite()
+            && sample.radiance.max_element() > 0.0;
+        usable.then_some(sample)
+    }
+
+    /// Density per solid angle with which [`Self::sample_unnamed`] draws the unit direction `wi`, where a ray along it
+    /// ends at `hit`, or in the surrounding. 0 where that is no light.
+    pub fn pdf_unnamed(&self, scene: &Scene, at: &Receiver, wi: Vec3, hit: Option<&Hit>) -> f32 {
+        if !self.has_named() {
+            return self.pdf_towards(scene, at, wi, hit);
+        }
+        let Some(emitter) = self.met(scene, hit) else { return 0.0 };
+        let (density, probability) = match (emitter, hit) {
+            (Emitter::Triangle(t), Some(hit)) => {
+                let Some(place) = self.place(emitter) else { return 0.0 };
+                let [a, b, c] = scene.mesh.corners(hit.triangle);
+                let end = a * (1.0 - hit.b1 - hit.b2) + b * hit.b1 + c * hit.b2;
+                let density = self.triangle_density(scene, at, t, wi, end.distance(at.point));
+                (density, (1.0 - self.sky_share()) * self.tree.probability(place, at))
+            }
+            _ => (f64::from(self.surrounding_pdf(scene, at.normal, wi)), self.sky_share()),
+        };
+        let pdf = (density * probability) as f32;
+        if pdf.is_finite() { pdf } else { 0.0 }
+    }
+}

@@ -180,7 +180,9 @@ impl Joined {
         let none =
             |message: &str| SceneError::NoGeometry { path: path.to_path_buf(), message: message.to_owned() };
         if mesh.triangles.is_empty() {
-            return Err(none("no face to draw; export polygons (`f` lines) into the OBJ file"));
+            return Err(none(
+                "no face to draw; export polygons (`f` lines of an OBJ file, triangles of a glTF scene)",
+            ));
         }
         let (mut kept, mut far, mut flat, mut turned) = (0, 0, 0, 0);
         let mut low = Vec3::INFINITY;

@@ -42,9 +42,8 @@ pub(super) fn light(of: &LightObject, world: &DMat4, scale: f32, odd: &mut Oddit
                 .spot
                 .as_ref()
                 .map_or((0.0, std::f32::consts::FRAC_PI_4), |s| (s.inner_cone_angle, s.outer_cone_angle));
-            // A NaN becomes the bound.
-            let outer = outer.max(1e-4).min(std::f32::consts::FRAC_PI_2);
-            let inner = inner.max(0.0).min(outer);
+            let outer = outer.clamp(1e-4, std::f32::consts::FRAC_PI_2);
+            let inner = inner.clamp(0.0, outer);
             towards.map(|direction| Light::Spot {
                 position: place,
                 direction,

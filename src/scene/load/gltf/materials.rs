@@ -80,9 +80,13 @@ pub(in super::super) struct Source {
 /// Emission beyond this is taken for a slip.
 const RADIANCE_MAX: f32 = 1e9;
 
+/// Between 0 and `most`; what overflowed into NaN is 0.
+fn bounded(v: f32, most: f32) -> f32 {
+    if v.is_nan() { 0.0 } else { v.clamp(0.0, most) }
+}
+
 fn unit(v: f32) -> f32 {
-    // NaN is 0.
-    v.max(0.0).min(1.0)
+    bounded(v, 1.0)
 }
 
 fn color(c: [f32; 3]) -> Vec3 {
@@ -116,7 +120,7 @@ pub(super) fn read(
     let [r, g, b, base_alpha] = base_factor;
     let base = color([r, g, b]);
     let strength = e.emissive_strength.as_ref().map_or(1.0, |s| s.emissive_strength);
-    let emission = Vec3::from(material.emissive_factor.map(|v| (v * strength).max(0.0).min(RADIANCE_MAX)));
+    let emission = Vec3::from(material.emissive_factor.map(|v| bounded(v * strength, RADIANCE_MAX)));
     let kind = kind(material, base, rough_map, odd);
     if material.double_sided && emission.max_element() > 0.0 {
         odd.count("a double-sided light", "shines from its front only");
@@ -167,7 +171,7 @@ fn kind(material: &Material, base: Vec3, map: Option<MapUse>, odd: &mut Oddities
         if s.specular_texture.is_some() || s.specular_color_texture.is_some() {
             odd.count("maps of KHR_materials_specular", "not used; their factors count");
         }
-        (unit(s.specular_factor), Vec3::from(s.specular_color_factor.map(|v| v.max(0.0).min(1e3))))
+        (unit(s.specular_factor), Vec3::from(s.specular_color_factor.map(|v| bounded(v, 1e3))))
     });
     let f0 = (tint * plain).min(Vec3::ONE) * strength;
     let (metallic, roughness) = (unit(pbr.metallic_factor), unit(pbr.roughness_factor));

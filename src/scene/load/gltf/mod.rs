@@ -18,6 +18,7 @@ pub(super) mod surfaces;
 #[cfg(test)]
 mod tests;
 
+use std::collections::hash_map::Entry;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
 
@@ -242,13 +243,16 @@ impl<'d> Reader<'d, '_> {
             let name = name.map_or_else(|| format!("node {}", p.node), named);
             let name_index = self.out.mesh.names.len() as u32;
             self.out.mesh.names.push(name);
-            if !parts.contains_key(&index.0) {
-                let mut accessors = Accessors::new(document, buffers);
-                let read: Result<Vec<_>, Problem> =
-                    mesh.primitives.iter().map(|q| meshes::read(q, &mut accessors, self.odd)).collect();
-                parts.insert(index.0, read?);
-            }
-            for (primitive, part) in mesh.primitives.iter().zip(&parts[&index.0]) {
+            let read = match parts.entry(index.0) {
+                Entry::Occupied(known) => known.into_mut(),
+                Entry::Vacant(place) => {
+                    let mut accessors = Accessors::new(document, buffers);
+                    let read: Result<Vec<_>, Problem> =
+                        mesh.primitives.iter().map(|q| meshes::read(q, &mut accessors, self.odd)).collect();
+                    place.insert(read?)
+                }
+            };
+            for (primitive, part) in mesh.primitives.iter().zip(read.iter()) {
                 let Some(part) = part else { continue };
                 let slot = self.material(primitive, buffers)?;
                 for world in &instances {

@@ -4,8 +4,10 @@
 //! With base colour b, metalness m, roughness r (α = r²) and a dielectric's f_d the text's mix of two surfaces is one
 //! lobe, since both share D and G and Schlick's Fresnel is linear:
 //!
-//!     specular = D V (f₀ + (f₉₀ − f₀) (1 − ⟨v, h⟩)⁵),   f₀ = (1 − m) f_d + m b
-//!     diffuse  = (1 − m) b / π · (1 − E(μₒ)) (1 − E(μᵢ)) / (1 − Ē)
+//! ```text
+//! specular = D V (f₀ + (f₉₀ − f₀) (1 − ⟨v, h⟩)⁵),   f₀ = (1 − m) f_d + m b
+//! diffuse  = (1 − m) b / π · (1 − E(μₒ)) (1 − E(μᵢ)) / (1 − Ē)
+//! ```
 //!
 //! E is what the layer reflects towards a direction ([`SplitSum::layer`]), Ē its mean, so that no light is lost between
 //! base and layer. The products (1 − m) b (1 − Ē) and f₀ are made for each texel when a scene is loaded: the base layer

@@ -93,13 +93,9 @@ pub fn angle_limit(world: &World, material: foveal::scene::MaterialId) -> f32 {
     use foveal::{math, scene::Model};
     const SMOOTH_DEGREES: f32 = 4.0;
     let alpha = match &world.scene.materials[material.0 as usize].model {
-        Model::Lambert { .. } | Model::Mirror { .. } => 0.0,
-        Model::Conductor { roughness, .. }
-        | Model::Metal { roughness, .. }
-        | Model::Dielectric { roughness, .. }
-        | Model::Plastic { roughness, .. }
-        | Model::CookTorrance { roughness, .. }
-        | Model::Ward { roughness, .. } => roughness.alpha_x.max(roughness.alpha_y),
+        Model::Dielectric { roughness, .. } => roughness.alpha_x.max(roughness.alpha_y),
+        // The smoothest texel keeps its look for the smallest turn.
+        model => model.roughness_range().map_or(0.0, |[least, _, _]| least.alpha_x.max(least.alpha_y)),
     };
     math::cos(SMOOTH_DEGREES.to_radians() + 0.5 * math::atan(alpha))
 }

@@ -6,7 +6,7 @@ use crossbeam_queue::ArrayQueue;
 use foveal::allocation::residency::{TextureFacts, smallest};
 use foveal::allocation::spatial_error::{SpatialErrors, SpatialSettings, TexelDifference};
 use foveal::perception::viewing::{pixels_per_degree_of_camera, pixels_per_degree_of_screen};
-use foveal::scene::{Scene, Texture, mip_cache};
+use foveal::scene::{Model, Scene, Texture, mip_cache};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -145,7 +145,13 @@ impl TextureStore {
 pub fn decisive(scene: &Scene) -> Vec<bool> {
     let mut decisive = vec![false; scene.textures.len()];
     for material in &scene.materials {
-        for map in [material.opacity_map, material.bump_map, material.normal_map].into_iter().flatten() {
+        // What a lobe's width comes from is no picture whose levels could be told apart by looking at it.
+        let lobe = match &material.model {
+            Model::MetalRough(m) if m.roughness_in_alpha => m.specular.map,
+            _ => None,
+        };
+        for map in [material.opacity_map, material.bump_map, material.normal_map, lobe].into_iter().flatten()
+        {
             decisive[map.0 as usize] = true;
         }
     }

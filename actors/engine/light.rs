@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use foveal::illumination::bake::BakeSettings;
 use foveal::scene::Scene;
+use foveal::scene::load::LoadOptions;
 use serde::{Deserialize, Serialize};
 
 /// Where illumination comes from.
@@ -25,6 +26,34 @@ pub struct Light {
     pub cache: Option<PathBuf>,
     /// When a bake is good enough.
     pub settings: BakeOptions,
+    /// How the scene's files are read, which decides what is lit.
+    #[serde(default, skip_serializing_if = "Reading::is_plain")]
+    pub reading: Reading,
+}
+
+/// What is chosen where a scene's files leave a choice.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Reading {
+    /// Extensions of glTF to do without although a file requires them.
+    pub ignored_extensions: Vec<String>,
+    /// Variant of glTF's materials.
+    pub variant: Option<String>,
+}
+
+impl Reading {
+    /// Whether nothing was chosen.
+    pub fn is_plain(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// As the core takes them.
+    pub fn options(&self) -> LoadOptions {
+        LoadOptions {
+            ignored_extensions: self.ignored_extensions.clone(),
+            variant: self.variant.clone(),
+            ..LoadOptions::default()
+        }
+    }
 }
 
 /// When a bake is good enough.

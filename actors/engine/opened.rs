@@ -13,7 +13,7 @@ use foveal::illumination::quick::quick_direct;
 use foveal::scene::{NamedCamera, Scene, load};
 use foveal::transport::light::Lights;
 use foveal::transport::particle::SceneTransport;
-use foveal::world::World;
+use foveal::world::{World, metered};
 
 use foveal_actors::illuminator::Refinement;
 use foveal_actors::textures::TextureStore;
@@ -21,7 +21,7 @@ use foveal_actors::textures::TextureStore;
 use crate::bake_clock::{BakeClock, Watch};
 use crate::failure::Failure;
 use crate::interrupt::interrupted;
-use crate::light::Light;
+use crate::light::{Light, Reading};
 
 /// A scene that is ready for a picture.
 #[derive(Clone)]
@@ -75,7 +75,12 @@ impl Opened {
 
 /// Loads a scene; warnings go to the log and into the list.
 pub fn load_scene(path: &Path) -> Result<(Arc<Scene>, Vec<String>), Failure> {
-    let loaded = load::load(path).map_err(|e| Failure::Input(e.to_string()))?;
+    load_scene_as(path, &Reading::default())
+}
+
+/// As [`load_scene`], with what was chosen where its files leave a choice.
+pub fn load_scene_as(path: &Path, reading: &Reading) -> Result<(Arc<Scene>, Vec<String>), Failure> {
+    let loaded = load::load_with(path, &reading.options()).map_err(|e| Failure::Input(e.to_string()))?;
     let warnings: Vec<String> = loaded.warnings.iter().map(ToString::to_string).collect();
     for warning in &warnings {
         tracing::warn!("{warning}");
@@ -85,7 +90,7 @@ pub fn load_scene(path: &Path) -> Result<(Arc<Scene>, Vec<String>), Failure> {
 
 /// Loads a scene and its illumination.
 pub fn open(path: &Path, light: &Light, watch: &dyn Watch) -> Result<Opened, Failure> {
-    let (scene, warnings) = load_scene(path)?;
+    let (scene, warnings) = load_scene_as(path, &light.reading)?;
     illuminated(path, scene, warnings, light, watch)
 }
 
@@ -100,6 +105,7 @@ pub fn illuminated(
     // What is kept is read while the geometry index is built.
     let (accel, kept) = rayon::join(|| Arc::new(Accel::build(&scene)), || kept(&scene, light, &mut warnings));
     let lights = Arc::new(Lights::build(&scene));
+    let scene = metered(scene, &accel, &lights);
     let (illumination, unmet): (Arc<dyn Irradiance>, Unmet) = match kept? {
         Some(kept) => (kept, None),
         None => illuminate(&scene, &accel, &lights, light, watch, &mut warnings)?,

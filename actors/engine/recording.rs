@@ -104,7 +104,7 @@ impl RecordedRun {
                 ))
             })?,
         };
-        let (scene, warnings) = opened::load_scene(&scene_file)?;
+        let (scene, warnings) = opened::load_scene_as(&scene_file, &self.illumination.reading)?;
         let here = hex(&scene);
         if here != self.scene_hash {
             return Err(wrong(format!(

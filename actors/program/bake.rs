@@ -21,10 +21,10 @@ use foveal_engine::bake_clock::{BakeClock, Watch};
 use foveal_engine::failure::Failure;
 use foveal_engine::files::make_folder;
 use foveal_engine::interrupt::interrupted;
-use foveal_engine::opened::{cache_file, load_scene};
+use foveal_engine::opened::{cache_file, load_scene_as};
 use foveal_engine::process::peak_memory_bytes;
 use foveal_terminal::arguments::bytes;
-use foveal_terminal::light::BakeSettingsArguments;
+use foveal_terminal::light::{BakeSettingsArguments, ReadingArguments};
 use foveal_terminal::print::{print_json, print_line};
 use foveal_terminal::progress::{BakeLines, Progress};
 
@@ -35,10 +35,12 @@ const BYTES_PER_ELEMENT: u64 = 640;
 /// Arguments of `foveal bake`.
 #[derive(Args, Debug)]
 pub struct BakeArguments {
-    /// An OBJ file or a sidecar
+    /// An OBJ or glTF file or a sidecar
     scene: PathBuf,
     #[command(flatten)]
     settings: BakeSettingsArguments,
+    #[command(flatten)]
+    reading: ReadingArguments,
     /// How light is found
     #[arg(long, value_enum, default_value_t = Method::Particles)]
     method: Method,
@@ -106,7 +108,7 @@ struct Made {
 pub fn run(a: &BakeArguments, progress: Progress) -> Result<(), Failure> {
     foveal_terminal::progress::end_on_interrupt();
     let start = Instant::now();
-    let (scene, mut warnings) = load_scene(&a.scene)?;
+    let (scene, mut warnings) = load_scene_as(&a.scene, &a.reading.reading())?;
     let mut settings = a.settings.options().settings(&scene);
     if let Some(note) = fit_memory(&scene, &mut settings, a.max_memory)? {
         tracing::warn!("{note}");

@@ -55,6 +55,7 @@ pub fn run(a: &DoctorArguments) -> Result<(), Failure> {
     let document = json!({
         "schema": "foveal.doctor/1",
         "version": env!("CARGO_PKG_VERSION"),
+        "scenes": foveal::scene::load::MESHES,
         "processor": processor(),
         "cores": cores,
         "simd": simd(),
@@ -83,5 +84,7 @@ pub fn run(a: &DoctorArguments) -> Result<(), Failure> {
     ));
     let cache = document["cache"].as_str().unwrap_or("none (set FOVEAL_CACHE)");
     print_line(&format!("bakes     {cache}"));
+    let endings = foveal::scene::load::MESHES.map(|e| format!(".{e}"));
+    print_line(&format!("scenes    {}, and .toml for a sidecar", endings.join(", ")));
     Ok(())
 }

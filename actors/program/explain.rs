@@ -9,14 +9,17 @@ use foveal::scene::Scene;
 use foveal::scene::plan::ScenePlan;
 
 use foveal_engine::failure::Failure;
-use foveal_engine::opened::load_scene;
+use foveal_engine::opened::load_scene_as;
+use foveal_terminal::light::ReadingArguments;
 use foveal_terminal::print::{print_json, print_line};
 
 /// Arguments of `foveal explain`.
 #[derive(Args, Debug)]
 pub struct ExplainArguments {
-    /// An OBJ file or a sidecar
+    /// An OBJ or glTF file or a sidecar
     scene: PathBuf,
+    #[command(flatten)]
+    reading: ReadingArguments,
     /// One JSON document
     #[arg(long)]
     json: bool,
@@ -40,7 +43,7 @@ fn facts(scene: &Scene) -> Vec<(&'static str, String)> {
 
 /// Runs the command.
 pub fn run(a: &ExplainArguments) -> Result<(), Failure> {
-    let (scene, warnings) = load_scene(&a.scene)?;
+    let (scene, warnings) = load_scene_as(&a.scene, &a.reading.reading())?;
     let plan = ScenePlan::new(&scene, &scene.budget);
     if a.json {
         print_json(&json!({

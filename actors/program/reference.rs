@@ -24,7 +24,7 @@ use serde_json::json;
 /// Arguments of `foveal reference`.
 #[derive(Args, Debug)]
 pub struct ReferenceArguments {
-    /// An OBJ file or a sidecar
+    /// An OBJ or glTF file or a sidecar
     scene: PathBuf,
     /// What to render
     #[arg(long, value_enum, default_value_t = Kind::Traced)]
@@ -75,7 +75,7 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
             opened::open(&a.scene, &light, &progress.baking())?.world
         }
         Kind::Path | Kind::Truth => {
-            let (scene, _) = opened::load_scene(&a.scene)?;
+            let (scene, _) = opened::load_scene_as(&a.scene, &a.illumination.reading.reading())?;
             World::new(scene, std::sync::Arc::new(foveal::illumination::Uniform(Vec3::ZERO)))
         }
     };

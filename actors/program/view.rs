@@ -26,7 +26,7 @@ use serde_json::json;
 /// Arguments of `foveal view`.
 #[derive(Args, Clone, Debug)]
 pub struct ViewArguments {
-    /// An OBJ file or a sidecar
+    /// An OBJ or glTF file or a sidecar
     scene: PathBuf,
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "512x512")]

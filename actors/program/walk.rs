@@ -36,7 +36,7 @@ const PROFILED_TURNS: usize = 1 << 17;
 /// Arguments of `foveal walk`.
 #[derive(Args, Debug)]
 pub struct WalkArguments {
-    /// An OBJ file or a sidecar
+    /// An OBJ or glTF file or a sidecar
     scene: PathBuf,
     /// Camera path (default: the scene's first, unless a camera is named)
     #[arg(long, value_name = "NAME", conflicts_with = "camera")]

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
-use foveal_engine::light::{BakeOptions, Light};
+use foveal_engine::light::{BakeOptions, Light, Reading};
 use foveal_engine::recording::Elsewhere;
 
 use crate::arguments::{duration, share};
@@ -27,6 +27,27 @@ pub struct IlluminationArguments {
     /// When a bake is good enough
     #[command(flatten)]
     pub settings: BakeSettingsArguments,
+    /// How the scene is read
+    #[command(flatten)]
+    pub reading: ReadingArguments,
+}
+
+/// What is chosen where a scene's files leave a choice.
+#[derive(Args, Clone, Debug)]
+pub struct ReadingArguments {
+    /// Load a glTF file without an extension that it requires and this build does not know
+    #[arg(long = "ignore-extension", value_name = "NAME")]
+    pub ignored_extensions: Vec<String>,
+    /// Variant of a glTF file's materials
+    #[arg(long, value_name = "NAME")]
+    pub variant: Option<String>,
+}
+
+impl ReadingArguments {
+    /// As the engine takes them.
+    pub fn reading(&self) -> Reading {
+        Reading { ignored_extensions: self.ignored_extensions.clone(), variant: self.variant.clone() }
+    }
 }
 
 impl IlluminationArguments {
@@ -39,6 +60,7 @@ impl IlluminationArguments {
             refined: false,
             cache: self.cache.clone(),
             settings: self.settings.options(),
+            reading: self.reading.reading(),
         }
     }
 }

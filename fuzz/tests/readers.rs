@@ -164,6 +164,8 @@ fn scene_with(file: &str, bytes: &[u8], start: &str) {
         texture_side_max: 1024,
         picture_bytes_max: 4 << 20,
         texture_bytes_max: 16 << 20,
+        triangles_max: 1 << 16,
+        ..LoadOptions::default()
     };
     match load_with(&folder.path().join(start), &options) {
         Ok(loaded) => {
@@ -207,6 +209,58 @@ fn obj() {
 fn mtl() {
     let corpus = [MTL.as_bytes().to_vec(), of_scene("gallery", "gallery.mtl", 4000)];
     fuzz(&corpus, |bytes| scene_with("a.mtl", bytes, "a.obj"));
+}
+
+/// A document with something of everything that is read, its buffer within.
+fn gltf_document() -> String {
+    let numbers: [f32; 20] =
+        [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
+    let mut bytes: Vec<u8> = numbers.iter().flat_map(|v| v.to_le_bytes()).collect();
+    bytes.extend([0, 1, 2, 0, 2, 3, 0, 0]);
+    let data = base64::Engine::encode(&base64::engine::general_purpose::STANDARD, &bytes);
+    format!("{{{BEGINNING}\"buffers\": [{{\"byteLength\": 88, \"uri\": \"data:;base64,{data}\"}}], {GLTF}}}")
+}
+
+const BEGINNING: &str = "\"asset\": {\"version\": \"2.0\"}, ";
+const GLTF: &str = r#""bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 32},
+    {"buffer": 0, "byteOffset": 80, "byteLength": 6}], "accessors": [{"bufferView": 0, "componentType": 5126, "count": 4,
+    "type": "VEC3", "sparse": {"count": 1, "indices": {"bufferView": 2, "componentType": 5121}, "values": {"bufferView": 0}}},
+    {"bufferView": 1, "componentType": 5126, "count": 4, "type": "VEC2"},
+    {"bufferView": 2, "componentType": 5121, "count": 6, "type": "SCALAR"}], "meshes": [{"primitives": [{"attributes":
+    {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0, "mode": 4}]}], "materials": [{"alphaMode": "MASK",
+    "pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "extensions": {"KHR_texture_transform": {"scale": [2, 3],
+    "rotation": 0.5, "offset": [0.1, 0.2]}}}, "metallicRoughnessTexture": {"index": 0}}, "normalTexture": {"index": 0},
+    "emissiveFactor": [1, 2, 3], "extensions": {"KHR_materials_ior": {"ior": 1.3}, "KHR_materials_transmission":
+    {"transmissionFactor": 0.2}, "KHR_materials_specular": {"specularFactor": 0.5}}}], "textures": [{"source": 0, "sampler":
+    0}], "samplers": [{"wrapS": 33071}], "images": [{"uri": "a.png"}], "cameras": [{"type": "perspective", "perspective":
+    {"yfov": 0.7}}], "scenes": [{"nodes": [0]}], "scene": 0, "nodes": [{"children": [1, 2, 3], "rotation": [0, 0, 0.6, 0.8]},
+    {"mesh": 0, "scale": [1, -2, 3]}, {"camera": 0, "translation": [0, 0, 4]}, {"matrix":
+    [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 1, 2, 3, 1], "extensions": {"KHR_lights_punctual": {"light": 0}, "EXT_mesh_gpu_instancing":
+    {"attributes": {"TRANSLATION": 0}}}, "mesh": 0}], "extensions": {"KHR_lights_punctual": {"lights": [{"type": "spot",
+    "intensity": 5, "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.4}}]}}, "extensionsUsed": ["KHR_lights_punctual"]"#;
+
+#[test]
+fn gltf_text() {
+    fuzz(&[gltf_document().into_bytes()], |bytes| scene_with("a.gltf", bytes, "a.gltf"));
+}
+
+/// Edits of a document of the right length in a container, and of the container.
+#[test]
+fn gltf_binary() {
+    let glb = |json: &[u8]| {
+        let mut json = json.to_vec();
+        json.resize(json.len().next_multiple_of(4), b' ');
+        let mut file = b"glTF".to_vec();
+        for word in [2, 20 + json.len() as u32, json.len() as u32] {
+            file.extend(word.to_le_bytes());
+        }
+        file.extend(b"JSON");
+        file.extend(json);
+        file
+    };
+    let document = gltf_document().into_bytes();
+    fuzz(&[glb(&document)], |bytes| scene_with("a.glb", bytes, "a.glb"));
+    fuzz(&[document], |bytes| scene_with("a.glb", &glb(bytes), "a.glb"));
 }
 
 #[test]

@@ -44,6 +44,7 @@ fn diffuse(scene: &Scene, triangle: u32) -> Vec3 {
     match &scene.materials[scene.mesh.materials[triangle as usize].0 as usize].model {
         Model::Lambert { albedo } | Model::Plastic { albedo, .. } => mean(scene, albedo),
         Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => mean(scene, diffuse),
+        Model::MetalRough(m) => mean(scene, &m.diffuse),
         _ => Vec3::ZERO,
     }
     .clamp(Vec3::ZERO, Vec3::splat(REFLECTANCE_MAX))

@@ -2,6 +2,8 @@
 
 use glam::Vec3;
 
+use super::metal_rough::MetalRough;
+
 /// Index into `Scene::materials`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
 pub struct MaterialId(pub u32);
@@ -124,12 +126,26 @@ pub enum Model {
         /// Roughness of the surface.
         roughness: Roughness,
     },
+    /// A surface between metal and dielectric, as glTF has it; roughness by texel.
+    MetalRough(Box<MetalRough>),
 }
 
 impl Model {
-    /// Roughness of the view-dependent lobes; `None` where there is none to be rough.
+    /// Least, mean and greatest roughness of the view-dependent lobes over the texels; `None` where there is none to
+    /// be rough.
+    pub fn roughness_range(&self) -> Option<[Roughness; 3]> {
+        let Self::MetalRough(m) = self else { return self.roughness().map(|r| [r; 3]) };
+        let [least, most] = m.roughness_range;
+        Some([least, m.roughness, most].map(|r| {
+            let alpha = MetalRough::alpha(r);
+            Roughness { alpha_x: alpha, alpha_y: alpha, distribution: Distribution::Ggx }
+        }))
+    }
+
+    /// Roughness of the view-dependent lobes, its mean where texels differ; `None` where there is none to be rough.
     pub fn roughness(&self) -> Option<Roughness> {
         match self {
+            Self::MetalRough(_) => self.roughness_range().map(|[_, mean, _]| mean),
             Self::Lambert { .. } | Self::Mirror { .. } | Self::Dielectric { thin: true, .. } => None,
             Self::Conductor { roughness, .. }
             | Self::Metal { roughness, .. }
@@ -162,6 +178,8 @@ pub struct Material {
     pub normal_map: Option<TextureId>,
     /// Reflects on both sides (the default); else the back side is black and passes no light.
     pub two_sided: bool,
+    /// Its emission is what it looks like, from both sides, and lights nothing (glTF's unlit).
+    pub shadeless: bool,
 }
 
 impl Material {
@@ -177,6 +195,7 @@ impl Material {
             bump_scale: 1.0,
             normal_map: None,
             two_sided: true,
+            shadeless: false,
         }
     }
 }
@@ -190,6 +209,7 @@ impl Material {
             Model::CookTorrance { diffuse, specular, .. } | Model::Ward { diffuse, specular, .. } => {
                 diffuse.map.or(specular.map)
             }
+            Model::MetalRough(m) => m.diffuse.map.or(m.specular.map),
             Model::Conductor { .. } | Model::Dielectric { .. } => None,
         };
         reflection.or(self.emission.map)
@@ -201,6 +221,7 @@ impl Material {
         match &self.model {
             Model::Lambert { .. } => true,
             Model::CookTorrance { specular, .. } | Model::Ward { specular, .. } => black(specular),
+            Model::MetalRough(m) => m.is_diffuse,
             Model::Mirror { .. }
             | Model::Conductor { .. }
             | Model::Metal { .. }
@@ -214,9 +235,9 @@ impl Material {
         self.opacity < 1.0 || self.opacity_map.is_some()
     }
 
-    /// Whether it emits light.
+    /// Whether it emits light that falls on others.
     pub fn is_emissive(&self) -> bool {
-        self.emission.color.max_element() > 0.0
+        !self.shadeless && self.emission.color.max_element() > 0.0
     }
 
     /// Whether its looks depend on the direction of its texture coordinates: grain, or bumps.
@@ -233,14 +254,7 @@ impl Material {
 
     /// Whether it has a lobe that needs distributed rays.
     pub fn is_glossy(&self) -> bool {
-        match &self.model {
-            Model::Lambert { .. } | Model::Mirror { .. } => false,
-            Model::Conductor { roughness, .. }
-            | Model::Metal { roughness, .. }
-            | Model::Dielectric { roughness, .. }
-            | Model::Plastic { roughness, .. }
-            | Model::CookTorrance { roughness, .. }
-            | Model::Ward { roughness, .. } => !self.is_diffuse() && !roughness.is_smooth(),
-        }
+        let rough = self.model.roughness_range().is_some_and(|[_, _, most]| !most.is_smooth());
+        rough && !self.is_diffuse()
     }
 }

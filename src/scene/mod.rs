@@ -11,9 +11,11 @@ pub mod environment;
 pub mod hierarchy;
 pub mod load;
 pub mod material;
+pub mod metal_rough;
 pub mod mip_cache;
 pub mod path;
 pub mod plan;
+pub mod split_sum;
 #[cfg(test)]
 pub mod test_scenes;
 pub mod texture;
@@ -26,6 +28,8 @@ use glam::{Vec2, Vec3};
 pub use camera::{Camera, CameraPath, NamedCamera};
 pub use environment::Environment;
 pub use material::{Distribution, Material, MaterialId, Model, Reflectance, Roughness, TextureId};
+pub use metal_rough::MetalRough;
+pub use split_sum::SplitSum;
 pub use texture::Texture;
 
 /// Index of a triangle in [`Mesh::triangles`].
@@ -123,6 +127,8 @@ pub enum Light {
 pub struct Display {
     /// Factor on radiance before the tone curve.
     pub exposure: f32,
+    /// Whether `exposure` is still to be found from what the start view shows (`world::metered`).
+    pub metered: bool,
     /// Luminance of display white, cd/m², for the perceptual metrics.
     pub white_cd_m2: f32,
     /// Its size and how far away it is; seen from the centre of projection where that is not said.
@@ -144,7 +150,7 @@ pub struct Screen {
 
 impl Default for Display {
     fn default() -> Self {
-        Self { exposure: 1.0, white_cd_m2: 100.0, screen: None, lab: false }
+        Self { exposure: 1.0, metered: false, white_cd_m2: 100.0, screen: None, lab: false }
     }
 }
 

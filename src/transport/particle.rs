@@ -550,6 +550,7 @@ where
             Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => {
                 diffuse.color.max_element() > 0.0
             }
+            Model::MetalRough(m) => m.diffuse.color.max_element() > 0.0,
             Model::Mirror { .. }
             | Model::Conductor { .. }
             | Model::Metal { .. }

@@ -105,7 +105,7 @@ impl SurfacePoint {
     #[inline]
     pub fn emission(&self, scene: &Scene) -> Vec3 {
         let m = self.material(scene);
-        if self.back || !m.is_emissive() {
+        if !(m.shadeless || m.is_emissive() && !self.back) {
             return Vec3::ZERO;
         }
         match m.emission.map {
@@ -126,6 +126,7 @@ impl SurfacePoint {
         }
         match &m.model {
             Model::Lambert { albedo } => self.reflectance(scene, albedo),
+            Model::MetalRough(m) => self.reflectance(scene, &m.diffuse),
             Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => {
                 self.reflectance(scene, diffuse)
             }

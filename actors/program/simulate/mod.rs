@@ -37,7 +37,7 @@ const STRATEGIES: [Strategy; 4] =
 /// Arguments of `foveal simulate`.
 #[derive(Args, Debug)]
 pub struct SimulateArguments {
-    /// An OBJ file or a sidecar; its light is the quick one, without a bake
+    /// An OBJ or glTF file or a sidecar; its light is the quick one, without a bake
     scene: PathBuf,
     /// Which seeds, the last one left out
     #[arg(long, value_name = "A..B", value_parser = seeds)]

@@ -48,6 +48,7 @@ const OPACITY_IS_ALPHA: u32 = 2u;
 const HAS_ALBEDO_MAP: u32 = 4u;
 const HAS_EMISSION_MAP: u32 = 8u;
 const HAS_OPACITY_MAP: u32 = 16u;
+const SHADELESS: u32 = 32u;
 // Whether any material has a texture.
 override TEXTURED: bool = true;
 const NO_TEXTURE: u32 = 0xffffffffu;
@@ -257,7 +258,7 @@ fn shade(in: Run) -> Pixel {
     if front || (flags & TWO_SIDED) != 0u {
         radiance = albedo * INVERSE_PI * irradiance(t, c.w, b1, b2, !front);
     }
-    if front {
+    if front || (flags & SHADELESS) != 0u {
         radiance += emission;
     }
     // The largest finite half.

@@ -393,6 +393,7 @@ fn diffuse(material: &foveal::scene::Material) -> Diffuse {
     match &material.model {
         Model::Lambert { albedo } => bare(*albedo),
         Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => bare(*diffuse),
+        Model::MetalRough(m) => bare(m.diffuse),
         Model::Plastic { albedo, ior, .. } => {
             let ior = ior.clamp(1.0, 3.0);
             let outer = dielectric_mean(ior);
@@ -415,6 +416,7 @@ fn material_record(scene: &Scene, firsts: &[usize], material: &foveal::scene::Ma
     let texture = |map: Option<TextureId>| map.and_then(|id| scene.textures.get(id.0 as usize));
     let alpha = texture(maps[2]).is_some_and(|t| t.has_alpha);
     let mut flags = u32::from(material.two_sided) | (u32::from(alpha) << 1);
+    flags |= u32::from(material.shadeless) << 5;
     for (i, map) in maps.iter().enumerate() {
         flags |= u32::from(map.is_some()) << (2 + i);
     }

@@ -8,7 +8,7 @@ use glam::Vec3;
 use super::Library;
 use super::error::{Place, SceneError, Warning};
 use super::obj::ObjFile;
-use crate::scene::{MaterialId, Mesh, TriangleIndex};
+use crate::scene::{Light, MaterialId, Mesh, NamedCamera, TriangleIndex};
 
 /// Coordinates beyond this are left out: the square of an area must fit into single precision.
 const COORDINATE_MAX: f32 = 1e9;
@@ -54,6 +54,17 @@ pub(super) struct Joined {
     files: Vec<(PathBuf, PathBuf)>,
     use_of: HashMap<(String, Option<(usize, usize)>), u32>,
     taken: HashSet<String>,
+    /// What glTF files hold besides.
+    pub own: Own,
+}
+
+/// Lights and cameras of glTF files.
+#[derive(Default)]
+pub(super) struct Own {
+    /// Whether any file is one.
+    pub any: bool,
+    pub lights: Vec<Light>,
+    pub cameras: Vec<NamedCamera>,
 }
 
 /// What is known of triangles besides the mesh.
@@ -63,7 +74,7 @@ pub(super) struct Labels {
 }
 
 impl Labels {
-    /// The OBJ name of a triangle; empty where the file gave none.
+    /// The name of a triangle in its file; empty where the file gave none.
     pub fn name(&self, t: TriangleIndex) -> &str {
         self.name_of.get(t as usize).and_then(|&n| self.names.get(n as usize)).map_or("", String::as_str)
     }
@@ -83,7 +94,7 @@ impl Joined {
     /// Whether a mesh uses or a library holds a material.
     pub fn knows_material(&self, name: &str) -> bool {
         self.uses.iter().any(|u| u.called() == name)
-            || self.libraries.iter().any(|l| l.materials.iter().any(|m| m.name == name))
+            || self.libraries.iter().any(|l| l.materials.names().contains(&name))
     }
 
     /// Adds a file and the libraries that it names.
@@ -96,8 +107,8 @@ impl Joined {
         for (i, library) in libraries.iter().enumerate() {
             // Files that name the same library share it.
             let same = self.libraries.iter().position(|l| l.relative == library.relative);
-            for (j, m) in library.materials.iter().enumerate() {
-                defined.insert(&m.name, (same.unwrap_or(first_library + i), j));
+            for (j, name) in library.materials.names().into_iter().enumerate() {
+                defined.insert(name, (same.unwrap_or(first_library + i), j));
             }
         }
         let mut ids: Vec<Option<u32>> = vec![None; file.materials.len() + 1];
@@ -169,7 +180,9 @@ impl Joined {
         let none =
             |message: &str| SceneError::NoGeometry { path: path.to_path_buf(), message: message.to_owned() };
         if mesh.triangles.is_empty() {
-            return Err(none("no face to draw; export polygons (`f` lines) into the OBJ file"));
+            return Err(none(
+                "no face to draw; export polygons (`f` lines of an OBJ file, triangles of a glTF scene)",
+            ));
         }
         let (mut kept, mut far, mut flat, mut turned) = (0, 0, 0, 0);
         let mut low = Vec3::INFINITY;

@@ -96,7 +96,7 @@ pub enum SceneError {
         /// Who asked for it; `None` for the file that was given.
         asked_by: Option<Place>,
     },
-    /// Neither `.obj` nor `.toml`.
+    /// Neither a mesh nor a sidecar by its ending.
     UnknownFormat {
         /// The file.
         path: PathBuf,
@@ -146,6 +146,31 @@ pub enum SceneError {
         /// What is wrong and what to write instead.
         message: String,
     },
+    /// A binary file that is none.
+    Container {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and what to do.
+        message: String,
+    },
+    /// A glTF document that says what cannot be.
+    Document {
+        /// Where.
+        place: Place,
+        /// The same as a JSON pointer, such as `/accessors/3/count`; empty where the text itself is broken.
+        pointer: String,
+        /// What is wrong and what to do.
+        message: String,
+    },
+    /// A glTF document that cannot be shown without extensions that this build does not know.
+    RequiredExtension {
+        /// Where.
+        place: Place,
+        /// All of them.
+        names: Vec<String>,
+        /// What to do.
+        remedy: String,
+    },
     /// Nothing to draw.
     NoGeometry {
         /// The scene.
@@ -163,12 +188,17 @@ impl SceneError {
     /// The file that the error is about.
     pub fn path(&self) -> &Path {
         match self {
-            Self::File { path, .. } | Self::UnknownFormat { path } | Self::NoGeometry { path, .. } => path,
+            Self::File { path, .. }
+            | Self::UnknownFormat { path }
+            | Self::NoGeometry { path, .. }
+            | Self::Container { path, .. } => path,
             Self::Syntax { place, .. }
             | Self::UnknownKey { place, .. }
             | Self::WrongType { place, .. }
             | Self::MissingKey { place, .. }
-            | Self::Invalid { place, .. } => &place.path,
+            | Self::Invalid { place, .. }
+            | Self::Document { place, .. }
+            | Self::RequiredExtension { place, .. } => &place.path,
         }
     }
 }
@@ -183,7 +213,11 @@ impl fmt::Display for SceneError {
                 write!(f, "{}, which {problem}", path.display())
             }
             Self::UnknownFormat { path } => {
-                write!(f, "{}: not a scene; give an .obj file or its sidecar .toml", path.display())
+                write!(
+                    f,
+                    "{}: not a scene; give an .obj, .gltf or .glb file or its sidecar .toml",
+                    path.display()
+                )
             }
             Self::Syntax { place, message } => write!(f, "{place}: not valid TOML: {message}"),
             Self::UnknownKey { place, key, table, nearest } => {
@@ -200,6 +234,21 @@ impl fmt::Display for SceneError {
                 write!(f, "{place}: {table} has no `{key}`; add it")
             }
             Self::Invalid { place, message } => write!(f, "{place}: {message}"),
+            Self::Container { path, message } => {
+                write!(f, "{}: not a readable .glb file: {message}", path.display())
+            }
+            Self::Document { place, pointer, message } if pointer.is_empty() => {
+                write!(f, "{place}: {message}")
+            }
+            Self::Document { place, pointer, message } => write!(f, "{place}: {pointer}: {message}"),
+            Self::RequiredExtension { place, names, remedy } => {
+                let s = if names.len() == 1 { "" } else { "s" };
+                let names = names.join(", ");
+                write!(
+                    f,
+                    "{place}: requires the extension{s} {names}, which this build does not know; {remedy}"
+                )
+            }
             Self::NoGeometry { path, message } => write!(f, "{}: {message}", path.display()),
         }
     }

@@ -8,17 +8,17 @@ use super::*;
 use crate::math;
 
 /// A folder that is removed when the test ends.
-struct Place(PathBuf);
+pub(super) struct Place(pub PathBuf);
 
 impl Place {
-    fn new(name: &str) -> Self {
+    pub fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("foveal-load-{name}-{}", std::process::id()));
         let _ = std::fs::remove_dir_all(&path);
         std::fs::create_dir_all(&path).unwrap();
         Self(path)
     }
 
-    fn write(&self, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
+    pub fn write(&self, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
         let path = self.0.join(name);
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         std::fs::write(&path, content).unwrap();
@@ -34,7 +34,7 @@ impl Drop for Place {
 
 const TRIANGLE: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n";
 
-fn png(width: u32, height: u32, rgba: [u8; 4]) -> Vec<u8> {
+pub(super) fn png(width: u32, height: u32, rgba: [u8; 4]) -> Vec<u8> {
     let mut bytes = Vec::new();
     let picture = image::RgbaImage::from_pixel(width, height, image::Rgba(rgba));
     picture.write_to(&mut std::io::Cursor::new(&mut bytes), image::ImageFormat::Png).unwrap();
@@ -42,7 +42,7 @@ fn png(width: u32, height: u32, rgba: [u8; 4]) -> Vec<u8> {
 }
 
 /// What every loaded scene promises.
-fn promises(scene: &Scene) {
+pub(super) fn promises(scene: &Scene) {
     let m = &scene.mesh;
     let n = m.positions.len();
     assert!(!m.triangles.is_empty() && !scene.materials.is_empty() && !scene.cameras.is_empty());
@@ -71,6 +71,7 @@ fn promises(scene: &Scene) {
             Model::CookTorrance { diffuse, specular, .. } | Model::Ward { diffuse, specular, .. } => {
                 [r(diffuse), r(specular)]
             }
+            Model::MetalRough(m) => [r(&m.diffuse), r(&m.specular)],
             Model::Conductor { .. } | Model::Dielectric { .. } => [None, None],
         };
         [of_model[0], of_model[1], m.emission.map, m.opacity_map, m.bump_map, m.normal_map]

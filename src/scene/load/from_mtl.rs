@@ -143,6 +143,7 @@ pub(super) fn material(
         bump_scale: m.bump.as_ref().map_or(1.0, |s| s.bump),
         normal_map: m.norm.as_ref().map(|s| texture(s, false)),
         two_sided: true,
+        shadeless: false,
     }
 }
 

@@ -1,4 +1,4 @@
-//! Files to a [`Scene`]: OBJ through `tobj`, MTL, the sidecar, pictures through `image`.
+//! Files to a [`Scene`]: OBJ through `tobj`, MTL, glTF, the sidecar, pictures through `image`.
 //!
 //! Nothing in a file can break it: what is wrong is left out with a [`Warning`] that names file and
 //! line, or the whole is refused with a [`SceneError`] that says what to do. No file outside the
@@ -10,6 +10,7 @@ mod error;
 mod file_tests;
 mod folder;
 mod from_mtl;
+mod gltf;
 mod mtl;
 mod obj;
 mod obj_lines;
@@ -39,8 +40,8 @@ use textures::TextureRequests;
 
 use crate::math;
 
-/// Bounds on what is read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Bounds on what is read, and choices where files leave one.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LoadOptions {
     /// Bytes of one file.
     pub file_bytes_max: u64,
@@ -50,6 +51,12 @@ pub struct LoadOptions {
     pub picture_bytes_max: u64,
     /// Decoded bytes of all pictures together, at 4 bytes per pixel.
     pub texture_bytes_max: u64,
+    /// Triangles that glTF files make, each instance counted.
+    pub triangles_max: usize,
+    /// Extensions of glTF to do without although a file requires them, besides those of its sidecar.
+    pub ignored_extensions: Vec<String>,
+    /// Variant of glTF's materials, before the one that the sidecar names.
+    pub variant: Option<String>,
 }
 
 impl Default for LoadOptions {
@@ -59,6 +66,10 @@ impl Default for LoadOptions {
             texture_side_max: 16_384,
             picture_bytes_max: 512 << 20,
             texture_bytes_max: 4 << 30,
+            // Some 10 GiB with its index; more than this is no scene for one machine.
+            triangles_max: 1 << 26,
+            ignored_extensions: Vec::new(),
+            variant: None,
         }
     }
 }
@@ -75,7 +86,16 @@ pub struct Loaded {
     pub warnings: Vec<Warning>,
 }
 
-/// Loads an `.obj` file (with the sidecar of the same name beside it, if there is one) or a sidecar.
+/// Whether a name ends as scenes do: `.obj`, `.gltf`, `.glb`, or `.toml` for a sidecar.
+pub fn is_scene_name(path: &Path) -> bool {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    extension.is_some_and(|e| e == "toml" || MESHES.contains(&e.as_str()))
+}
+
+/// Endings of files with meshes, in the order in which a sidecar without a list looks for one.
+pub const MESHES: [&str; 3] = ["obj", "glb", "gltf"];
+
+/// Loads an `.obj`, `.gltf` or `.glb` file (with the sidecar of the same name beside it, if there is one) or a sidecar.
 pub fn load(path: &Path) -> Result<Loaded, SceneError> {
     load_with(path, &LoadOptions::default())
 }
@@ -85,12 +105,10 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     let mut warnings = Vec::new();
     let refuse =
         |path: &Path, problem| SceneError::File { path: path.to_path_buf(), problem, asked_by: None };
-    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-    let is_obj = match extension.as_deref() {
-        Some("obj") => true,
-        Some("toml") => false,
-        _ => return Err(SceneError::UnknownFormat { path: path.to_path_buf() }),
-    };
+    if !is_scene_name(path) {
+        return Err(SceneError::UnknownFormat { path: path.to_path_buf() });
+    }
+    let is_mesh = path.extension().is_some_and(|e| !e.eq_ignore_ascii_case("toml"));
     // The given file is trusted to be where it is; only what it asks for must stay in its folder.
     if let Err(e) = std::fs::metadata(path) {
         let problem = match e.kind() {
@@ -100,8 +118,8 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         return Err(refuse(path, problem));
     }
     let mut folder = Folder::of(path, options.file_bytes_max).map_err(|p| refuse(path, p))?;
-    let sidecar_path = if is_obj { path.with_extension("toml") } else { path.to_path_buf() };
-    let sidecar = if !is_obj || sidecar_path.is_file() {
+    let sidecar_path = if is_mesh { path.with_extension("toml") } else { path.to_path_buf() };
+    let mut sidecar = if !is_mesh || sidecar_path.is_file() {
         // A sidecar is written by hand; 16 MiB hold any path.
         let limit = options.file_bytes_max.min(16 << 20);
         let contents = read_file(&sidecar_path, limit).map_err(|p| refuse(&sidecar_path, p))?;
@@ -111,12 +129,27 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         Sidecar::default()
     };
 
-    let joined = read_meshes(path, is_obj, &sidecar_path, &sidecar, &mut folder, &mut warnings)?;
+    sidecar.gltf.ignored.extend(options.ignored_extensions.iter().cloned());
+    sidecar.gltf.variant = options.variant.clone().or(sidecar.gltf.variant);
+    let mut joined =
+        read_meshes(path, is_mesh, &sidecar_path, &sidecar, &mut folder, options, &mut warnings)?;
+    let own = std::mem::take(&mut joined.own);
+    let has_lights = !own.lights.is_empty();
+    sidecar.lights.extend(own.lights);
+    for camera in own.cameras {
+        if !sidecar.cameras.iter().any(|c| c.name == camera.name) {
+            sidecar.cameras.push(camera);
+        }
+    }
     let mut requests = TextureRequests::default();
-    let (mut materials, filters) = materials(&joined, &sidecar, &folder, &mut requests, &mut warnings);
-    let (textures, ids) = requests.load(&mut folder, options, &mut warnings);
+    let Materials { mut materials, filters, pending } =
+        materials(&joined, &sidecar, &folder, &mut requests, &mut warnings);
+    let (mut textures, ids) = requests.load(&mut folder, options, &mut warnings);
     for m in &mut materials {
         resolve_maps(m, &ids);
+    }
+    if !pending.is_empty() {
+        gltf::surfaces::finish(&mut materials, &mut textures, pending, &ids, &mut warnings);
     }
     let environment = environment(&sidecar, &mut folder, options, &mut warnings);
 
@@ -139,7 +172,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         up: sidecar.up,
         display: sidecar.display,
         budget: sidecar.budget,
-        content_hash: folder.content_hash(),
+        content_hash: content_hash(&folder, options),
     }
     .with_textures(textures);
     scene.mesh.objects = grouped.of_triangle;
@@ -147,6 +180,9 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     for message in clamp_albedo(&mut scene) {
         warnings.push(Warning::new(Place::new(path, 0), message));
     }
+    // Lights of glTF are photometric, and nobody chose them for an exposure of 1.
+    let shines = has_lights || own.any && scene.materials.iter().any(Material::is_emissive);
+    scene.display.metered = shines && !sidecar.exposure_given;
     for message in defaults::complete(&mut scene) {
         warnings.push(Warning::new(Place::new(path, 0), message));
     }
@@ -158,55 +194,99 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     Ok(Loaded { scene, warnings })
 }
 
+/// Everything that was read, and what was chosen beside it.
+fn content_hash(folder: &Folder, options: &LoadOptions) -> [u8; 32] {
+    let read = folder.content_hash();
+    if options.variant.is_none() && options.ignored_extensions.is_empty() {
+        return read;
+    }
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&read);
+    for word in options.variant.iter().chain(&options.ignored_extensions) {
+        hasher.update(&(word.len() as u64).to_le_bytes());
+        hasher.update(word.as_bytes());
+    }
+    *hasher.finalize().as_bytes()
+}
+
 fn file_name(path: &Path) -> String {
     path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned())
 }
 
-/// Reads all OBJ files and the MTL files that they name.
+/// Reads all meshes and the MTL files that they name.
 fn read_meshes(
     path: &Path,
-    is_obj: bool,
+    is_mesh: bool,
     sidecar_path: &Path,
     sidecar: &Sidecar,
     folder: &mut Folder,
+    options: &LoadOptions,
     warnings: &mut Vec<Warning>,
 ) -> Result<Joined, SceneError> {
     let given = file_name(path);
     let mut joined = Joined::default();
+    let mut read = |name: &str, asked_by, joined: &mut Joined, warnings: &mut Vec<Warning>| {
+        let source = MeshSource { name, asked_by, choices: &sidecar.gltf, options };
+        read_mesh(&source, folder, joined, warnings)
+    };
     let Some(files) = &sidecar.files else {
-        let (name, asked_by) = if is_obj {
+        let (name, asked_by) = if is_mesh {
             (given, None)
         } else {
-            (file_name(&path.with_extension("obj")), Some(Place::new(sidecar_path, 0)))
+            let beside = MESHES.iter().map(|e| path.with_extension(e)).find(|p| p.is_file());
+            let name = file_name(&beside.unwrap_or_else(|| path.with_extension("obj")));
+            (name, Some(Place::new(sidecar_path, 0)))
         };
-        read_mesh(&name, asked_by, folder, &mut joined, warnings)?;
+        read(&name, asked_by, &mut joined, warnings)?;
         return Ok(joined);
     };
-    if is_obj && !files.iter().any(|f| f.name == given) {
+    if is_mesh && !files.iter().any(|f| f.name == given) {
         let message =
             format!("does not list \"{given}\" under [geometry] files; its own list is loaded instead");
         warnings.push(Warning::new(Place::new(sidecar_path, 0), message));
     }
     for file in files {
-        read_mesh(&file.name, Some(file.place.clone()), folder, &mut joined, warnings)?;
+        read(&file.name, Some(file.place.clone()), &mut joined, warnings)?;
     }
     Ok(joined)
 }
 
-fn read_mesh(
-    name: &str,
+/// A mesh to be read, and how.
+struct MeshSource<'a> {
+    name: &'a str,
     asked_by: Option<Place>,
+    choices: &'a gltf::Choices,
+    options: &'a LoadOptions,
+}
+
+fn read_mesh(
+    source: &MeshSource<'_>,
     folder: &mut Folder,
     joined: &mut Joined,
     warnings: &mut Vec<Warning>,
 ) -> Result<(), SceneError> {
-    let shown = folder.show(name);
-    let refuse = |problem| SceneError::File { path: shown.clone(), problem, asked_by: asked_by.clone() };
-    let found = folder.find(Path::new(""), name).map_err(refuse)?;
+    let shown = folder.show(source.name);
+    let refuse =
+        |problem| SceneError::File { path: shown.clone(), problem, asked_by: source.asked_by.clone() };
+    let found = folder.find(Path::new(""), source.name).map_err(refuse)?;
     let bytes = folder.read(&found).map_err(refuse)?;
+    let relative = PathBuf::from(folder.relative(&found));
+    let base = relative.parent().map_or_else(PathBuf::new, Path::to_path_buf);
+    let is_gltf =
+        found.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb") || e.eq_ignore_ascii_case("gltf"));
+    if is_gltf {
+        let file = gltf::parse(&bytes, &shown, &base, folder, source.choices, source.options, warnings)?;
+        drop(bytes);
+        joined.own.any = true;
+        joined.own.lights.extend(file.lights);
+        joined.own.cameras.extend(file.cameras);
+        let library =
+            Library { relative, shown: shown.clone(), materials: Definitions::Gltf(file.materials) };
+        joined.add(file.mesh, shown, base, vec![library]);
+        return Ok(());
+    }
     let file = obj::parse(&bytes, &shown, warnings)?;
     drop(bytes);
-    let base = PathBuf::from(folder.relative(&found)).parent().map_or_else(PathBuf::new, Path::to_path_buf);
     let mut libraries = Vec::new();
     for (text, line) in &file.libraries {
         for library in library_names(folder, &base, text) {
@@ -216,7 +296,7 @@ fn read_mesh(
                 Ok((bytes, f)) => {
                     let relative = PathBuf::from(folder.relative(&f));
                     let shown = folder.show(&relative.to_string_lossy());
-                    let materials = mtl::parse(&bytes, &shown, warnings);
+                    let materials = Definitions::Mtl(mtl::parse(&bytes, &shown, warnings));
                     libraries.push(Library { relative, shown, materials });
                 }
                 Err(problem) => {
@@ -230,12 +310,47 @@ fn read_mesh(
     Ok(())
 }
 
-/// An MTL file.
+/// A file with materials.
 struct Library {
     /// Relative to the scene's folder.
     relative: PathBuf,
     shown: PathBuf,
-    materials: Vec<MtlMaterial>,
+    materials: Definitions,
+}
+
+/// Materials as a file defines them.
+enum Definitions {
+    /// Of an MTL file.
+    Mtl(Vec<MtlMaterial>),
+    /// Of a glTF file, unique by name.
+    Gltf(Vec<gltf::Source>),
+}
+
+impl Definitions {
+    /// Their names, in order.
+    fn names(&self) -> Vec<&str> {
+        match self {
+            Self::Mtl(list) => list.iter().map(|m| m.name.as_str()).collect(),
+            Self::Gltf(list) => list.iter().map(|m| m.name.as_str()).collect(),
+        }
+    }
+
+    /// The line that defines a material; 0 where none does.
+    fn line_of(&self, name: &str) -> u32 {
+        match self {
+            Self::Mtl(list) => list.iter().find(|m| m.name == name).map_or(0, |m| m.line),
+            Self::Gltf(_) => 0,
+        }
+    }
+}
+
+/// The materials that triangles use.
+struct Materials {
+    materials: Vec<Material>,
+    /// Those from MTL, whose glass filters by passage.
+    filters: Vec<MaterialId>,
+    /// Those from glTF, whose maps are still to be joined.
+    pending: Vec<gltf::surfaces::Pending>,
 }
 
 /// `mtllib` names one file with blanks, or several.
@@ -268,20 +383,19 @@ fn escaped_words(text: &str) -> Vec<String> {
     words
 }
 
-/// The materials that triangles use, from sidecar and MTL, and which of them are from MTL; texture
-/// ids are those of `requests`.
+/// The materials that triangles use, from sidecar, MTL and glTF; texture ids are those of `requests`.
 fn materials(
     joined: &Joined,
     sidecar: &Sidecar,
     folder: &Folder,
     requests: &mut TextureRequests,
     warnings: &mut Vec<Warning>,
-) -> (Vec<Material>, Vec<MaterialId>) {
+) -> Materials {
     let by_name: HashMap<&str, usize> =
         sidecar.materials.iter().enumerate().map(|(i, m)| (m.material.name.as_str(), i)).collect();
     let mut doubts = Doubts::default();
     let mut materials = Vec::with_capacity(joined.uses.len());
-    let mut from_library = Vec::new();
+    let (mut filters, mut pending) = (Vec::new(), Vec::new());
     for used in &joined.uses {
         let mut material = if let Some(&i) = by_name.get(used.called()) {
             let table = &sidecar.materials[i];
@@ -294,15 +408,26 @@ fn materials(
             resolve_maps(&mut material, &ids);
             material
         } else if let Some((library, at)) = used.definition {
-            from_library.push(MaterialId(materials.len() as u32));
+            let id = MaterialId(materials.len() as u32);
             let library = &joined.libraries[library];
-            let beside = library.relative.parent().unwrap_or(Path::new(""));
-            let bases = [beside, joined.base_of(used.file)];
-            let mut texture = |map: &mtl::MapStatement, is_color: bool| {
-                let place = Place::new(&library.shown, map.line);
-                requests.ask(folder, &bases, map, is_color, place)
-            };
-            from_mtl::material(&library.materials[at], &mut texture, &mut doubts)
+            match &library.materials {
+                Definitions::Mtl(list) => {
+                    filters.push(id);
+                    let beside = library.relative.parent().unwrap_or(Path::new(""));
+                    let bases = [beside, joined.base_of(used.file)];
+                    let mut texture = |map: &mtl::MapStatement, is_color: bool| {
+                        let place = Place::new(&library.shown, map.line);
+                        requests.ask(folder, &bases, map, is_color, place)
+                    };
+                    from_mtl::material(&list[at], &mut texture, &mut doubts)
+                }
+                Definitions::Gltf(list) => {
+                    let place = Place::new(&library.shown, 0);
+                    let (material, rest) = gltf::surfaces::ask(&list[at], id, &place, requests);
+                    pending.push(rest);
+                    material
+                }
+            }
         } else {
             if let Some(line) = used.line {
                 let message = format!("no material library has \"{}\"; grey instead", used.name);
@@ -327,7 +452,7 @@ fn materials(
         if let (Some(first), Some(library)) = (names.first(), joined.libraries.first()) {
             let more =
                 if names.len() > 1 { format!(" (and {} more)", names.len() - 1) } else { String::new() };
-            let line = library.materials.iter().find(|m| m.name == *first).map_or(0, |m| m.line);
+            let line = library.materials.line_of(first);
             warnings
                 .push(Warning::new(Place::new(&library.shown, line), format!("\"{first}\"{more} {what}")));
         }
@@ -335,7 +460,7 @@ fn materials(
     if materials.is_empty() {
         materials.push(from_mtl::default_material("default"));
     }
-    (materials, from_library)
+    Materials { materials, filters, pending }
 }
 
 /// Largest diffuse reflectance: at 1 light between walls would never end.
@@ -392,7 +517,8 @@ fn resolve_maps(material: &mut Material, ids: &[Option<TextureId>]) {
             color(diffuse);
             factor(specular);
         }
-        Model::Conductor { .. } | Model::Dielectric { .. } => {}
+        // Made after this, of maps that are there.
+        Model::MetalRough(_) | Model::Conductor { .. } | Model::Dielectric { .. } => {}
     }
     factor(&mut material.emission);
     for id in [&mut material.opacity_map, &mut material.bump_map, &mut material.normal_map] {

@@ -5,6 +5,7 @@ use std::path::Path;
 use glam::Vec3;
 
 use super::error::{Place, SceneError};
+use super::gltf::Choices;
 use super::sidecar_material::{MaterialTable, material_table};
 use super::toml_table::{Document, Table};
 use crate::scene::camera::PathKey;
@@ -45,6 +46,9 @@ pub(super) struct Sidecar {
     pub lights: Vec<Light>,
     pub materials: Vec<MaterialTable>,
     pub display: Display,
+    /// Whether the display's exposure was said.
+    pub exposure_given: bool,
+    pub gltf: Choices,
     pub budget: Budget,
 }
 
@@ -61,6 +65,8 @@ impl Default for Sidecar {
             lights: Vec::new(),
             materials: Vec::new(),
             display: Display::default(),
+            exposure_given: false,
+            gltf: Choices::default(),
             budget: Budget::default(),
         }
     }
@@ -145,13 +151,19 @@ pub(super) fn parse(bytes: &[u8], path: &Path) -> Result<Sidecar, SceneError> {
                 );
             }
         };
+        let exposure = t.number_in("exposure", |v| v > 0.0, "above 0")?;
+        sidecar.exposure_given = exposure.is_some();
         sidecar.display = Display {
             screen: width.zip(distance).map(|(width, distance)| Screen { pixels, width, distance }),
             lab,
-            exposure: t.number_in("exposure", |v| v > 0.0, "above 0")?.unwrap_or(d.exposure),
+            exposure: exposure.unwrap_or(d.exposure),
+            metered: false,
             white_cd_m2: t.number_in("white_cd_m2", |v| v > 0.0, "above 0")?.unwrap_or(d.white_cd_m2),
         };
         t.finish()?;
+    }
+    if let Some(t) = root.table("gltf")? {
+        sidecar.gltf = gltf(&t)?;
     }
     if let Some(t) = root.table("budget")? {
         let textures = t.string("textures")?;
@@ -169,10 +181,22 @@ pub(super) fn parse(bytes: &[u8], path: &Path) -> Result<Sidecar, SceneError> {
     Ok(sidecar)
 }
 
+fn gltf(t: &Table<'_>) -> Result<Choices, SceneError> {
+    let good = |v: f32| (1e-9..=1e9).contains(&v);
+    let choices = Choices {
+        scene: t.string("scene")?.map(str::to_owned),
+        variant: t.string("variant")?.map(str::to_owned),
+        light_scale: t.number_in("light_scale", good, "between 1e-9 and 1e9")?.unwrap_or(1.0),
+        ignored: t.strings("ignore")?.unwrap_or_default().into_iter().map(|(n, _)| n.to_owned()).collect(),
+    };
+    t.finish()?;
+    Ok(choices)
+}
+
 fn geometry(t: &Table<'_>, sidecar: &mut Sidecar) -> Result<(), SceneError> {
     let files = t.strings("files")?;
     if files.as_ref().is_some_and(Vec::is_empty) {
-        return Err(t.invalid("files", "names no file; name an .obj file"));
+        return Err(t.invalid("files", "names no file; name an .obj, .gltf or .glb file"));
     }
     sidecar.files =
         files.map(|l| l.into_iter().map(|(name, place)| FileName { name: name.to_owned(), place }).collect());
@@ -404,7 +428,10 @@ fps = 10
         assert!(matches!(s.lights[1], Light::Spot { direction: Vec3::NEG_Y, .. }));
         assert_eq!(s.materials[0].material.name, "Stainless steel");
         let screen = Some(Screen { pixels: 2560.0, width: 0.6, distance: 0.7 });
-        assert_eq!(s.display, Display { exposure: 2.0, white_cd_m2: 80.0, screen, lab: true });
+        assert_eq!(
+            s.display,
+            Display { exposure: 2.0, metered: false, white_cd_m2: 80.0, screen, lab: true }
+        );
         assert_eq!(s.budget, Budget { texture_bytes: Some(64 << 20), fps: Some(10.0) });
     }
 

@@ -21,7 +21,8 @@ use crate::scene::{Texture, TextureId};
 struct Request {
     /// As written.
     name: String,
-    found: Result<PathBuf, FileProblem>,
+    /// Where it is, or why it is nowhere.
+    found: Result<PathBuf, String>,
     asked_by: Place,
     is_color: bool,
     clamp: bool,
@@ -33,6 +34,8 @@ struct Request {
 pub(super) struct TextureRequests {
     list: Vec<Request>,
     known: HashMap<Key, u32>,
+    /// Pictures that are no files, by what stands for their path.
+    in_memory: HashMap<PathBuf, Arc<Vec<u8>>>,
 }
 
 /// What makes two requests the same: where the picture is, or its name where it is nowhere, and how
@@ -56,24 +59,36 @@ impl TextureRequests {
                 break;
             }
         }
+        let found = found.map_err(|p| p.to_string());
+        self.ask_for(&map.file, found, None, is_color, map.clamp, map.scale_offset, asked_by)
+    }
+
+    /// Asks for a picture that is at `found` (or nowhere, for the reason given), or in `bytes`, for which `found` stands.
+    #[allow(clippy::too_many_arguments)]
+    pub fn ask_for(
+        &mut self,
+        name: &str,
+        found: Result<PathBuf, String>,
+        bytes: Option<Arc<Vec<u8>>>,
+        is_color: bool,
+        clamp: bool,
+        scale_offset: [f32; 4],
+        asked_by: Place,
+    ) -> TextureId {
         let (place, there) = match &found {
             Ok(path) => (path.clone(), true),
-            Err(_) => (PathBuf::from(&map.file), false),
+            Err(_) => (PathBuf::from(name), false),
         };
-        let key = (place, there, is_color, map.clamp, map.scale_offset.map(f32::to_bits));
+        if let Some(bytes) = bytes {
+            self.in_memory.insert(place.clone(), bytes);
+        }
+        let key = (place, there, is_color, clamp, scale_offset.map(f32::to_bits));
         let id = self.list.len() as u32;
         if let Some(&known) = self.known.get(&key) {
             return TextureId(known);
         }
         self.known.insert(key, id);
-        self.list.push(Request {
-            name: map.file.clone(),
-            found,
-            asked_by,
-            is_color,
-            clamp: map.clamp,
-            scale_offset: map.scale_offset,
-        });
+        self.list.push(Request { name: name.to_owned(), found, asked_by, is_color, clamp, scale_offset });
         TextureId(id)
     }
 
@@ -99,11 +114,11 @@ impl TextureRequests {
                 }))
             })
             .collect();
-        let files: Vec<Result<(Contents, u64), String>> =
-            jobs.par_iter().map(|(path, _)| open(path, options)).collect();
+        let files: Vec<Result<(Encoded, u64), String>> =
+            jobs.par_iter().map(|(path, _)| open(path, self.in_memory.get(path), options)).collect();
         // The sum is bounded in the order of the list, so that the same ones are kept every time.
         let mut left = options.texture_bytes_max;
-        let files: Vec<Result<Contents, String>> = files
+        let files: Vec<Result<Encoded, String>> = files
             .into_iter()
             .map(|f| {
                 let (contents, bytes) = f?;
@@ -118,7 +133,8 @@ impl TextureRequests {
             })
             .collect();
         for ((path, _), file) in jobs.iter().zip(&files) {
-            if let Ok(f) = file {
+            // What is in memory lies in files that were noted when they were read.
+            if let Ok(Encoded::File(f)) = file {
                 folder.note(folder.relative(path), f.hash);
             }
         }
@@ -126,7 +142,7 @@ impl TextureRequests {
             .par_iter()
             .zip(files)
             .map(|((path, is_color), file)| {
-                let (mips, alpha) = decode(&file?.bytes, path, *is_color, options)?;
+                let (mips, alpha) = decode(file?.bytes(), path, *is_color, options)?;
                 Ok((Arc::new(mips), alpha))
             })
             .collect();
@@ -137,13 +153,18 @@ impl TextureRequests {
         for (r, job) in self.list.iter().zip(&of_request) {
             let outcome = match job {
                 Some(j) => decoded[*j].clone(),
-                None => Err(r.found.as_ref().err().map(FileProblem::to_string).unwrap_or_default()),
+                None => Err(r.found.as_ref().err().cloned().unwrap_or_default()),
             };
             match outcome {
                 Ok((mips, has_alpha)) => {
                     let path = r.found.as_ref().map_or(Path::new(&r.name), PathBuf::as_path);
+                    let name = if self.in_memory.contains_key(path) {
+                        r.name.clone()
+                    } else {
+                        folder.relative(path)
+                    };
                     textures.push(Texture {
-                        name: folder.relative(path),
+                        name,
                         mips,
                         has_alpha,
                         is_color: r.is_color,
@@ -193,11 +214,29 @@ fn reader<'a>(bytes: &'a [u8], path: &Path) -> Result<ImageReader<Cursor<&'a [u8
     Ok(reader)
 }
 
-/// Reads a file and, from its header alone, how many bytes its pixels will take.
-fn open(path: &Path, options: &LoadOptions) -> Result<(Contents, u64), String> {
-    let contents = read_file(path, options.file_bytes_max).map_err(|p| p.to_string())?;
-    let bytes = pixel_bytes(&contents.bytes, path, options)?;
-    Ok((contents, bytes))
+/// A picture's bytes.
+enum Encoded {
+    File(Contents),
+    Memory(Arc<Vec<u8>>),
+}
+
+impl Encoded {
+    fn bytes(&self) -> &[u8] {
+        match self {
+            Self::File(contents) => &contents.bytes,
+            Self::Memory(bytes) => bytes,
+        }
+    }
+}
+
+/// Reads a file, where the picture is not in memory, and, from its header alone, how many bytes its pixels will take.
+fn open(path: &Path, kept: Option<&Arc<Vec<u8>>>, options: &LoadOptions) -> Result<(Encoded, u64), String> {
+    let encoded = match kept {
+        Some(bytes) => Encoded::Memory(bytes.clone()),
+        None => Encoded::File(read_file(path, options.file_bytes_max).map_err(|p| p.to_string())?),
+    };
+    let bytes = pixel_bytes(encoded.bytes(), path, options)?;
+    Ok((encoded, bytes))
 }
 
 fn pixel_bytes(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<u64, String> {

@@ -39,6 +39,12 @@ pub fn schlick(cosine: f32, f0: Vec3) -> Vec3 {
     f0 + (Vec3::ONE - f0) * (m * m * (m * m) * m)
 }
 
+/// Schlick's approximation between the reflectances at normal and at grazing incidence.
+pub fn schlick_between(cosine: f32, f0: Vec3, f90: Vec3) -> Vec3 {
+    let m = (1.0 - cosine).clamp(0.0, 1.0);
+    f0 + (f90 - f0) * (m * m * (m * m) * m)
+}
+
 /// Cosine-weighted mean over the hemisphere of [`dielectric`] from outside, for eta in [1, 3]: the fit of
 /// Kulla & Conty 2017 (within 0.01 of the quadrature, tested).
 pub fn dielectric_mean(eta: f32) -> f32 {

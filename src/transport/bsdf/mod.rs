@@ -19,7 +19,7 @@ use glam::Vec3;
 use super::interaction::Interaction;
 use crate::image::luminance;
 use crate::math;
-use crate::scene::{Distribution, Model, Reflectance, Roughness, Scene};
+use crate::scene::{Distribution, MetalRough, Model, Reflectance, Roughness, Scene, SplitSum};
 use microfacet::Microfacet;
 
 /// One sampled direction.
@@ -55,6 +55,11 @@ enum Facet {
     Dielectric {
         eta: f32,
     },
+    /// Schlick's, between the reflectances at normal and at grazing incidence.
+    Between {
+        f0: Vec3,
+        f90: Vec3,
+    },
 }
 
 impl Facet {
@@ -67,6 +72,7 @@ impl Facet {
             ),
             Self::Schlick { f0, most } => fresnel::schlick(cosine, f0).min(most),
             Self::Dielectric { eta } => Vec3::splat(fresnel::dielectric(cosine, eta)),
+            Self::Between { f0, f90 } => fresnel::schlick_between(cosine, f0, f90),
         }
     }
 }
@@ -99,6 +105,22 @@ enum Lobe {
     },
 }
 
+/// What lies over the diffuse part.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Coat {
+    None,
+    /// A smooth dielectric of this index.
+    Dielectric(f32),
+    /// A layer ([`crate::scene::metal_rough::Layer`]) of these reflectances at normal and grazing incidence; light
+    /// crosses it to `kept` on average.
+    Layer {
+        f0: f32,
+        f90: f32,
+        alpha: f32,
+        kept: f32,
+    },
+}
+
 /// The reflectance at one point, for one side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bsdf {
@@ -107,8 +129,7 @@ pub struct Bsdf {
     bitangent: Vec3,
     geometric: Vec3,
     diffuse: Vec3,
-    /// Index of the coat over the diffuse part, 1 where there is none.
-    coat: f32,
+    coat: Coat,
     lobe: Lobe,
 }
 
@@ -134,7 +155,7 @@ impl Bsdf {
             bitangent: at.bitangent * side,
             geometric: at.facing_geometric(),
             diffuse: point.diffuse_albedo(scene),
-            coat: 1.0,
+            coat: Coat::None,
             lobe: Lobe::None,
         };
         // The back of a one-sided surface is black.
@@ -166,9 +187,32 @@ impl Bsdf {
             }
             Model::Plastic { ior, roughness, .. } => {
                 let ior = ior.clamp(1.0, 3.0);
-                bsdf.coat = ior;
                 if ior > 1.0 {
+                    bsdf.coat = Coat::Dielectric(ior);
                     bsdf.lobe = facet_lobe(Facet::Dielectric { eta: ior }, roughness, false);
+                }
+            }
+            Model::MetalRough(m) if m.is_diffuse => {}
+            Model::MetalRough(m) => {
+                let (f0, r) = match m.specular.map {
+                    None => (m.specular.color, m.roughness),
+                    Some(map) => {
+                        let [red, green, blue, alpha] = point.texel(scene, map);
+                        let r = if m.roughness_in_alpha { alpha } else { m.roughness };
+                        (m.specular.color * Vec3::new(red, green, blue), r)
+                    }
+                };
+                let f0 = f0.clamp(Vec3::ZERO, Vec3::ONE);
+                let alpha = MetalRough::alpha(r.clamp(0.0, 1.0));
+                let rough = Roughness { alpha_x: alpha, alpha_y: alpha, distribution: Distribution::Ggx };
+                let cosine = at.wo.dot(bsdf.normal).max(0.0);
+                let gain = if rough.is_smooth() { 0.0 } else { SplitSum::table().gain(cosine, alpha) };
+                let gain = Vec3::ONE + f0 * gain;
+                bsdf.lobe =
+                    facet_lobe(Facet::Between { f0: f0 * gain, f90: gain * m.layer.f90 }, &rough, false);
+                if bsdf.diffuse != Vec3::ZERO {
+                    let (f0, f90) = (m.layer.f0, m.layer.f90);
+                    bsdf.coat = Coat::Layer { f0, f90, alpha, kept: 1.0 - m.layer.mean(r) };
                 }
             }
             Model::CookTorrance { specular, roughness, .. } => {
@@ -205,16 +249,21 @@ impl Bsdf {
     /// How much more or less of the diffuse light leaves towards `wo` than on average: (1 − F(wo)) / (1 − F̄)
     /// under a coat, 1 otherwise.
     pub fn coat_factor(&self, wo: Vec3) -> f32 {
-        if self.coat <= 1.0 {
-            return 1.0;
-        }
         let cosine = wo.dot(self.normal).max(0.0);
-        (1.0 - fresnel::dielectric(cosine, self.coat)) / (1.0 - fresnel::dielectric_mean(self.coat))
+        match self.coat {
+            Coat::None => 1.0,
+            Coat::Dielectric(ior) => {
+                (1.0 - fresnel::dielectric(cosine, ior)) / (1.0 - fresnel::dielectric_mean(ior))
+            }
+            Coat::Layer { f0, f90, alpha, kept } => {
+                (1.0 - SplitSum::table().layer(f0, f90, cosine, alpha)) / kept
+            }
+        }
     }
 
     /// Whether anything depends on the view.
     pub fn has_view_dependent(&self) -> bool {
-        self.lobe != Lobe::None || self.coat > 1.0
+        self.lobe != Lobe::None || self.coat != Coat::None
     }
 
     /// Whether the view-dependent lobes have single directions only, so that sampling lights is in vain.

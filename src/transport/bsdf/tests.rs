@@ -3,6 +3,7 @@ use crate::math;
 use crate::rng::Stream;
 
 fn bsdf(diffuse: Vec3, coat: f32, lobe: Lobe) -> Bsdf {
+    let coat = if coat > 1.0 { Coat::Dielectric(coat) } else { Coat::None };
     Bsdf { normal: Vec3::Z, tangent: Vec3::X, bitangent: Vec3::Y, geometric: Vec3::Z, diffuse, coat, lobe }
 }
 
@@ -234,4 +235,48 @@ fn diffuse_and_glossy_parts_share_the_light() {
             assert!((f - back).abs() <= 1e-3 * f.max(1e-3), "{f} {back}");
         }
     }
+}
+
+/// A surface of base colour 1 seen at an angle.
+fn metal_rough(metal: f32, r: f32, angle: f32) -> (Bsdf, Vec3) {
+    use crate::geometry::{Hit, Ray};
+    use crate::scene::metal_rough::Layer;
+    let layer = Layer::new(0.04, 1.0);
+    let m = MetalRough {
+        diffuse: Reflectance::constant(Vec3::splat((1.0 - metal) * (1.0 - layer.mean(r)))),
+        specular: Reflectance::constant(Vec3::splat(0.04 * (1.0 - metal) + metal)),
+        roughness_in_alpha: false,
+        roughness: r,
+        roughness_range: [r; 2],
+        layer,
+        specular_mean: 1.0,
+        is_diffuse: false,
+    };
+    let corners = [Vec3::new(-1.0, -1.0, 0.0), Vec3::new(3.0, -1.0, 0.0), Vec3::new(-1.0, 3.0, 0.0)];
+    let mut scene = crate::scene::test_scenes::of_triangles(&[corners]);
+    scene.materials[0].model = Model::MetalRough(Box::new(m));
+    let wo = direction(angle, 0.4);
+    let hit = Hit { t: 1.0, triangle: 0, b1: 0.3, b2: 0.3 };
+    (Bsdf::at(&scene, &Interaction::at(&scene, &Ray::new(wo, -wo), &hit)), wo)
+}
+
+#[test]
+fn metal_and_rough_dielectric_return_all_light_and_no_more() {
+    for metal in [0.0, 1.0] {
+        for r in [0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9, 1.0] {
+            for angle in [0.0, 30.0, 60.0, 75.0] {
+                let (b, wo) = metal_rough(metal, r, angle);
+                let (lobe, error) = albedo(&b, wo, 20_000);
+                let sum = lobe + f64::from(b.diffuse_albedo().x * b.coat_factor(wo));
+                println!("{metal} {r} {angle}: {sum:.4} ± {error:.4}");
+                assert!(
+                    (sum - 1.0).abs() < 0.02 + 4.0 * error,
+                    "m {metal}, r {r}, {angle}°: {sum} ± {error}"
+                );
+            }
+        }
+    }
+    let (polished, wo) = metal_rough(1.0, 0.0, 40.0);
+    let [Some(mirrored), None] = polished.delta_lobes(wo) else { panic!("no mirror") };
+    assert!((mirrored.weight - Vec3::ONE).abs().max_element() < 1e-6);
 }

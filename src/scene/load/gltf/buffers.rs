@@ -1,0 +1,203 @@
+//! Bytes of buffers, read when something that is drawn asks for them first.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use base64::Engine;
+use base64::engine::general_purpose::{GeneralPurpose, GeneralPurposeConfig};
+use base64::engine::{DecodePaddingMode, general_purpose::STANDARD};
+
+use super::super::folder::Folder;
+use super::document::Document;
+use super::number::Index;
+use super::{Problem, get};
+
+/// Bytes of all data URIs of buffers.
+const DATA_BYTES_MAX: usize = 512 << 20;
+
+/// The bytes behind a document: those of its own file, and the files beside it.
+pub(super) struct Buffers<'a> {
+    document: &'a Document,
+    folder: &'a mut Folder,
+    /// The folder of the document, relative to the scene's.
+    base: &'a Path,
+    file: &'a [u8],
+    bin: Option<Range<usize>>,
+    loaded: Vec<Option<Vec<u8>>>,
+    data_bytes: usize,
+}
+
+/// What a `uri` means.
+pub(super) enum Reference {
+    /// A file of the scene's folder.
+    File(PathBuf),
+    /// Bytes in the document.
+    Data(Vec<u8>),
+}
+
+impl<'a> Buffers<'a> {
+    pub fn new(
+        document: &'a Document,
+        folder: &'a mut Folder,
+        base: &'a Path,
+        file: &'a [u8],
+        bin: Option<Range<usize>>,
+    ) -> Self {
+        let loaded = vec![None; document.buffers.len()];
+        Self { document, folder, base, file, bin, loaded, data_bytes: 0 }
+    }
+
+    /// What lies behind a `uri`. The error completes "`uri` …".
+    pub fn resolve(&mut self, uri: &str) -> Result<Reference, String> {
+        if let Some(data) = uri.strip_prefix("data:") {
+            let left = DATA_BYTES_MAX - self.data_bytes;
+            let bytes = decode_data(data, left)?;
+            self.data_bytes += bytes.len();
+            return Ok(Reference::Data(bytes));
+        }
+        if let Some(scheme) = scheme(uri) {
+            return Err(format!("begins with \"{scheme}:\"; only files beside the scene and data: are read"));
+        }
+        let name = percent_decoded(uri);
+        let found = self.folder.find(self.base, &name).map_err(|p| format!("\"{}\" {p}", shortened(uri)))?;
+        Ok(Reference::File(found))
+    }
+
+    fn load(&mut self, index: usize) -> Result<(), Problem> {
+        let buffer = &self.document.buffers[index];
+        let at = || format!("/buffers/{index}");
+        let declared = buffer.byte_length.0;
+        let own = self.bin.as_ref().map(Range::len);
+        let length = match (&buffer.uri, own) {
+            (None, Some(length)) if index == 0 => length,
+            (None, _) => {
+                let message = "has no `uri`, and the file has no bytes of its own; export again as .glb, or with its .bin";
+                return Err(Problem::new(at(), message));
+            }
+            (Some(uri), _) => {
+                let bytes = match self.resolve(uri).map_err(|e| Problem::new(at() + "/uri", e))? {
+                    Reference::Data(bytes) => bytes,
+                    Reference::File(found) => {
+                        let read = self.folder.read(&found);
+                        read.map_err(|p| Problem::new(at() + "/uri", format!("\"{}\" {p}", shortened(uri))))?
+                    }
+                };
+                let length = bytes.len();
+                self.loaded[index] = Some(bytes);
+                length
+            }
+        };
+        if declared > length as u64 {
+            let message = format!("is {declared}, but there are {length} bytes; export the buffer again");
+            return Err(Problem::new(at() + "/byteLength", message));
+        }
+        Ok(())
+    }
+
+    /// The bytes of a view, and its stride.
+    pub fn view(&mut self, index: Index) -> Result<(&[u8], Option<u64>), Problem> {
+        let view = get(&self.document.buffer_views, index, "bufferViews")?;
+        let at = || format!("/bufferViews/{}", index.0);
+        let buffer = view.buffer.at();
+        get(&self.document.buffers, view.buffer, "buffers")?;
+        let own = self.document.buffers[buffer].uri.is_none();
+        if self.loaded[buffer].is_none() {
+            self.load(buffer)?;
+        }
+        let declared = self.document.buffers[buffer].byte_length.0;
+        let (start, length) = (view.byte_offset.0, view.byte_length.0);
+        let end = start.checked_add(length).filter(|&end| end <= declared).ok_or_else(|| {
+            let message = format!("{length} bytes from {start} leave the buffer of {declared}; export again");
+            Problem::new(at(), message)
+        })?;
+        if let Some(stride) = view.byte_stride.filter(|s| !(1..=252).contains(&s.0)) {
+            let message = format!("is {}; it must be between 4 and 252", stride.0);
+            return Err(Problem::new(at() + "/byteStride", message));
+        }
+        let whole: &[u8] = match (&self.loaded[buffer], &self.bin) {
+            (Some(bytes), _) => bytes,
+            (None, Some(bin)) if own => &self.file[bin.clone()],
+            (None, _) => &[],
+        };
+        // `load` has seen that there are as many bytes as declared.
+        let bytes = whole.get(start as usize..end as usize).unwrap_or(&[]);
+        Ok((bytes, view.byte_stride.map(|s| s.0)))
+    }
+}
+
+/// A scheme before a colon. A single letter is a drive, which [`Folder::find`] refuses.
+fn scheme(uri: &str) -> Option<&str> {
+    let (scheme, _) = uri.split_once(':')?;
+    let good = scheme.len() > 1
+        && scheme.bytes().all(|b| b.is_ascii_alphanumeric() || matches!(b, b'+' | b'-' | b'.'));
+    good.then_some(scheme)
+}
+
+/// As much of a name as a message shows.
+pub(super) fn shortened(uri: &str) -> String {
+    let short: String = uri.chars().take(80).collect();
+    if short.len() < uri.len() { short + "…" } else { short }
+}
+
+/// `%41` to `A`, once: what is left of `%252e` is `%2e`, not a dot.
+fn percent_decoded(uri: &str) -> String {
+    let bytes = uri.as_bytes();
+    let mut out = Vec::with_capacity(bytes.len());
+    let mut at = 0;
+    while at < bytes.len() {
+        let hex = |b: Option<&u8>| b.and_then(|b| (*b as char).to_digit(16));
+        match (bytes[at], hex(bytes.get(at + 1)).zip(hex(bytes.get(at + 2)))) {
+            (b'%', Some((high, low))) => {
+                out.push((high * 16 + low) as u8);
+                at += 3;
+            }
+            (byte, _) => {
+                out.push(byte);
+                at += 1;
+            }
+        }
+    }
+    String::from_utf8_lossy(&out).into_owned()
+}
+
+/// What follows `data:`; at most `limit` bytes of it.
+fn decode_data(data: &str, limit: usize) -> Result<Vec<u8>, String> {
+    const LENIENT: GeneralPurpose = GeneralPurpose::new(
+        &base64::alphabet::STANDARD,
+        GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent),
+    );
+    let (kind, body) = data.split_once(',').ok_or("is a data URI without a comma; export again")?;
+    if !kind.ends_with(";base64") {
+        return Err("is a data URI that is not base64; export again".to_owned());
+    }
+    if body.len() / 4 * 3 > limit {
+        return Err(format!("makes data URIs of more than {DATA_BYTES_MAX} bytes; export as .glb"));
+    }
+    let read = STANDARD.decode(body).or_else(|_| LENIENT.decode(body));
+    read.map_err(|e| format!("is broken base64 ({e}); export again"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_decoded_once() {
+        assert_eq!(percent_decoded("a%20b%2Fc"), "a b/c");
+        assert_eq!(percent_decoded("%252e%252e/x"), "%2e%2e/x");
+        assert_eq!(percent_decoded("50%,%4,%zz%"), "50%,%4,%zz%");
+        assert_eq!(scheme("file:///etc/passwd"), Some("file"));
+        assert_eq!((scheme("C:/x"), scheme("a b:c")), (None, None));
+    }
+
+    #[test]
+    fn data_is_bounded_and_forgiving_of_padding() {
+        assert_eq!(decode_data("application/octet-stream;base64,AAEC", 9), Ok(vec![0, 1, 2]));
+        assert_eq!(decode_data(";base64,AAE", 9), Ok(vec![0, 1]));
+        assert_eq!(decode_data(";base64,AAE=", 9), Ok(vec![0, 1]));
+        assert!(decode_data(";base64,AAECAAEC", 5).unwrap_err().contains("more than"));
+        for bad in ["AAEC", "text/plain,abc", ";base64,A*", ";base64,A"] {
+            assert!(decode_data(bad, 99).is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,491 @@
+//! What of a document (glTF 2.0 §5) is read. Everything else in it is passed over without being kept.
+
+use serde::Deserialize;
+use serde::de::IgnoredAny;
+
+use super::number::{Index, List, Whole};
+
+/// Nodes of a document.
+pub(super) const NODES_MAX: usize = 1 << 22;
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Document {
+    pub asset: Asset,
+    pub scene: Option<Index>,
+    #[serde(default)]
+    pub scenes: List<Scene>,
+    #[serde(default)]
+    pub nodes: List<Node, NODES_MAX>,
+    #[serde(default)]
+    pub meshes: List<Mesh>,
+    #[serde(default)]
+    pub materials: List<Material>,
+    #[serde(default)]
+    pub textures: List<Texture>,
+    #[serde(default)]
+    pub images: List<Image>,
+    #[serde(default)]
+    pub samplers: List<Sampler>,
+    #[serde(default)]
+    pub accessors: List<Accessor>,
+    #[serde(default)]
+    pub buffer_views: List<BufferView>,
+    #[serde(default)]
+    pub buffers: List<Buffer>,
+    #[serde(default)]
+    pub cameras: List<Camera>,
+    #[serde(default)]
+    pub animations: List<IgnoredAny>,
+    #[serde(default)]
+    pub extensions_used: List<String>,
+    #[serde(default)]
+    pub extensions_required: List<String>,
+    #[serde(default)]
+    pub extensions: RootExtensions,
+}
+
+#[derive(Debug, Default, Deserialize)]
+pub(super) struct Asset {
+    pub version: String,
+}
+
+#[derive(Debug, Default, Deserialize)]
+pub(super) struct RootExtensions {
+    #[serde(rename = "KHR_lights_punctual")]
+    pub lights: Option<Lights>,
+    #[serde(rename = "KHR_materials_variants")]
+    pub variants: Option<Variants>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Lights {
+    #[serde(default)]
+    pub lights: List<Light>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Light {
+    #[serde(rename = "type")]
+    pub kind: String,
+    #[serde(default = "ones")]
+    pub color: [f32; 3],
+    #[serde(default = "one")]
+    pub intensity: f32,
+    pub range: Option<f32>,
+    pub spot: Option<Spot>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Spot {
+    #[serde(default)]
+    pub inner_cone_angle: f32,
+    #[serde(default = "quarter_turn_half")]
+    pub outer_cone_angle: f32,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Variants {
+    #[serde(default)]
+    pub variants: List<Variant>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Variant {
+    pub name: String,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Scene {
+    pub name: Option<String>,
+    #[serde(default)]
+    pub nodes: List<Index, NODES_MAX>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+pub(super) struct Node {
+    pub name: Option<Box<str>>,
+    pub mesh: Option<Index>,
+    pub skin: Option<Index>,
+    pub camera: Option<Index>,
+    #[serde(default)]
+    pub children: List<Index, NODES_MAX>,
+    pub matrix: Option<Box<[f32; 16]>>,
+    pub translation: Option<[f32; 3]>,
+    pub rotation: Option<[f32; 4]>,
+    pub scale: Option<[f32; 3]>,
+    pub extensions: Option<Box<NodeExtensions>>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+pub(super) struct NodeExtensions {
+    #[serde(rename = "KHR_lights_punctual")]
+    pub light: Option<NodeLight>,
+    #[serde(rename = "EXT_mesh_gpu_instancing")]
+    pub instancing: Option<Instancing>,
+    #[serde(rename = "KHR_node_visibility")]
+    pub visibility: Option<Visibility>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct NodeLight {
+    pub light: Index,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Instancing {
+    #[serde(default)]
+    pub attributes: InstanceAttributes,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "SCREAMING_SNAKE_CASE")]
+pub(super) struct InstanceAttributes {
+    pub translation: Option<Index>,
+    pub rotation: Option<Index>,
+    pub scale: Option<Index>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Visibility {
+    #[serde(default = "yes")]
+    pub visible: bool,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Mesh {
+    pub name: Option<String>,
+    pub primitives: List<Primitive>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Primitive {
+    pub attributes: Attributes,
+    pub indices: Option<Index>,
+    pub material: Option<Index>,
+    pub mode: Option<Index>,
+    #[serde(default)]
+    pub targets: List<IgnoredAny>,
+    #[serde(default)]
+    pub extensions: PrimitiveExtensions,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Attributes {
+    #[serde(rename = "POSITION")]
+    pub position: Option<Index>,
+    #[serde(rename = "NORMAL")]
+    pub normal: Option<Index>,
+    #[serde(rename = "TEXCOORD_0")]
+    pub uv0: Option<Index>,
+    #[serde(rename = "TEXCOORD_1")]
+    pub uv1: Option<Index>,
+    #[serde(rename = "COLOR_0")]
+    pub color: Option<Index>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+pub(super) struct PrimitiveExtensions {
+    #[serde(rename = "KHR_materials_variants")]
+    pub variants: Option<Mappings>,
+    #[serde(rename = "KHR_draco_mesh_compression")]
+    pub draco: Option<IgnoredAny>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Mappings {
+    #[serde(default)]
+    pub mappings: List<Mapping>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Mapping {
+    pub material: Index,
+    #[serde(default)]
+    pub variants: List<Index>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Accessor {
+    pub buffer_view: Option<Index>,
+    #[serde(default)]
+    pub byte_offset: Whole,
+    pub component_type: Index,
+    pub count: Whole,
+    #[serde(rename = "type")]
+    pub shape: String,
+    #[serde(default)]
+    pub normalized: bool,
+    pub sparse: Option<Sparse>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Sparse {
+    pub count: Whole,
+    pub indices: SparseIndices,
+    pub values: SparseValues,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct SparseIndices {
+    pub buffer_view: Index,
+    #[serde(default)]
+    pub byte_offset: Whole,
+    pub component_type: Index,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct SparseValues {
+    pub buffer_view: Index,
+    #[serde(default)]
+    pub byte_offset: Whole,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct BufferView {
+    pub buffer: Index,
+    #[serde(default)]
+    pub byte_offset: Whole,
+    pub byte_length: Whole,
+    pub byte_stride: Option<Whole>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Buffer {
+    pub uri: Option<String>,
+    pub byte_length: Whole,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Image {
+    pub uri: Option<String>,
+    pub buffer_view: Option<Index>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Texture {
+    pub source: Option<Index>,
+    pub sampler: Option<Index>,
+    #[serde(default)]
+    pub extensions: TextureExtensions,
+}
+
+#[derive(Debug, Default, Deserialize)]
+pub(super) struct TextureExtensions {
+    #[serde(rename = "EXT_texture_webp")]
+    pub webp: Option<OtherSource>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct OtherSource {
+    pub source: Option<Index>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Sampler {
+    pub wrap_s: Option<Index>,
+    pub wrap_t: Option<Index>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Material {
+    pub name: Option<String>,
+    #[serde(default)]
+    pub pbr_metallic_roughness: MetallicRoughness,
+    pub normal_texture: Option<TextureInfo>,
+    pub occlusion_texture: Option<TextureInfo>,
+    pub emissive_texture: Option<TextureInfo>,
+    #[serde(default)]
+    pub emissive_factor: [f32; 3],
+    pub alpha_mode: Option<String>,
+    pub alpha_cutoff: Option<f32>,
+    #[serde(default)]
+    pub double_sided: bool,
+    #[serde(default)]
+    pub extensions: MaterialExtensions,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct MetallicRoughness {
+    #[serde(default = "opaque_white")]
+    pub base_color_factor: [f32; 4],
+    pub base_color_texture: Option<TextureInfo>,
+    #[serde(default = "one")]
+    pub metallic_factor: f32,
+    #[serde(default = "one")]
+    pub roughness_factor: f32,
+    pub metallic_roughness_texture: Option<TextureInfo>,
+}
+
+impl Default for MetallicRoughness {
+    fn default() -> Self {
+        Self {
+            base_color_factor: opaque_white(),
+            base_color_texture: None,
+            metallic_factor: 1.0,
+            roughness_factor: 1.0,
+            metallic_roughness_texture: None,
+        }
+    }
+}
+
+/// A texture where it is used. `scale` is that of normals.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct TextureInfo {
+    pub index: Index,
+    #[serde(default)]
+    pub tex_coord: Index,
+    #[serde(default = "one")]
+    pub scale: f32,
+    #[serde(default)]
+    pub extensions: TextureInfoExtensions,
+}
+
+#[derive(Clone, Debug, Default, Deserialize)]
+pub(super) struct TextureInfoExtensions {
+    #[serde(rename = "KHR_texture_transform")]
+    pub transform: Option<TextureTransform>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct TextureTransform {
+    #[serde(default)]
+    pub offset: [f32; 2],
+    #[serde(default)]
+    pub rotation: f32,
+    #[serde(default = "ones2")]
+    pub scale: [f32; 2],
+    pub tex_coord: Option<Index>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+pub(super) struct MaterialExtensions {
+    #[serde(rename = "KHR_materials_emissive_strength")]
+    pub emissive_strength: Option<EmissiveStrength>,
+    #[serde(rename = "KHR_materials_unlit")]
+    pub unlit: Option<IgnoredAny>,
+    #[serde(rename = "KHR_materials_ior")]
+    pub ior: Option<Ior>,
+    #[serde(rename = "KHR_materials_specular")]
+    pub specular: Option<Specular>,
+    #[serde(rename = "KHR_materials_transmission")]
+    pub transmission: Option<Transmission>,
+    #[serde(rename = "KHR_materials_volume")]
+    pub volume: Option<Volume>,
+    #[serde(rename = "KHR_materials_pbrSpecularGlossiness")]
+    pub glossiness: Option<Glossiness>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct EmissiveStrength {
+    #[serde(default = "one")]
+    pub emissive_strength: f32,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Ior {
+    #[serde(default = "glass")]
+    pub ior: f32,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Specular {
+    #[serde(default = "one")]
+    pub specular_factor: f32,
+    #[serde(default = "ones")]
+    pub specular_color_factor: [f32; 3],
+    pub specular_texture: Option<TextureInfo>,
+    pub specular_color_texture: Option<TextureInfo>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Transmission {
+    #[serde(default)]
+    pub transmission_factor: f32,
+    pub transmission_texture: Option<TextureInfo>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Volume {
+    #[serde(default)]
+    pub thickness_factor: f32,
+    pub attenuation_distance: Option<f32>,
+    #[serde(default = "ones")]
+    pub attenuation_color: [f32; 3],
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Glossiness {
+    #[serde(default = "opaque_white")]
+    pub diffuse_factor: [f32; 4],
+    pub diffuse_texture: Option<TextureInfo>,
+    #[serde(default = "ones")]
+    pub specular_factor: [f32; 3],
+    #[serde(default = "one")]
+    pub glossiness_factor: f32,
+    pub specular_glossiness_texture: Option<TextureInfo>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Camera {
+    pub name: Option<String>,
+    #[serde(rename = "type")]
+    pub kind: String,
+    pub perspective: Option<Perspective>,
+    pub orthographic: Option<Orthographic>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Perspective {
+    pub yfov: f32,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Orthographic {
+    pub ymag: f32,
+}
+
+fn one() -> f32 {
+    1.0
+}
+
+fn glass() -> f32 {
+    1.5
+}
+
+fn yes() -> bool {
+    true
+}
+
+fn ones() -> [f32; 3] {
+    [1.0; 3]
+}
+
+fn ones2() -> [f32; 2] {
+    [1.0; 2]
+}
+
+fn opaque_white() -> [f32; 4] {
+    [1.0; 4]
+}
+
+fn quarter_turn_half() -> f32 {
+    std::f32::consts::FRAC_PI_4
+}

@@ -1,0 +1,161 @@
+//! Primitives to triangles.
+
+use glam::{DMat3, DMat4, Vec2, Vec3};
+
+use super::accessor::Accessors;
+use super::document::Primitive;
+use super::number::Index;
+use super::{Oddities, Problem};
+
+/// What one primitive draws, in the space of its node.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Part {
+    pub positions: Vec<Vec3>,
+    /// Unit, or zero where the file gave none.
+    pub normals: Vec<Vec3>,
+    /// Sets 0 and 1 as in the file, from the upper left; empty where there are none.
+    pub uvs: [Vec<Vec2>; 2],
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// Reads a primitive; `None` where it draws no triangles.
+pub(super) fn read(
+    primitive: &Primitive,
+    accessors: &mut Accessors<'_, '_>,
+    odd: &mut Oddities,
+) -> Result<Option<Part>, Problem> {
+    let mode = primitive.mode.map_or(4, |m| m.0);
+    if mode < 4 {
+        odd.count("points and lines", "not drawn");
+        return Ok(None);
+    }
+    if primitive.extensions.draco.is_some() {
+        // Where the extension is not required there are plain accessors beside it.
+        odd.count("KHR_draco_mesh_compression", "not read; the uncompressed mesh beside it is shown");
+    }
+    let Some(position) = primitive.attributes.position else {
+        odd.count("a primitive without POSITION", "not drawn");
+        return Ok(None);
+    };
+    let positions: Vec<Vec3> =
+        accessors.floats::<3>(position, "positions")?.into_iter().map(Vec3::from).collect();
+    let count = positions.len();
+    let vertices = |index: Option<Index>, odd: &mut Oddities| -> Result<Option<Index>, Problem> {
+        let Some(index) = index else { return Ok(None) };
+        if accessors.count(index)? == count as u64 {
+            return Ok(Some(index));
+        }
+        odd.count("an attribute of another length than POSITION", "done without");
+        Ok(None)
+    };
+    let a = &primitive.attributes;
+    let (normal, uv0, uv1) = (vertices(a.normal, odd)?, vertices(a.uv0, odd)?, vertices(a.uv1, odd)?);
+    if a.color.is_some() {
+        odd.count("vertex colours", "not used");
+    }
+    if !primitive.targets.is_empty() {
+        odd.count("morph targets", "not used; the mesh is shown as it is without them");
+    }
+    let normals = match normal {
+        None => vec![Vec3::ZERO; count],
+        // A normal of any length is meant as a direction; NaN and zero mean a flat face.
+        Some(n) => {
+            let read = accessors.floats::<3>(n, "normals")?;
+            read.into_iter().map(|n| Vec3::from(n).normalize_or_zero()).collect()
+        }
+    };
+    let mut set = |index: Option<Index>| -> Result<Vec<Vec2>, Problem> {
+        let Some(index) = index else { return Ok(Vec::new()) };
+        let read = accessors.floats::<2>(index, "texture coordinates")?;
+        Ok(read.into_iter().map(|uv| finite(Vec2::from(uv))).collect())
+    };
+    let uvs = [set(uv0)?, set(uv1)?];
+    let triangles = match primitive.indices {
+        None => triangles(mode, count, |i| i as u32),
+        Some(index) => {
+            let indices = accessors.indices(index)?;
+            triangles(mode, indices.len(), |i| indices[i])
+        }
+    };
+    let all = triangles.len();
+    let triangles: Vec<[u32; 3]> =
+        triangles.into_iter().filter(|t| t.iter().all(|&v| (v as usize) < count)).collect();
+    if triangles.len() < all {
+        odd.add("triangle with an index that is no vertex", "left out", all - triangles.len());
+    }
+    Ok(Some(Part { positions, normals, uvs, triangles }))
+}
+
+/// As texture coordinates are kept: what is not finite is zero.
+pub(super) fn finite(uv: Vec2) -> Vec2 {
+    if uv.is_finite() { uv } else { Vec2::ZERO }
+}
+
+/// The triangles of a list (4), strip (5) or fan (6) of `count` corners, all wound the same way.
+fn triangles(mode: u32, count: usize, corner: impl Fn(usize) -> u32) -> Vec<[u32; 3]> {
+    let of = |a: usize, b: usize, c: usize| [corner(a), corner(b), corner(c)];
+    match mode {
+        5 => (2..count).map(|i| if i % 2 == 0 { of(i - 2, i - 1, i) } else { of(i - 1, i - 2, i) }).collect(),
+        6 => (2..count).map(|i| of(0, i - 1, i)).collect(),
+        _ => (0..count / 3).map(|i| of(3 * i, 3 * i + 1, 3 * i + 2)).collect(),
+    }
+}
+
+impl Part {
+    /// Positions and normals where a node puts them, and whether that turns triangles round; `None` where the node
+    /// leaves nothing of their area.
+    pub fn placed(&self, world: &DMat4) -> Option<(Vec<Vec3>, Vec<Vec3>, bool)> {
+        // So that what stays where it is keeps its bits.
+        if *world == DMat4::IDENTITY {
+            return Some((self.positions.clone(), self.normals.clone(), false));
+        }
+        let linear = DMat3::from_mat4(*world);
+        let determinant = linear.determinant();
+        if !(determinant != 0.0 && determinant.is_finite()) {
+            return None;
+        }
+        // Cofactors: the inverse transpose times the determinant, whose sign keeps normals on their side.
+        let cofactors = DMat3::from_cols(
+            linear.y_axis.cross(linear.z_axis),
+            linear.z_axis.cross(linear.x_axis),
+            linear.x_axis.cross(linear.y_axis),
+        ) * determinant.signum();
+        let positions =
+            self.positions.iter().map(|p| world.transform_point3(p.as_dvec3()).as_vec3()).collect();
+        let turn = |n: &Vec3| (cofactors * n.as_dvec3()).normalize_or_zero().as_vec3();
+        Some((positions, self.normals.iter().map(turn).collect(), determinant < 0.0))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    #[test]
+    fn strips_and_fans_are_wound_like_lists() {
+        let list = |mode, n| triangles(mode, n, |i| i as u32);
+        assert_eq!(list(4, 7), [[0, 1, 2], [3, 4, 5]]);
+        assert_eq!(list(5, 5), [[0, 1, 2], [2, 1, 3], [2, 3, 4]]);
+        assert_eq!(list(6, 5), [[0, 1, 2], [0, 2, 3], [0, 3, 4]]);
+        assert!(list(5, 2).is_empty() && list(6, 0).is_empty());
+    }
+
+    #[test]
+    fn normals_stay_perpendicular_and_mirrors_turn_triangles() {
+        let part = Part {
+            positions: vec![Vec3::ZERO, Vec3::new(1.0, -1.0, 0.0), Vec3::Z],
+            normals: vec![Vec3::new(1.0, 1.0, 0.0).normalize(); 3],
+            ..Part::default()
+        };
+        for (scale, mirrored) in [(DVec3::new(4.0, 1.0, 1.0), false), (DVec3::new(-4.0, 1.0, 1.0), true)] {
+            let (p, n, turned) = part.placed(&DMat4::from_scale(scale)).unwrap();
+            assert!(n[0].dot(p[1]).abs() < 1e-6 && n[0].is_normalized());
+            // The normal's image has to stay on the side that its own space says.
+            assert!(n[0].dot(Vec3::new(scale.x as f32, 1.0, 0.0)) > 0.0);
+            assert_eq!(turned, mirrored);
+        }
+        assert!(part.placed(&DMat4::from_scale(DVec3::new(0.0, 1.0, 1.0))).is_none());
+        assert!(part.placed(&DMat4::from_scale(DVec3::splat(f64::NAN))).is_none());
+    }
+}

@@ -1,0 +1,416 @@
+//! glTF 2.0, as text with files beside it or as one binary file.
+//!
+//! The document is read into structures of our own over `serde_json`: the crates for it panic on hostile files, follow
+//! `../` and pipes, and hand on circles. Nothing is allocated by a number that has not been held against the bytes there
+//! are, and only what the shown scene draws is read at all. What is odd but harmless becomes one line per kind.
+
+mod accessor;
+mod buffers;
+mod container;
+mod document;
+mod extensions;
+mod lights;
+mod materials;
+mod meshes;
+mod nodes;
+mod number;
+pub(super) mod surfaces;
+#[cfg(test)]
+mod tests;
+
+use std::collections::hash_map::Entry;
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::path::Path;
+
+use glam::{DMat4, Vec2};
+
+use super::LoadOptions;
+use super::error::{Place, SceneError, Warning};
+use super::folder::Folder;
+use super::obj::{ObjFile, Run};
+use crate::scene::{Light, NamedCamera};
+use accessor::Accessors;
+use buffers::Buffers;
+use document::{Document, Instancing, Primitive};
+use materials::{Coordinates, Pictures};
+use meshes::Part;
+use number::{Index, List};
+
+pub(super) use materials::Source;
+
+/// Things that are drawn: nodes with a mesh, and instances of them.
+const INSTANCES_MAX: usize = 1 << 22;
+
+/// Letters of a name.
+const NAME_MAX: usize = 200;
+
+/// What is wrong with a document: where, as a JSON pointer, what, and what to do.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Problem {
+    pub pointer: String,
+    pub message: String,
+}
+
+impl Problem {
+    fn new(pointer: impl Into<String>, message: impl Into<String>) -> Self {
+        Self { pointer: pointer.into(), message: message.into() }
+    }
+}
+
+/// An element of one of the document's arrays.
+fn get<'d, T, const MAX: usize>(list: &'d List<T, MAX>, index: Index, name: &str) -> Result<&'d T, Problem> {
+    list.get(index.at()).ok_or_else(|| {
+        let message = format!("{} is asked for, but there are {}; export again", index.0, list.len());
+        Problem::new(format!("/{name}"), message)
+    })
+}
+
+/// What is odd in a file, and how often.
+#[derive(Debug, Default)]
+pub(super) struct Oddities(BTreeMap<(String, &'static str), usize>);
+
+impl Oddities {
+    /// One more of `what`, with what is done about it.
+    fn count(&mut self, what: &str, done: &'static str) {
+        self.add(what, done, 1);
+    }
+
+    fn add(&mut self, what: &str, done: &'static str, times: usize) {
+        *self.0.entry((what.to_owned(), done)).or_default() += times;
+    }
+
+    #[cfg(test)]
+    fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    fn report(&self, place: &Place, warnings: &mut Vec<Warning>) {
+        for ((what, done), times) in &self.0 {
+            let times = if *times == 1 { String::new() } else { format!(" ({times} times)") };
+            warnings.push(Warning::new(place.clone(), format!("{what}{times}: {done}")));
+        }
+    }
+}
+
+/// What the sidecar's `[gltf]` and the command line choose.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Choices {
+    /// Name of the scene to show.
+    pub scene: Option<String>,
+    /// Name of the variant of materials.
+    pub variant: Option<String>,
+    /// Factor of all lights.
+    pub light_scale: f32,
+    /// Extensions to do without.
+    pub ignored: Vec<String>,
+}
+
+impl Default for Choices {
+    fn default() -> Self {
+        Self { scene: None, variant: None, light_scale: 1.0, ignored: Vec::new() }
+    }
+}
+
+/// What one file shows.
+#[derive(Debug, Default)]
+pub(super) struct GltfFile {
+    /// Triangles, in the form that OBJ files have, with names of nodes.
+    pub mesh: ObjFile,
+    /// In the order of first use; those of `mesh.materials`.
+    pub materials: Vec<Source>,
+    pub lights: Vec<Light>,
+    pub cameras: Vec<NamedCamera>,
+}
+
+/// Reads a file. `shown` names it in messages; `base` is its folder, relative to the scene's.
+pub(super) fn parse(
+    bytes: &[u8],
+    shown: &Path,
+    base: &Path,
+    folder: &mut Folder,
+    choices: &Choices,
+    options: &LoadOptions,
+    warnings: &mut Vec<Warning>,
+) -> Result<GltfFile, SceneError> {
+    let place = Place::new(shown, 0);
+    let container = container::open(bytes)
+        .map_err(|message| SceneError::Container { path: shown.to_path_buf(), message })?;
+    for doubt in &container.doubts {
+        warnings.push(Warning::new(place.clone(), doubt.clone()));
+    }
+    let json = &bytes[container.json.clone()];
+    let refuse = |problem: Problem| SceneError::Document {
+        place: place.clone(),
+        pointer: problem.pointer,
+        message: problem.message,
+    };
+    let document: Document = serde_json::from_slice(json).map_err(|e| {
+        let line = if container.json.start < 12 { e.line() as u32 } else { 0 };
+        let message = format!("not a readable glTF document: {}", buffers::shortened(&e.to_string()));
+        SceneError::Document { place: Place::new(shown, line), pointer: String::new(), message }
+    })?;
+    if !document.asset.version.starts_with("2.") {
+        let message = format!("is {:?}; this build reads 2.0", buffers::shortened(&document.asset.version));
+        return Err(refuse(Problem::new("/asset/version", message)));
+    }
+    let mut odd = Oddities::default();
+    extensions::check(&document, &choices.ignored, &place, &mut odd)?;
+    let mut buffers = Buffers::new(&document, folder, base, bytes, container.bin);
+    let mut reader = Reader {
+        document: &document,
+        choices,
+        triangles_max: options.triangles_max,
+        variant: None,
+        odd: &mut odd,
+        out: GltfFile::default(),
+        names: HashSet::new(),
+        material_of: HashMap::new(),
+        coordinates: Vec::new(),
+        pictures: Pictures::new(&document),
+    };
+    reader.read(&mut buffers).map_err(refuse)?;
+    let out = reader.out;
+    odd.report(&place, warnings);
+    Ok(out)
+}
+
+struct Reader<'d, 'o> {
+    document: &'d Document,
+    choices: &'d Choices,
+    triangles_max: usize,
+    variant: Option<u32>,
+    odd: &'o mut Oddities,
+    out: GltfFile,
+    /// Names of materials so far.
+    names: HashSet<String>,
+    /// Slot of a material of the document; `u32::MAX` is the one of what has none.
+    material_of: HashMap<u32, u32>,
+    /// Of each slot.
+    coordinates: Vec<Coordinates>,
+    pictures: Pictures<'d>,
+}
+
+impl<'d> Reader<'d, '_> {
+    fn read(&mut self, buffers: &mut Buffers<'d>) -> Result<(), Problem> {
+        let document = self.document;
+        self.choose_variant();
+        let every: Vec<Index>;
+        let roots: &[Index] = match self.scene()? {
+            Some(scene) => &get(&document.scenes, scene, "scenes")?.nodes,
+            None => {
+                every = (0..document.nodes.len() as u32).map(Index).collect();
+                &every
+            }
+        };
+        let placed = nodes::placed(document, roots)?;
+        if !document.animations.is_empty() {
+            self.odd.count("animation", "not played; everything stands as it does before it begins");
+        }
+        let mut parts: HashMap<u32, Vec<Option<Part>>> = HashMap::new();
+        let mut things = 0usize;
+        for p in &placed {
+            let node = &document.nodes[p.node];
+            if let Some(camera) = node.camera {
+                let camera = get(&document.cameras, camera, "cameras")?;
+                if let Some(view) = lights::camera(camera, &p.world, self.odd) {
+                    let name =
+                        node.name.as_deref().or(camera.name.as_deref()).map_or_else(String::new, named);
+                    self.add_camera(name, view);
+                }
+            }
+            let extensions = node.extensions.as_deref();
+            if let (Some(light), Some(all)) =
+                (extensions.and_then(|e| e.light.as_ref()), &document.extensions.lights)
+            {
+                let light = get(&all.lights, light.light, "extensions/KHR_lights_punctual/lights")?;
+                self.out.lights.extend(lights::light(light, &p.world, self.choices.light_scale, self.odd));
+            }
+            let Some(index) = node.mesh else { continue };
+            let mesh = get(&document.meshes, index, "meshes")?;
+            if node.skin.is_some() {
+                self.odd.count("a skin", "not used; its mesh stands as it was bound");
+            }
+            let instances = match extensions.and_then(|e| e.instancing.as_ref()) {
+                None => vec![p.world],
+                Some(of) => instances(of, &p.world, document, buffers)?,
+            };
+            things = things.saturating_add(instances.len());
+            if things > INSTANCES_MAX {
+                let message = format!("is one more than {INSTANCES_MAX} things to draw; split the file");
+                return Err(Problem::new(format!("/nodes/{}", p.node), message));
+            }
+            let name = node.name.as_deref().or(mesh.name.as_deref());
+            let name = name.map_or_else(|| format!("node {}", p.node), named);
+            let name_index = self.out.mesh.names.len() as u32;
+            self.out.mesh.names.push(name);
+            let read = match parts.entry(index.0) {
+                Entry::Occupied(known) => known.into_mut(),
+                Entry::Vacant(place) => {
+                    let mut accessors = Accessors::new(document, buffers);
+                    let read: Result<Vec<_>, Problem> =
+                        mesh.primitives.iter().map(|q| meshes::read(q, &mut accessors, self.odd)).collect();
+                    place.insert(read?)
+                }
+            };
+            for (primitive, part) in mesh.primitives.iter().zip(read.iter()) {
+                let Some(part) = part else { continue };
+                let slot = self.material(primitive, buffers)?;
+                for world in &instances {
+                    self.add(part, world, slot, name_index)
+                        .map_err(|message| Problem::new(format!("/nodes/{}", p.node), message))?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The scene to show; `None` where the document has none, and all nodes are.
+    fn scene(&mut self) -> Result<Option<Index>, Problem> {
+        let document = self.document;
+        if let Some(wanted) = &self.choices.scene {
+            let found = document.scenes.iter().position(|s| s.name.as_ref() == Some(wanted));
+            if let Some(i) = found {
+                return Ok(Some(Index(i as u32)));
+            }
+            self.odd
+                .count(&format!("scene \"{wanted}\" of the sidecar"), "not in the file; its own is shown");
+        }
+        match document.scene {
+            Some(scene) => get(&document.scenes, scene, "scenes").map(|_| Some(scene)),
+            None if document.scenes.is_empty() => Ok(None),
+            None => Ok(Some(Index(0))),
+        }
+    }
+
+    fn choose_variant(&mut self) {
+        let Some(wanted) = &self.choices.variant else { return };
+        let all = self.document.extensions.variants.as_ref();
+        let found = all.and_then(|v| v.variants.iter().position(|v| v.name == *wanted));
+        self.variant = found.map(|i| i as u32);
+        if found.is_none() {
+            let names: Vec<&str> =
+                all.map_or(Vec::new(), |v| v.variants.iter().take(16).map(|v| v.name.as_str()).collect());
+            let what = format!("variant \"{wanted}\" (there are: {})", names.join(", "));
+            self.odd.count(&what, "not in the file; shown without");
+        }
+    }
+
+    fn add_camera(&mut self, name: String, camera: crate::scene::Camera) {
+        let name = if name.is_empty() { "camera".to_owned() } else { name };
+        let taken = |n: &str| self.out.cameras.iter().any(|c| c.name == n);
+        // A document of a million cameras is no reason to look long for a name.
+        if self.out.cameras.len() >= 1024 {
+            self.odd.count("a camera beyond the first 1024", "left out");
+            return;
+        }
+        let unique = (2..).map(|n| format!("{name} ({n})"));
+        let name = std::iter::once(name.clone()).chain(unique).find(|n| !taken(n)).unwrap_or(name);
+        self.out.cameras.push(NamedCamera { name, camera });
+    }
+
+    /// The slot of the material of a primitive.
+    fn material(&mut self, primitive: &Primitive, buffers: &mut Buffers<'d>) -> Result<u32, Problem> {
+        let mapped = self.variant.and_then(|variant| {
+            let all = primitive.extensions.variants.as_ref()?;
+            all.mappings.iter().find(|m| m.variants.contains(&Index(variant))).map(|m| m.material)
+        });
+        let index = mapped.or(primitive.material);
+        let key = index.map_or(u32::MAX, |i| i.0);
+        if let Some(&slot) = self.material_of.get(&key) {
+            return Ok(slot);
+        }
+        let default = document::Material::default();
+        let material = match index {
+            None => &default,
+            Some(i) => get(&self.document.materials, i, "materials")?,
+        };
+        let plain = material.name.as_deref().map_or_else(String::new, named);
+        let plain = match (plain.is_empty(), index) {
+            (false, _) => plain,
+            (true, Some(i)) => format!("material {}", i.0),
+            (true, None) => "default".to_owned(),
+        };
+        let mut name = plain.clone();
+        if !self.names.insert(name.clone()) {
+            name = format!("{plain} #{}", self.out.materials.len());
+            self.names.insert(name.clone());
+        }
+        let (source, coordinates) =
+            materials::read(material, name.clone(), &mut self.pictures, buffers, self.odd)?;
+        let slot = self.out.materials.len() as u32;
+        self.out.materials.push(source);
+        self.coordinates.push(coordinates);
+        self.out.mesh.materials.push((name, 0));
+        self.material_of.insert(key, slot);
+        Ok(slot)
+    }
+
+    /// Adds a part where an instance puts it.
+    fn add(&mut self, part: &Part, world: &DMat4, slot: u32, name: u32) -> Result<(), String> {
+        let mesh = &mut self.out.mesh;
+        let all = mesh.triangles.len() + part.triangles.len();
+        let vertices = mesh.positions.len() + part.positions.len();
+        if all > self.triangles_max || vertices > 3 * self.triangles_max {
+            return Err(format!(
+                "makes more than {} triangles of the scene; split the file",
+                self.triangles_max
+            ));
+        }
+        let Some((positions, normals, turned)) = part.placed(world) else {
+            self.odd.count("a thing whose transform leaves no volume", "left out");
+            return Ok(());
+        };
+        let first = mesh.positions.len() as u32;
+        mesh.positions.extend(positions);
+        mesh.normals.extend(normals);
+        let coordinates = self.coordinates[slot as usize];
+        let set = &part.uvs[coordinates.set];
+        let moved = |uv: Vec2| match coordinates.moved {
+            None => uv,
+            Some((linear, offset)) => meshes::finite(linear * uv + offset),
+        };
+        // From the upper left to the lower left.
+        mesh.uvs.extend(set.iter().map(|&uv| moved(uv)).map(|uv| Vec2::new(uv.x, 1.0 - uv.y)));
+        mesh.uvs.resize(mesh.positions.len(), Vec2::ZERO);
+        mesh.runs.push(Run { first: mesh.triangles.len(), name, material: Some(slot) });
+        mesh.triangles.extend(part.triangles.iter().map(|&[a, b, c]| {
+            if turned { [first + a, first + c, first + b] } else { [first + a, first + b, first + c] }
+        }));
+        Ok(())
+    }
+}
+
+/// As much of a name as is kept.
+fn named(name: &str) -> String {
+    if name.len() <= NAME_MAX { name.to_owned() } else { name.chars().take(NAME_MAX / 4).collect() }
+}
+
+/// Where the instances of a node stand (`EXT_mesh_gpu_instancing`).
+fn instances<'d>(
+    of: &Instancing,
+    world: &DMat4,
+    document: &'d Document,
+    buffers: &mut Buffers<'d>,
+) -> Result<Vec<DMat4>, Problem> {
+    let a = &of.attributes;
+    let mut accessors = Accessors::new(document, buffers);
+    let mut count = None;
+    for index in [a.translation, a.rotation, a.scale].into_iter().flatten() {
+        let n = accessors.count(index)?;
+        if n > INSTANCES_MAX as u64 || count.is_some_and(|c| c != n) {
+            let message = format!("has {n} instances, others more or fewer, or more than {INSTANCES_MAX}");
+            return Err(Problem::new(format!("/accessors/{}/count", index.0), message));
+        }
+        count = Some(n);
+    }
+    let translations = a.translation.map(|i| accessors.floats::<3>(i, "translations")).transpose()?;
+    let rotations = a.rotation.map(|i| accessors.floats::<4>(i, "rotations")).transpose()?;
+    let scales = a.scale.map(|i| accessors.floats::<3>(i, "scales")).transpose()?;
+    let at = |i: usize| {
+        let translation = translations.as_ref().map_or([0.0; 3], |t| t[i]);
+        let rotation = rotations.as_ref().map_or([0.0, 0.0, 0.0, 1.0], |r| r[i]);
+        let scale = scales.as_ref().map_or([1.0; 3], |s| s[i]);
+        *world * nodes::transform(translation, rotation, scale)
+    };
+    Ok((0..count.unwrap_or(1) as usize).map(at).collect())
+}

@@ -38,6 +38,8 @@ use crate::source::{Controls, Names, Ranges};
 
 /// Time that actors have to come to rest when they are no longer needed.
 const SHUTDOWN: Duration = Duration::from_secs(2);
+/// The same where a recording is to have its end: on a machine that is busy with other things it takes longer.
+const SHUTDOWN_RECORDED: Duration = Duration::from_secs(20);
 /// The same of a recorded walk that another one replaces on this thread, which stands still meanwhile.
 const LEAVING: Duration = Duration::from_millis(200);
 /// Longest time for the picture of a frame, once its deadline is over.
@@ -628,7 +630,7 @@ impl Engine {
     fn close(&mut self) {
         self.end_baking();
         if let Some(runtime) = self.runtime.take() {
-            let end = runtime.shutdown(SHUTDOWN);
+            let end = runtime.shutdown(if self.recorded { SHUTDOWN_RECORDED } else { SHUTDOWN });
             tracing::debug!("actors stopped, drained: {}", end.drained);
         }
     }

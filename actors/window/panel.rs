@@ -138,7 +138,9 @@ fn state(ui: &mut Ui, shown: &Shown<'_>) {
     if let Some(Standing { tiles, quiet, error: Some(error), stated }) = refinement {
         ui.label(format!("{quiet} of {tiles} tiles below the noise bound, worst {error:.4}"));
         if let Some(stated) = stated {
-            ui.label(format!("error of the picture below {:.1} %", 100.0 * stated));
+            let stated = 100.0 * stated;
+            // No sample finds them, and what refinement replaces had them from the map.
+            ui.label(format!("error below {stated:.1} %, but for caustics of points, spots and suns"));
         }
     }
     if let Some(notice) = shown.notice {

@@ -12,6 +12,7 @@ use crate::math;
 use crate::rng::Stream;
 use crate::scene::camera::CameraFrame;
 use crate::scene::{Scene, Texture};
+use crate::transport::Indexed;
 use crate::transport::bidirectional::Bidirectional;
 use crate::transport::gather::{Gather, Trust};
 use crate::transport::light::Lights;
@@ -48,6 +49,11 @@ impl World {
     /// Unbiased radiance along a ray, without the illumination.
     pub fn path_radiance(&self, ray: &Ray, stream: Stream) -> Vec3 {
         self.gather(Trust::Nobody).radiance(ray, stream)
+    }
+
+    /// Its scene with what rays need of it.
+    pub fn indexed(&self) -> Indexed<'_> {
+        Indexed { scene: &self.scene, accel: &self.accel, lights: &self.lights }
     }
 
     /// The integrator of this world's light, with as much trust in a map.

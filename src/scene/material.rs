@@ -183,6 +183,21 @@ pub struct Material {
 }
 
 impl Material {
+    /// Whether any of its light is reflected diffusely, so that irradiance on it matters.
+    pub fn has_diffuse(&self) -> bool {
+        match &self.model {
+            Model::Lambert { albedo } | Model::Plastic { albedo, .. } => albedo.color.max_element() > 0.0,
+            Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => {
+                diffuse.color.max_element() > 0.0
+            }
+            Model::MetalRough(m) => m.diffuse.color.max_element() > 0.0,
+            Model::Mirror { .. }
+            | Model::Conductor { .. }
+            | Model::Metal { .. }
+            | Model::Dielectric { .. } => false,
+        }
+    }
+
     /// A model alone: opaque, without maps or light of its own, on both sides.
     pub fn new(name: impl Into<String>, model: Model) -> Self {
         Self {

@@ -230,6 +230,11 @@ impl SceneParts {
 }
 
 impl Scene {
+    /// The material of a triangle.
+    pub fn material_of(&self, triangle: u32) -> &Material {
+        &self.materials[self.mesh.materials[triangle as usize].0 as usize]
+    }
+
     /// The same scene with other levels of its textures in memory.
     pub fn with_resident(&self, textures: Vec<Texture>) -> Self {
         Self { parts: self.parts.clone(), textures }

@@ -18,3 +18,24 @@ pub mod surface;
 #[cfg(test)]
 mod test_boxes;
 pub mod tracer;
+
+use crate::geometry::Accel;
+use crate::scene::Scene;
+
+/// A scene with all that rays need of it.
+#[derive(Clone, Copy)]
+pub struct Indexed<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Its geometry index.
+    pub accel: &'a Accel,
+    /// Its lights.
+    pub lights: &'a light::Lights,
+}
+
+impl<'a> Indexed<'a> {
+    /// The integrator of its light, with as much trust in a map.
+    pub fn gather(self, trust: gather::Trust<'a>) -> gather::Gather<'a> {
+        gather::Gather::new(self.scene, self.accel, self.lights, trust)
+    }
+}

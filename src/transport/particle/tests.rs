@@ -1,9 +1,7 @@
 //! Closed forms, and transport written from the definitions.
 
 use super::*;
-use crate::illumination::bake::{BakeSettings, bake};
 use crate::illumination::test_scenes::{cube, join, lambert, quad, scene};
-use crate::illumination::test_transport::Lambertian;
 use crate::math;
 use crate::scene::texture::{MipChain, Texture};
 use crate::scene::{Light, Reflectance, TextureId};
@@ -24,31 +22,6 @@ fn mean_on(transport: &dyn LightTransport, t: u32, area: f32, from_bounce: u32) 
         });
     }
     (sum / (n as f64 * f64::from(area))).as_vec3()
-}
-
-#[test]
-fn agrees_with_transport_written_from_the_definitions() {
-    let mut mesh = cube(Vec3::ZERO, 2.0, false);
-    join(&mut mesh, &cube(Vec3::new(0.4, 0.01, 0.5), 0.6, true), 0);
-    join(&mut mesh, &quad(Vec3::new(0.3, 1.9, 0.7), Vec3::X * 0.8, Vec3::Z * 0.5), 1);
-    let room = scene(mesh, vec![lambert(0.5, 0.0), lambert(0.2, 3.0)], Vec::new());
-    let (accel, lights) = (Accel::build(&room), Lights::build(&room));
-    let real = SceneTransport::new(&room, &accel, &lights);
-    let plain = Lambertian::new(&room);
-    assert!((real.power() / plain.power() - 1.0).abs() < 1e-4);
-    let settings =
-        BakeSettings { texels: 1500, particles: Some(200_000), error: None, ..BakeSettings::default() };
-    let a = bake(&room, &real, &settings, &|_| true).illumination;
-    let b = bake(&room, &plain, &settings, &|_| true).illumination;
-    let (mut difference, mut energy) = (0.0f64, 0.0f64);
-    for (x, y) in a.front_values().iter().zip(b.front_values()) {
-        difference += f64::from(x[1] - y[1]).powi(2);
-        energy += f64::from(y[1]).powi(2);
-    }
-    let relative = (difference / energy).sqrt();
-    let expected = f64::from(math::hypot(a.summary.relative_error, b.summary.relative_error));
-    assert!(relative < 1.3 * expected + 0.004, "{relative} {expected}");
-    assert!((a.summary.mean[1] / b.summary.mean[1] - 1.0).abs() < 0.01);
 }
 
 #[test]

@@ -22,7 +22,7 @@ use xxhash_rust::xxh3::Xxh3;
 use crate::message::tracer::EnvironmentWork;
 use crate::message::{
     AllocatorMessage, CacheAgerMessage, EnvironmentOrder, LevelOrder, PredictionOrder, RendererMessage,
-    SampleOrder, SettleWork, TileWork, TraceJob, TracerMessage,
+    SampleOrder, SettleWork, TileWork, TraceJob, TracerMessage, View,
 };
 use crate::outbox::Outbox;
 
@@ -89,14 +89,21 @@ impl Tracer {
 
     fn settle(&mut self, work: &SettleWork, cx: &mut Cx<'_, TracerMessage>) {
         let SettleWork { drawn, tiles } = work;
-        let settled = settled(&drawn.world, &drawn.frame, &drawn.buffers, tiles);
+        // It takes longer than a view that has begun can wait for the cores.
+        let settled = cx
+            .while_wanted(|is_wanted| settled(&drawn.world, &drawn.frame, &drawn.buffers, tiles, is_wanted));
         if !cx.claim() {
             return;
         }
+        let Some(settled) = settled else { return self.not_settled(drawn.view, cx) };
         let (view, stated, hash) = (drawn.view, Some(settled.stated), settled.digest());
         let shown = RendererMessage::RefinedShown { view, settled: Arc::new(settled), hash };
         self.outbox.tell(cx, &self.renderer, shown);
         self.outbox.tell(cx, &self.allocator, AllocatorMessage::Settled { view, stated });
+    }
+
+    fn not_settled(&mut self, view: View, cx: &mut Cx<'_, TracerMessage>) {
+        self.outbox.tell(cx, &self.allocator, AllocatorMessage::Settled { view, stated: None });
     }
 
     fn capture(&mut self, order: &EnvironmentOrder, cx: &mut Cx<'_, TracerMessage>) {
@@ -225,10 +232,7 @@ impl Worker for Tracer {
                 let back = AllocatorMessage::TileSampled { view: drawn.view, sums: None, hash: 0 };
                 self.outbox.tell(cx, &self.allocator, back);
             }
-            TraceJob::Settle(SettleWork { drawn, .. }) => {
-                let back = AllocatorMessage::Settled { view: drawn.view, stated: None };
-                self.outbox.tell(cx, &self.allocator, back);
-            }
+            TraceJob::Settle(SettleWork { drawn, .. }) => self.not_settled(drawn.view, cx),
             TraceJob::Environment(order) => {
                 let nothing = AllocatorMessage::EnvironmentCaptured {
                     object: order.object,

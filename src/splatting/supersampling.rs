@@ -146,7 +146,7 @@ pub fn supersampled(
     let of_tile = |tile| goes_on().then(|| Arc::new(supersample(world, frame, tile, None, samples, seed)));
     let tiles: Vec<_> =
         (0..Tiles::of_size(width, height).len() as u32).into_par_iter().map(of_tile).collect();
-    let settled = settled(world, frame, buffers, &tiles);
+    let Some(settled) = settled(world, frame, buffers, &tiles, &|| true) else { return first.clone() };
     let pixel = |x, y| settled.pixel(x, y, buffers.color.at(x, y), first.at(x, y));
     Map2d::from_fn(width as usize, height as usize, pixel)
 }

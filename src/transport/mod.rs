@@ -6,6 +6,7 @@
 
 pub mod bidirectional;
 pub mod bsdf;
+pub mod caustic;
 mod direct;
 pub mod gather;
 pub mod interaction;

@@ -545,17 +545,7 @@ where
     }
 
     fn is_diffuse(&self, triangle: u32) -> bool {
-        match &self.material(triangle).model {
-            Model::Lambert { albedo } | Model::Plastic { albedo, .. } => albedo.color.max_element() > 0.0,
-            Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => {
-                diffuse.color.max_element() > 0.0
-            }
-            Model::MetalRough(m) => m.diffuse.color.max_element() > 0.0,
-            Model::Mirror { .. }
-            | Model::Conductor { .. }
-            | Model::Metal { .. }
-            | Model::Dielectric { .. } => false,
-        }
+        self.material(triangle).has_diffuse()
     }
 
     fn power(&self) -> f32 {

@@ -180,6 +180,11 @@ impl<'a> Caustics<'a> {
         Self { scene, accel, lights, sources }
     }
 
+    /// [`Sources::is_possible`].
+    pub fn is_possible(&self) -> bool {
+        self.sources.possible
+    }
+
     /// Follows particle `index`; each arrival goes to `deposit`. The mean flux of many is that of all wanted light.
     pub fn trace(&self, seed: u64, index: u64, deposit: &mut dyn FnMut(&Deposit<'_>)) {
         const CAUSTIC: u64 = 0xca5;

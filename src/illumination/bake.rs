@@ -26,6 +26,7 @@ use super::stored::{Illumination, Summary, Value};
 use crate::image::luminance;
 use crate::scene::Scene;
 use crate::transport::Indexed;
+use crate::transport::caustic::{Caustics, Class, RUN, Sources};
 use crate::transport::gather::Trust;
 
 /// Samples of a site in the first round; every later round doubles them.
@@ -36,6 +37,8 @@ const FIRST_LOOK: u32 = 2;
 const UNSEEN: u32 = 8;
 /// Samples between two questions whether to go on.
 const BATCH: u64 = 1 << 16;
+/// Particles that one task follows.
+const TOGETHER: u64 = 1 << 10;
 /// Sites smoothed between two such questions.
 const SMOOTHED: usize = 1 << 14;
 /// Sites that share the decision whether light can reach them.
@@ -44,6 +47,8 @@ const BLOCK: usize = 64;
 const ROUNDS_MAX: u32 = 16;
 /// One in so many samples is taken where the map is tested; each follows its path to the end.
 const TESTED: u64 = 16;
+/// Particles of caustics in the first round, whole runs for each half; every later round doubles them.
+const PARTICLES: u64 = 1 << 16;
 /// Looks for what is in sight, at least and at most: one for each texel.
 const LOOKS: (u64, u64) = (1 << 14, 1 << 18);
 
@@ -116,6 +121,7 @@ pub struct BakeState {
     round: u32,
     round_samples: Option<u32>,
     next: u64,
+    particles: u64,
     gathered: Vec<Gathered>,
     dark: Vec<bool>,
     map: Illumination,
@@ -126,6 +132,7 @@ pub struct BakeState {
 enum Doing {
     Begin,
     Gather,
+    Caustics,
     Smooth(Smoothing),
     Test(Illumination),
 }
@@ -139,6 +146,12 @@ pub struct Baker {
     /// Per site whether a walk can see it.
     seen: Vec<bool>,
     gathered: Vec<Gathered>,
+    /// Per element its front's and its back's site.
+    site_of: Vec<[u32; 2]>,
+    /// Where particles of caustics begin.
+    sources: Sources,
+    /// Particles traced.
+    particles: u64,
     /// Per block of sites whether no light reaches it; decided by the first round.
     dark: Vec<bool>,
     /// What is read where paths meet a diffuse surface.
@@ -190,7 +203,14 @@ impl Baker {
         let points = Points::new(&scene.mesh, &atlas);
         let sites = Sites::new(&atlas, &sides_of(&atlas));
         let is_seen = |element: u32| watched[atlas.elements[element as usize].triangle as usize];
+        let mut site_of = vec![[u32::MAX; 2]; atlas.elements.len()];
+        for (i, site) in sites.all().iter().enumerate() {
+            site_of[site.element as usize][usize::from(site.back)] = i as u32;
+        }
         Self {
+            site_of,
+            sources: Sources::new(scene, indexed.accel, indexed.lights, Class::All),
+            particles: 0,
             settings: settings.clone(),
             seen: sites.all().iter().map(|s| is_seen(s.element)).collect(),
             gathered: vec![Gathered::default(); sites.all().len()],
@@ -246,6 +266,7 @@ impl Baker {
             round: self.round,
             round_samples: self.round_samples,
             next: self.next as u64,
+            particles: self.particles,
             gathered: self.gathered.clone(),
             dark: self.dark.clone(),
             map: Illumination::clone(&self.map),
@@ -269,7 +290,7 @@ impl Baker {
         self.dark.clone_from(&state.dark);
         self.map = Arc::new(state.map.clone());
         (self.paths, self.round, self.next) = (state.paths, state.round, state.next as usize);
-        self.round_samples = state.round_samples;
+        (self.round_samples, self.particles) = (state.round_samples, state.particles);
         self.doing = Doing::Gather;
         true
     }
@@ -285,6 +306,10 @@ impl Baker {
             }
             Doing::Gather => {
                 self.gather(indexed);
+                Step::Going
+            }
+            Doing::Caustics => {
+                self.trace(indexed);
                 Step::Going
             }
             Doing::Smooth(mut smoothing) => {
@@ -345,7 +370,7 @@ impl Baker {
         let (sites, atlas, points, seen, dark) =
             (self.sites.all(), &self.atlas, &self.points, &self.seen, &self.dark);
         let map = self.map.clone();
-        let gather = indexed.gather(Trust::Map(&*map));
+        let gather = indexed.gather(Trust::Map(&*map)).without_caustics();
         let mut end = self.next;
         let mut batch = 0;
         while end < sites.len() && batch < BATCH {
@@ -381,13 +406,49 @@ impl Baker {
             self.dark = blocks.collect();
         }
         self.round_samples = None;
-        self.doing = Doing::Smooth(self.smoothing());
+        self.doing = Doing::Caustics;
+    }
+
+    /// Traces a run of particles for each half, or goes on to smoothing if that is done.
+    fn trace(&mut self, indexed: Indexed<'_>) {
+        if !self.sources.is_possible() || self.particles >= PARTICLES << self.round {
+            self.doing = Doing::Smooth(self.smoothing());
+            return;
+        }
+        let caustics = Caustics::new(indexed.scene, indexed.accel, indexed.lights, &self.sources);
+        let (seed, begin, atlas, site_of) = (self.settings.seed, self.particles, &self.atlas, &self.site_of);
+        let mesh = &indexed.scene.mesh;
+        let traced: Vec<Vec<(u32, usize, Vec3)>> = (0..2 * RUN / TOGETHER)
+            .into_par_iter()
+            .map(|part| {
+                let mut found = Vec::new();
+                for index in begin + part * TOGETHER..begin + (part + 1) * TOGETHER {
+                    caustics.trace(seed, index, &mut |deposit| {
+                        let at = deposit.at;
+                        let element = atlas.element_at(at.triangle, at.b1, at.b2);
+                        let site = site_of[element as usize][usize::from(at.back)];
+                        let normal = mesh.smooth_normal(at.triangle, at.b1, at.b2, at.geometric_normal);
+                        if site != u32::MAX {
+                            found.push((site, (index / RUN % 2) as usize, deposit.on(normal)));
+                        }
+                    });
+                }
+                found
+            })
+            .collect();
+        // In the order of particles: sums depend on it.
+        for (site, half, flux) in traced.into_iter().flatten() {
+            self.gathered[site as usize].deposit(half, flux);
+        }
+        self.particles += 2 * RUN;
+        self.paths += 2 * RUN;
+        self.doing = Doing::Caustics;
     }
 
     fn smoothing(&self) -> Smoothing {
         let parts = |(g, site): (&Gathered, &Site)| {
             if g.samples() > 0 {
-                return g.parts(0.0);
+                return g.parts(self.per_flux(site.element));
             }
             // Not yet come to: there the light that it began with stays.
             let e = &self.atlas.elements[site.element as usize];
@@ -398,6 +459,12 @@ impl Baker {
         // Where no light comes nothing is smoothed, nor does it darken what is beside it.
         let known = |(i, g): (usize, &Gathered)| g.is_open() && !self.dark[i / BLOCK];
         Smoothing::new(parts, self.gathered.iter().enumerate().map(known).collect())
+    }
+
+    /// Irradiance on an element per flux of one half of the particles, m⁻².
+    fn per_flux(&self, element: u32) -> f32 {
+        let area = self.atlas.elements[element as usize].opaque;
+        if self.particles > 0 && area > 0.0 { 2.0 / (self.particles as f32 * area) } else { 0.0 }
     }
 
     /// The map that smoothed parts make.
@@ -425,8 +492,8 @@ impl Baker {
             Doing::Begin => return Illumination::clone(&self.map),
             Doing::Test(map) => return map,
             Doing::Smooth(smoothing) => smoothing,
-            Doing::Gather if self.next == 0 => return Illumination::clone(&self.map),
-            Doing::Gather => self.smoothing(),
+            Doing::Gather | Doing::Caustics if self.next == 0 => return Illumination::clone(&self.map),
+            Doing::Gather | Doing::Caustics => self.smoothing(),
         };
         loop {
             if let Some(parts) = smoothing.step(&self.sites, usize::MAX >> 1) {
@@ -465,7 +532,7 @@ impl Baker {
     fn progress(&self) -> Progress {
         let stage = match &self.doing {
             Doing::Begin => Stage::First,
-            Doing::Gather => Stage::Gather,
+            Doing::Gather | Doing::Caustics => Stage::Gather,
             Doing::Smooth(_) => Stage::Smooth,
             Doing::Test(_) => Stage::Test,
         };

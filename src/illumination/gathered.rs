@@ -51,9 +51,9 @@ impl Gathered {
         self.usable != Some(0)
     }
 
-    /// Whether any light has been found.
+    /// Whether samples have found any light.
     pub fn is_lit(&self) -> bool {
-        [self.sharp, self.soft, self.caustic].iter().flatten().flatten().any(|v| *v > 0.0)
+        [self.sharp, self.soft].iter().flatten().flatten().any(|v| *v > 0.0)
     }
 
     /// Another round begins: indirect light of the ones before counts less.

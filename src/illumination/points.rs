@@ -42,10 +42,7 @@ impl Point {
         let out = if back { -normal } else { normal };
         let p = a * (1.0 - b1 - b2) + b * b1 + c * b2;
         let mut at = Interaction::at(scene, &Ray::new(p + out, -out), &Hit { t: 1.0, triangle, b1, b2 });
-        let [na, nb, nc] = scene.mesh.triangles[triangle as usize].map(|v| scene.mesh.normals[v as usize]);
-        let smooth =
-            (na * (1.0 - b1 - b2) + nb * b1 + nc * b2).try_normalize().unwrap_or(at.geometric_normal);
-        at.shading_normal = if smooth.dot(at.geometric_normal) < 0.0 { -smooth } else { smooth };
+        at.shading_normal = scene.mesh.smooth_normal(triangle, b1, b2, at.geometric_normal);
         at
     }
 }

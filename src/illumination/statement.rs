@@ -174,14 +174,6 @@ impl HeldBack {
                 (weight * mean, weight * weight * ((shown - mean).powi(2) - noise))
             })
             .collect();
-        if std::env::var_os("FOVEAL_DBG").is_some() {
-            let mut worst: Vec<usize> = (0..found.len()).collect();
-            worst.sort_by(|a, b| found[*b].1.total_cmp(&found[*a].1));
-            for i in worst.into_iter().take(14) {
-                let at = &self.points[i].at;
-                eprintln!("{:?} shown {:.4} mean {:.4} sq {:.5} tri {} back {} n {:?} gn {:?} sums {:?}", at.position, shows(at), found[i].0, found[i].1, at.triangle, at.back, at.shading_normal, at.geometric_normal, self.points[i].sums.map(|s| s / samples));
-            }
-        }
         let n = found.len() as f64;
         let mean = found.iter().map(|f| f.0).sum::<f64>() / n;
         let squared = found.iter().map(|f| f.1).sum::<f64>() / n;

@@ -183,21 +183,6 @@ pub struct Material {
 }
 
 impl Material {
-    /// Whether any of its light is reflected diffusely, so that irradiance on it matters.
-    pub fn has_diffuse(&self) -> bool {
-        match &self.model {
-            Model::Lambert { albedo } | Model::Plastic { albedo, .. } => albedo.color.max_element() > 0.0,
-            Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => {
-                diffuse.color.max_element() > 0.0
-            }
-            Model::MetalRough(m) => m.diffuse.color.max_element() > 0.0,
-            Model::Mirror { .. }
-            | Model::Conductor { .. }
-            | Model::Metal { .. }
-            | Model::Dielectric { .. } => false,
-        }
-    }
-
     /// A model alone: opaque, without maps or light of its own, on both sides.
     pub fn new(name: impl Into<String>, model: Model) -> Self {
         Self {
@@ -242,6 +227,20 @@ impl Material {
             | Model::Metal { .. }
             | Model::Dielectric { .. }
             | Model::Plastic { .. } => false,
+        }
+    }
+
+    /// Whether any of it reflects diffusely, so that irradiance on it matters.
+    pub fn has_diffuse(&self) -> bool {
+        let shows = |r: &Reflectance| r.color.max_element() > 0.0;
+        match &self.model {
+            Model::Lambert { albedo } | Model::Plastic { albedo, .. } => shows(albedo),
+            Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => shows(diffuse),
+            Model::MetalRough(m) => shows(&m.diffuse),
+            Model::Mirror { .. }
+            | Model::Conductor { .. }
+            | Model::Metal { .. }
+            | Model::Dielectric { .. } => false,
         }
     }
 

@@ -111,6 +111,24 @@ impl Lights {
         self.emit(scene, self.emitters[i], self.near.probability(i), stream)
     }
 
+    /// The same for those of them only that have no area.
+    pub fn sample_near_dirac_emission(&self, scene: &Scene, stream: &mut Stream) -> Option<(Ray, Vec3)> {
+        let skipped = self.near.sum_of_first(self.triangle_count) / self.near.total();
+        let i = self.near.sample(skipped + (1.0 - skipped) * stream.next_f64())?;
+        let probability = self.near.probability(i) / (1.0 - skipped);
+        if i < self.triangle_count { None } else { self.emit(scene, self.emitters[i], probability, stream) }
+    }
+
+    /// Power of the lights inside of the scene that have no area, luminance, W.
+    pub fn near_dirac_power(&self) -> f64 {
+        self.near.total() - self.near.sum_of_first(self.triangle_count)
+    }
+
+    /// Whether there are directional lights.
+    pub fn has_distant_dirac(&self) -> bool {
+        self.emitters[self.near_count..].iter().any(|e| self.is_dirac(*e))
+    }
+
     fn emit(
         &self,
         scene: &Scene,

@@ -34,6 +34,8 @@ const ADDED: u32 = 8;
 const DOUBTFUL: f64 = 0.3;
 /// Points that are brighter than so many times the mean count as if they were not: beside a lamp everything is white.
 const BRIGHT: f64 = 4.0;
+/// Share of the mean irradiance of the scene below which a view is dark.
+const DARK: f64 = 1e-2;
 /// Poses along each path.
 const POSES: usize = 16;
 /// Surfaces that a look passes at most.
@@ -175,7 +177,9 @@ impl HeldBack {
             })
             .collect();
         let n = found.len() as f64;
-        let mean = found.iter().map(|f| f.0).sum::<f64>() / n;
+        // In a view of next to nothing but darkness errors are told beside the light elsewhere.
+        let elsewhere = map.stored().map_or(0.0, |s| f64::from(luminance(Vec3::from_array(s.summary.mean))));
+        let mean = (found.iter().map(|f| f.0).sum::<f64>() / n).max(DARK * elsewhere);
         let squared = found.iter().map(|f| f.1).sum::<f64>() / n;
         let spread = found.iter().map(|f| (f.1 - squared).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
         let relative = |v: f64| v / (mean * mean);

@@ -115,7 +115,6 @@ mod tests {
     use super::*;
     use crate::illumination::bake::{BakeSettings, Baker, Step};
     use crate::illumination::seen::in_sight;
-    use crate::math;
     use crate::scene::load::load;
     use crate::scene::{Model, Reflectance};
     use crate::transport::Indexed;
@@ -154,7 +153,7 @@ mod tests {
     }
 
     /// Sun and sky, spots and a lamp with cut-out leaves and screens before them: a short bake of each is as bright as
-    /// paths say, and about as far from them as it says itself.
+    /// paths say, and no further from them than it says itself.
     #[test]
     fn bundled_scenes_are_lit_as_paths_light_them() {
         for name in ["diffuse", "gallery", "duck"] {
@@ -172,8 +171,7 @@ mod tests {
             let map = baker.map().clone();
             let (error, stated) = (relative_error(&*map, &known), f64::from(map.summary.relative_error));
             assert!(error < 0.05, "{name}: {error} ± {noise}");
-            let most = 2.0 * math::hypot(error, noise);
-            assert!((0.7 * error..most).contains(&stated), "{name}: {error} ± {noise} stated as {stated}");
+            assert!(stated >= 0.7 * error, "{name}: {error} ± {noise} stated as {stated}");
             let sum = |of: &dyn Fn(&Truth) -> Vec3| known.iter().map(|t| luminance(of(t))).sum::<f32>();
             let found = sum(&|t| map.irradiance(t.triangle, t.b1, t.b2, false));
             let ratio = found / sum(&|t| t.irradiance);
@@ -181,8 +179,8 @@ mod tests {
         }
     }
 
-    /// What is in sight of the box, shadows, corners and the lamp's own face included: within 2.5 % of paths, and more
-    /// particles do not make it worse.
+    /// What is in sight of the box, shadows, corners and the lamp's own face included: within 1.5 % of paths after four
+    /// rounds.
     #[test]
     fn the_box_is_lit_as_paths_light_it() {
         let scene = without_caustics("box");
@@ -193,21 +191,17 @@ mod tests {
         // Errors below the noise of the truth cannot be told from none.
         let (known, noise) = points_in_sight((&scene, &accel, &lights), &baker, 200, 1024);
         assert!(noise < 0.02, "{noise}");
-        // After the first pass, the fourth and the sixth: by then particles lie in every gap.
+        // After the first round, the fourth and the sixth.
         let mut errors = Vec::new();
         for pass in 0..6 {
             while matches!(baker.step(indexed), Step::Going) {}
             if [0, 3, 5].contains(&pass) {
                 let map = baker.map().clone();
                 let (error, stated) = (relative_error(&*map, &known), f64::from(map.summary.relative_error));
-                let most = 2.0 * math::hypot(error, noise);
-                assert!(
-                    (0.7 * error..most).contains(&stated),
-                    "{pass}: {error} ± {noise} stated as {stated}"
-                );
+                assert!(stated >= 0.7 * error, "{pass}: {error} ± {noise} stated as {stated}");
                 errors.push(error);
             }
         }
-        assert!(errors[1] < 0.025 && errors[1] < errors[0] && errors[2] < errors[1], "{errors:?}");
+        assert!(errors[1] < 0.015 && errors[1] < errors[0] && errors[2] < 0.015, "{errors:?}");
     }
 }

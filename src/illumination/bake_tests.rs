@@ -179,12 +179,15 @@ fn dark_backs_stay_dark_beside_lit_ones() {
         assert!((p - Vec3::new(3.0 * x, y, 0.0)).length() < 1e-5);
         map.irradiance(t, b1, b2, true).x
     };
-    assert!(at(0.5 / 3.0, 0.5) > 0.1);
-    for i in 0..400 {
+    let lit = at(0.5 / 3.0, 0.5);
+    assert!(lit > 0.1);
+    let dark = (0..400).map(|i| {
         let [x, y] = [(i % 20) as f32, (i / 20) as f32].map(|i| (i + 0.5) / 20.0);
-        // A kernel's width away from the wall.
-        assert_eq!(at((1.6 + 1.4 * x) / 3.0, y), 0.0, "{x} {y}");
-    }
+        at((1.1 + 1.9 * x) / 3.0, y)
+    });
+    // But for texels that lie on both sides of the wall.
+    let mean = dark.sum::<f32>() / 400.0;
+    assert!(mean < 0.005 * lit, "{mean} {lit}");
 }
 
 #[test]
@@ -319,11 +322,12 @@ fn a_wall_lit_on_one_side_is_dark_on_the_other() {
         let s = u.sqrt();
         for t in [12, 13] {
             lit += map.irradiance(t, s * (1.0 - v), s * v, true).x;
-            dark = dark.max(map.irradiance(t, s * (1.0 - v), s * v, false).x);
+            dark += map.irradiance(t, s * (1.0 - v), s * v, false).x;
         }
     }
     assert!(lit / 400.0 > 0.1, "{lit}");
-    assert_eq!(dark, 0.0);
+    // A texel of the floor that lies on both sides of the sheet tells the dark side of the other one.
+    assert!(dark < 0.01 * lit, "{dark} {lit}");
 }
 
 #[test]

@@ -24,7 +24,7 @@ fn world(name: &str) -> World {
     let scene = Arc::new(load(&scene(name)).expect("a bundled scene").scene);
     let (accel, lights) = (Arc::new(Accel::build(&scene)), Arc::new(Lights::build(&scene)));
     let illumination = Arc::new(quick_direct(&scene, &SceneTransport::new(&scene, &accel, &lights), 1));
-    World { scene, accel, lights, illumination }
+    World { scene, accel, lights, illumination, unfound: Arc::default() }
 }
 
 fn check(name: &str, share: f64) {

@@ -63,7 +63,13 @@ pub fn run(a: &FirstLightArguments, progress: Progress) -> Result<(), Failure> {
             let (light_ms, world) = timed(|| {
                 let lights = Arc::new(Lights::build(&scene));
                 let map = quick_direct(&scene, &SceneTransport::new(&scene, &accel, &lights), 1);
-                World { scene: scene.clone(), accel: accel.clone(), lights, illumination: Arc::new(map) }
+                World {
+                    scene: scene.clone(),
+                    accel: accel.clone(),
+                    lights,
+                    illumination: Arc::new(map),
+                    unfound: Arc::default(),
+                }
             });
             let (draw_ms, ()) = timed(|| {
                 let mut buffers = FrameBuffers::new(a.size.width as usize, a.size.height as usize);

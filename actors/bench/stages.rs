@@ -86,7 +86,7 @@ fn scene(file: &Path) -> Result<Arc<Scene>, Failure> {
 fn quick(scene: Arc<Scene>, accel: Arc<Accel>) -> World {
     let lights = Arc::new(Lights::build(&scene));
     let illumination = quick_direct(&scene, &SceneTransport::new(&scene, &accel, &lights), 1);
-    World { scene, accel, lights, illumination: Arc::new(illumination) }
+    World { scene, accel, lights, illumination: Arc::new(illumination), unfound: Arc::default() }
 }
 
 /// A world of a scene file under the quick illumination.

@@ -110,7 +110,7 @@ pub fn illuminated(
         Some(kept) => (kept, None),
         None => illuminate(&scene, &accel, &lights, light, watch, &mut warnings)?,
     };
-    let world = World { scene, accel, lights, illumination };
+    let world = World { scene, accel, lights, illumination, unfound: Arc::default() };
     let refinement = unmet.map(|(settings, keep)| Refinement { world: world.clone(), settings, keep });
     Ok(Opened { path: path.to_owned(), light: light.clone(), world, textures: None, refinement, warnings })
 }

@@ -7,6 +7,9 @@
 //! `(Z − map)(Z + map − 2R)` is the squared error of Z less that of the map, without R's own noise. The map stays until
 //! that is below 0 for certain. The same blocks tell the error of what is shown.
 //!
+//! What paths do not find, light that was traced to the eye (`splatting::light_tracing`), belongs to the samples: it is
+//! added to their means, half by half, before anything is filtered or compared.
+//!
 //! A function of the view and the sums alone: whoever computes it, and whatever was shown before, the bits are the same.
 
 use std::sync::Arc;
@@ -15,6 +18,7 @@ use glam::Vec3;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::filter::{GoesOn, Halves, Surfaces};
+use super::light_tracing::LightSums;
 use super::supersampling::Tiles;
 use super::tile_sums::{BATCHES, PixelSums, TileSums};
 use crate::display::FrameBuffers;
@@ -95,10 +99,17 @@ impl Settled {
 /// The sums of every pixel, as a picture.
 struct Pixels<'a> {
     at: Vec<Option<(&'a PixelSums, u32)>>,
+    /// What was traced to the eye.
+    traced: Option<&'a LightSums>,
 }
 
 impl<'a> Pixels<'a> {
-    fn new(width: usize, height: usize, tiles: &'a [Option<Arc<TileSums>>]) -> Self {
+    fn new(
+        width: usize,
+        height: usize,
+        tiles: &'a [Option<Arc<TileSums>>],
+        traced: Option<&'a LightSums>,
+    ) -> Self {
         let grid = Tiles::of_size(width as u32, height as u32);
         let mut at = vec![None; width * height];
         // Fewer leave a batch empty.
@@ -107,7 +118,7 @@ impl<'a> Pixels<'a> {
                 at[y * width + x] = Some((sums, tile.samples));
             }
         }
-        Self { at }
+        Self { at, traced }
     }
 
     /// One value of each pixel; 0 where there are no samples.
@@ -140,8 +151,13 @@ impl<'a> Pixels<'a> {
             halves.known[i] = albedo[i] != Vec3::ZERO;
             let divided_by = albedo[i].max(Vec3::splat(ALBEDO_MIN));
             for (half, set) in sets.into_iter().enumerate() {
-                halves.values[half][i] = sums.residual(set, n) / divided_by;
-                halves.variances[half][i] = sums.residual_variance(set, n) / luminance(divided_by).powi(2);
+                let (mut residual, mut variance) = (sums.residual(set, n), sums.residual_variance(set, n));
+                if let Some(traced) = self.traced {
+                    residual += traced.diffuse(i, set);
+                    variance += traced.diffuse_variance(i, set);
+                }
+                halves.values[half][i] = residual / divided_by;
+                halves.variances[half][i] = variance / luminance(divided_by).powi(2);
                 excess[half][i] = sums.excess(set, n);
             }
         });
@@ -154,11 +170,14 @@ impl<'a> Pixels<'a> {
     fn lobes(&self) -> Halves {
         let mut halves = Halves::of_nothing(self.at.len());
         self.each(|i, sums, n| {
-            halves.known[i] = sums.has_lobes();
-            if halves.known[i] {
-                for (half, set) in HALVES.iter().enumerate() {
-                    halves.values[half][i] = sums.lobes(set, n);
-                    halves.variances[half][i] = sums.lobes_variance(set, n);
+            let traced = self.traced.filter(|traced| traced.has_lobes(i));
+            halves.known[i] = sums.has_lobes() || traced.is_some();
+            for (half, set) in HALVES.iter().enumerate().filter(|_| halves.known[i]) {
+                halves.values[half][i] = sums.lobes(set, n);
+                halves.variances[half][i] = sums.lobes_variance(set, n);
+                if let Some(traced) = traced {
+                    halves.values[half][i] += traced.lobes(i, set);
+                    halves.variances[half][i] += traced.lobes_variance(i, set);
                 }
             }
         });
@@ -207,7 +226,11 @@ fn against(
         // Uncut, or what is cut off both would seem right.
         let with = &with[i..=i];
         let residual = pixels.of(|sums, n| sums.residual(with, n) + sums.excess(with, n));
-        blocks(width, height, |i| luminance(residual[i]))
+        let traced = |i: usize| match pixels.traced {
+            Some(traced) if pixels.at[i].is_some() => luminance(traced.diffuse(i, with)),
+            _ => 0.0,
+        };
+        blocks(width, height, |i| luminance(residual[i]) + traced(i))
     });
     let each = |i: usize| {
         let (r, noise) = (0.5 * (a[i] + b[i]), 0.25 * (a[i] - b[i]).powi(2));
@@ -220,17 +243,18 @@ fn against(
     Some((helps, errors))
 }
 
-/// The picture that the samples of `tiles` make of a view; `None` where that was not to go on.
+/// The picture that the samples of `tiles` and the light `traced` to the eye make of a view; `None` where that was not to go on.
 pub fn settled(
     world: &World,
     frame: &CameraFrame,
     buffers: &FrameBuffers,
     tiles: &[Option<Arc<TileSums>>],
+    traced: Option<&LightSums>,
     goes_on: GoesOn<'_>,
 ) -> Option<Settled> {
     let (width, height) = (buffers.width(), buffers.height());
     let surfaces = Surfaces::of_view(world, frame, buffers, goes_on)?;
-    let pixels = Pixels::new(width, height, tiles);
+    let pixels = Pixels::new(width, height, tiles, traced);
     let of_roles = |roles| against(&surfaces, &pixels, roles, (width, height), goes_on);
     let both = [of_roles(HALVES)?, of_roles([HALVES[1], HALVES[0]])?];
     let [helps, errors] = [|r: &(Vec<f64>, Vec<f64>)| r.0.clone(), |r: &(Vec<f64>, Vec<f64>)| r.1.clone()]
@@ -305,7 +329,7 @@ mod tests {
             Some(Arc::new(sums))
         };
         let tiles: Vec<_> = (0..grid.len() as u32).map(tile).collect();
-        settled(&world, &frame, &buffers, &tiles, &|| true).expect("it goes on")
+        settled(&world, &frame, &buffers, &tiles, None, &|| true).expect("it goes on")
     }
 
     fn error(shown: &Settled, truth: f32) -> f32 {
@@ -343,7 +367,7 @@ mod tests {
     fn pixels_without_samples_show_what_they_showed() {
         let (world, frame, buffers) = view();
         let none = vec![None; Tiles::of_size(SIZE.0, SIZE.1).len()];
-        let none = settled(&world, &frame, &buffers, &none, &|| true).expect("it goes on");
+        let none = settled(&world, &frame, &buffers, &none, None, &|| true).expect("it goes on");
         let (base, first) = (Vec3::splat(0.1), Vec3::splat(0.3));
         assert_eq!(none.pixel(3, 4, base, first), first);
         assert!(none.stated.is_infinite() && none.fits(SIZE.0, SIZE.1) && !none.fits(SIZE.1, SIZE.0));
@@ -357,6 +381,6 @@ mod tests {
     fn what_nobody_wants_is_not_made() {
         let (world, frame, buffers) = view();
         let tiles = vec![None; Tiles::of_size(SIZE.0, SIZE.1).len()];
-        assert!(settled(&world, &frame, &buffers, &tiles, &|| false).is_none());
+        assert!(settled(&world, &frame, &buffers, &tiles, None, &|| false).is_none());
     }
 }

@@ -17,8 +17,8 @@
 //! | C caustic | L S⁺ x | chance: a direction that meets the light; a light sample at each S that is no mirror |
 //! | I indirect | L … D S* x | a direction, then Ê at the next D point |
 //!
-//! Maps hold all four in one number, so all four are estimated here, C too. What no sampling finds is C of lights without
-//! area over mirrors and clear glass: it stays dark. Going straight through a pane is no vertex, light is attenuated only.
+//! Maps hold all four in one number, so all four are estimated here, C too. What no sampling finds is light of lamps
+//! without area that meets a mirror or clear glass first: particles find it ([`super::caustic`]), here it stays dark. Going straight through a pane is no vertex, light is attenuated only.
 //!
 //! Irradiance is `∫ L · coat(ω) · max(0, n_s·ω) dω` over the directions above the surface, whatever the albedo is: it is
 //! multiplied in where a surface is looked at.

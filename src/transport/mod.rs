@@ -7,7 +7,7 @@
 pub mod bidirectional;
 pub mod bsdf;
 pub mod caustic;
-mod direct;
+pub(crate) mod direct;
 pub mod gather;
 pub mod interaction;
 pub mod light;
@@ -17,5 +17,7 @@ pub mod particle;
 pub mod radiosity;
 pub mod surface;
 #[cfg(test)]
-mod test_boxes;
+pub(crate) mod test_boxes;
 pub mod tracer;
+
+pub(crate) use bidirectional::geometric_cosine;

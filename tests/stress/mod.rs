@@ -210,7 +210,7 @@ fn baked(scene: Scene) -> World {
         BakeSettings { texels: 512, particles: Some(1 << 12), error: None, ..BakeSettings::default() };
     let baked = bake(&scene, &SceneTransport::new(&scene, &accel, &lights), &settings, &|_| true);
     assert!(baked.illumination.is_sound(), "{}: irradiance is not finite", scene.name);
-    World { scene, accel, lights, illumination: Arc::new(baked.illumination) }
+    World { scene, accel, lights, illumination: Arc::new(baked.illumination), unfound: Arc::default() }
 }
 
 /// What was seen of a scene.

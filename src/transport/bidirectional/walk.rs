@@ -88,7 +88,8 @@ impl Bidirectional<'_> {
         photons: Option<(&Photons, f32)>,
     ) -> Seen {
         let mut seen = Seen::default();
-        let odds = Odds { vcm: squared(self.light_paths() / f64::from(self.film(direction))), vc: 0.0 };
+        let odds =
+            Odds { vcm: squared(self.light_paths() / f64::from(self.frame.density(direction))), vc: 0.0 };
         let ray = Ray::new(self.frame.eye, direction);
         let mut walk = Walk::new(ray, Vec3::ONE, self.around_eye, odds, stream);
         // The last vertex, as far as lights were sampled there.

@@ -523,7 +523,7 @@ impl Bsdf {
     }
 
     /// f of the diffuse part as paths see it: reciprocal, with the coat crossed on both sides.
-    fn diffuse_f(&self, wo: Vec3, wi: Vec3) -> Vec3 {
+    pub fn diffuse_f(&self, wo: Vec3, wi: Vec3) -> Vec3 {
         self.diffuse * (FRAC_1_PI * self.coat_factor(wo) * self.coat_factor(wi))
     }
 

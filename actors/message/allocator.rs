@@ -75,16 +75,6 @@ pub enum AllocatorMessage {
         /// Hash of it.
         hash: u64,
     },
-    /// From a tracer: a run of particles was traced to the eye.
-    RunTraced {
-        /// The view.
-        view: View,
-        /// What it shows; none where the order came back.
-        #[message(skip = "`hash` tells it", with = saved)]
-        splats: Option<Arc<Splats>>,
-        /// Hash of it.
-        hash: u64,
-    },
     /// From a tracer: the picture of all tiles is with the renderer.
     Settled {
         /// The view.
@@ -149,4 +139,14 @@ pub enum AllocatorMessage {
     DecideOn,
     /// From its own timer: send what was not accepted.
     SendAgain,
+    /// From a tracer: a run of particles was traced to the eye.
+    RunTraced {
+        /// The view.
+        view: View,
+        /// What it shows; none where the order came back.
+        #[message(skip = "`hash` tells it", with = saved)]
+        splats: Option<Arc<Splats>>,
+        /// Hash of it.
+        hash: u64,
+    },
 }

@@ -1,11 +1,13 @@
 //! Caustics: light that reaches a surface over mirrors, glass and gloss, by particles (Heckbert 1990: L S⁺ D).
 //!
 //! S is every lobe but wide ones ([`Bsdf::is_wide`]); going straight through a pane is no vertex. Particles begin at
-//! lamps by what they emit, and where light from afar falls on S ([`super::lit`]). One that meets nothing but diffuse
+//! lamps by what they emit (`aim`), and where light from afar falls on S ([`super::lit`]). One that meets nothing but diffuse
 //! surfaces counts for nothing: its light is found in other ways. Over S it goes on, attenuated by the media on its way,
 //! weighed as particles are where shading normals differ from geometric ones (Veach 1997, eq 5.19), with roulette by weight.
 //!
 //! The first numbers of [`RUN`] particles share sequences: where two sums are to be independent, whole runs belong to either.
+
+mod aim;
 
 use glam::Vec3;
 
@@ -20,6 +22,7 @@ use crate::geometry::{Accel, Hit, Ray};
 use crate::image::luminance;
 use crate::rng::{Stream, hash};
 use crate::scene::{Material, Model, Scene};
+use aim::Aim;
 
 /// Particles that share sequences.
 pub const RUN: u64 = 1 << 14;
@@ -59,6 +62,8 @@ impl Class {
 pub struct Sources {
     class: Class,
     lit: LitSurfaces,
+    /// Of lamps without area, where only these are wanted.
+    aim: Aim,
     possible: bool,
 }
 
@@ -74,7 +79,7 @@ impl Sources {
         };
         let none = || LitSurfaces::new([].into_iter(), 0, 0, near, &|_| 1.0, &|_, _| 0.0);
         if !(0..count).any(of) {
-            return Self { class, lit: none(), possible: false };
+            return Self { class, lit: none(), aim: Aim::default(), possible: false };
         }
         let areas = (0..count).map(|t| {
             let [a, b, c] = scene.mesh.corners(t);
@@ -84,8 +89,16 @@ impl Sources {
         let lit = LitSurfaces::new(areas, pieces, 1, near, &|_| 1.0, &|start, stream| {
             from_afar(scene, accel, lights, class, start, stream).map_or(0.0, |(_, e)| luminance(e))
         });
+        let meets = |lamp: usize, u: [f32; 2]| {
+            let Some((ray, _)) = lights.emit_near_dirac(scene, lamp, u) else { return 0.0 };
+            match accel.intersect(scene, &ray) {
+                Some(hit) if of(hit.triangle) => 1.0,
+                _ => 0.0,
+            }
+        };
+        let lamps = if class == Class::Unfound { lights.near_dirac_count() } else { 0 };
         let possible = lit.begins() > 0.0;
-        Self { class, lit, possible }
+        Self { class, lit, aim: Aim::new(lamps, &meets), possible }
     }
 
     /// Whether there are caustics at all: surfaces that make them, and light.
@@ -196,7 +209,7 @@ impl<'a> Caustics<'a> {
     }
 
     fn begin(&self, stream: &mut Stream) -> Option<Flight> {
-        let Sources { class, lit, possible: true } = self.sources else { return None };
+        let Sources { class, lit, aim: _, possible: true } = self.sources else { return None };
         let (near, choice) = (lit.near_share(), stream.next_f64());
         let begun = |ray, flux, share: f64| Flight {
             ray,
@@ -207,7 +220,7 @@ impl<'a> Caustics<'a> {
         if choice < near {
             let (ray, flux) = match class {
                 Class::All => self.lights.sample_near_emission(self.scene, stream),
-                Class::Unfound => self.lights.sample_near_dirac_emission(self.scene, stream),
+                Class::Unfound => self.emit(stream),
             }?;
             return Some(begun(ray, flux, near));
         }
@@ -217,6 +230,15 @@ impl<'a> Caustics<'a> {
         let bsdf = Bsdf::at(self.scene, &at);
         // What only passes a pane falls on the surfaces behind it, and begins there.
         (self.scatter(&at, &bsdf, &mut flight, stream)? == Onwards::Scattered).then_some(flight)
+    }
+
+    /// A particle of a lamp without area.
+    fn emit(&self, stream: &mut Stream) -> Option<(Ray, Vec3)> {
+        let (lamp, probability) = self.lights.choose_near_dirac(stream.next_f64())?;
+        let (u, density) = self.sources.aim.sample(lamp, stream.next_2d());
+        let (ray, flux) = self.lights.emit_near_dirac(self.scene, lamp, u)?;
+        let flux = flux / (probability * density) as f32;
+        (flux.is_finite() && flux.max_element() > 0.0).then_some((ray, flux))
     }
 
     fn follow(&self, mut flight: Flight, stream: &mut Stream, deposit: &mut dyn FnMut(&Deposit<'_>)) {

@@ -5,7 +5,8 @@
 //! its mean over wide surroundings is shown as far as both halves found it. Whether that difference is shown at all is decided by
 //! samples that it does not know: with Z from one half and R the raw mean of the other, the mean over blocks of
 //! `(Z − map)(Z + map − 2R)` is the squared error of Z less that of the map, without R's own noise. The map stays until
-//! that is below 0 for certain. The same blocks tell the error of what is shown.
+//! that is below 0 for certain. The same blocks tell the error of what is shown. Certain is what blocks agree on, or what the
+//! noise of R cannot be: where one block, under a caustic, say, holds nearly all of the error, blocks never agree.
 //!
 //! What paths do not find, light that was traced to the eye (`splatting::light_tracing`), belongs to the samples: it is
 //! added to their means, half by half, before anything is filtered or compared.
@@ -30,6 +31,8 @@ use crate::world::World;
 const BLOCK: usize = 8;
 /// Standard errors for certain: one side, 5 %.
 const CERTAIN: f64 = 1.65;
+/// Of noise that is known by two batches only, and where it matters may be that of one block.
+const CERTAIN_BY_NOISE: f64 = 6.0;
 /// Least albedo that is divided by.
 const ALBEDO_MIN: f32 = 1e-3;
 /// So many paths of a pixel are worth as much as the first sample, which branches.
@@ -210,37 +213,67 @@ fn blocks(width: usize, height: usize, value: impl Fn(usize) -> f32) -> Vec<f64>
         .collect()
 }
 
-/// How a picture from one half does beside the other one, block by block: its squared error less that of the map, and that
-/// error itself.
-fn against(
-    surfaces: &Surfaces,
-    pixels: &Pixels<'_>,
-    [from, with]: [[usize; 2]; 2],
-    (width, height): (usize, usize),
-    goes_on: GoesOn<'_>,
-) -> Option<(Vec<f64>, Vec<f64>)> {
-    let guess = pixels.reconstructed(surfaces, [&from[..1], &from[1..]], goes_on)?;
-    let albedo = pixels.of(PixelSums::albedo);
-    let z = blocks(width, height, |i| luminance(guess[i] * albedo[i]));
-    let [a, b] = [0, 1].map(|i| {
-        // Uncut, or what is cut off both would seem right.
-        let with = &with[i..=i];
-        let residual = pixels.of(|sums, n| sums.residual(with, n) + sums.excess(with, n));
-        let traced = |i: usize| match pixels.traced {
-            Some(traced) if pixels.at[i].is_some() => luminance(traced.diffuse(i, with)),
-            _ => 0.0,
+/// How a picture from one half does beside the other one, block by block.
+struct Beside {
+    /// Its squared error less that of the map.
+    helps: Vec<f64>,
+    /// Variances of that by the noise of the other half.
+    doubts: Vec<f64>,
+    /// Its squared error, and that of the map.
+    errors: [Vec<f64>; 2],
+}
+
+impl Beside {
+    fn new(
+        surfaces: &Surfaces,
+        pixels: &Pixels<'_>,
+        [from, with]: [[usize; 2]; 2],
+        (width, height): (usize, usize),
+        goes_on: GoesOn<'_>,
+    ) -> Option<Self> {
+        let guess = pixels.reconstructed(surfaces, [&from[..1], &from[1..]], goes_on)?;
+        let albedo = pixels.of(PixelSums::albedo);
+        let z = blocks(width, height, |i| luminance(guess[i] * albedo[i]));
+        let [a, b] = [0, 1].map(|i| {
+            // Uncut, or what is cut off both would seem right.
+            let with = &with[i..=i];
+            let residual = pixels.of(|sums, n| sums.residual(with, n) + sums.excess(with, n));
+            let traced = |i: usize| match pixels.traced {
+                Some(traced) if pixels.at[i].is_some() => luminance(traced.diffuse(i, with)),
+                _ => 0.0,
+            };
+            blocks(width, height, |i| luminance(residual[i]) + traced(i))
+        });
+        let r = |i: usize| 0.5 * (a[i] + b[i]);
+        let noise = |i: usize| 0.25 * (a[i] - b[i]).powi(2);
+        let all = |value: &dyn Fn(usize) -> f64| (0..z.len()).map(value).collect::<Vec<f64>>();
+        Some(Self {
+            helps: all(&|i| z[i] * (z[i] - 2.0 * r(i))),
+            doubts: all(&|i| 4.0 * z[i] * z[i] * noise(i)),
+            errors: [all(&|i| (z[i] - r(i)).powi(2) - noise(i)), all(&|i| r(i) * r(i) - noise(i))],
+        })
+    }
+
+    /// The same with roles changed, and the mean of both.
+    fn mean(self, other: Self) -> Self {
+        let mean = |a: Vec<f64>, b: Vec<f64>| -> Vec<f64> {
+            a.into_iter().zip(b).map(|(a, b)| 0.5 * (a + b)).collect()
         };
-        blocks(width, height, |i| luminance(residual[i]) + traced(i))
-    });
-    let each = |i: usize| {
-        let (r, noise) = (0.5 * (a[i] + b[i]), 0.25 * (a[i] - b[i]).powi(2));
-        (z[i] * (z[i] - 2.0 * r), (z[i] - r).powi(2) - noise, r * r - noise)
-    };
-    let helps = (0..z.len()).map(|i| each(i).0).collect::<Vec<f64>>();
-    let better = mean_and_error(&helps);
-    let corrects = better.0 + CERTAIN * better.1 < 0.0;
-    let errors = (0..z.len()).map(|i| if corrects { each(i).1 } else { each(i).2 }).collect();
-    Some((helps, errors))
+        let ([a, b], [c, d]) = (self.errors, other.errors);
+        Self {
+            helps: mean(self.helps, other.helps),
+            doubts: mean(self.doubts, other.doubts),
+            errors: [mean(a, c), mean(b, d)],
+        }
+    }
+
+    /// Whether it is certainly better than the map: as blocks go, or, where a few blocks hold nearly all of the error, as far
+    /// beyond its noise as that is known by two batches.
+    fn is_better(&self) -> bool {
+        let (better, apart) = mean_and_error(&self.helps);
+        let noise = self.doubts.iter().sum::<f64>().sqrt() / self.doubts.len().max(1) as f64;
+        better + (CERTAIN * apart).min(CERTAIN_BY_NOISE * noise) < 0.0
+    }
 }
 
 /// The picture that the samples of `tiles` and the light `traced` to the eye make of a view; `None` where that was not to go on.
@@ -255,12 +288,9 @@ pub fn settled(
     let (width, height) = (buffers.width(), buffers.height());
     let surfaces = Surfaces::of_view(world, frame, buffers, goes_on)?;
     let pixels = Pixels::new(width, height, tiles, traced);
-    let of_roles = |roles| against(&surfaces, &pixels, roles, (width, height), goes_on);
-    let both = [of_roles(HALVES)?, of_roles([HALVES[1], HALVES[0]])?];
-    let [helps, errors] = [|r: &(Vec<f64>, Vec<f64>)| r.0.clone(), |r: &(Vec<f64>, Vec<f64>)| r.1.clone()]
-        .map(|of| of(&both[0]).iter().zip(&of(&both[1])).map(|(a, b)| 0.5 * (a + b)).collect::<Vec<f64>>());
-    let (better, doubt) = mean_and_error(&helps);
-    let corrects = better + CERTAIN * doubt < 0.0;
+    let of_roles = |roles| Beside::new(&surfaces, &pixels, roles, (width, height), goes_on);
+    let beside = of_roles(HALVES)?.mean(of_roles([HALVES[1], HALVES[0]])?);
+    let corrects = beside.is_better();
     let mut diffuse = pixels.of(PixelSums::shown);
     if corrects {
         let residual = pixels.reconstructed(&surfaces, [&HALVES[0], &HALVES[1]], goes_on)?;
@@ -272,7 +302,7 @@ pub fn settled(
     let lobes = pixels.lobes().mean(&surfaces, goes_on)?;
     let bright = blocks(width, height, |i| luminance(diffuse[i] + lobes[i]));
     let mean = bright.iter().sum::<f64>() / bright.len().max(1) as f64;
-    let (squared, doubt) = mean_and_error(&errors);
+    let (squared, doubt) = mean_and_error(&beside.errors[usize::from(!corrects)]);
     let limit = (squared + CERTAIN * doubt).max(0.0).sqrt();
     let known = pixels.at.iter().all(Option::is_some) && mean > 0.0;
     let enough = |t: &&Arc<TileSums>| t.samples as usize >= BATCHES;
@@ -382,5 +412,16 @@ mod tests {
         let (world, frame, buffers) = view();
         let tiles = vec![None; Tiles::of_size(SIZE.0, SIZE.1).len()];
         assert!(settled(&world, &frame, &buffers, &tiles, None, &|| false).is_none());
+    }
+
+    /// A map that is off in one block only, as under a caustic, gives way too.
+    #[test]
+    fn one_block_is_enough_where_there_is_no_doubt() {
+        let beside = |noise: f64| Beside {
+            helps: (0..192).map(|i| if i == 77 { -2.0 } else { -1e-5 }).collect(),
+            doubts: vec![noise * noise; 192],
+            errors: [Vec::new(), Vec::new()],
+        };
+        assert!(beside(0.01).is_better() && !beside(0.1).is_better());
     }
 }

@@ -75,7 +75,7 @@ fn a_soup_of_triangles_is_baked_in_time() {
         assert!(d["complete"] == false && d["has_indirect"] == true, "{d}");
         assert!(d["texels"].as_u64() > Some(200_000) && d["mean_irradiance"][1].as_f64() > Some(0.0), "{d}");
         let said = d["warnings"].to_string();
-        let share = said.split("direct light at ").nth(1).and_then(|s| s.split(' ').next());
+        let share = said.split("gathered at ").nth(1).and_then(|s| s.split(' ').next());
         let share: u32 = share.expect("what was done").parse().expect("a number");
         (share, d["resumed"] == true)
     };
@@ -153,7 +153,7 @@ fn a_kept_bake_is_taken_again_unless_it_is_damaged() {
     let (d, said) = bake("");
     assert!(d["cached"] == false && d["complete"] == true && said.is_empty(), "{d} {said}");
     let stages = d["stage_seconds"].as_object().expect("stages");
-    for name in ["elements", "direct", "particles", "error", "estimate"] {
+    for name in ["elements", "first", "gather", "smooth", "test"] {
         assert!(stages[name].as_f64() > Some(0.0), "{name}: {d}");
     }
     assert!(

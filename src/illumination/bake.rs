@@ -509,15 +509,24 @@ impl Baker {
         keep_going: &(dyn Fn(&Progress) -> bool + Sync),
         on_round: &mut dyn FnMut(&Summary),
     ) -> Baked {
+        let mut begun = false;
         loop {
-            // Without any light there is nothing to show.
-            if !keep_going(&self.progress()) && !matches!(self.doing, Doing::Begin) {
+            // Without any light there is nothing to show; and who goes on again and again must get somewhere.
+            if !keep_going(&self.progress()) && begun {
                 let state = self.state();
-                let illumination = self.so_far();
+                let mut illumination = self.so_far();
+                if self.round == 0 {
+                    illumination.summary.notes.push(format!(
+                        "light was gathered at {} of {} places, elsewhere a first estimate shows",
+                        state.next,
+                        self.gathered.len()
+                    ));
+                }
                 // What is saved is what goes on.
                 self.restore(&state);
                 return Baked { illumination, complete: false };
             }
+            begun = !matches!(self.doing, Doing::Begin);
             match self.step(indexed) {
                 Step::Going => {}
                 Step::Better(map) => on_round(&map.summary),

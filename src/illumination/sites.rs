@@ -35,6 +35,7 @@ struct Near {
     position: Vec3,
     normal: Vec3,
     site: u32,
+    level: i32,
 }
 
 /// Sites, and where to find those near a place.
@@ -70,8 +71,12 @@ fn floor(x: f32) -> i32 {
     whole.saturating_sub(i32::from(whole as f32 > x))
 }
 
-fn bucket(position: Vec3, level: i32, buckets: usize) -> usize {
-    let [x, y, z] = (position * per_cell(level)).to_array().map(|v| u64::from(floor(v) as u32));
+fn cell(position: Vec3, level: i32) -> [i32; 3] {
+    (position * per_cell(level)).to_array().map(floor)
+}
+
+fn bucket(cell: [i32; 3], level: i32, buckets: usize) -> usize {
+    let [x, y, z] = cell.map(|v| u64::from(v as u32));
     let mixed = x.wrapping_mul(0x9e37_79b9_7f4a_7c15)
         ^ y.wrapping_mul(0xc2b2_ae3d_27d4_eb4f)
         ^ z.wrapping_mul(0x1656_67b1_9e37_79f9)
@@ -93,17 +98,20 @@ impl Sites {
     /// These.
     pub fn of(all: Vec<Site>) -> Self {
         let buckets = all.len().next_power_of_two();
-        let at: Vec<usize> = all.iter().map(|s| bucket(s.position, level(s.width), buckets)).collect();
+        let at: Vec<usize> =
+            all.iter().map(|s| bucket(cell(s.position, level(s.width)), level(s.width), buckets)).collect();
         let mut first = vec![0u32; buckets + 1];
         at.iter().for_each(|&b| first[b + 1] += 1);
         for i in 1..first.len() {
             first[i] += first[i - 1];
         }
         let mut next = first.clone();
-        let mut members = vec![Near { position: Vec3::ZERO, normal: Vec3::ZERO, site: 0 }; all.len()];
+        let mut members =
+            vec![Near { position: Vec3::ZERO, normal: Vec3::ZERO, site: 0, level: 0 }; all.len()];
         let mut sizes = vec![false; (WIDEST - FINEST + 1) as usize];
         for (i, (&b, s)) in at.iter().zip(&all).enumerate() {
-            members[next[b] as usize] = Near { position: s.position, normal: s.normal, site: i as u32 };
+            members[next[b] as usize] =
+                Near { position: s.position, normal: s.normal, site: i as u32, level: level(s.width) };
             next[b] += 1;
             sizes[(level(s.width) - FINEST) as usize] = true;
         }
@@ -124,7 +132,8 @@ impl Sites {
             if !self.sizes.get((level - FINEST) as usize).is_some_and(|there| *there) {
                 return None;
             }
-            let bucket = bucket(place, level, self.first.len() - 1);
+            let here = cell(place, level);
+            let bucket = bucket(here, level, self.first.len() - 1);
             let range = self.first[bucket] as usize..self.first[bucket + 1] as usize;
             let mut nearest = None;
             let mut least = (CELL * site.width).powi(2);
@@ -133,6 +142,9 @@ impl Sites {
                 if distance < least
                     && near.normal.dot(site.normal) > FLAT
                     && (near.position - site.position).dot(site.normal).abs() < BESIDE * site.width
+                    // Other cells share the bucket by chance, and chance knows the size of the scene.
+                    && near.level == level
+                    && cell(near.position, level) == here
                 {
                     (nearest, least) = (Some(near.site), distance);
                 }
@@ -193,7 +205,8 @@ mod tests {
     #[test]
     fn sizes_without_end_are_survived() {
         for width in [0.0, 1e-38, 1e30, f32::INFINITY, f32::NAN] {
-            let _ = bucket(Vec3::new(1e30, -1e-30, f32::NAN), level(width), 64);
+            let level = level(width);
+            assert!(bucket(cell(Vec3::new(1e30, -1e-30, f32::NAN), level), level, 64) < 64);
         }
     }
 }

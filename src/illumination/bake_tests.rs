@@ -170,7 +170,7 @@ fn dark_backs_stay_dark_beside_lit_ones() {
     join(&mut mesh, &quad(Vec3::NEG_Z, Vec3::X * 3.0, Vec3::Y), 0);
     join(&mut mesh, &quad(Vec3::new(0.4, 0.4, -0.95), Vec3::X * 0.2, Vec3::Y * 0.2), 1);
     let room = scene(mesh, vec![lambert(0.5, 0.0), lambert(0.5, 5.0)], Vec::new());
-    let map = baked(&room, &settings(20_000, 1 << 17));
+    let map = baked(&room, &settings(20_000, 1 << 21));
     // Of the two triangles of the sheet.
     let at = |x: f32, y: f32| {
         let (t, b1, b2) = if y < x { (0, x - y, y) } else { (1, x, y - x) };
@@ -185,9 +185,9 @@ fn dark_backs_stay_dark_beside_lit_ones() {
         let [x, y] = [(i % 20) as f32, (i / 20) as f32].map(|i| (i + 0.5) / 20.0);
         at((1.1 + 1.9 * x) / 3.0, y)
     });
-    // But for texels that lie on both sides of the wall.
+    // But for texels that lie on both sides of the wall, and what is left of the first picture.
     let mean = dark.sum::<f32>() / 400.0;
-    assert!(mean < 0.005 * lit, "{mean} {lit}");
+    assert!(mean < 0.015 * lit, "{mean} {lit}");
 }
 
 #[test]
@@ -314,20 +314,25 @@ fn a_wall_lit_on_one_side_is_dark_on_the_other() {
         (b - a).cross(c - a).y < 0.0
     });
     closed.mesh.objects.fill(0);
-    let map = baked(&closed, &settings(8_000, 200_000));
-    // The sheet's normal is y × z = +x, away from the light.
-    let (mut lit, mut dark) = (0.0f32, 0.0f32);
-    for i in 0..200 {
-        let [u, v] = crate::rng::Stream::new(2, i, 0).next_2d();
-        let s = u.sqrt();
-        for t in [12, 13] {
-            lit += map.irradiance(t, s * (1.0 - v), s * v, true).x;
-            dark += map.irradiance(t, s * (1.0 - v), s * v, false).x;
+    let leak = |paths: u64| {
+        let map = baked(&closed, &settings(8_000, paths));
+        // The sheet's normal is y × z = +x, away from the light.
+        let (mut lit, mut dark) = (0.0f32, 0.0f32);
+        for i in 0..200 {
+            let [u, v] = crate::rng::Stream::new(2, i, 0).next_2d();
+            let s = u.sqrt();
+            for t in [12, 13] {
+                lit += map.irradiance(t, s * (1.0 - v), s * v, true).x;
+                dark += map.irradiance(t, s * (1.0 - v), s * v, false).x;
+            }
         }
-    }
-    assert!(lit / 400.0 > 0.1, "{lit}");
-    // A texel of the floor that lies on both sides of the sheet tells the dark side of the other one.
-    assert!(dark < 0.01 * lit, "{dark} {lit}");
+        assert!(lit / 400.0 > 0.1, "{lit}");
+        dark / lit
+    };
+    // Coarse elements of the first picture lie on both sides of the sheet. What they tell the dark is lost by half with each
+    // round, down to what a texel's width of the floor tells it.
+    let [early, late] = [1 << 17, 1 << 21].map(leak);
+    assert!(early < 0.04 && late < 0.01, "{early} {late}");
 }
 
 #[test]

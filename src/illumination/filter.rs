@@ -35,9 +35,6 @@ const TAPS: [(f32, f32, f32); 12] = [
 const MIDDLE: f32 = 0.375;
 /// A standard error below this share of a value is not smoothed away: nobody sees it.
 const CLEAN: f32 = 2e-3;
-/// A neighbour counts the less the noisier it is, from so many times the own variance on. Where it is about the same, noise must
-/// not decide what counts: bright samples are noisy ones, and the mean would be too dark.
-const NOISIER: f32 = 4.0;
 /// Variance of a half at most, in squares of the light around.
 const NOISE_MAX: f32 = 16.0;
 /// Exponents from which on a weight is nothing.
@@ -217,15 +214,10 @@ impl Sum {
         }
     }
 
+    /// How noisy the other is decides nothing: bright samples are the noisy ones, and the mean would be too dark.
     #[inline]
     fn add(&mut self, own: &Noisy, other: &Noisy, kernel: f32) {
         let noise = own.variance + other.variance;
-        // Beside a window the noise of what is outside is brighter than the room.
-        let trusted = if other.variance > NOISIER * own.variance {
-            NOISIER * own.variance / other.variance
-        } else {
-            1.0
-        };
         for half in 0..2 {
             let guard = 1 - half;
             let squared = luminance(other.halves[guard] - own.halves[guard]).powi(2);
@@ -236,7 +228,7 @@ impl Sum {
                 // Also where there is no noise.
                 _ => continue,
             };
-            let weight = kernel * likeness * trusted;
+            let weight = kernel * likeness;
             self.values[half] += other.halves[half] * weight;
             self.weights[half] += weight;
             self.variances[half] += weight * weight * other.variance;

@@ -3,7 +3,7 @@
 //! The first round follows paths to their end, so that all bounces of light are there; the next ones read what it found, as
 //! those of the bake do. Of a dense mesh one vertex speaks for those around it. Nothing in it is guessed: it is a short bake.
 
-use std::collections::HashSet;
+use std::collections::HashMap;
 
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
@@ -86,6 +86,8 @@ fn smoothed(sites: &Sites, parts: Vec<Parts>, known: Vec<bool>) -> Vec<Parts> {
 /// Sites that speak for others; all speak for themselves where they are few.
 struct Places {
     sites: Option<Sites>,
+    /// Per site of the scene, which of them speaks for it.
+    spokesman: Vec<u32>,
     /// Width of what each speaks for.
     size: f32,
 }
@@ -94,24 +96,24 @@ impl Places {
     /// At most [`PLACES`]: one of each cell of space and direction, cells as small as that allows.
     fn among(all: &Sites) -> Self {
         if all.all().len() <= PLACES {
-            return Self { sites: None, size: 0.0 };
+            return Self { sites: None, spokesman: Vec::new(), size: 0.0 };
         }
         let widest = all.all().iter().map(|s| s.width).fold(0.0f32, f32::max);
         let mut size = widest.max(f32::MIN_POSITIVE);
         // Cells of at least the widest site may be too many, or too few by far: then dense meshes have smaller ones.
-        while cells(all, size).len() < PLACES / 4 && size > 1e-3 * widest {
+        while cells(all, size).0.len() < PLACES / 4 && size > 1e-3 * widest {
             size *= 0.5;
         }
-        let mut chosen = cells(all, size);
+        let (mut chosen, mut spokesman) = cells(all, size);
         while chosen.len() > PLACES {
             size *= 1.25;
-            chosen = cells(all, size);
+            (chosen, spokesman) = cells(all, size);
         }
         let wide = |i: &u32| {
             let site = all.all()[*i as usize];
             Site { width: site.width.max(size), ..site }
         };
-        Self { sites: Some(Sites::of(chosen.iter().map(wide).collect())), size }
+        Self { sites: Some(Sites::of(chosen.iter().map(wide).collect())), spokesman, size }
     }
 
     /// What the parts at these places make of all elements.
@@ -125,7 +127,7 @@ impl Places {
     ) -> Illumination {
         let light = |i: usize| parts[i].iter().map(Noisy::mean).sum::<Vec3>();
         let own = |i: usize| known[i].then(|| light(i));
-        let spoken = |site: &Site| {
+        let spoken = |i: usize, site: &Site| {
             let sites = self.sites.as_ref()?;
             let (x, y) = site.normal.any_orthonormal_pair();
             // Where cells meet their values are mixed.
@@ -136,9 +138,10 @@ impl Places {
             });
             let found = around.iter().flatten();
             let n = found.clone().count();
-            (n > 0).then(|| found.sum::<Vec3>() / n as f32)
+            // Where a surface curves too much for neighbours the own cell's is still there.
+            if n > 0 { Some(found.sum::<Vec3>() / n as f32) } else { own(self.spokesman[i] as usize) }
         };
-        let value = |(i, site): (usize, &Site)| if self.sites.is_some() { spoken(site) } else { own(i) };
+        let value = |(i, site): (usize, &Site)| if self.sites.is_some() { spoken(i, site) } else { own(i) };
         let values: Vec<Option<Vec3>> = all.all().par_iter().enumerate().map(value).collect();
         let mut sides: [Vec<Value>; 2] = [vec![None; atlas.elements.len()], vec![None; atlas.elements.len()]];
         let (mut power, mut area) = (Vec3::ZERO, 0.0);
@@ -157,16 +160,18 @@ impl Places {
     }
 }
 
-/// The first site of each cell of this size and of each of six directions.
-fn cells(all: &Sites, size: f32) -> Vec<u32> {
-    let mut seen: HashSet<(IVec3, usize)> = HashSet::new();
-    let mut chosen = Vec::new();
+/// The first site of each cell of this size and of each of six directions, and which of these is the one of each site.
+fn cells(all: &Sites, size: f32) -> (Vec<u32>, Vec<u32>) {
+    let mut cells: HashMap<(IVec3, usize), u32> = HashMap::new();
+    let (mut chosen, mut of) = (Vec::new(), Vec::with_capacity(all.all().len()));
     for (i, site) in all.all().iter().enumerate() {
         let axis = site.normal.abs().max_position();
         let towards = 2 * axis + usize::from(site.normal[axis] < 0.0);
-        if seen.insert(((site.position / size).floor().as_ivec3(), towards)) {
+        let cell = cells.entry(((site.position / size).floor().as_ivec3(), towards)).or_insert_with(|| {
             chosen.push(i as u32);
-        }
+            chosen.len() as u32 - 1
+        });
+        of.push(*cell);
     }
-    chosen
+    (chosen, of)
 }

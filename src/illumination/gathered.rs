@@ -17,7 +17,7 @@ use crate::transport::medium::Media;
 const KEPT: f32 = 0.5;
 
 /// Sample i of a half is cut at so many times √i times the light expected.
-const CUT: f32 = 16.0;
+const CUT: f32 = 64.0;
 
 /// Sums of one site, W/m² per band times samples; caustics W.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -16,6 +16,8 @@ use crate::math;
 pub const PARTS: usize = 3;
 /// Distances between taps, level by level, in widths of a site.
 const STEPS: [f32; 6] = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
+/// The last pass.
+const PEAKS: usize = STEPS.len() + 1;
 /// Taps with their weights, but for the middle one: a binomial kernel without its corners.
 const TAPS: [(f32, f32, f32); 12] = [
     (1.0, 0.0, 0.25),
@@ -77,7 +79,7 @@ pub struct Smoothing {
     known: Vec<bool>,
     /// Which sites have neighbours at the distance of the last pass: where there were none, there are none further away.
     reaching: Vec<bool>,
-    /// Passes done: pooling, then the levels.
+    /// Passes done: pooling, the levels, peaks.
     pass: usize,
 }
 
@@ -106,6 +108,7 @@ impl Smoothing {
                 from[i]
             }
             0 => pooled((sites, known), from, i),
+            PEAKS => without_peak((sites, known), from, i),
             _ => {
                 let (parts, found) = smoothed((sites, known), from, i, STEPS[pass - 1]);
                 *reaches = found;
@@ -122,7 +125,7 @@ impl Smoothing {
         std::mem::swap(&mut self.from, &mut self.to);
         self.to.clear();
         self.pass += 1;
-        (self.pass > STEPS.len()).then(|| std::mem::take(&mut self.from))
+        (self.pass > PEAKS).then(|| std::mem::take(&mut self.from))
     }
 }
 
@@ -196,6 +199,28 @@ fn smoothed((sites, known): (&Sites, &[bool]), from: &[Parts], i: usize, step: f
     let mut out = *here;
     out.iter_mut().zip(&sums).filter(|(part, _)| !part.is_clean()).for_each(|(part, sum)| *part = sum.mean());
     (out, found)
+}
+
+/// No brighter than the brightest around: where few samples found a light by chance in both halves, they agree on a spot.
+fn without_peak((sites, known): (&Sites, &[bool]), from: &[Parts], i: usize) -> Parts {
+    let mut out = from[i];
+    let site = &sites.all()[i];
+    let mut around = [0.0f32; PARTS];
+    let mut count = 0;
+    for (j, _) in taps((sites, known), site, 2.0) {
+        around.iter_mut().zip(&from[j]).for_each(|(most, part)| *most = most.max(luminance(part.mean())));
+        count += 1;
+    }
+    // The edge of a narrow thing may be its brightest place.
+    if 2 * count >= TAPS.len() {
+        for (part, most) in out.iter_mut().zip(around) {
+            let light = luminance(part.mean());
+            if light > most {
+                part.halves = part.halves.map(|half| half * (most / light));
+            }
+        }
+    }
+    out
 }
 
 /// Weighted sums of both halves.
@@ -329,6 +354,19 @@ mod tests {
         let lit = (0..SIDE * SIDE).filter(|i| i % SIDE < SIDE / 2 - 2).map(|i| out[i]);
         let mean = lit.clone().sum::<f32>() / lit.clone().count() as f32;
         assert!((mean / (6.0 / 7.0) - 1.0).abs() < 0.1 && lit.clone().all(|v| v > 0.0), "{mean}");
+    }
+
+    /// Both halves found a light by chance: they agree on a spot, and nothing around does. A lit square stays.
+    #[test]
+    fn lone_spots_go_and_what_is_wider_stays() {
+        let light = |x: usize, y: usize| match (x, y) {
+            (10, 10) => 9.0,
+            (40..44, 40..44) => 9.0,
+            _ => 1.0,
+        };
+        let out = smoothed(noisy(light, 0.0, 3), vec![true; SIDE * SIDE]);
+        assert_eq!(out[10 * SIDE + 10], 1.0);
+        assert!((0..16).all(|i| out[(40 + i / 4) * SIDE + 40 + i % 4] == 9.0));
     }
 
     #[test]

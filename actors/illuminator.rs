@@ -6,12 +6,10 @@
 
 use std::cell::OnceCell;
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use foveal::illumination::bake::{BakeSettings, Baker, Step, cache_key};
 use foveal::illumination::cache::save;
 use foveal::illumination::stored::Illumination;
-use foveal::transport::particle::SharedTransport;
 use foveal::world::World;
 use foveal_runtime::{Actor, Address, Class, Cx};
 
@@ -29,19 +27,12 @@ pub struct Refinement {
     pub keep: Option<PathBuf>,
 }
 
-/// A map is made once there are so many times the particles of the one before.
-const MORE: u64 = 4;
-/// Runs of elements estimated in a turn.
-const RUNS: usize = 16;
-
 /// What the next turn does.
 enum Stage {
     /// Divides the surfaces.
     Begun,
-    /// Traces.
-    Gathering(Box<Baker<'static>>),
-    /// Makes a map, the last or one of those before.
-    Estimating(Box<Baker<'static>>, bool),
+    /// Goes on.
+    Baking(Box<Baker>),
     /// Nothing.
     Done,
 }
@@ -50,8 +41,6 @@ enum Stage {
 pub struct Illuminator {
     refinement: Refinement,
     stage: Stage,
-    /// Particles in the last map that was sent.
-    sent: u64,
     /// Threads of its own, so that the display never waits behind its work. Made by its first turn: they give way where the
     /// thread of that does. `None` where there are none to be had.
     pool: OnceCell<Option<rayon::ThreadPool>>,
@@ -65,7 +54,6 @@ impl Illuminator {
         Self {
             refinement,
             stage: Stage::Begun,
-            sent: 0,
             pool: OnceCell::new(),
             renderer,
             outbox: Outbox::new(|| IlluminatorMessage::SendAgain),
@@ -80,26 +68,18 @@ impl Illuminator {
     fn refine(&mut self, cx: &mut Cx<'_, IlluminatorMessage>) {
         let stage = std::mem::replace(&mut self.stage, Stage::Done);
         let Refinement { world, settings, .. } = &self.refinement;
-        let sent = self.sent;
         let work = || match stage {
             Stage::Begun => {
-                let w = world.clone();
-                let transport = SharedTransport::new(w.scene.clone(), w.accel, w.lights);
-                let baker = Box::new(Baker::new(&w.scene, transport, settings));
+                let mut baker = Box::new(Baker::new(world.indexed(), settings));
+                baker.begin_with(&*world.illumination);
                 // The same light in the storage of what follows, so that values can be blended.
-                let map = Illumination::resampled(baker.atlas(), &*world.illumination);
-                (Stage::Gathering(baker), Some(map))
+                let map = baker.map().clone();
+                (Stage::Baking(baker), Some(map))
             }
-            Stage::Gathering(mut baker) => match baker.step() {
-                // A map costs about as much as a pass of particles: not every pass gets one.
-                Step::Appraised(s) if s.particles >= MORE * sent => (Stage::Estimating(baker, false), None),
-                Step::Going | Step::Appraised(_) => (Stage::Gathering(baker), None),
-                Step::Done(_) => (Stage::Estimating(baker, true), None),
-            },
-            Stage::Estimating(mut baker, last) => match baker.estimate_some(RUNS) {
-                None => (Stage::Estimating(baker, last), None),
-                map if last => (Stage::Done, map),
-                map => (Stage::Gathering(baker), map),
+            Stage::Baking(mut baker) => match baker.step(world.indexed()) {
+                Step::Going => (Stage::Baking(baker), None),
+                Step::Better(map) => (Stage::Baking(baker), Some(map)),
+                Step::Done(map) => (Stage::Done, Some(map)),
             },
             Stage::Done => (Stage::Done, None),
         };
@@ -114,12 +94,11 @@ impl Illuminator {
         self.stage = stage;
         let last = self.is_done();
         if let Some(map) = map {
-            self.sent = map.summary.particles;
             if last && cx.effects() {
                 self.keep(&map);
             }
             let hash = map.digest();
-            let message = RendererMessage::Illuminated { map: Arc::new(map), last, hash };
+            let message = RendererMessage::Illuminated { map, last, hash };
             self.outbox.tell(cx, &self.renderer, message);
         }
         if !last {

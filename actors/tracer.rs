@@ -12,6 +12,7 @@ use foveal::display::environment_map::{self, EnvironmentMap, capture, direction,
 use foveal::image::luminance;
 use foveal::sampling::Lattice;
 use foveal::scene::mip_cache;
+use foveal::splatting::light_tracing::{Splats, trace_run};
 use foveal::splatting::settled::settled;
 use foveal::splatting::supersampling::supersample;
 use foveal::splatting::trace::{Owner, trace_samples};
@@ -22,7 +23,7 @@ use xxhash_rust::xxh3::Xxh3;
 use crate::message::tracer::EnvironmentWork;
 use crate::message::{
     AllocatorMessage, CacheAgerMessage, EnvironmentOrder, LevelOrder, PredictionOrder, RendererMessage,
-    SampleOrder, SettleWork, TileWork, TraceJob, TracerMessage,
+    RunWork, SampleOrder, SettleWork, TileWork, TraceJob, TracerMessage, View,
 };
 use crate::outbox::Outbox;
 
@@ -88,15 +89,38 @@ impl Tracer {
     }
 
     fn settle(&mut self, work: &SettleWork, cx: &mut Cx<'_, TracerMessage>) {
-        let SettleWork { drawn, tiles } = work;
-        let settled = settled(&drawn.world, &drawn.frame, &drawn.buffers, tiles);
+        let SettleWork { drawn, tiles, traced } = work;
+        // It takes longer than a view that has begun can wait for the cores.
+        let settled = cx.while_wanted(|is_wanted| {
+            settled(&drawn.world, &drawn.frame, &drawn.buffers, tiles, traced.as_deref(), is_wanted)
+        });
         if !cx.claim() {
             return;
         }
+        let Some(settled) = settled else { return self.not_settled(drawn.view, cx) };
         let (view, stated, hash) = (drawn.view, Some(settled.stated), settled.digest());
         let shown = RendererMessage::RefinedShown { view, settled: Arc::new(settled), hash };
         self.outbox.tell(cx, &self.renderer, shown);
         self.outbox.tell(cx, &self.allocator, AllocatorMessage::Settled { view, stated });
+    }
+
+    fn trace_run(&mut self, work: &RunWork, cx: &mut Cx<'_, TracerMessage>) {
+        let RunWork { drawn, run, seed } = work;
+        let splats =
+            cx.while_wanted(|is_wanted| trace_run(&drawn.world, &drawn.frame, *run, *seed, is_wanted));
+        if cx.claim() {
+            self.run_traced(drawn.view, splats, cx);
+        }
+    }
+
+    fn run_traced(&mut self, view: View, splats: Option<Splats>, cx: &mut Cx<'_, TracerMessage>) {
+        let hash = splats.as_ref().map_or(0, Splats::digest);
+        let traced = AllocatorMessage::RunTraced { view, splats: splats.map(Arc::new), hash };
+        self.outbox.tell(cx, &self.allocator, traced);
+    }
+
+    fn not_settled(&mut self, view: View, cx: &mut Cx<'_, TracerMessage>) {
+        self.outbox.tell(cx, &self.allocator, AllocatorMessage::Settled { view, stated: None });
     }
 
     fn capture(&mut self, order: &EnvironmentOrder, cx: &mut Cx<'_, TracerMessage>) {
@@ -211,6 +235,7 @@ impl Worker for Tracer {
         match job {
             TraceJob::Samples(order) => self.trace_samples(order, cx),
             TraceJob::Tile(work) => self.supersample(work, cx),
+            TraceJob::Run(work) => self.trace_run(work, cx),
             TraceJob::Settle(work) => self.settle(work, cx),
             TraceJob::Environment(order) => self.capture(order, cx),
             TraceJob::Prediction(order) => self.look_ahead(order, cx),
@@ -225,10 +250,8 @@ impl Worker for Tracer {
                 let back = AllocatorMessage::TileSampled { view: drawn.view, sums: None, hash: 0 };
                 self.outbox.tell(cx, &self.allocator, back);
             }
-            TraceJob::Settle(SettleWork { drawn, .. }) => {
-                let back = AllocatorMessage::Settled { view: drawn.view, stated: None };
-                self.outbox.tell(cx, &self.allocator, back);
-            }
+            TraceJob::Run(RunWork { drawn, .. }) => self.run_traced(drawn.view, None, cx),
+            TraceJob::Settle(SettleWork { drawn, .. }) => self.not_settled(drawn.view, cx),
             TraceJob::Environment(order) => {
                 let nothing = AllocatorMessage::EnvironmentCaptured {
                     object: order.object,

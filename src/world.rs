@@ -1,6 +1,6 @@
 //! A scene made ready to be walked: geometry index, lights and illumination beside it.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -12,7 +12,9 @@ use crate::math;
 use crate::rng::Stream;
 use crate::scene::camera::CameraFrame;
 use crate::scene::{Scene, Texture};
+use crate::transport::Indexed;
 use crate::transport::bidirectional::Bidirectional;
+use crate::transport::caustic::{Caustics, Class, Sources};
 use crate::transport::gather::{Gather, Trust};
 use crate::transport::light::Lights;
 use crate::transport::tracer::{Settings, Tracer};
@@ -29,6 +31,8 @@ pub struct World {
     pub lights: Arc<Lights>,
     /// Diffuse illumination.
     pub illumination: Arc<dyn Irradiance>,
+    /// Where light begins that no path finds, once it was looked for.
+    pub unfound: Arc<OnceLock<Sources>>,
 }
 
 impl World {
@@ -37,7 +41,7 @@ impl World {
         let accel = Arc::new(Accel::build(&scene));
         let lights = Arc::new(Lights::build(&scene));
         let scene = metered(scene, &accel, &lights);
-        Self { scene, accel, lights, illumination }
+        Self { scene, accel, lights, illumination, unfound: Arc::default() }
     }
 
     /// The tracer of corrections in this world.
@@ -50,9 +54,20 @@ impl World {
         self.gather(Trust::Nobody).radiance(ray, stream)
     }
 
+    /// Its scene with what rays need of it.
+    pub fn indexed(&self) -> Indexed<'_> {
+        Indexed { scene: &self.scene, accel: &self.accel, lights: &self.lights }
+    }
+
     /// The integrator of this world's light, with as much trust in a map.
     pub fn gather<'a>(&'a self, trust: Trust<'a>) -> Gather<'a> {
         Gather::new(&self.scene, &self.accel, &self.lights, trust)
+    }
+
+    /// Particles of the light that [`Self::gather`] does not find.
+    pub fn caustics(&self) -> Caustics<'_> {
+        let look = || Sources::new(&self.scene, &self.accel, &self.lights, Class::Unfound);
+        Caustics::new(&self.scene, &self.accel, &self.lights, self.unfound.get_or_init(look))
     }
 
     /// Bidirectional paths of a view, without the illumination.

@@ -8,12 +8,12 @@ use foveal::display::first_approximation::{FirstApproximation, Probes};
 use foveal::display::tone::ToneMap;
 use foveal::display::twin::{Passes, draw};
 use foveal::geometry::Accel;
-use foveal::illumination::bake::quick_direct;
+use foveal::illumination::first::first_picture;
 use foveal::image::{Map2d, luminance};
 use foveal::metrics::flip;
 use foveal::scene::load::load;
+use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
-use foveal::transport::particle::SceneTransport;
 use foveal::world::World;
 use foveal_engine::reference::traced_picture;
 use glam::Vec3;
@@ -23,8 +23,8 @@ use crate::support::scene;
 fn world(name: &str) -> World {
     let scene = Arc::new(load(&scene(name)).expect("a bundled scene").scene);
     let (accel, lights) = (Arc::new(Accel::build(&scene)), Arc::new(Lights::build(&scene)));
-    let illumination = Arc::new(quick_direct(&scene, &SceneTransport::new(&scene, &accel, &lights), 1));
-    World { scene, accel, lights, illumination }
+    let illumination = Arc::new(first_picture(Indexed { scene: &scene, accel: &accel, lights: &lights }, 1));
+    World { scene, accel, lights, illumination, unfound: Arc::default() }
 }
 
 fn check(name: &str, share: f64) {

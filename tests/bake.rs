@@ -75,7 +75,7 @@ fn a_soup_of_triangles_is_baked_in_time() {
         assert!(d["complete"] == false && d["has_indirect"] == true, "{d}");
         assert!(d["texels"].as_u64() > Some(200_000) && d["mean_irradiance"][1].as_f64() > Some(0.0), "{d}");
         let said = d["warnings"].to_string();
-        let share = said.split("direct light at ").nth(1).and_then(|s| s.split(' ').next());
+        let share = said.split("gathered at ").nth(1).and_then(|s| s.split(' ').next());
         let share: u32 = share.expect("what was done").parse().expect("a number");
         (share, d["resumed"] == true)
     };
@@ -88,7 +88,7 @@ fn a_soup_of_triangles_is_baked_in_time() {
     {
         let line = "bake --texels 4096 --error 0.001% --resume --jsonl --out";
         let mut running = Foveal::new(line).arg(&file).arg(&scene).start();
-        while !running.said().contains("\"direct\"") {
+        while !running.said().contains("\"gather\"") {
             assert!(running.is_running(), "{}", running.said());
             std::thread::sleep(std::time::Duration::from_millis(5));
         }
@@ -146,14 +146,14 @@ fn ctrl_c_keeps_a_valid_bake_and_the_way_on() {
 fn a_kept_bake_is_taken_again_unless_it_is_damaged() {
     let cache = folder("kept");
     let bake = |more: &str| {
-        let line = format!("bake --particles 30000 --error 30% --texels 2048 {more} --json --cache");
+        let line = format!("bake --particles 100000 --error 50% --texels 2048 {more} --json --cache");
         let ended = Foveal::new(&line).arg(&cache).arg(scene("box")).ok();
         (ended.json(), ended.err)
     };
     let (d, said) = bake("");
     assert!(d["cached"] == false && d["complete"] == true && said.is_empty(), "{d} {said}");
     let stages = d["stage_seconds"].as_object().expect("stages");
-    for name in ["elements", "direct", "particles", "error", "estimate"] {
+    for name in ["elements", "first", "gather", "smooth", "test"] {
         assert!(stages[name].as_f64() > Some(0.0), "{name}: {d}");
     }
     assert!(
@@ -162,7 +162,7 @@ fn a_kept_bake_is_taken_again_unless_it_is_damaged() {
     // So coarse a map hides what it is off by from itself; where it is seen that was measured.
     let (error, measured) = (d["error"].as_f64(), [0, 1].map(|i| d["error_measured"][i].as_f64()));
     assert!(measured[0] <= error && measured[0] < measured[1] && error < Some(1.0), "{d}");
-    assert_eq!(d["error_reached"], error < Some(0.3), "{d}");
+    assert_eq!(d["error_reached"], error < Some(0.5), "{d}");
     let file = PathBuf::from(d["file"].as_str().expect("a file"));
     assert_eq!(bake("").0["cached"], true);
     let whole = fs::read(&file).expect("the bake");

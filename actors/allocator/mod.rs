@@ -170,6 +170,9 @@ impl Actor for Allocator {
                 self.on_job_done(cx);
             }
             AllocatorMessage::TileSampled { view, sums, hash: _ } => self.on_tile_sampled(view, sums, cx),
+            AllocatorMessage::RunTraced { view, splats, hash: _ } => {
+                self.on_run_traced(view, splats.as_deref(), cx);
+            }
             AllocatorMessage::Settled { view, stated } => self.on_settled(view, stated, cx),
             AllocatorMessage::ResidualsMeasured { view, object, level, pixel, residual } => {
                 self.order.record(u64::from(view.0), object, level, pixel, &residual);
@@ -259,6 +262,13 @@ impl Allocator {
                 let is_shown = self.drawn.as_ref().is_some_and(|drawn| drawn.view == *view);
                 if let Some(supersampler) = self.supersampler.as_mut().filter(|_| is_shown) {
                     supersampler.lose(*tile);
+                }
+                self.on_job_done(cx);
+            }
+            TraceBrief::Run { view, .. } => {
+                let is_shown = self.drawn.as_ref().is_some_and(|drawn| drawn.view == *view);
+                if let Some(supersampler) = self.supersampler.as_mut().filter(|_| is_shown) {
+                    supersampler.lose_run();
                 }
                 self.on_job_done(cx);
             }

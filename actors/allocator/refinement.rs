@@ -1,15 +1,19 @@
-//! The allocator's part about refinement: more samples for the pixels of a view that has converged, tile by tile.
+//! The allocator's part about refinement: more samples for the pixels of a view that has converged, tile by
+//! tile, and light traced to the eye, run by run.
 
 use std::sync::Arc;
 
 use foveal::allocation::policy::bucket_of;
 use foveal::allocation::supersampling::Supersampler;
 use foveal::display::tone::ToneMap;
+use foveal::splatting::light_tracing::{LightSums, Splats};
 use foveal::splatting::tile_sums::TileSums;
 use foveal_runtime::Cx;
 
 use super::Allocator;
-use crate::message::{AllocatorMessage, DrawnView, RendererMessage, SettleWork, TileWork, TraceJob, View};
+use crate::message::{
+    AllocatorMessage, DrawnView, RendererMessage, RunWork, SettleWork, TileWork, TraceJob, View,
+};
 use crate::stages::Stage;
 
 impl Allocator {
@@ -31,6 +35,23 @@ impl Allocator {
         self.tell_insight_if_due();
     }
 
+    pub(super) fn on_run_traced(
+        &mut self,
+        view: View,
+        splats: Option<&Splats>,
+        cx: &mut Cx<'_, AllocatorMessage>,
+    ) {
+        self.in_flight = self.in_flight.saturating_sub(1);
+        if let (Some(supersampler), Some(drawn), Some(splats)) = (&mut self.supersampler, &self.drawn, splats)
+            && drawn.view == view
+        {
+            self.stages.time(Stage::Allocate, || supersampler.record_run(splats));
+            self.since_insight += 1;
+        }
+        self.fill_pool(cx);
+        self.tell_insight_if_due();
+    }
+
     pub(super) fn on_settled(&mut self, view: View, stated: Option<f32>, cx: &mut Cx<'_, AllocatorMessage>) {
         self.in_flight = self.in_flight.saturating_sub(1);
         let is_shown = self.drawn.as_ref().is_some_and(|drawn| drawn.view == view);
@@ -46,18 +67,27 @@ impl Allocator {
     pub(super) fn refine(&mut self, drawn: &Arc<DrawnView>, cx: &mut Cx<'_, AllocatorMessage>) {
         let Some(supersampler) = &mut self.supersampler else { return };
         if !supersampler.has_begun() {
-            supersampler.begin();
+            let (world, data) = (&drawn.world, drawn.buffers.color.data());
+            let is_possible = world.caustics().is_possible();
+            supersampler.begin(is_possible.then(|| LightSums::new(world, data.len())));
         }
         // At the end of a round the picture is made while the next one goes on.
-        if let Some(tiles) = supersampler.end_round(&ToneMap::from(&drawn.world.scene.display)) {
-            let work = SettleWork { drawn: drawn.clone(), tiles };
+        if let Some((tiles, traced)) = supersampler.end_round(&ToneMap::from(&drawn.world.scene.display)) {
+            let work = SettleWork { drawn: drawn.clone(), tiles, traced };
             self.outbox.push(cx, &self.pool, bucket_of(1.0), u64::from(drawn.view.0), TraceJob::Settle(work));
             self.in_flight += 1;
         }
         while self.in_flight < self.settings.jobs_in_flight() {
-            let Some(order) = supersampler.next_order() else { break };
-            let work = TileWork { drawn: drawn.clone(), order, seed: self.settings.seed };
-            self.outbox.push(cx, &self.pool, bucket_of(0.0), u64::from(drawn.view.0), TraceJob::Tile(work));
+            let (drawn, seed) = (drawn.clone(), self.settings.seed);
+            let view = u64::from(drawn.view.0);
+            let job = if let Some(run) = supersampler.next_run() {
+                TraceJob::Run(RunWork { drawn, run, seed })
+            } else if let Some(order) = supersampler.next_order() {
+                TraceJob::Tile(TileWork { drawn, order, seed })
+            } else {
+                break;
+            };
+            self.outbox.push(cx, &self.pool, bucket_of(0.0), view, job);
             self.in_flight += 1;
         }
         if self.in_flight == 0 && supersampler.is_exhausted() && !self.told_refined {

@@ -66,6 +66,7 @@ impl Allocator {
             for tile in supersampler.tiles() {
                 tile.save(saver);
             }
+            supersampler.traced().cloned().save(saver);
         }
         environments.save(saver);
     }
@@ -95,7 +96,7 @@ impl Allocator {
         if let Some(supersampler) = &mut self.supersampler {
             let (open, progress, count): (_, _, u64) = loader.take()?;
             let tiles: Option<Vec<_>> = (0..count).map(|_| Saved::restore(loader)).collect();
-            supersampler.restore(tiles?, open, progress)?;
+            supersampler.restore(tiles?, open, progress, Saved::restore(loader)?)?;
         }
         self.environments.restore(loader)
     }

@@ -7,9 +7,9 @@ use clap::Args;
 use foveal::display::FrameBuffers;
 use foveal::display::twin::{self, Passes};
 use foveal::geometry::Accel;
-use foveal::illumination::quick::quick_direct;
+use foveal::illumination::first::first_picture;
+use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
-use foveal::transport::particle::SceneTransport;
 use foveal::world::World;
 
 use super::made::MadeScene;
@@ -62,8 +62,14 @@ pub fn run(a: &FirstLightArguments, progress: Progress) -> Result<(), Failure> {
             let (index_ms, accel) = timed(|| Arc::new(Accel::build(&scene)));
             let (light_ms, world) = timed(|| {
                 let lights = Arc::new(Lights::build(&scene));
-                let map = quick_direct(&scene, &SceneTransport::new(&scene, &accel, &lights), 1);
-                World { scene: scene.clone(), accel: accel.clone(), lights, illumination: Arc::new(map) }
+                let map = first_picture(Indexed { scene: &scene, accel: &accel, lights: &lights }, 1);
+                World {
+                    scene: scene.clone(),
+                    accel: accel.clone(),
+                    lights,
+                    illumination: Arc::new(map),
+                    unfound: Arc::default(),
+                }
             });
             let (draw_ms, ()) = timed(|| {
                 let mut buffers = FrameBuffers::new(a.size.width as usize, a.size.height as usize);

@@ -11,15 +11,15 @@ use foveal::display::tone::{Encoder, ToneMap};
 use foveal::display::twin::{self, Passes};
 use foveal::geometry::Accel;
 use foveal::illumination::bake::Baker;
-use foveal::illumination::quick::quick_direct;
+use foveal::illumination::first::first_picture;
 use foveal::image::Map2d;
 use foveal::perception::importance::ObjectScan;
 use foveal::perception::saliency::SaliencyModel;
 use foveal::sampling::{Lattice, Rect};
 use foveal::scene::{Camera, Scene};
 use foveal::splatting::{AgeingRules, Footprint, SampleBatch, SampleCache, SplatLayer, trace, warp};
+use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
-use foveal::transport::particle::SceneTransport;
 use foveal::world::World;
 
 use super::made::MadeScene;
@@ -85,8 +85,8 @@ fn scene(file: &Path) -> Result<Arc<Scene>, Failure> {
 
 fn quick(scene: Arc<Scene>, accel: Arc<Accel>) -> World {
     let lights = Arc::new(Lights::build(&scene));
-    let illumination = quick_direct(&scene, &SceneTransport::new(&scene, &accel, &lights), 1);
-    World { scene, accel, lights, illumination: Arc::new(illumination) }
+    let illumination = first_picture(Indexed { scene: &scene, accel: &accel, lights: &lights }, 1);
+    World { scene, accel, lights, illumination: Arc::new(illumination), unfound: Arc::default() }
 }
 
 /// A world of a scene file under the quick illumination.
@@ -270,12 +270,12 @@ fn baking(a: &StagesArguments) -> Result<Vec<Row>, Failure> {
     let scene = scene(MadeScene::bundled("box")?.path())?;
     let accel = Accel::build(&scene);
     let lights = Lights::build(&scene);
-    let transport = SceneTransport::new(&scene, &accel, &lights);
+    let indexed = Indexed { scene: &scene, accel: &accel, lights: &lights };
     let settings = BakeOptions::default().settings(&scene);
     let (mut seconds, mut errors) = (Vec::new(), Vec::new());
     for _ in 0..a.common.runs.min(3) {
         let (ms, baked) =
-            timed(|| Baker::new(&scene, transport, &settings).run(&|_: &_| true, &mut |_: &_| {}));
+            timed(|| Baker::new(indexed, &settings).run(indexed, &|_: &_| true, &mut |_: &_| {}));
         seconds.push(ms * 1e-3);
         errors.push(f64::from(baked.illumination.summary.relative_error) * 100.0);
     }

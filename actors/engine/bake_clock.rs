@@ -5,18 +5,12 @@ use std::time::{Duration, Instant};
 
 use foveal::illumination::bake::{Progress as Baking, Stage};
 
-use crate::interrupt::interrupted;
-
 /// Names of stages in reports, in the order in which they come.
-pub const STAGES: [&str; 6] = ["elements", "direct", "particles", "error", "estimate", "radiosity"];
-/// The last estimate gets at least one in so many parts of the time.
+pub const STAGES: [&str; 6] = ["elements", "first", "gather", "smooth", "test", "radiosity"];
+/// The one in which maps are smoothed.
+const SMOOTH: usize = 3;
+/// The last map is smoothed in one in so many parts of the time, before it is known what that takes.
 const RESERVE: u32 = 6;
-/// What it takes, compared to an estimate of the error, about.
-const ESTIMATE_PER_ERROR: u64 = 3;
-/// Share of the time after which what remains is made coarsely.
-const LATE: f32 = 0.95;
-/// After an interruption so long is left for as good a map as ever.
-const PATIENCE: Duration = Duration::from_secs(3);
 /// Where a bake stands.
 #[derive(Clone, Copy, Debug)]
 pub struct BakeStanding {
@@ -24,10 +18,10 @@ pub struct BakeStanding {
     pub stage: &'static str,
     /// Since its start.
     pub elapsed: Duration,
-    /// Particles so far; of radiosity its triangles.
+    /// Paths so far; of radiosity its triangles.
     pub particles: u64,
-    /// Rounds of direct light so far, the share of the current one in the fraction.
-    pub direct_rounds: f32,
+    /// Rounds so far, the share of the current one in the fraction.
+    pub rounds: f32,
     /// Relative error of irradiance, once it is known.
     pub error: Option<f32>,
     /// Seconds left, once they can be foreseen.
@@ -50,17 +44,15 @@ pub struct BakeClock<'w> {
     start: Instant,
     limit: Option<Duration>,
     watch: &'w dyn Watch,
-    /// Error and particles at which it ends.
+    /// Error and paths at which it ends.
     aims: (f32, u64),
     current: AtomicUsize,
     /// Nanoseconds from the start to when the current stage began.
     since: AtomicU64,
     sums: [AtomicU64; STAGES.len()],
-    /// Nanoseconds kept for the last estimate.
+    /// Nanoseconds kept for smoothing the last map; 0 while that is not known.
     reserve: AtomicU64,
-    /// Nanoseconds from the start to when an interruption was noticed; 0 before.
-    interrupted: AtomicU64,
-    /// Particles that an interrupted bake had before.
+    /// Paths that an interrupted bake had before.
     before: AtomicU64,
 }
 
@@ -76,7 +68,6 @@ impl<'w> BakeClock<'w> {
             since: AtomicU64::new(0),
             sums: Default::default(),
             reserve: AtomicU64::new(0),
-            interrupted: AtomicU64::new(0),
             before: AtomicU64::new(0),
         }
     }
@@ -89,44 +80,35 @@ impl<'w> BakeClock<'w> {
         self.sums[last].fetch_add(now.saturating_sub(before), Ordering::Relaxed);
     }
 
-    /// The bake goes on from so many particles.
+    /// The bake goes on from so many paths.
     pub fn resumed_at(&self, particles: u64) {
         self.before.store(particles, Ordering::Relaxed);
     }
 
-    /// Whether the time is up, but for what the last estimate takes.
+    /// Whether the time is up, but for what smoothing takes.
     pub fn is_over(&self) -> bool {
-        let reserve = Duration::from_nanos(self.reserve.load(Ordering::Relaxed));
-        self.limit.is_some_and(|limit| self.start.elapsed() + reserve.max(limit / RESERVE) >= limit)
-    }
-
-    /// Whether all must end now.
-    pub fn is_late(&self) -> bool {
-        let elapsed = self.start.elapsed();
-        if interrupted() {
-            let now = elapsed.as_nanos() as u64;
-            let unset = self.interrupted.compare_exchange(0, now, Ordering::Relaxed, Ordering::Relaxed);
-            let since = Duration::from_nanos(unset.err().unwrap_or(now));
-            return elapsed >= since + PATIENCE;
-        }
-        self.limit.is_some_and(|limit| elapsed >= limit.mul_f32(LATE))
+        self.limit.is_some_and(|limit| {
+            let reserve = match self.reserve.load(Ordering::Relaxed) {
+                0 => limit / RESERVE,
+                known => Duration::from_nanos(known),
+            };
+            self.start.elapsed() + reserve >= limit
+        })
     }
 
     /// The bake is about to do `p.stage`.
     pub fn at(&self, p: &Baking) {
-        if STAGES[self.current.load(Ordering::Relaxed)] == "error" {
-            // The error is estimated from a few elements, the irradiance at all of them.
-            let now = self.start.elapsed().as_nanos() as u64;
-            let taken = now.saturating_sub(self.since.load(Ordering::Relaxed));
-            self.reserve.fetch_max(ESTIMATE_PER_ERROR * taken, Ordering::Relaxed);
+        if p.rounds > 0 {
+            let smoothing = self.sums[SMOOTH].load(Ordering::Relaxed) / u64::from(p.rounds);
+            self.reserve.store(smoothing, Ordering::Relaxed);
         }
         self.enter(match p.stage {
-            Stage::Direct => 1,
-            Stage::Particles => 2,
-            Stage::Density => 3,
-            Stage::Estimate => 4,
+            Stage::First => 1,
+            Stage::Gather => 2,
+            Stage::Smooth => SMOOTH,
+            Stage::Test => 4,
         });
-        self.tell(p.particles, (p.direct_rounds, p.direct_share), p.relative_error);
+        self.tell(p.particles, (p.rounds, p.round_share), p.relative_error);
     }
 
     /// Tells how far a bake without particles is.
@@ -140,19 +122,19 @@ impl<'w> BakeClock<'w> {
             stage: STAGES[self.current.load(Ordering::Relaxed)],
             elapsed,
             particles,
-            direct_rounds: rounds as f32 + share,
+            rounds: rounds as f32 + share,
             error,
             seconds_left: self.eta(elapsed.as_secs_f64(), particles, error),
         });
     }
 
-    /// Seconds left: the error falls with the cube root of the particles (REFERENCE §6.3).
+    /// Seconds left: the error falls with the square root of the paths.
     fn eta(&self, seconds: f64, particles: u64, error: Option<f32>) -> Option<f64> {
         let (aim, most) = (f64::from(self.aims.0.max(1e-6)), self.aims.1 as f64);
         let done = particles as f64;
         let traced = done - self.before.load(Ordering::Relaxed) as f64;
         let by_particles = (traced > 0.0).then(|| {
-            let wanted = error.map_or(most, |e| (done * (f64::from(e) / aim).max(1.0).powi(3)).min(most));
+            let wanted = error.map_or(most, |e| (done * (f64::from(e) / aim).max(1.0).powi(2)).min(most));
             seconds * ((wanted - done) / traced).max(0.0)
         });
         let by_limit = self.limit.map(|limit| (limit.as_secs_f64() - seconds).max(0.0));

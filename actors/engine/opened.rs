@@ -9,10 +9,10 @@ use foveal::geometry::Accel;
 use foveal::illumination::Irradiance;
 use foveal::illumination::bake::{BakeSettings, Baked, Baker, cache_key};
 use foveal::illumination::cache::{load_illumination, save};
-use foveal::illumination::quick::quick_direct;
+use foveal::illumination::first::first_picture;
 use foveal::scene::{NamedCamera, Scene, load};
+use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
-use foveal::transport::particle::SceneTransport;
 use foveal::world::{World, metered};
 
 use foveal_actors::illuminator::Refinement;
@@ -110,7 +110,7 @@ pub fn illuminated(
         Some(kept) => (kept, None),
         None => illuminate(&scene, &accel, &lights, light, watch, &mut warnings)?,
     };
-    let world = World { scene, accel, lights, illumination };
+    let world = World { scene, accel, lights, illumination, unfound: Arc::default() };
     let refinement = unmet.map(|(settings, keep)| Refinement { world: world.clone(), settings, keep });
     Ok(Opened { path: path.to_owned(), light: light.clone(), world, textures: None, refinement, warnings })
 }
@@ -161,8 +161,8 @@ fn illuminate(
     watch: &dyn Watch,
     warnings: &mut Vec<String>,
 ) -> Result<(Arc<dyn Irradiance>, Unmet), Failure> {
-    let transport = SceneTransport::new(scene, accel, lights);
-    let first = || Arc::new(quick_direct(scene, &transport, a.settings.bake_seed));
+    let indexed = Indexed { scene, accel, lights };
+    let first = || Arc::new(first_picture(indexed, a.settings.bake_seed));
     if a.quick {
         return Ok((first(), None));
     }
@@ -172,7 +172,7 @@ fn illuminate(
     if !a.baked {
         return Ok((first(), Some((settings, kept))));
     }
-    let baked = bake_within(scene, &transport, &settings, a.settings.time, watch);
+    let baked = bake_within(indexed, &settings, a.settings.time, watch);
     if interrupted() {
         return Err(Failure::Interrupted("interrupted while baking".into()));
     }
@@ -192,8 +192,7 @@ fn illuminate(
 
 /// Bakes until the settings are met, the time is up, or [`crate::interrupt`].
 pub fn bake_within(
-    scene: &Scene,
-    transport: &SceneTransport<'_>,
+    indexed: Indexed<'_>,
     settings: &BakeSettings,
     time: Option<Duration>,
     watch: &dyn Watch,
@@ -204,9 +203,7 @@ pub fn bake_within(
         clock.at(p);
         !interrupted() && !clock.is_over()
     };
-    // What was interrupted is not looked at.
-    let mut baker = Baker::new(scene, transport, settings).hurried_by(|| interrupted() || clock.is_late());
-    let baked = baker.run(&keep_going, &mut |_| {});
+    let baked = Baker::new(indexed, settings).run(indexed, &keep_going, &mut |_| {});
     clock.finish();
     baked
 }

@@ -7,6 +7,7 @@ use foveal::allocation::rays::Residual;
 use foveal::allocation::texture_demand::TextureUse;
 use foveal::display::environment_map::Seen;
 use foveal::scene::texture::LevelTexels;
+use foveal::splatting::light_tracing::Splats;
 use foveal::splatting::tile_sums::TileSums;
 use foveal_runtime::{DeadJob, Incident, Message};
 
@@ -138,4 +139,14 @@ pub enum AllocatorMessage {
     DecideOn,
     /// From its own timer: send what was not accepted.
     SendAgain,
+    /// From a tracer: a run of particles was traced to the eye.
+    RunTraced {
+        /// The view.
+        view: View,
+        /// What it shows; none where the order came back.
+        #[message(skip = "`hash` tells it", with = saved)]
+        splats: Option<Arc<Splats>>,
+        /// Hash of it.
+        hash: u64,
+    },
 }

@@ -21,7 +21,8 @@ pub use cache_ager::CacheAgerMessage;
 pub use illuminator::IlluminatorMessage;
 pub use renderer::{RendererInput, RendererMessage};
 pub use tracer::{
-    EnvironmentOrder, LevelOrder, PredictionOrder, SampleOrder, SettleWork, TileWork, TraceJob, TracerMessage,
+    EnvironmentOrder, LevelOrder, PredictionOrder, RunWork, SampleOrder, SettleWork, TileWork, TraceJob,
+    TracerMessage,
 };
 
 /// The age of the camera: how often the view (pose, size or illumination) has changed.

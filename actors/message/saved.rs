@@ -10,6 +10,7 @@ use foveal::image::Map2d;
 use foveal::scene::camera::CameraFrame;
 use foveal::scene::texture::LevelTexels;
 use foveal::splatting::SampleBatch;
+use foveal::splatting::light_tracing::{LightSums, Splats};
 use foveal::splatting::settled::Settled;
 use foveal::splatting::tile_sums::TileSums;
 use foveal::world::World;
@@ -166,6 +167,28 @@ impl Saved for Arc<SampleBatch> {
 impl Saved for Arc<TileSums> {
     fn save(&self, saver: &mut Saver) {
         saver.shared(self, |sums, saver| saver.put(sums));
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        loader.shared(|loader| loader.take())
+    }
+}
+
+/// Who takes it up checks that it fits the picture.
+impl Saved for Arc<LightSums> {
+    fn save(&self, saver: &mut Saver) {
+        saver.shared(self, |sums, saver| saver.put(sums));
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        loader.shared(|loader| loader.take())
+    }
+}
+
+/// What lies beside the picture is not added.
+impl Saved for Arc<Splats> {
+    fn save(&self, saver: &mut Saver) {
+        saver.shared(self, |splats, saver| saver.put(splats));
     }
 
     fn restore(loader: &mut Loader<'_>) -> Option<Self> {

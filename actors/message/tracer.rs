@@ -7,6 +7,7 @@ use foveal::allocation::supersampling::{AllSums, TileOrder};
 use foveal::display::environment_map::Seen;
 use foveal::display::first_approximation::Probes;
 use foveal::scene::texture::LevelTexels;
+use foveal::splatting::light_tracing::LightSums;
 use foveal::world::World;
 use foveal_runtime::{Digest, Job, Loader, Message, Saver};
 
@@ -21,6 +22,8 @@ pub enum TraceJob {
     Samples(SampleOrder),
     /// More samples for a tile of a converged view.
     Tile(TileWork),
+    /// A run of particles, traced to the eye of a converged view.
+    Run(RunWork),
     /// The picture of all tiles.
     Settle(SettleWork),
     /// Part of an environment map.
@@ -79,6 +82,17 @@ pub struct TileWork {
     pub seed: u64,
 }
 
+/// Particles to trace to an eye.
+#[derive(Clone, Debug)]
+pub struct RunWork {
+    /// The view.
+    pub drawn: Arc<DrawnView>,
+    /// Which run.
+    pub run: u32,
+    /// Seed of the random numbers.
+    pub seed: u64,
+}
+
 /// Tiles to make a picture of.
 #[derive(Clone, Debug)]
 pub struct SettleWork {
@@ -86,6 +100,8 @@ pub struct SettleWork {
     pub drawn: Arc<DrawnView>,
     /// What each tile has.
     pub tiles: Arc<AllSums>,
+    /// What was traced to the eye, where paths do not find all.
+    pub traced: Option<Arc<LightSums>>,
 }
 
 /// Part of an object's environment map.
@@ -127,6 +143,15 @@ pub enum TraceBrief {
         had: u32,
         /// Samples a pixel that it was to get.
         count: u32,
+        /// Seed of the random numbers.
+        seed: u64,
+    },
+    /// A run of particles.
+    Run {
+        /// The view.
+        view: View,
+        /// Which run.
+        run: u32,
         /// Seed of the random numbers.
         seed: u64,
     },
@@ -197,10 +222,15 @@ impl Job for TraceJob {
                 // Its samples were hashed when they came.
                 digest.value(&(tile, on.as_ref().map(|on| on.samples), count, seed));
             }
-            Self::Settle(SettleWork { drawn, tiles }) => {
+            Self::Run(RunWork { drawn, run, seed }) => {
+                drawn.digest(digest);
+                digest.value(&(run, seed));
+            }
+            Self::Settle(SettleWork { drawn, tiles, traced }) => {
                 drawn.digest(digest);
                 // They were hashed when they came.
-                digest.value(&tiles.iter().flatten().map(|t| u64::from(t.samples)).sum::<u64>());
+                let samples = tiles.iter().flatten().map(|t| u64::from(t.samples)).sum::<u64>();
+                digest.value(&(samples, traced.as_ref().map_or(0, |traced| traced.runs())));
             }
             Self::Environment(EnvironmentOrder { world: _, probes: _, object, side, exponent, work }) => {
                 digest.value(&(object, side, exponent));
@@ -230,6 +260,9 @@ impl Job for TraceJob {
                 count: order.count,
                 seed: *seed,
             },
+            Self::Run(RunWork { drawn, run, seed }) => {
+                TraceBrief::Run { view: drawn.view, run: *run, seed: *seed }
+            }
             Self::Settle(work) => TraceBrief::Settle { view: work.drawn.view },
             Self::Environment(o) => TraceBrief::Environment {
                 object: o.object,
@@ -248,6 +281,7 @@ impl Job for TraceJob {
         match self {
             Self::Samples(_) => "TraceJob",
             Self::Tile(_) => "TileJob",
+            Self::Run(_) => "RunJob",
             Self::Settle(_) => "SettleJob",
             Self::Environment(_) => "EnvironmentJob",
             Self::Prediction(_) => "PredictionJob",
@@ -266,10 +300,15 @@ impl Job for TraceJob {
                 drawn.save(saver);
                 on.save(saver);
             }
-            Self::Settle(SettleWork { drawn, tiles }) => {
+            Self::Run(RunWork { drawn, run, seed }) => {
+                saver.put(&(4_u8, run, seed));
+                drawn.save(saver);
+            }
+            Self::Settle(SettleWork { drawn, tiles, traced }) => {
                 saver.put(&(3_u8, tiles.len() as u64));
                 drawn.save(saver);
                 tiles.iter().for_each(|tile| tile.save(saver));
+                traced.save(saver);
             }
             Self::Environment(EnvironmentOrder { world: _, probes: _, object, side, exponent, work }) => {
                 saver.put(&(1_u8, object, side, exponent));
@@ -300,7 +339,12 @@ impl Job for TraceJob {
                 let count: u64 = loader.take()?;
                 let drawn = Saved::restore(loader)?;
                 let tiles: Option<AllSums> = (0..count).map(|_| Saved::restore(loader)).collect();
-                return Some(Self::Settle(SettleWork { drawn, tiles: Arc::new(tiles?) }));
+                let (tiles, traced) = (Arc::new(tiles?), Saved::restore(loader)?);
+                return Some(Self::Settle(SettleWork { drawn, tiles, traced }));
+            }
+            4 => {
+                let (run, seed) = loader.take()?;
+                return Some(Self::Run(RunWork { drawn: Saved::restore(loader)?, run, seed }));
             }
             _ => return None,
         }

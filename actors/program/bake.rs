@@ -14,8 +14,8 @@ use foveal::illumination::from_radiosity::SceneRadiosity;
 use foveal::illumination::statement::{Statement, statement};
 use foveal::illumination::stored::Illumination;
 use foveal::scene::Scene;
+use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
-use foveal::transport::particle::SceneTransport;
 
 use foveal_engine::bake_clock::{BakeClock, Watch};
 use foveal_engine::failure::Failure;
@@ -141,7 +141,8 @@ pub fn run(a: &BakeArguments, progress: Progress) -> Result<(), Failure> {
     let made = match (found, method) {
         (Some(map), _) => {
             let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
-            let measured = measured_by((&scene, &accel, &lights), &map, &settings);
+            let measured =
+                measured_by(Indexed { scene: &scene, accel: &accel, lights: &lights }, &map, &settings);
             Made { map, complete: true, measured, more: json!({}), stages: Vec::new() }
         }
         (None, Method::Particles) => particles(a, &scene, &settings, &key, &file, start, watch)?,
@@ -217,15 +218,15 @@ fn particles(
     let clock = BakeClock::new(start, watch, a.settings.time, aims);
     let accel = Accel::build(scene);
     let lights = Lights::build(scene);
-    let transport = SceneTransport::new(scene, &accel, &lights);
-    let mut baker = Baker::new(scene, transport, settings).hurried_by(|| clock.is_late());
+    let indexed = Indexed { scene, accel: &accel, lights: &lights };
+    let mut baker = Baker::new(indexed, settings);
     let state = state_file(file);
     let mut resumed = false;
     if a.resume {
         match load::<BakeState>(&state, key) {
             Ok(kept) => {
                 resumed = baker.restore(&kept);
-                clock.resumed_at(baker.emitted());
+                clock.resumed_at(baker.paths());
             }
             Err(CacheError::Io(e)) if e.kind() == std::io::ErrorKind::NotFound => {}
             // Never trusted, never fatal: the bake begins anew.
@@ -236,9 +237,12 @@ fn particles(
         clock.at(p);
         !interrupted() && !clock.is_over()
     };
-    let baked = baker.run(&keep_going, &mut |_| {});
+    let baked = baker.run(indexed, &keep_going, &mut |_| {});
     let stages = clock.finish();
-    let measured = measured_by((scene, &accel, &lights), &baked.illumination, settings);
+    let measured = match baker.statement().filter(|_| baked.complete) {
+        None => measured_by(indexed, &baked.illumination, settings),
+        tested => tested,
+    };
     if baked.complete {
         // Nothing to go on with. That there was none is no failure.
         let _ = std::fs::remove_file(&state);
@@ -246,17 +250,11 @@ fn particles(
         save(&state, key, &baker.state()).map_err(|e| Failure::file(&state, e))?;
     }
     let s = &baked.illumination.summary;
-    let in_particles = stages.iter().find(|(name, _)| *name == "particles").map_or(0.0, |s| s.1);
-    let rate = if in_particles > 0.0 && !resumed { Some(s.bounces as f64 / in_particles) } else { None };
+    let gathering = stages.iter().find(|(name, _)| *name == "gather").map_or(0.0, |s| s.1);
+    let rate = if gathering > 0.0 && !resumed { Some(s.particles as f64 / gathering) } else { None };
     let more = json!({
         "resumed": resumed,
-        "particles": s.particles,
-        "stored": s.stored,
-        "bounces": s.bounces,
-        "bounces_per_second": rate,
-        "error_direct": s.direct_error,
-        "error_particles": s.particle_error,
-        "error_bias": s.bias_error,
+        "particles_per_second": rate,
     });
     Ok(Made { map: baked.illumination, complete: baked.complete, measured, more, stages })
 }
@@ -293,8 +291,7 @@ fn radiosity(
         simplify_mesh(&mut solution, scene, k as usize, criterion)
     });
     clock.enter(0);
-    let transport = SceneTransport::new(scene, &accel, &lights);
-    let baker = Baker::new(scene, transport, settings);
+    let baker = Baker::new(Indexed { scene, accel: &accel, lights: &lights }, settings);
     clock.enter(4);
     let map = solution.lightmap(scene, baker.atlas());
     let lit = scene.mesh.triangles.len();
@@ -314,11 +311,7 @@ fn radiosity(
 }
 
 /// The error of a map at points that it was not made of; not of one that was interrupted.
-fn measured_by(
-    with: (&Scene, &Accel, &Lights),
-    map: &Illumination,
-    settings: &BakeSettings,
-) -> Option<Statement> {
+fn measured_by(with: Indexed<'_>, map: &Illumination, settings: &BakeSettings) -> Option<Statement> {
     (!interrupted()).then(|| statement(with, map, settings.seed)).flatten()
 }
 
@@ -355,8 +348,18 @@ fn report(
             "peak_memory_bytes": peak_memory_bytes(),
             "warnings": warnings.iter().chain(&s.notes).collect::<Vec<_>>(),
         });
-        if let (Some(all), Some(more)) = (document.as_object_mut(), made.more.as_object()) {
-            all.extend(more.clone());
+        let gathered = json!({
+            "particles": s.particles,
+            "rounds": s.rounds,
+            "error_direct": s.direct_error,
+            "error_particles": s.particle_error,
+            "error_bias": s.bias_error,
+        });
+        let gathered = (method == Method::Particles).then_some(&gathered);
+        for more in gathered.into_iter().chain([&made.more]) {
+            if let (Some(all), Some(more)) = (document.as_object_mut(), more.as_object()) {
+                all.extend(more.clone());
+            }
         }
         return print_json(&document);
     }

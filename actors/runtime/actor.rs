@@ -253,6 +253,21 @@ impl<M: Message> Cx<'_, M> {
         self.lease.is_none_or(|lease| lease.claim(self.journal))
     }
 
+    /// Does `work` for the job at hand as long as its [epoch](Cx::retire) has not passed. `work` asks now and then whether
+    /// it is wanted still, and gives up with `None` where it is not. That it gave up is recorded: in replay it is not
+    /// begun then, and otherwise goes on to its end.
+    ///
+    /// For jobs that take longer than others can wait for a worker.
+    pub fn while_wanted<R>(&mut self, work: impl FnOnce(&dyn Fn() -> bool) -> Option<R>) -> Option<R> {
+        if let Some(given_up) = self.journal.replayed_value(value::COUNT) {
+            return if given_up == 0 { work(&|| true) } else { None };
+        }
+        let lease = self.lease;
+        let done = work(&|| lease.is_none_or(|lease| lease.is_wanted()));
+        self.journal.record_count(u64::from(done.is_none()));
+        done
+    }
+
     /// The same with a job at hand.
     pub(crate) fn at<'b>(&'b mut self, lease: &'b dyn Lease) -> Cx<'b, M> {
         let Cx { address, journal, timers, thread, env, stop, lease: _ } = self;

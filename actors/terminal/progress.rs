@@ -67,11 +67,8 @@ impl Watch for BakeBar {
         let seconds = s.elapsed.as_secs_f64();
         let ahead = s.seconds_left.map_or(0.0, |left| seconds / (seconds + left).max(1e-9));
         bar.set_position((ahead * STEPS as f64) as u64);
-        let round = if s.stage == "direct" {
-            format!(" {:.0} %", 100.0 * s.direct_rounds.fract())
-        } else {
-            String::new()
-        };
+        let round =
+            if s.stage == "gather" { format!(" {:.0} %", 100.0 * s.rounds.fract()) } else { String::new() };
         let error = s.error.map_or(String::new(), |e| format!(", error {:.1} %", 100.0 * e));
         let eta = s.seconds_left.map_or(String::new(), |s| format!(", {s:.0} s left"));
         bar.set_message(format!("{}{round}{error}{eta}", s.stage));
@@ -106,7 +103,7 @@ impl Watch for BakeLines {
             "stage": s.stage,
             "seconds": s.elapsed.as_secs_f64(),
             "particles": s.particles,
-            "direct_rounds": s.direct_rounds,
+            "rounds": s.rounds,
             "error": s.error,
             "eta_seconds": s.seconds_left,
         });

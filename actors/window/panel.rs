@@ -140,7 +140,8 @@ fn state(ui: &mut Ui, shown: &Shown<'_>) {
         if let Some(stated) = stated {
             let stated = 100.0 * stated;
             // No sample finds them, and what refinement replaces had them from the map.
-            ui.label(format!("error below {stated:.1} %, but for caustics of points, spots and suns"));
+            let but = "but for caustics of points, spots and suns that are seen in mirrors or through glass";
+            ui.label(format!("error below {stated:.1} %, {but}"));
         }
     }
     if let Some(notice) = shown.notice {

@@ -15,7 +15,7 @@ use foveal::illumination::bake::{BakeSettings, bake, cache_key};
 use foveal::illumination::cache::{encode, load_illumination};
 use foveal::scene::load::{LoadOptions, load, load_with};
 use foveal::transport::light::Lights;
-use foveal::transport::particle::SceneTransport;
+use foveal::transport::Indexed;
 use foveal_runtime::{ActorId, Config, Exit, Hashing, Limit, Record, Runtime, Trace};
 use glam::Vec3;
 
@@ -306,7 +306,7 @@ fn baked() -> &'static (Vec<u8>, [u8; 32], usize) {
         let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
         let settings =
             BakeSettings { texels: 256, particles: Some(1000), error: None, ..BakeSettings::default() };
-        let made = bake(&scene, &SceneTransport::new(&scene, &accel, &lights), &settings, &|_| true);
+        let made = bake(Indexed { scene: &scene, accel: &accel, lights: &lights }, &settings, &|_| true);
         let key = cache_key(&scene, &settings);
         let bytes = encode(&key, &made.illumination).expect("a bake in bytes");
         (bytes, key, scene.mesh.triangles.len())

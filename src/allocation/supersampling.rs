@@ -8,6 +8,7 @@ use std::collections::BinaryHeap;
 use std::sync::Arc;
 
 use crate::display::tone::ToneMap;
+use crate::splatting::light_tracing::{LightSums, Splats, runs_for};
 use crate::splatting::supersampling::{SAMPLES_MAX, Supersampling, Tiles};
 use crate::splatting::tile_sums::TileSums;
 
@@ -73,6 +74,8 @@ pub struct Supersampler {
     /// Tiles whose orders were given up: they stay as they are.
     lost: Vec<u32>,
     stated: Option<f32>,
+    /// Light that is traced to the eye, where paths do not find all.
+    traced: Option<Arc<LightSums>>,
 }
 
 /// How far a round is.
@@ -82,8 +85,10 @@ pub struct Round {
     wanted: u32,
     /// Tiles that were ordered and have not come back.
     ordered: u32,
-    /// Whether any tile has come back since the picture was made.
+    /// Whether any tile or run has come back since the picture was made.
     is_news: bool,
+    /// Runs of particles that were ordered since the view converged, and that the round wants.
+    runs: [u32; 2],
 }
 
 /// What each tile has.
@@ -101,6 +106,7 @@ impl Supersampler {
             round: Round::default(),
             lost: Vec::new(),
             stated: None,
+            traced: None,
         }
     }
 
@@ -112,6 +118,7 @@ impl Supersampler {
         self.round = Round::default();
         self.lost.clear();
         self.stated = None;
+        self.traced = None;
     }
 
     /// Other rules, from the next round on.
@@ -119,6 +126,7 @@ impl Supersampler {
         self.rules = rules;
         if room(&rules, self.round.wanted) == 0 {
             self.open.clear();
+            self.round.runs[1] = self.round.runs[0];
         }
     }
 
@@ -127,21 +135,41 @@ impl Supersampler {
         !self.sums.is_empty()
     }
 
-    /// Whether no tile is to be ordered. Those that were ordered may still be on their way.
+    /// Whether nothing is to be ordered. What was ordered may still be on its way.
     pub fn is_exhausted(&self) -> bool {
-        self.open.is_empty()
+        self.open.is_empty() && self.round.runs[0] >= self.round.runs[1]
     }
 
-    /// The view has converged.
-    pub fn begin(&mut self) {
+    /// The view has converged; `traced` is without any run, and there where light is to be traced to the eye.
+    pub fn begin(&mut self, traced: Option<LightSums>) {
         self.forget();
         self.sums.resize(self.tiles.len(), None);
+        self.traced = traced.map(Arc::new);
     }
 
-    /// Where all tiles of a round have come back, opens those that the next one wants. What to make a picture of, if there
-    /// is anything new.
-    pub fn end_round(&mut self, tone: &ToneMap) -> Option<Arc<AllSums>> {
-        if !self.has_begun() || !self.open.is_empty() || self.round.ordered > 0 {
+    /// Runs of particles that belong to so many samples of a pixel.
+    fn runs_for(&self, samples: u32) -> u32 {
+        runs_for(room(&self.rules, 0).min(samples), self.tiles.pixel_count())
+    }
+
+    /// Runs of particles that the next round wants, for as many samples of the open tiles.
+    fn wanted_runs(&self, tone: &ToneMap) -> u32 {
+        let ordered = self.round.runs[0];
+        let Some(traced) = &self.traced else { return ordered };
+        let noisy = !(traced.error(self.tiles.width(), tone) < self.rules.noise);
+        match (noisy, self.open.is_empty()) {
+            (false, _) => ordered,
+            (true, false) => self.runs_for(self.round.wanted),
+            // Tiles are quiet; caustics double on their own.
+            (true, true) => (2 * ordered).min(self.runs_for(SAMPLES_MAX)),
+        }
+        .max(ordered)
+    }
+
+    /// Where everything that a round ordered has come back, opens what the next one wants. What to make a picture of, if
+    /// there is anything new.
+    pub fn end_round(&mut self, tone: &ToneMap) -> Option<(Arc<AllSums>, Option<Arc<LightSums>>)> {
+        if !self.has_begun() || !self.is_exhausted() || self.round.ordered > 0 {
             return None;
         }
         let is_news = std::mem::take(&mut self.round.is_news);
@@ -156,7 +184,33 @@ impl Supersampler {
             let most = self.sums.iter().flatten().map(|sums| sums.samples).max().unwrap_or(0);
             self.round.wanted = (2 * most).max(FIRST_ROUND);
         }
-        is_news.then(|| Arc::new(self.sums.clone()))
+        self.round.runs[1] = self.wanted_runs(tone);
+        is_news.then(|| (Arc::new(self.sums.clone()), self.traced.clone()))
+    }
+
+    /// The next run of particles of the round.
+    pub fn next_run(&mut self) -> Option<u32> {
+        let [ordered, wanted] = self.round.runs;
+        if ordered >= wanted {
+            return None;
+        }
+        self.round.runs[0] += 1;
+        self.round.ordered += 1;
+        Some(ordered)
+    }
+
+    /// A run has come back.
+    pub fn record_run(&mut self, splats: &Splats) {
+        self.lose_run();
+        if let Some(traced) = &mut self.traced {
+            Arc::make_mut(traced).add(splats);
+            self.round.is_news = true;
+        }
+    }
+
+    /// A run was given up.
+    pub fn lose_run(&mut self) {
+        self.round.ordered = self.round.ordered.saturating_sub(1);
     }
 
     /// An order of a tile was given up.
@@ -211,6 +265,11 @@ impl Supersampler {
         &self.sums
     }
 
+    /// What was traced to the eye, for a snapshot.
+    pub fn traced(&self) -> Option<&Arc<LightSums>> {
+        self.traced.as_ref()
+    }
+
     /// The open tiles, for a snapshot.
     pub fn open(&self) -> Vec<(u32, u32)> {
         let mut open: Vec<_> = self.open.iter().map(|&(error, Reverse(tile))| (error, tile)).collect();
@@ -229,14 +288,19 @@ impl Supersampler {
         sums: AllSums,
         open: Vec<(u32, u32)>,
         (round, lost, stated): (Round, Vec<u32>, Option<f32>),
+        traced: Option<Arc<LightSums>>,
     ) -> Option<()> {
         let whole = sums.is_empty() || sums.len() == self.tiles.len();
         let fits = |(at, sums): (usize, &Arc<TileSums>)| sums.tile as usize == at && sums.fits(&self.tiles);
         let all_fit = sums.iter().enumerate().all(|(at, sums)| sums.as_ref().is_none_or(|s| fits((at, s))));
+        if traced.as_ref().is_some_and(|traced| !traced.fits(self.tiles.pixel_count())) {
+            return None;
+        }
         if !whole || !all_fit || open.iter().any(|&(_, tile)| tile as usize >= sums.len()) {
             return None;
         }
         (self.sums, self.round, self.lost, self.stated) = (sums, round, lost, stated);
+        self.traced = traced;
         self.errors.clear();
         self.open = open.into_iter().map(|(error, tile)| (error, Reverse(tile))).collect();
         Some(())

@@ -223,6 +223,15 @@ impl Atlas {
         self.width as usize * self.height as usize
     }
 
+    /// Width of a texel, or about that of what a vertex stands for, scene units.
+    pub fn width_of(&self, element: u32) -> f32 {
+        if (element as usize) < self.texel_count() {
+            1.0 / self.texels_per_unit
+        } else {
+            self.elements[element as usize].area.sqrt()
+        }
+    }
+
     fn place(&mut self, mesh: &Mesh, placed: &[Option<[Vec2; 3]>], sizes: &[(f32, f32)]) {
         self.elements =
             rasterise(mesh, placed, self.width, self.height).iter().map(Coverage::element).collect();

@@ -1,40 +1,56 @@
-//! The bake: particles and direct light in passes, each with an estimate of its error.
+//! The bake: irradiance gathered at the elements, round by round (LIGHT.md §2.5).
 //!
-//! Light that comes straight from a light source is gathered at the elements by sampling the lights
-//! (next-event estimation), all other light from particles.
-//! No clock in here: the caller's `keep_going` decides when the time is over. The result depends on
-//! the number of particles and rounds only, not on threads or on where a bake was interrupted.
+//! In a round each site takes samples of what arrives at points of it, and reads the map of the round before where a path
+//! meets the next diffuse surface: radiosity by gathering, with rounds as bounces. A round takes twice the samples of the
+//! one before, so that what it costs to smooth and to test them stays a share. The first round reads a first picture of coarse elements, in which light has
+//! bounced some times ([`super::first`]).
+//!
+//! No clock in here: the caller's `keep_going` decides when the time is over. The result depends on the number of paths
+//! only, not on threads or on where a bake was interrupted: sites do not depend on each other within a round.
 
+use std::sync::Arc;
+
+use glam::{DVec3, Vec3, Vec4};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::atlas::{Atlas, ConformalCharts};
-use super::bins::{BinState, Bins};
-use super::clusters::ClusterTree;
-use super::direct::DirectBin;
-use super::estimate::{Estimating, Prepared};
-pub use super::quick::quick_direct;
+use super::atlas::{Atlas, ConformalCharts, Element};
+use super::filter::{Noisy, Parts, Smoothing};
+use super::first::first_picture;
+use super::gathered::Gathered;
+use super::points::Points;
 use super::seen::seen;
-use super::sources::{Importance, ImportanceState, Sources};
-use super::stored::{Illumination, Summary};
-use crate::math;
+use super::sites::{Site, Sites};
+use super::statement::{HeldBack, HeldBackState, Statement};
+use super::stored::{Illumination, Summary, Value};
+use crate::image::luminance;
 use crate::scene::Scene;
-use crate::transport::lit::LitSurfaces;
-use crate::transport::particle::LightTransport;
+use crate::transport::Indexed;
+use crate::transport::caustic::{Caustics, Class, RUN, Sources};
+use crate::transport::gather::Trust;
 
-/// Particles between two questions whether to go on.
-const BATCH: u64 = 1 << 15;
-/// Particles of the first pass; every later pass doubles the sum.
-const FIRST_PASS: u64 = 1 << 17;
-/// Blocks of elements at which direct light is gathered between two questions whether to go on.
-pub(super) const BLOCKS: usize = 256;
-/// Pieces that surfaces are cut into to find where light from afar falls, at least and at most.
-const LIT_PIECES: (usize, usize) = (1 << 13, 1 << 16);
-/// What surfaces out of sight count as places for particles to begin at.
-const UNSEEN: f64 = 0.3;
-/// Rounds that are waited for at most.
-const ROUNDS_MAX: u32 = 256;
-/// Elements that share the decision whether direct light can reach them.
-pub(super) const BLOCK: usize = 64;
+/// Samples of a site in the first round; every later round doubles them.
+const FIRST_ROUND: u32 = 4;
+/// Samples of the back of an element in the first round, which tells whether there is any light.
+const FIRST_LOOK: u32 = 2;
+/// What a site out of sight takes, as a share: it may light what is in sight.
+const UNSEEN: u32 = 8;
+/// Samples between two questions whether to go on.
+const BATCH: u64 = 1 << 16;
+/// Particles that one task follows.
+const TOGETHER: u64 = 1 << 10;
+/// Sites smoothed between two such questions.
+const SMOOTHED: usize = 1 << 14;
+/// Sites that share the decision whether light can reach them.
+const BLOCK: usize = 64;
+/// Rounds at most; by then there is nothing left to see.
+const ROUNDS_MAX: u32 = 16;
+/// One in so many samples is taken where the map is tested; each follows its path to the end.
+const TESTED: u64 = 16;
+/// Particles of caustics in the first round, whole runs for each half; every later round doubles them.
+const PARTICLES: u64 = 1 << 16;
+/// Looks for what is in sight, at least and at most: one for each texel.
+const LOOKS: (u64, u64) = (1 << 14, 1 << 18);
 
 /// What to bake, and when it is good enough.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -43,7 +59,7 @@ pub struct BakeSettings {
     pub texels: u32,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// Stop after this many particles.
+    /// Stop after this many paths.
     pub particles: Option<u64>,
     /// Fine elements also where no camera and no path leads.
     pub everything: bool,
@@ -53,7 +69,7 @@ pub struct BakeSettings {
 
 impl Default for BakeSettings {
     fn default() -> Self {
-        Self { texels: 256 * 1024, seed: 1, particles: Some(1 << 22), everything: false, error: Some(0.02) }
+        Self { texels: 256 * 1024, seed: 1, particles: Some(1 << 24), everything: false, error: Some(0.02) }
     }
 }
 
@@ -73,14 +89,14 @@ pub fn cache_key(scene: &Scene, settings: &BakeSettings) -> [u8; 32] {
 /// What a bake is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// Emitting particles.
-    Particles,
-    /// Gathering direct light.
-    Direct,
-    /// Estimating the error.
-    Density,
-    /// Estimating irradiance everywhere; the last stage.
-    Estimate,
+    /// Making the first picture.
+    First,
+    /// Gathering light.
+    Gather,
+    /// Smoothing what was gathered.
+    Smooth,
+    /// Holding the map against points that it was not made of.
+    Test,
 }
 
 /// How far a bake is.
@@ -88,213 +104,70 @@ pub enum Stage {
 pub struct Progress {
     /// What it does now.
     pub stage: Stage,
-    /// Particles emitted.
+    /// Paths sampled.
     pub particles: u64,
-    /// Surfaces they met.
-    pub bounces: u64,
-    /// Rounds of direct light.
-    pub direct_rounds: u32,
+    /// Rounds done.
+    pub rounds: u32,
     /// Share done of the one that has begun.
-    pub direct_share: f32,
-    /// Relative error of the last estimate; `None` before the first.
+    pub round_share: f32,
+    /// Relative error of the last map; `None` before the first.
     pub relative_error: Option<f32>,
 }
 
 /// Everything a bake has gathered, for saving and going on later.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BakeState {
-    emitted: u64,
-    bounces: u64,
-    direct_rounds: u32,
-    direct_rounds_wanted: u32,
-    direct_block: u64,
-    direct_goes_on: Vec<[bool; 2]>,
-    pass_end: u64,
-    bins: Vec<BinState>,
-    pub(super) direct: Vec<[DirectBin; 2]>,
-    importance: ImportanceState,
+    paths: u64,
+    round: u32,
+    round_samples: Option<u32>,
+    next: u64,
+    particles: u64,
+    gathered: Vec<Gathered>,
+    dark: Vec<bool>,
+    map: Illumination,
+    held_back: HeldBackState,
+}
+
+/// What the next step of a bake does.
+enum Doing {
+    Begin,
+    Gather,
+    Caustics,
+    Smooth(Smoothing),
+    Test(Illumination),
 }
 
 /// A bake in progress.
-pub struct Baker<'a> {
-    pub(super) transport: Box<dyn LightTransport + Send + 'a>,
-    pub(super) settings: BakeSettings,
-    pub(super) diagonal: f32,
-    pub(super) atlas: Atlas,
-    pub(super) bins: Bins,
-    pub(super) direct: Vec<[DirectBin; 2]>,
-    /// Whether estimates are for a first picture only.
-    pub(super) coarse: bool,
-    /// What the last estimate was made from.
-    pub(super) prepared: Option<Prepared>,
-    /// An estimate in the making.
-    pub(super) estimating: Option<Estimating>,
-    /// Whether the rest of an estimate must be coarse.
-    pub(super) late: Option<Box<dyn Fn() -> bool + Send + Sync + 'a>>,
-    /// Elements that the first round of direct light came to, if there was no time for more: the others have the light
-    /// of some of them ([`Self::cut_short`]).
-    pub(super) cut: Option<usize>,
-    /// A tree over all elements, if one was made and nobody took it.
-    pub(super) spare_tree: Option<ClusterTree>,
-    /// Where particles begin that do not begin with a diffuse reflection of light from afar.
-    pub(super) lit: LitSurfaces,
-    /// Where the others begin; `None` until it is known what falls there.
-    pub(super) sources: Option<Sources>,
-    pub(super) importance: Importance,
-    /// Elements that a walk can see, whose error counts.
-    pub(super) watched: Vec<bool>,
-    /// Sides of elements known not to lie inside of a body or in a gap.
-    pub(super) open: Vec<[bool; 2]>,
-    pub(super) emitted: u64,
-    pub(super) bounces: u64,
-    pub(super) direct_rounds: u32,
-    /// Blocks done of the round that has begun.
-    pub(super) direct_block: usize,
-    /// Per block and side whether it takes part in it.
-    pub(super) direct_goes_on: Vec<[bool; 2]>,
-    /// Rounds due before the next particles.
-    direct_rounds_wanted: u32,
-    /// Particles at which the error is asked for next.
-    pass_end: u64,
-    /// What it was the last time.
+pub struct Baker {
+    settings: BakeSettings,
+    atlas: Atlas,
+    points: Points,
+    sites: Sites,
+    /// Per site whether a walk can see it.
+    seen: Vec<bool>,
+    gathered: Vec<Gathered>,
+    /// Per element its front's and its back's site.
+    site_of: Vec<[u32; 2]>,
+    /// Where particles of caustics begin.
+    sources: Sources,
+    /// Particles traced.
+    particles: u64,
+    /// Per block of sites whether no light reaches it; decided by the first round.
+    dark: Vec<bool>,
+    /// What is read where paths meet a diffuse surface.
+    map: Arc<Illumination>,
+    held_back: HeldBack,
+    doing: Doing,
+    /// Rounds done.
+    round: u32,
+    /// Samples of a site in the round that has begun.
+    round_samples: Option<u32>,
+    /// Sites done of it.
+    next: usize,
+    paths: u64,
+    /// What the last map was found to be off by.
+    statement: Option<Statement>,
     relative_error: Option<f32>,
-}
-
-impl<'a> Baker<'a> {
-    /// Divides the surfaces into elements. Nothing is traced yet.
-    pub fn new(scene: &Scene, transport: impl LightTransport + Send + 'a, settings: &BakeSettings) -> Self {
-        let seen = if settings.everything {
-            vec![true; scene.mesh.triangles.len()]
-        } else {
-            // A look per texel: what is missed is about as small as one.
-            seen(scene, &transport, u64::from(settings.texels).clamp(1 << 14, 1 << 18))
-        };
-        let is_diffuse = |t: u32| transport.is_diffuse(t);
-        let is_seen = |t: u32| seen[t as usize];
-        let mut atlas = Atlas::build(&scene.mesh, settings.texels, &is_diffuse, &is_seen, &ConformalCharts);
-        atlas.cut_out(scene);
-        let elements = atlas.elements.len();
-        // What nobody sees may light what somebody does, but less.
-        let weight = |t: u32| if is_seen(t) { 1.0 } else { UNSEEN };
-        let pieces = (settings.texels as usize / 4).clamp(LIT_PIECES.0, LIT_PIECES.1);
-        let importance =
-            Importance::new(&atlas.elements, &|e: u32| weight(atlas.elements[e as usize].triangle));
-        let lit = transport.lit(pieces, settings.seed, &weight);
-        let watched = atlas.elements.iter().map(|e| e.area > 0.0 && is_seen(e.triangle)).collect();
-        Self {
-            settings: settings.clone(),
-            diagonal: scene.diagonal(),
-            bins: Bins::new(elements, transport.power()),
-            lit,
-            sources: None,
-            importance,
-            direct: vec![[DirectBin::default(); 2]; elements],
-            open: vec![[false; 2]; elements],
-            watched,
-            coarse: false,
-            prepared: None,
-            estimating: None,
-            late: None,
-            cut: None,
-            spare_tree: None,
-            transport: Box::new(transport),
-            pass_end: pass_end_after(0, settings),
-            relative_error: None,
-            atlas,
-            emitted: 0,
-            bounces: 0,
-            direct_rounds: 0,
-            direct_block: 0,
-            direct_goes_on: Vec::new(),
-            direct_rounds_wanted: 1,
-        }
-    }
-
-    /// `late` is asked while the irradiance is estimated: once it says yes, the rest is made coarsely, and so in little
-    /// time.
-    pub fn hurried_by(mut self, late: impl Fn() -> bool + Send + Sync + 'a) -> Self {
-        self.late = Some(Box::new(late));
-        self
-    }
-
-    pub(super) fn is_late(&self) -> bool {
-        self.late.as_ref().is_some_and(|late| late())
-    }
-
-    /// The elements.
-    pub fn atlas(&self) -> &Atlas {
-        &self.atlas
-    }
-
-    /// Particles emitted.
-    pub fn emitted(&self) -> u64 {
-        self.emitted
-    }
-
-    /// Surfaces that particles met.
-    pub fn bounces(&self) -> u64 {
-        self.bounces
-    }
-
-    /// Rounds of direct light done.
-    pub fn direct_rounds(&self) -> u32 {
-        self.direct_rounds
-    }
-
-    /// What has been gathered.
-    pub fn state(&self) -> BakeState {
-        if let Some(done) = self.cut {
-            // What only stands in for samples is not gone on with.
-            return BakeState {
-                direct_rounds_wanted: 1,
-                direct_block: (done / BLOCK) as u64,
-                pass_end: pass_end_after(0, &self.settings),
-                direct: self.direct[..done].to_vec(),
-                ..BakeState::default()
-            };
-        }
-        BakeState {
-            emitted: self.emitted,
-            bounces: self.bounces,
-            direct_rounds: self.direct_rounds,
-            direct_rounds_wanted: self.direct_rounds_wanted,
-            direct_block: self.direct_block as u64,
-            direct_goes_on: self.direct_goes_on.clone(),
-            pass_end: self.pass_end,
-            bins: self.bins.state(),
-            direct: self.direct.clone(),
-            importance: self.importance.state(),
-        }
-    }
-
-    /// Goes on from a saved state. `false`, and nothing changed, if it is of other elements.
-    pub fn restore(&mut self, state: &BakeState) -> bool {
-        let elements = self.direct.len();
-        // The first round of direct light was cut short: no particles yet, and only what was done of it.
-        let begun = state.emitted == 0
-            && state.direct_rounds == 0
-            && state.bins.is_empty()
-            && state.direct.len() < elements
-            && (state.direct.len() / BLOCK) as u64 == state.direct_block
-            && state.direct.len().is_multiple_of(BLOCK);
-        if begun {
-            self.bins = Bins::new(elements, self.transport.power());
-        } else if state.direct.len() != elements || !self.bins.restore(&state.bins) {
-            return false;
-        }
-        self.direct.clone_from(&state.direct);
-        self.direct.resize(elements, Default::default());
-        (self.cut, self.prepared) = (None, None);
-        (self.emitted, self.bounces) = (state.emitted, state.bounces);
-        self.direct_rounds = state.direct_rounds;
-        self.direct_rounds_wanted = state.direct_rounds_wanted;
-        self.direct_block = state.direct_block as usize;
-        self.direct_goes_on.clone_from(&state.direct_goes_on);
-        self.pass_end = state.pass_end;
-        self.importance.restore(&state.importance);
-        self.sources = None;
-        true
-    }
 }
 
 /// What [`Baker::run`] came to.
@@ -302,134 +175,446 @@ impl<'a> Baker<'a> {
 pub struct Baked {
     /// The irradiance.
     pub illumination: Illumination,
-    /// Whether the error or the number of particles asked for was reached; else `keep_going` ended it.
+    /// Whether the error or the number of paths asked for was reached; else `keep_going` ended it.
     pub complete: bool,
 }
 
 /// What a step came to.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub enum Step {
     /// There is more to do.
     Going,
-    /// A pass ended; its error is estimated.
-    Appraised(Summary),
-    /// A pass ended and the settings are met.
-    Done(Summary),
+    /// A round ended: a better map.
+    Better(Arc<Illumination>),
+    /// A round ended and the settings are met.
+    Done(Arc<Illumination>),
 }
 
-impl Baker<'_> {
-    /// A bounded piece of work: a round of direct light, a batch of particles, or an estimate of the error.
-    pub fn step(&mut self) -> Step {
-        assert!(self.cut.is_none(), "a bake that was cut short is gone on with by another one");
-        match self.next_stage() {
-            Stage::Direct => {
-                self.gather_blocks(BLOCKS);
-                Step::Going
-            }
-            Stage::Particles => {
-                self.emit(BATCH.min(self.pass_end - self.emitted));
-                Step::Going
-            }
-            Stage::Density | Stage::Estimate => {
-                let summary = self.appraise();
-                self.relative_error = Some(summary.relative_error);
-                let met = |limit: Option<f32>| limit.is_some_and(|limit| summary.relative_error <= limit);
-                let emitted_all = self.settings.particles.is_some_and(|n| self.emitted >= n);
-                // Where direct light is by far the larger error, particles wait for it.
-                let others = math::hypot(summary.particle_error, summary.bias_error);
-                let waits = self.direct_rounds < ROUNDS_MAX
-                    && self
-                        .settings
-                        .error
-                        .is_some_and(|aim| summary.direct_error > (2.0 * others).max(0.7 * aim));
-                let ends = emitted_all && !waits;
-                if ends || met(self.settings.error) || self.transport.power() <= 0.0 {
-                    return Step::Done(summary);
-                }
-                if !waits {
-                    self.pass_end = pass_end_after(self.emitted, &self.settings);
-                }
-                // Direct light is cheap while it is the smaller error; then its samples double as well. Where few surfaces get
-                // it, or it is dim, its noise is no large error, and yet seen.
-                let noisy = summary.direct_error > 0.6 * others || self.direct_noise().is_seen();
-                if waits || (noisy && self.direct_rounds < ROUNDS_MAX) {
-                    self.direct_rounds_wanted = 2 * self.direct_rounds;
-                }
-                Step::Appraised(summary)
-            }
-        }
-    }
-
-    fn next_stage(&self) -> Stage {
-        if self.direct_rounds < self.direct_rounds_wanted {
-            Stage::Direct
-        } else if self.emitted < self.pass_end {
-            Stage::Particles
+impl Baker {
+    /// Divides the surfaces into elements. No light is gathered yet.
+    pub fn new(indexed: Indexed<'_>, settings: &BakeSettings) -> Self {
+        let scene = indexed.scene;
+        let watched = if settings.everything {
+            vec![true; scene.mesh.triangles.len()]
         } else {
-            Stage::Density
+            seen(scene, indexed.accel, u64::from(settings.texels).clamp(LOOKS.0, LOOKS.1))
+        };
+        let atlas = atlas_of(scene, settings.texels, &|t: u32| watched[t as usize]);
+        let points = Points::new(&scene.mesh, &atlas);
+        let sites = Sites::new(&atlas, &sides_of(&atlas));
+        let is_seen = |element: u32| watched[atlas.elements[element as usize].triangle as usize];
+        let mut site_of = vec![[u32::MAX; 2]; atlas.elements.len()];
+        for (i, site) in sites.all().iter().enumerate() {
+            site_of[site.element as usize][usize::from(site.back)] = i as u32;
+        }
+        Self {
+            site_of,
+            sources: Sources::new(scene, indexed.accel, indexed.lights, Class::All),
+            particles: 0,
+            settings: settings.clone(),
+            seen: sites.all().iter().map(|s| is_seen(s.element)).collect(),
+            gathered: vec![Gathered::default(); sites.all().len()],
+            dark: vec![false; sites.all().len().div_ceil(BLOCK)],
+            map: Arc::default(),
+            held_back: HeldBack::new(indexed, settings.seed),
+            doing: Doing::Begin,
+            round: 0,
+            round_samples: None,
+            next: 0,
+            paths: 0,
+            statement: None,
+            relative_error: None,
+            atlas,
+            points,
+            sites,
         }
     }
 
-    /// Goes on until the settings are met or `keep_going` says no. `on_pass` is told the estimated error after
-    /// each pass. Where `keep_going` says no during the first round of direct light, a part of it at least is done, and
-    /// the bake is good for a map and its state: to go on, another one takes that up.
+    /// Begins with this light instead of a first picture of its own; with the one that [`first_picture`] makes of the
+    /// same seed nothing changes.
+    pub fn begin_with(&mut self, first: &dyn super::Irradiance) {
+        if matches!(self.doing, Doing::Begin) {
+            self.map = Arc::new(Illumination::resampled(&self.atlas, first));
+            self.doing = Doing::Gather;
+        }
+    }
+
+    /// The elements.
+    pub fn atlas(&self) -> &Atlas {
+        &self.atlas
+    }
+
+    /// Paths sampled.
+    pub fn paths(&self) -> u64 {
+        self.paths
+    }
+
+    /// The last map: that of the last round that ended.
+    pub fn map(&self) -> &Arc<Illumination> {
+        &self.map
+    }
+
+    /// What the last map was found to be off by where it is seen.
+    pub fn statement(&self) -> Option<Statement> {
+        self.statement
+    }
+
+    /// What has been gathered. A round that ended but was not smoothed or tested is smoothed and tested again.
+    pub fn state(&self) -> BakeState {
+        BakeState {
+            paths: self.paths,
+            round: self.round,
+            round_samples: self.round_samples,
+            next: self.next as u64,
+            particles: self.particles,
+            gathered: self.gathered.clone(),
+            dark: self.dark.clone(),
+            map: Illumination::clone(&self.map),
+            held_back: self.held_back.state(),
+        }
+    }
+
+    /// Goes on from a saved state. `false`, and nothing changed, if it is of other elements.
+    pub fn restore(&mut self, state: &BakeState) -> bool {
+        let fits = state.gathered.len() == self.gathered.len()
+            && state.dark.len() == self.dark.len()
+            && state.next <= state.gathered.len() as u64
+            && state.round <= ROUNDS_MAX
+            && state.map.is_sound()
+            && state.map.element_count() == self.atlas.elements.len()
+            && state.map.triangle_count() == self.atlas.corners.len();
+        if !fits || !self.held_back.restore(&state.held_back) {
+            return false;
+        }
+        self.gathered.clone_from(&state.gathered);
+        self.dark.clone_from(&state.dark);
+        self.map = Arc::new(state.map.clone());
+        (self.paths, self.round, self.next) = (state.paths, state.round, state.next as usize);
+        (self.round_samples, self.particles) = (state.round_samples, state.particles);
+        self.doing = Doing::Gather;
+        true
+    }
+
+    /// A bounded piece of work.
+    pub fn step(&mut self, indexed: Indexed<'_>) -> Step {
+        match std::mem::replace(&mut self.doing, Doing::Gather) {
+            Doing::Begin => {
+                let first = first_picture(indexed, self.settings.seed);
+                self.doing = Doing::Begin;
+                self.begin_with(&first);
+                Step::Going
+            }
+            Doing::Gather => {
+                self.gather(indexed);
+                Step::Going
+            }
+            Doing::Caustics => {
+                self.trace(indexed);
+                Step::Going
+            }
+            Doing::Smooth(mut smoothing) => {
+                self.doing = match smoothing.step(&self.sites, SMOOTHED) {
+                    None => Doing::Smooth(smoothing),
+                    Some(parts) => Doing::Test(self.stored(&parts)),
+                };
+                Step::Going
+            }
+            Doing::Test(map) => {
+                if self.held_back.sample(indexed, &map) {
+                    self.doing = Doing::Test(map);
+                    return Step::Going;
+                }
+                self.appraised(map)
+            }
+        }
+    }
+
+    fn appraised(&mut self, mut map: Illumination) -> Step {
+        self.statement = self.held_back.statement(&map, self.paths / TESTED);
+        // Without cameras there is nobody to see an error, and what halves differ by is all that is known.
+        let noise = map.summary.direct_error.hypot(map.summary.particle_error);
+        let error = self.statement.map_or(noise, |s| s.at_most());
+        map.summary.relative_error = error;
+        map.summary.bias_error = (error * error - noise * noise).max(0.0).sqrt();
+        self.relative_error = Some(error);
+        let map = Arc::new(map);
+        self.map = map.clone();
+        (self.round, self.next) = (self.round + 1, 0);
+        let met = self.settings.error.is_some_and(|limit| error <= limit);
+        let all = self.settings.particles.is_some_and(|most| self.paths >= most);
+        let nothing = self.dark.iter().all(|d| *d);
+        if met || all || nothing || self.round >= ROUNDS_MAX { Step::Done(map) } else { Step::Better(map) }
+    }
+
+    /// Samples of a site in the round that has begun: the last round is as long as what is left of the paths asked for.
+    fn samples_of_round(&self) -> u32 {
+        let whole = FIRST_ROUND << self.round;
+        let Some(most) = self.settings.particles else { return whole };
+        let of = |i: usize| if self.seen[i] { 1.0 } else { 1.0 / f64::from(UNSEEN) };
+        let open = |i: &usize| self.gathered[*i].is_open() && !self.dark[i / BLOCK];
+        let sites: f64 = (0..self.seen.len()).filter(open).map(of).sum();
+        let left = most.saturating_sub(self.paths) as f64 / sites.max(1.0);
+        whole.min(2 * (0.5 * left).ceil().min(f64::from(whole)) as u32).max(2)
+    }
+
+    fn gather(&mut self, indexed: Indexed<'_>) {
+        let first = self.round == 0;
+        // Decided at the beginning of the round; later the paths that are left say something else.
+        let samples = self.round_samples.unwrap_or_else(|| self.samples_of_round());
+        self.round_samples = Some(samples);
+        let of = |site: &Site, seen: bool| match (seen, first && site.back) {
+            (_, true) => FIRST_LOOK,
+            (true, false) => samples,
+            (false, false) => (samples / UNSEEN).next_multiple_of(2).max(2),
+        };
+        let (sites, atlas, points, seen, dark) =
+            (self.sites.all(), &self.atlas, &self.points, &self.seen, &self.dark);
+        let map = self.map.clone();
+        let gather = indexed.gather(Trust::Map(&*map)).without_caustics();
+        let mut end = self.next;
+        let mut batch = 0;
+        while end < sites.len() && batch < BATCH {
+            batch += if dark[end / BLOCK] { 0 } else { u64::from(of(&sites[end], seen[end])) };
+            end += 1;
+        }
+        let seed = self.settings.seed;
+        let taken: u64 = self.gathered[self.next..end]
+            .par_iter_mut()
+            .zip(self.next..end)
+            .map(|(sums, i)| {
+                let site = &sites[i];
+                if dark[i / BLOCK]
+                    || !sums.find_points((indexed.scene, indexed.accel), atlas, points, (site, seen[i]))
+                {
+                    return 0;
+                }
+                let count = of(site, seen[i]);
+                sums.begin_round();
+                let e = &atlas.elements[site.element as usize];
+                let expected = luminance(map.lookup(e.triangle, e.b1, e.b2, site.back).truncate());
+                sums.gather(indexed.scene, (atlas, points), &gather, site, (seed, count, expected));
+                u64::from(count)
+            })
+            .sum();
+        self.paths += taken;
+        self.next = end;
+        if end < sites.len() {
+            return;
+        }
+        if first {
+            let blocks = self.gathered.chunks(BLOCK).map(|block| !block.iter().any(Gathered::is_lit));
+            self.dark = blocks.collect();
+        }
+        self.round_samples = None;
+        self.doing = Doing::Caustics;
+    }
+
+    /// Traces a run of particles for each half, or goes on to smoothing if that is done.
+    fn trace(&mut self, indexed: Indexed<'_>) {
+        if !self.sources.is_possible() || self.particles >= PARTICLES << self.round {
+            self.doing = Doing::Smooth(self.smoothing());
+            return;
+        }
+        let caustics = Caustics::new(indexed.scene, indexed.accel, indexed.lights, &self.sources);
+        let (seed, begin, atlas, site_of) = (self.settings.seed, self.particles, &self.atlas, &self.site_of);
+        let mesh = &indexed.scene.mesh;
+        let traced: Vec<Vec<(u32, usize, Vec3)>> = (0..2 * RUN / TOGETHER)
+            .into_par_iter()
+            .map(|part| {
+                let mut found = Vec::new();
+                for index in begin + part * TOGETHER..begin + (part + 1) * TOGETHER {
+                    caustics.trace(seed, index, &mut |deposit| {
+                        let at = deposit.at;
+                        let element = atlas.element_at(at.triangle, at.b1, at.b2);
+                        let site = site_of[element as usize][usize::from(at.back)];
+                        let normal = mesh.smooth_normal(at.triangle, at.b1, at.b2, at.geometric_normal);
+                        if site != u32::MAX {
+                            found.push((site, (index / RUN % 2) as usize, deposit.on(normal)));
+                        }
+                    });
+                }
+                found
+            })
+            .collect();
+        // In the order of particles: sums depend on it.
+        for (site, half, flux) in traced.into_iter().flatten() {
+            self.gathered[site as usize].deposit(half, flux);
+        }
+        self.particles += 2 * RUN;
+        self.paths += 2 * RUN;
+        self.doing = Doing::Caustics;
+    }
+
+    fn smoothing(&self) -> Smoothing {
+        let parts = |(g, site): (&Gathered, &Site)| {
+            if g.samples() > 0 {
+                return g.parts(self.per_flux(site.element));
+            }
+            // Not yet come to: there the light that it began with stays.
+            let e = &self.atlas.elements[site.element as usize];
+            let begun = self.map.lookup(e.triangle, e.b1, e.b2, site.back).truncate();
+            [Noisy::default(), Noisy::new([begun; 2]), Noisy::default()]
+        };
+        let parts = self.gathered.iter().zip(self.sites.all()).map(parts).collect();
+        // Where no light comes nothing is smoothed, nor does it darken what is beside it.
+        let known = |(i, g): (usize, &Gathered)| g.is_open() && !self.dark[i / BLOCK];
+        Smoothing::new(parts, self.gathered.iter().enumerate().map(known).collect())
+    }
+
+    /// Irradiance on an element per flux of one half of the particles, m⁻².
+    fn per_flux(&self, element: u32) -> f32 {
+        let area = self.atlas.elements[element as usize].opaque;
+        if self.particles > 0 && area > 0.0 { 2.0 / (self.particles as f32 * area) } else { 0.0 }
+    }
+
+    /// The map that smoothed parts make.
+    fn stored(&self, parts: &[Parts]) -> Illumination {
+        let elements = self.atlas.elements.len();
+        let mut sides: [Vec<Value>; 2] = [vec![None; elements], vec![None; elements]];
+        let mut totals = Totals::default();
+        for (i, (site, parts)) in self.sites.all().iter().zip(parts).enumerate() {
+            if !self.gathered[i].is_open() {
+                continue;
+            }
+            let light: Vec3 = parts.iter().map(Noisy::mean).sum();
+            let variance = parts.iter().map(|p| 0.5 * p.variance).sum::<f32>();
+            let value = light.extend(variance.sqrt());
+            sides[usize::from(site.back)][site.element as usize] = Some(value);
+            totals.add(&self.atlas.elements[site.element as usize], value, parts, self.seen[i]);
+        }
+        let [front, back] = sides;
+        Illumination::new(&self.atlas, front, back, totals.summary(self))
+    }
+
+    /// What was gathered so far, smoothed: where the round that has begun did not come to, the one before shows.
+    fn so_far(&mut self) -> Illumination {
+        let mut smoothing = match std::mem::replace(&mut self.doing, Doing::Gather) {
+            Doing::Begin => return Illumination::clone(&self.map),
+            Doing::Test(map) => return map,
+            Doing::Smooth(smoothing) => smoothing,
+            Doing::Gather | Doing::Caustics if self.next == 0 => return Illumination::clone(&self.map),
+            Doing::Gather | Doing::Caustics => self.smoothing(),
+        };
+        loop {
+            if let Some(parts) = smoothing.step(&self.sites, usize::MAX >> 1) {
+                return self.stored(&parts);
+            }
+        }
+    }
+
+    /// Goes on until the settings are met or `keep_going` says no. `on_round` is told of each map but the last.
     pub fn run(
         &mut self,
+        indexed: Indexed<'_>,
         keep_going: &(dyn Fn(&Progress) -> bool + Sync),
-        on_pass: &mut dyn FnMut(&Summary),
+        on_round: &mut dyn FnMut(&Summary),
     ) -> Baked {
         let mut begun = false;
         loop {
-            let stage = self.next_stage();
-            // Without any direct light there is nothing to show; and who goes on again and again must get somewhere.
-            let first = stage == Stage::Direct && self.direct_rounds == 0;
-            if !keep_going(&self.progress(stage)) && (begun || !first) {
-                if first {
-                    self.cut_short();
+            // Without any light there is nothing to show; and who goes on again and again must get somewhere.
+            if !keep_going(&self.progress()) && begun {
+                let state = self.state();
+                let mut illumination = self.so_far();
+                if self.round == 0 {
+                    illumination.summary.notes.push(format!(
+                        "light was gathered at {} of {} places, elsewhere a first estimate shows",
+                        state.next,
+                        self.gathered.len()
+                    ));
                 }
-                keep_going(&self.progress(Stage::Estimate));
-                return Baked { illumination: self.illumination(), complete: false };
+                // What is saved is what goes on.
+                self.restore(&state);
+                return Baked { illumination, complete: false };
             }
-            begun = true;
-            match self.step() {
+            begun = !matches!(self.doing, Doing::Begin);
+            match self.step(indexed) {
                 Step::Going => {}
-                Step::Appraised(summary) => on_pass(&summary),
-                Step::Done(summary) => {
-                    on_pass(&summary);
-                    keep_going(&self.progress(Stage::Estimate));
-                    return Baked { illumination: self.illumination(), complete: true };
+                Step::Better(map) => on_round(&map.summary),
+                Step::Done(map) => {
+                    on_round(&map.summary);
+                    return Baked { illumination: Illumination::clone(&map), complete: true };
                 }
             }
         }
     }
 
-    fn progress(&self, stage: Stage) -> Progress {
+    fn progress(&self) -> Progress {
+        let stage = match &self.doing {
+            Doing::Begin => Stage::First,
+            Doing::Gather | Doing::Caustics => Stage::Gather,
+            Doing::Smooth(_) => Stage::Smooth,
+            Doing::Test(_) => Stage::Test,
+        };
         Progress {
             stage,
-            particles: self.emitted,
-            bounces: self.bounces,
-            direct_rounds: self.direct_rounds,
-            direct_share: (self.direct_block * BLOCK) as f32 / self.direct.len().max(1) as f32,
+            particles: self.paths,
+            rounds: self.round,
+            round_share: self.next as f32 / self.gathered.len().max(1) as f32,
             relative_error: self.relative_error,
         }
     }
 }
 
-/// The end of the pass after `emitted` particles: passes end at the same numbers wherever a bake was interrupted.
-fn pass_end_after(emitted: u64, settings: &BakeSettings) -> u64 {
-    let mut end = FIRST_PASS;
-    while end <= emitted {
-        end *= 2;
-    }
-    settings.particles.map_or(end, |n| end.min(n.max(1)))
+/// Sums over all sites.
+#[derive(Default)]
+struct Totals {
+    power: DVec3,
+    area: f64,
+    /// Of what is in sight, times the area: squared luminance, and the variances of straight and of all other light.
+    squared: f64,
+    variances: [f64; 2],
+    soft: f64,
 }
 
-/// Bakes `scene` until the settings are met or `keep_going` says no.
+impl Totals {
+    fn add(&mut self, element: &Element, value: Vec4, parts: &Parts, seen: bool) {
+        let area = f64::from(element.opaque);
+        self.power += value.truncate().as_dvec3() * area;
+        self.area += 0.5 * area;
+        self.soft += f64::from(luminance(parts[1].mean())) * area;
+        if seen {
+            self.squared += f64::from(luminance(value.truncate())).powi(2) * area;
+            self.variances[0] += f64::from(0.5 * parts[0].variance) * area;
+            self.variances[1] += f64::from(0.5 * (parts[1].variance + parts[2].variance)) * area;
+        }
+    }
+
+    fn summary(&self, baker: &Baker) -> Summary {
+        let relative = |v: f64| if self.squared > 0.0 { (v / self.squared).sqrt() as f32 } else { 0.0 };
+        let mean = if self.area > 0.0 { (self.power / self.area).as_vec3() } else { Vec3::ZERO };
+        Summary {
+            particles: baker.paths,
+            rounds: baker.round + 1,
+            direct_error: relative(self.variances[0]),
+            particle_error: relative(self.variances[1]),
+            mean: mean.to_array(),
+            has_indirect: self.soft > 0.0,
+            notes: baker.atlas.notes.clone(),
+            ..Summary::default()
+        }
+    }
+}
+
+/// The elements of a scene.
+pub(super) fn atlas_of(scene: &Scene, texels: u32, is_seen: &(dyn Fn(u32) -> bool + Sync)) -> Atlas {
+    let is_diffuse = |t: u32| scene.material_of(t).has_diffuse();
+    let mut atlas = Atlas::build(&scene.mesh, texels, &is_diffuse, is_seen, &ConformalCharts);
+    atlas.cut_out(scene);
+    atlas
+}
+
+/// All fronts, then all backs: what shares a block lies on one side.
+pub(super) fn sides_of(atlas: &Atlas) -> Vec<(u32, bool)> {
+    let covered = |e: &u32| atlas.elements[*e as usize].area > 0.0;
+    let side = |back: bool| (0..atlas.elements.len() as u32).filter(covered).map(move |e| (e, back));
+    side(false).chain(side(true)).collect()
+}
+
+/// Bakes a scene until the settings are met or `keep_going` says no.
 pub fn bake(
-    scene: &Scene,
-    transport: &dyn LightTransport,
+    indexed: Indexed<'_>,
     settings: &BakeSettings,
     keep_going: &(dyn Fn(&Progress) -> bool + Sync),
 ) -> Baked {
-    Baker::new(scene, transport, settings).run(keep_going, &mut |_| {})
+    Baker::new(indexed, settings).run(indexed, keep_going, &mut |_| {})
 }

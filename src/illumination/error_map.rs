@@ -12,7 +12,6 @@ use crate::rng::hash;
 use crate::scene::Scene;
 use crate::scene::camera::Camera;
 use crate::transport::light::Lights;
-use crate::transport::particle::{LightTransport, SceneTransport};
 
 /// Relative error that the picture shows in full colour.
 const FULL: f32 = 0.3;
@@ -38,13 +37,12 @@ impl ErrorMap {
         samples: u32,
     ) -> Self {
         let frame = camera.frame(width, height);
-        let transport = SceneTransport::new(scene, accel, lights);
         let pixel = |i: u32| {
             let direction = frame.direction((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
             let hit = accel.intersect(scene, &Ray::new(camera.eye, direction))?;
             let [a, b, c] = scene.mesh.corners(hit.triangle);
             let front = (b - a).cross(c - a).dot(direction) < 0.0;
-            (front && transport.is_diffuse(hit.triangle)).then(|| {
+            (front && scene.material_of(hit.triangle).has_diffuse()).then(|| {
                 let (t, b1, b2) = (hit.triangle, hit.b1, hit.b2);
                 let known = at_point((scene, accel, lights), t, b1, b2, samples, hash(7, i.into(), 0));
                 (shown.irradiance(t, b1, b2, false), known)

@@ -255,8 +255,8 @@ mod tests {
     use super::*;
     use crate::illumination::bake::{BakeSettings, Baker};
     use crate::illumination::test_scenes::{cube, join, lambert, quad, scene};
+    use crate::transport::Indexed;
     use crate::transport::light::Lights;
-    use crate::transport::particle::SceneTransport;
 
     #[test]
     fn what_radiosity_leaves_out_is_named() {
@@ -268,7 +268,7 @@ mod tests {
             let (accel, lights) = (Accel::build(&room), Lights::build(&room));
             let solution = SceneRadiosity::new(&room, &accel).expect("lamps have areas");
             let settings = BakeSettings { texels: 100, everything: true, ..BakeSettings::default() };
-            let baker = Baker::new(&room, SceneTransport::new(&room, &accel, &lights), &settings);
+            let baker = Baker::new(Indexed { scene: &room, accel: &accel, lights: &lights }, &settings);
             let notes = solution.lightmap(&room, baker.atlas()).summary.notes;
             notes.into_iter().filter(|note| note.starts_with("radiosity")).collect::<Vec<_>>()
         };

@@ -1,39 +1,27 @@
-//! View-independent diffuse illumination: atlas, density estimation, cache.
+//! View-independent diffuse illumination: the elements it is stored at, the bake that gathers it, its error, its files.
 
 pub mod atlas;
 pub mod bake;
 #[cfg(test)]
 mod bake_tests;
-pub mod bins;
 pub mod cache;
-pub mod clusters;
 mod cut_outs;
-pub mod density;
-pub mod direct;
-mod direct_rounds;
-mod emission;
 pub mod error_map;
-mod estimate;
+pub mod filter;
+pub mod first;
 pub mod from_radiosity;
-mod gathering;
-pub mod neighbourhood;
-mod open_sides;
-pub mod quick;
+pub mod gathered;
+pub mod points;
 mod raster;
 pub mod seen;
-mod shadow_edges;
 pub mod simplify;
-mod smooth_direct;
+pub mod sites;
 mod smoothing;
-mod sources;
 pub mod statement;
 pub mod stored;
 #[cfg(test)]
 pub(crate) mod test_scenes;
-#[cfg(test)]
-pub(crate) mod test_transport;
 pub mod truth;
-mod validation;
 
 use glam::Vec3;
 

@@ -86,7 +86,7 @@ fn add_triangle(
 }
 
 /// Area and centroid of the part of a triangle inside the unit square at `corner` (Sutherland–Hodgman).
-fn clipped_area(triangle: &[Vec2; 3], corner: Vec2) -> (f32, Vec2) {
+pub(super) fn clipped_area(triangle: &[Vec2; 3], corner: Vec2) -> (f32, Vec2) {
     let mut polygon = [Vec2::ZERO; 8];
     let mut count = 3;
     // Relative to the square, so that areas keep their digits anywhere on the page.

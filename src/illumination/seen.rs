@@ -7,11 +7,10 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::geometry::Ray;
+use crate::geometry::{Accel, Ray};
 use crate::math;
 use crate::rng::Stream;
 use crate::scene::Scene;
-use crate::transport::particle::LightTransport;
 
 /// Eyes at most.
 const EYES_MAX: usize = 32;
@@ -24,14 +23,14 @@ const PANES_MAX: u32 = 16;
 /// distance to the last.
 fn look(
     scene: &Scene,
-    transport: &dyn LightTransport,
+    accel: &Accel,
     origin: Vec3,
     direction: Vec3,
     mut met: impl FnMut(u32),
 ) -> Option<f32> {
     let mut ray = Ray::new(origin, direction);
     for _ in 0..PANES_MAX {
-        let hit = transport.sees(&ray)?;
+        let hit = accel.intersect(scene, &ray)?;
         met(hit.triangle);
         if !scene.materials[scene.mesh.materials[hit.triangle as usize].0 as usize].is_transparent() {
             return Some(hit.t);
@@ -60,19 +59,19 @@ fn eyes(scene: &Scene) -> Vec<Vec3> {
 
 /// Whether a camera or a place along a path sees the front of a surface at `point`; everything is in sight where there
 /// are none of these.
-pub fn in_sight(scene: &Scene, transport: &dyn LightTransport, point: Vec3, normal: Vec3) -> bool {
+pub fn in_sight(scene: &Scene, accel: &Accel, point: Vec3, normal: Vec3) -> bool {
     let eyes = eyes(scene);
     eyes.is_empty()
         || eyes.iter().any(|&eye| {
             let way = point - eye;
-            let reached = || look(scene, transport, eye, way.normalize_or_zero(), |_| {});
+            let reached = || look(scene, accel, eye, way.normalize_or_zero(), |_| {});
             way.dot(normal) < 0.0 && reached().is_some_and(|t| t >= 0.999 * way.length())
         })
 }
 
 /// Per triangle whether one of about `rays` rays from where a walk may lead met it. All of them if the scene has
 /// no cameras.
-pub fn seen(scene: &Scene, transport: &dyn LightTransport, rays: u64) -> Vec<bool> {
+pub fn seen(scene: &Scene, accel: &Accel, rays: u64) -> Vec<bool> {
     let eyes = eyes(scene);
     let count = scene.mesh.triangles.len();
     if eyes.is_empty() {
@@ -83,7 +82,7 @@ pub fn seen(scene: &Scene, transport: &dyn LightTransport, rays: u64) -> Vec<boo
         for k in 0..PLACES {
             let mut stream = Stream::new(0x5ee, i as u64, k);
             let direction = on_sphere(stream.next_2d());
-            if let Some(t) = look(scene, transport, eye, direction, |_| {}) {
+            if let Some(t) = look(scene, accel, eye, direction, |_| {}) {
                 places.push(eye + direction * (t * (0.3 + 0.6 * stream.next_f32())));
             }
         }
@@ -96,7 +95,7 @@ pub fn seen(scene: &Scene, transport: &dyn LightTransport, rays: u64) -> Vec<boo
             let mut met = Vec::new();
             for k in 0..each {
                 let direction = on_sphere(Stream::new(0x5ef, i as u64, k).next_2d());
-                look(scene, transport, place, direction, |t| met.push(t));
+                look(scene, accel, place, direction, |t| met.push(t));
             }
             met.sort_unstable();
             met.dedup();
@@ -114,7 +113,6 @@ pub fn seen(scene: &Scene, transport: &dyn LightTransport, rays: u64) -> Vec<boo
 mod tests {
     use super::*;
     use crate::illumination::test_scenes::{cube, join, lambert, quad, scene};
-    use crate::illumination::test_transport::Lambertian;
 
     #[test]
     fn a_room_is_seen_and_what_is_behind_its_walls_is_not() {
@@ -122,9 +120,9 @@ mod tests {
         join(&mut mesh, &quad(Vec3::new(5.0, 0.0, 0.0), Vec3::X, Vec3::Y), 0);
         let mut room = scene(mesh, vec![lambert(0.5, 0.0)], Vec::new());
         room.cameras[0].camera.eye = Vec3::ONE;
-        let found = seen(&room, &Lambertian::new(&room), 4000);
+        let found = seen(&room, &Accel::build(&room), 4000);
         assert!(found[..12].iter().all(|&s| s) && !found[12] && !found[13], "{found:?}");
         room.cameras.clear();
-        assert!(seen(&room, &Lambertian::new(&room), 10).iter().all(|&s| s));
+        assert!(seen(&room, &Accel::build(&room), 10).iter().all(|&s| s));
     }
 }

@@ -8,23 +8,34 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::Irradiance;
 use crate::geometry::{Accel, Ray};
 use crate::image::luminance;
 use crate::rng::Stream;
 use crate::scene::{Camera, Scene};
-use crate::transport::gather::{Gather, Trust};
+use crate::transport::Indexed;
+use crate::transport::gather::Trust;
 use crate::transport::interaction::Interaction;
-use crate::transport::light::Lights;
 use crate::transport::medium::Media;
 
 /// Points that a statement is made of.
 const POINTS: u32 = 1024;
 /// Batches of a point's samples.
 const BATCHES: u32 = 4;
-/// Samples in each.
-const SAMPLES: u32 = 32;
+/// Samples in each before the first statement; as long as their noise hides the error they double before the next.
+const FIRST: u32 = 8;
+/// Samples in each at most.
+const MOST: u32 = 1024;
+/// Samples added to each at a time.
+const ADDED: u32 = 8;
+/// Share of the squared error that doubt may have.
+const DOUBTFUL: f64 = 0.3;
+/// Points that are brighter than so many times the mean count as if they were not: beside a lamp everything is white.
+const BRIGHT: f64 = 4.0;
+/// Share of the mean irradiance of the scene below which a view is dark.
+const DARK: f64 = 1e-2;
 /// Poses along each path.
 const POSES: usize = 16;
 /// Surfaces that a look passes at most.
@@ -78,44 +89,130 @@ fn diffuse_end(scene: &Scene, accel: &Accel, mut ray: Ray) -> Option<Interaction
     None
 }
 
-/// The error of a map where it is seen; `None` in scenes without cameras, without light, or where nothing diffuse is seen.
-pub fn statement(
-    (scene, accel, lights): (&Scene, &Accel, &Lights),
-    map: &dyn Irradiance,
+/// A point that no map is made of.
+#[derive(Clone, Debug)]
+struct Held {
+    at: Interaction,
+    /// Sums of the luminance of irradiance, by batch.
+    sums: [f64; BATCHES as usize],
+}
+
+/// Points held back from a bake, with what samples say of them.
+#[derive(Clone, Debug)]
+pub struct HeldBack {
     seed: u64,
-) -> Option<Statement> {
-    /// The looks are square: only what they see counts.
-    const SIDE: u32 = 1024;
-    let cameras = cameras(scene);
-    let gather = Gather::new(scene, accel, lights, Trust::EndValue(map));
-    let point = |i: u32| {
-        let camera = cameras.get(i as usize % cameras.len().max(1))?;
-        let mut stream = Stream::new(seed ^ TEST, u64::from(i), 0);
-        let [u, v] = stream.next_2d();
-        let frame = camera.frame(SIDE, SIDE);
-        let direction = frame.direction(u * SIDE as f32, v * SIDE as f32);
-        let at = diffuse_end(scene, accel, Ray::new(frame.eye, direction))?;
-        let means = [0, 1, 2, 3].map(|batch| {
-            let sample = |k| {
-                let numbers = Stream::in_sequence(seed ^ TEST, u64::from(i) << 2 | batch, k);
-                f64::from(luminance(gather.arriving(&at, Media::EMPTY, numbers).total()))
-            };
-            (0..SAMPLES).map(sample).sum::<f64>() / f64::from(SAMPLES)
+    points: Vec<Held>,
+    /// Samples of each batch.
+    taken: u32,
+    wanted: u32,
+}
+
+/// What samples said, for going on later.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct HeldBackState {
+    sums: Vec<[f64; BATCHES as usize]>,
+    taken: u32,
+    wanted: u32,
+}
+
+impl HeldBack {
+    /// Points of surfaces that cameras and paths see. None in scenes without cameras.
+    pub fn new(indexed: Indexed<'_>, seed: u64) -> Self {
+        /// The looks are square: only what they see counts.
+        const SIDE: u32 = 1024;
+        let cameras = cameras(indexed.scene);
+        let point = |i: u32| {
+            let camera = cameras.get(i as usize % cameras.len().max(1))?;
+            let [u, v] = Stream::new(seed ^ TEST, u64::from(i), 0).next_2d();
+            let frame = camera.frame(SIDE, SIDE);
+            let direction = frame.direction(u * SIDE as f32, v * SIDE as f32);
+            let at = diffuse_end(indexed.scene, indexed.accel, Ray::new(frame.eye, direction))?;
+            Some(Held { at, sums: [0.0; BATCHES as usize] })
+        };
+        let points = (0..POINTS).into_par_iter().filter_map(point).collect();
+        Self { seed, points, taken: 0, wanted: FIRST }
+    }
+
+    /// Takes some of the samples that are wanted before the next statement, with `map` as the value of what they do not
+    /// follow. Whether there are more.
+    pub fn sample(&mut self, indexed: Indexed<'_>, map: &dyn Irradiance) -> bool {
+        if self.taken >= self.wanted {
+            return false;
+        }
+        let gather = indexed.gather(Trust::EndValue(map));
+        let (seed, taken) = (self.seed ^ TEST, self.taken);
+        self.points.par_iter_mut().enumerate().for_each(|(i, point)| {
+            for (batch, sum) in point.sums.iter_mut().enumerate() {
+                for k in taken..taken + ADDED {
+                    let numbers = Stream::in_sequence(seed, (i as u64) << 2 | batch as u64, k);
+                    *sum += f64::from(luminance(gather.arriving(&point.at, Media::EMPTY, numbers).total()));
+                }
+            }
         });
-        let n = f64::from(BATCHES);
-        let mean = means.iter().sum::<f64>() / n;
-        let noise = means.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / (n * (n - 1.0));
-        let shown = f64::from(luminance(map.irradiance(at.triangle, at.b1, at.b2, at.back)));
-        Some((mean, (shown - mean).powi(2) - noise))
-    };
-    let found: Vec<(f64, f64)> = (0..POINTS).into_par_iter().filter_map(point).collect();
-    let n = found.len() as f64;
-    let mean = found.iter().map(|f| f.0).sum::<f64>() / n;
-    let squared = found.iter().map(|f| f.1).sum::<f64>() / n;
-    let spread = found.iter().map(|f| (f.1 - squared).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-    let relative = |v: f64| v / (mean * mean);
-    let statement = Statement { squared: relative(squared), doubt: relative((spread / n).sqrt()) };
-    (n > 1.0 && statement.squared.is_finite() && statement.doubt.is_finite()).then_some(statement)
+        self.taken += ADDED;
+        self.taken < self.wanted
+    }
+
+    /// The error of a map where it is seen, as far as the samples taken tell; `None` in scenes without cameras, without
+    /// light, or where nothing diffuse is seen.
+    /// More samples are wanted for the next statement where these leave it in doubt and `most` allows them.
+    pub fn statement(&mut self, map: &dyn Irradiance, most: u64) -> Option<Statement> {
+        let (batches, samples) = (f64::from(BATCHES), f64::from(self.taken.max(1)));
+        let shows =
+            |at: &Interaction| f64::from(luminance(map.irradiance(at.triangle, at.b1, at.b2, at.back)));
+        let bright =
+            BRIGHT * self.points.iter().map(|p| shows(&p.at)).sum::<f64>() / self.points.len().max(1) as f64;
+        let found: Vec<(f64, f64)> = self
+            .points
+            .iter()
+            .map(|Held { at, sums }| {
+                let means = sums.map(|sum| sum / samples);
+                let mean = means.iter().sum::<f64>() / batches;
+                let noise =
+                    means.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / (batches * (batches - 1.0));
+                let shown = shows(at);
+                // Decided by the map alone, or the samples would choose what counts.
+                let weight = if shown > bright { bright / shown } else { 1.0 };
+                (weight * mean, weight * weight * ((shown - mean).powi(2) - noise))
+            })
+            .collect();
+        let n = found.len() as f64;
+        // In a view of next to nothing but darkness errors are told beside the light elsewhere.
+        let elsewhere = map.stored().map_or(0.0, |s| f64::from(luminance(Vec3::from_array(s.summary.mean))));
+        let mean = (found.iter().map(|f| f.0).sum::<f64>() / n).max(DARK * elsewhere);
+        let squared = found.iter().map(|f| f.1).sum::<f64>() / n;
+        let spread = found.iter().map(|f| (f.1 - squared).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+        let relative = |v: f64| v / (mean * mean);
+        let statement = Statement { squared: relative(squared), doubt: relative((spread / n).sqrt()) };
+        let allowed = u64::from(2 * self.wanted * BATCHES * POINTS) <= most;
+        if allowed && statement.doubt > DOUBTFUL * statement.squared {
+            self.wanted = (2 * self.wanted).min(MOST);
+        }
+        (n > 1.0 && statement.squared.is_finite() && statement.doubt.is_finite()).then_some(statement)
+    }
+
+    /// What samples said.
+    pub fn state(&self) -> HeldBackState {
+        let sums = self.points.iter().map(|p| p.sums).collect();
+        HeldBackState { sums, taken: self.taken, wanted: self.wanted }
+    }
+
+    /// Goes on from a saved state. `false`, and nothing changed, if it is of other points.
+    pub fn restore(&mut self, state: &HeldBackState) -> bool {
+        if state.sums.len() != self.points.len() || state.wanted > MOST {
+            return false;
+        }
+        self.points.iter_mut().zip(&state.sums).for_each(|(point, sums)| point.sums = *sums);
+        (self.taken, self.wanted) = (state.taken, state.wanted);
+        true
+    }
+}
+
+/// The error of a map where it is seen; `None` where nothing can be said.
+pub fn statement(indexed: Indexed<'_>, map: &dyn Irradiance, seed: u64) -> Option<Statement> {
+    let mut held_back = HeldBack::new(indexed, seed);
+    while held_back.sample(indexed, map) {}
+    held_back.statement(map, 0)
 }
 
 #[cfg(test)]
@@ -124,6 +221,7 @@ mod tests {
     use crate::illumination::Uniform;
     use crate::scene::test_scenes::{add_box, grey, scene, with_camera};
     use crate::scene::{Material, Mesh, Reflectance};
+    use crate::transport::light::Lights;
 
     /// The inside of a box that emits everywhere: E = π L / (1 − ρ), whatever is half of that is off by half.
     #[test]
@@ -138,7 +236,7 @@ mod tests {
         let truth = std::f32::consts::PI * 0.3 / (1.0 - albedo.color.x);
         let of = |share: f32| {
             let map = Uniform(Vec3::splat(share * truth));
-            statement((&scene, &accel, &lights), &map, 1).expect("points")
+            statement(Indexed { scene: &scene, accel: &accel, lights: &lights }, &map, 1).expect("points")
         };
         let (right, half, more) = (of(1.0), of(0.5), of(1.2));
         assert!(right.at_least() < 0.02 && right.at_most() < 0.1, "{right:?}");
@@ -152,6 +250,9 @@ mod tests {
     fn nothing_is_said_where_nothing_is_seen() {
         let scene = scene(Mesh::default(), vec![grey()]);
         let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
-        assert_eq!(statement((&scene, &accel, &lights), &Uniform(Vec3::ONE), 1), None);
+        assert_eq!(
+            statement(Indexed { scene: &scene, accel: &accel, lights: &lights }, &Uniform(Vec3::ONE), 1),
+            None
+        );
     }
 }

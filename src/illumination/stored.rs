@@ -15,22 +15,18 @@ const DARK: u32 = u32::MAX;
 /// What a bake came to.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
-    /// Particles emitted.
+    /// Paths sampled, from surfaces and from lights.
     pub particles: u64,
-    /// Times a particle was stored on a diffuse surface.
-    pub stored: u64,
-    /// Surfaces the particles met, stored there or not.
-    pub bounces: u64,
-    /// Rounds of direct light at the elements.
-    pub direct_rounds: u32,
-    /// Root of the area-weighted mean squared error of the luminance of irradiance, relative to the
-    /// root mean square irradiance. Noise and kernel bias; not the interpolation between elements.
+    /// Rounds in which they were.
+    pub rounds: u32,
+    /// Upper limit of the error of the luminance of irradiance where it is seen, relative to its mean there, by points that
+    /// the map is not made of (95 % certain): whatever the reason for the error.
     pub relative_error: f32,
-    /// Its part from the noise of direct light.
+    /// The part of it that is noise of straight light, root of the area-weighted mean square.
     pub direct_error: f32,
-    /// Its part from the noise of particles.
+    /// The part that is noise of all other light.
     pub particle_error: f32,
-    /// Its part from the width of kernels, estimated by doubling their area.
+    /// What neither of them explains: smoothing, resolution, and doubt.
     pub bias_error: f32,
     /// Power that arrives on both sides per area of surface and band, W/m².
     pub mean: [f32; 3],

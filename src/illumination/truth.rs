@@ -115,10 +115,9 @@ mod tests {
     use super::*;
     use crate::illumination::bake::{BakeSettings, Baker, Step};
     use crate::illumination::seen::in_sight;
-    use crate::math;
     use crate::scene::load::load;
     use crate::scene::{Model, Reflectance};
-    use crate::transport::particle::SceneTransport;
+    use crate::transport::Indexed;
 
     /// A bundled scene without what makes caustics, which are sharper than any kernel and noisy by paths: polished
     /// things lose their polish, mirrors, metal and thick glass are black, panes stay.
@@ -143,10 +142,9 @@ mod tests {
         count: usize,
         samples: u32,
     ) -> (Vec<Truth>, f64) {
-        let transport = SceneTransport::new(world.0, world.1, world.2);
         let counts = |e: u32| {
             let e = &baker.atlas().elements[e as usize];
-            in_sight(world.0, &transport, e.position, e.normal)
+            in_sight(world.0, world.1, e.position, e.normal)
         };
         let known = truth(world, baker.atlas(), &counts, count, samples, 1);
         let squares = |of: &dyn Fn(&Truth) -> f32| known.iter().map(|t| f64::from(of(t))).sum::<f64>();
@@ -155,26 +153,25 @@ mod tests {
     }
 
     /// Sun and sky, spots and a lamp with cut-out leaves and screens before them: a short bake of each is as bright as
-    /// paths say, and about as far from them as it says itself.
+    /// paths say, and no further from them than it says itself.
     #[test]
     fn bundled_scenes_are_lit_as_paths_light_them() {
         for name in ["diffuse", "gallery", "duck"] {
             let scene = without_caustics(name);
             let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
-            let transport = SceneTransport::new(&scene, &accel, &lights);
+            let indexed = Indexed { scene: &scene, accel: &accel, lights: &lights };
             let settings =
                 BakeSettings { texels: 64 * 1024, error: None, particles: None, ..BakeSettings::default() };
-            let mut baker = Baker::new(&scene, transport, &settings);
+            let mut baker = Baker::new(indexed, &settings);
             let (known, noise) = points_in_sight((&scene, &accel, &lights), &baker, 150, 1024);
             assert!(noise < 0.04, "{name}: {noise}");
             for _ in 0..3 {
-                while !matches!(baker.step(), Step::Appraised(_)) {}
+                while matches!(baker.step(indexed), Step::Going) {}
             }
-            let map = baker.illumination();
-            let (error, stated) = (relative_error(&map, &known), f64::from(map.summary.relative_error));
+            let map = baker.map().clone();
+            let (error, stated) = (relative_error(&*map, &known), f64::from(map.summary.relative_error));
             assert!(error < 0.05, "{name}: {error} ± {noise}");
-            let most = 2.0 * math::hypot(error, noise);
-            assert!((0.7 * error..most).contains(&stated), "{name}: {error} ± {noise} stated as {stated}");
+            assert!(stated >= 0.7 * error, "{name}: {error} ± {noise} stated as {stated}");
             let sum = |of: &dyn Fn(&Truth) -> Vec3| known.iter().map(|t| luminance(of(t))).sum::<f32>();
             let found = sum(&|t| map.irradiance(t.triangle, t.b1, t.b2, false));
             let ratio = found / sum(&|t| t.irradiance);
@@ -182,33 +179,29 @@ mod tests {
         }
     }
 
-    /// What is in sight of the box, shadows, corners and the lamp's own face included: within 2.5 % of paths, and more
-    /// particles do not make it worse.
+    /// What is in sight of the box, shadows, corners and the lamp's own face included: within 1.5 % of paths after four
+    /// rounds.
     #[test]
     fn the_box_is_lit_as_paths_light_it() {
         let scene = without_caustics("box");
         let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
-        let transport = SceneTransport::new(&scene, &accel, &lights);
+        let indexed = Indexed { scene: &scene, accel: &accel, lights: &lights };
         let settings = BakeSettings { error: None, particles: None, ..BakeSettings::default() };
-        let mut baker = Baker::new(&scene, transport, &settings);
+        let mut baker = Baker::new(indexed, &settings);
         // Errors below the noise of the truth cannot be told from none.
         let (known, noise) = points_in_sight((&scene, &accel, &lights), &baker, 200, 1024);
         assert!(noise < 0.02, "{noise}");
-        // After the first pass, the fourth and the sixth: by then particles lie in every gap.
+        // After the first round, the fourth and the sixth.
         let mut errors = Vec::new();
         for pass in 0..6 {
-            while !matches!(baker.step(), Step::Appraised(_)) {}
+            while matches!(baker.step(indexed), Step::Going) {}
             if [0, 3, 5].contains(&pass) {
-                let map = baker.illumination();
-                let (error, stated) = (relative_error(&map, &known), f64::from(map.summary.relative_error));
-                let most = 2.0 * math::hypot(error, noise);
-                assert!(
-                    (0.7 * error..most).contains(&stated),
-                    "{pass}: {error} ± {noise} stated as {stated}"
-                );
+                let map = baker.map().clone();
+                let (error, stated) = (relative_error(&*map, &known), f64::from(map.summary.relative_error));
+                assert!(stated >= 0.7 * error, "{pass}: {error} ± {noise} stated as {stated}");
                 errors.push(error);
             }
         }
-        assert!(errors[1] < 0.025 && errors[1] < errors[0] && errors[2] < errors[1], "{errors:?}");
+        assert!(errors[1] < 0.015 && errors[1] < errors[0] && errors[2] < 0.015, "{errors:?}");
     }
 }

@@ -76,6 +76,14 @@ impl CameraFrame {
         Some(((x + 1.0) * 0.5 * self.size[0] as f32, (1.0 - y) * 0.5 * self.size[1] as f32, z))
     }
 
+    /// Density per solid angle of a unit direction through its pixel: 1 over the pixel's solid angle.
+    pub fn density(&self, direction: Vec3) -> f32 {
+        let [width, height] = self.size;
+        let area = 4.0 * self.right.length() * self.up.length() / (width as f32 * height as f32);
+        let cosine = self.forward.dot(direction);
+        1.0 / (area * cosine * cosine * cosine)
+    }
+
     /// Angle of one pixel at the picture's centre, radians.
     pub fn pixel_angle(&self) -> f32 {
         2.0 * self.up.length() / self.size[1] as f32

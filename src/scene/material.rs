@@ -230,6 +230,20 @@ impl Material {
         }
     }
 
+    /// Whether any of it reflects diffusely, so that irradiance on it matters.
+    pub fn has_diffuse(&self) -> bool {
+        let shows = |r: &Reflectance| r.color.max_element() > 0.0;
+        match &self.model {
+            Model::Lambert { albedo } | Model::Plastic { albedo, .. } => shows(albedo),
+            Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => shows(diffuse),
+            Model::MetalRough(m) => shows(&m.diffuse),
+            Model::Mirror { .. }
+            | Model::Conductor { .. }
+            | Model::Metal { .. }
+            | Model::Dielectric { .. } => false,
+        }
+    }
+
     /// Whether there may be points at which it is not there ([`super::Scene::is_opaque_at`]).
     pub fn may_vanish(&self) -> bool {
         self.opacity < 1.0 || self.opacity_map.is_some()

@@ -60,6 +60,14 @@ impl Mesh {
         self.triangles[t as usize].map(|v| self.positions[v as usize])
     }
 
+    /// Interpolated vertex normal at a point of a triangle, on the side of `geometric`, its unit normal; that where there
+    /// is none.
+    pub fn smooth_normal(&self, t: TriangleIndex, b1: f32, b2: f32, geometric: Vec3) -> Vec3 {
+        let [a, b, c] = self.triangles[t as usize].map(|v| self.normals[v as usize]);
+        let normal = (a * (1.0 - b1 - b2) + b * b1 + c * b2).try_normalize().unwrap_or(geometric);
+        if normal.dot(geometric) < 0.0 { -normal } else { normal }
+    }
+
     /// Lower and upper corner of all triangles; a point at the origin where there is none.
     pub fn bounds(&self) -> [Vec3; 2] {
         let mut low = Vec3::INFINITY;
@@ -230,6 +238,11 @@ impl SceneParts {
 }
 
 impl Scene {
+    /// The material of a triangle.
+    pub fn material_of(&self, triangle: u32) -> &Material {
+        &self.materials[self.mesh.materials[triangle as usize].0 as usize]
+    }
+
     /// The same scene with other levels of its textures in memory.
     pub fn with_resident(&self, textures: Vec<Texture>) -> Self {
         Self { parts: self.parts.clone(), textures }

@@ -7,6 +7,7 @@
 pub mod cache;
 pub mod filter;
 pub mod layer;
+pub mod light_tracing;
 pub mod sample;
 pub mod settled;
 pub mod supersampling;

@@ -5,7 +5,11 @@
 //! its mean over wide surroundings is shown as far as both halves found it. Whether that difference is shown at all is decided by
 //! samples that it does not know: with Z from one half and R the raw mean of the other, the mean over blocks of
 //! `(Z − map)(Z + map − 2R)` is the squared error of Z less that of the map, without R's own noise. The map stays until
-//! that is below 0 for certain. The same blocks tell the error of what is shown.
+//! that is below 0 for certain. The same blocks tell the error of what is shown. Certain is what blocks agree on, or what the
+//! noise of R cannot be: where one block, under a caustic, say, holds nearly all of the error, blocks never agree.
+//!
+//! What paths do not find, light that was traced to the eye (`splatting::light_tracing`), belongs to the samples: it is
+//! added to their means, half by half, before anything is filtered or compared.
 //!
 //! A function of the view and the sums alone: whoever computes it, and whatever was shown before, the bits are the same.
 
@@ -14,7 +18,8 @@ use std::sync::Arc;
 use glam::Vec3;
 use xxhash_rust::xxh3::Xxh3;
 
-use super::filter::{Halves, Surfaces};
+use super::filter::{GoesOn, Halves, Surfaces};
+use super::light_tracing::LightSums;
 use super::supersampling::Tiles;
 use super::tile_sums::{BATCHES, PixelSums, TileSums};
 use crate::display::FrameBuffers;
@@ -26,6 +31,8 @@ use crate::world::World;
 const BLOCK: usize = 8;
 /// Standard errors for certain: one side, 5 %.
 const CERTAIN: f64 = 1.65;
+/// Of noise that is known by two batches only, and where it matters may be that of one block.
+const CERTAIN_BY_NOISE: f64 = 6.0;
 /// Least albedo that is divided by.
 const ALBEDO_MIN: f32 = 1e-3;
 /// So many paths of a pixel are worth as much as the first sample, which branches.
@@ -95,10 +102,17 @@ impl Settled {
 /// The sums of every pixel, as a picture.
 struct Pixels<'a> {
     at: Vec<Option<(&'a PixelSums, u32)>>,
+    /// What was traced to the eye.
+    traced: Option<&'a LightSums>,
 }
 
 impl<'a> Pixels<'a> {
-    fn new(width: usize, height: usize, tiles: &'a [Option<Arc<TileSums>>]) -> Self {
+    fn new(
+        width: usize,
+        height: usize,
+        tiles: &'a [Option<Arc<TileSums>>],
+        traced: Option<&'a LightSums>,
+    ) -> Self {
         let grid = Tiles::of_size(width as u32, height as u32);
         let mut at = vec![None; width * height];
         // Fewer leave a batch empty.
@@ -107,7 +121,7 @@ impl<'a> Pixels<'a> {
                 at[y * width + x] = Some((sums, tile.samples));
             }
         }
-        Self { at }
+        Self { at, traced }
     }
 
     /// One value of each pixel; 0 where there are no samples.
@@ -115,39 +129,62 @@ impl<'a> Pixels<'a> {
         self.at.iter().map(|p| p.map_or(Vec3::ZERO, |(sums, n)| value(sums, n))).collect()
     }
 
-    /// Estimates of the residual of the diffuse part, divided by the albedo, from these sets of batches.
-    fn residuals(&self, sets: [&[usize]; 2]) -> Halves {
-        let albedo = |sums: &PixelSums, n: u32| sums.albedo(n).max(Vec3::splat(ALBEDO_MIN));
-        Halves {
-            values: sets.map(|set| self.of(|sums, n| sums.residual(set, n) / albedo(sums, n))),
-            variances: sets.map(|set| {
-                let variance = |(sums, n): (&PixelSums, u32)| {
-                    sums.residual_variance(set, n) / luminance(albedo(sums, n)).powi(2)
-                };
-                self.at.iter().map(|p| p.map_or(0.0, variance)).collect()
-            }),
-            known: self.at.iter().map(|p| p.is_some_and(|(sums, n)| sums.albedo(n) != Vec3::ZERO)).collect(),
+    /// Reads all pixels that have samples.
+    fn each(&self, mut read: impl FnMut(usize, &PixelSums, u32)) {
+        for (i, pixel) in self.at.iter().enumerate() {
+            if let Some((sums, n)) = pixel {
+                read(i, sums, *n);
+            }
         }
     }
 
     /// The residual, divided by the albedo, as far as both sets of batches show it.
-    fn reconstructed(&self, surfaces: &Surfaces, sets: [&[usize]; 2]) -> Vec<Vec3> {
-        let albedo = self.of(PixelSums::albedo);
-        let excess = sets.map(|set| self.of(|sums, n| sums.excess(set, n)));
+    fn reconstructed(
+        &self,
+        surfaces: &Surfaces,
+        sets: [&[usize]; 2],
+        goes_on: GoesOn<'_>,
+    ) -> Option<Vec<Vec3>> {
+        let count = self.at.len();
+        let mut halves = Halves::of_nothing(count);
+        let (mut albedo, none) = (vec![Vec3::ZERO; count], || vec![Vec3::ZERO; count]);
+        let mut excess = [none(), none()];
+        self.each(|i, sums, n| {
+            albedo[i] = sums.albedo(n);
+            halves.known[i] = albedo[i] != Vec3::ZERO;
+            let divided_by = albedo[i].max(Vec3::splat(ALBEDO_MIN));
+            for (half, set) in sets.into_iter().enumerate() {
+                let (mut residual, mut variance) = (sums.residual(set, n), sums.residual_variance(set, n));
+                if let Some(traced) = self.traced {
+                    residual += traced.diffuse(i, set);
+                    variance += traced.diffuse_variance(i, set);
+                }
+                halves.values[half][i] = residual / divided_by;
+                halves.variances[half][i] = variance / luminance(divided_by).powi(2);
+                excess[half][i] = sums.excess(set, n);
+            }
+        });
         let missing = surfaces.agreed_around(&excess, &albedo);
-        let residual = self.residuals(sets).reconstructed(surfaces);
-        residual.into_iter().zip(missing).map(|(r, m)| r + m).collect()
+        let residual = halves.reconstructed(surfaces, goes_on)?;
+        Some(residual.into_iter().zip(missing).map(|(r, m)| r + m).collect())
     }
 
-    /// That of the lobes.
+    /// What lobes show.
     fn lobes(&self) -> Halves {
-        Halves {
-            values: HALVES.map(|set| self.of(|sums, n| sums.lobes(&set, n))),
-            variances: HALVES.map(|set| {
-                self.at.iter().map(|p| p.map_or(0.0, |(s, n)| s.lobes_variance(&set, n))).collect()
-            }),
-            known: self.at.iter().map(|p| p.is_some_and(|(sums, _)| sums.has_lobes())).collect(),
-        }
+        let mut halves = Halves::of_nothing(self.at.len());
+        self.each(|i, sums, n| {
+            let traced = self.traced.filter(|traced| traced.has_lobes(i));
+            halves.known[i] = sums.has_lobes() || traced.is_some();
+            for (half, set) in HALVES.iter().enumerate().filter(|_| halves.known[i]) {
+                halves.values[half][i] = sums.lobes(set, n);
+                halves.variances[half][i] = sums.lobes_variance(set, n);
+                if let Some(traced) = traced {
+                    halves.values[half][i] += traced.lobes(i, set);
+                    halves.variances[half][i] += traced.lobes_variance(i, set);
+                }
+            }
+        });
+        halves
     }
 }
 
@@ -176,73 +213,107 @@ fn blocks(width: usize, height: usize, value: impl Fn(usize) -> f32) -> Vec<f64>
         .collect()
 }
 
-/// How a picture from one half does beside the other one, block by block: its squared error less that of the map, and that
-/// error itself.
-fn against(
-    surfaces: &Surfaces,
-    pixels: &Pixels<'_>,
-    [from, with]: [[usize; 2]; 2],
-    (width, height): (usize, usize),
-) -> (Vec<f64>, Vec<f64>) {
-    let guess = pixels.reconstructed(surfaces, [&from[..1], &from[1..]]);
-    let albedo = pixels.of(PixelSums::albedo);
-    let z = blocks(width, height, |i| luminance(guess[i] * albedo[i]));
-    let [a, b] = [0, 1].map(|i| {
-        // Uncut, or what is cut off both would seem right.
-        let with = &with[i..=i];
-        let residual = pixels.of(|sums, n| sums.residual(with, n) + sums.excess(with, n));
-        blocks(width, height, |i| luminance(residual[i]))
-    });
-    let each = |i: usize| {
-        let (r, noise) = (0.5 * (a[i] + b[i]), 0.25 * (a[i] - b[i]).powi(2));
-        (z[i] * (z[i] - 2.0 * r), (z[i] - r).powi(2) - noise, r * r - noise)
-    };
-    let helps = (0..z.len()).map(|i| each(i).0).collect::<Vec<f64>>();
-    let better = mean_and_error(&helps);
-    let corrects = better.0 + CERTAIN * better.1 < 0.0;
-    let errors = (0..z.len()).map(|i| if corrects { each(i).1 } else { each(i).2 }).collect();
-    (helps, errors)
+/// How a picture from one half does beside the other one, block by block.
+struct Beside {
+    /// Its squared error less that of the map.
+    helps: Vec<f64>,
+    /// Variances of that by the noise of the other half.
+    doubts: Vec<f64>,
+    /// Its squared error, and that of the map.
+    errors: [Vec<f64>; 2],
 }
 
-/// The picture that the samples of `tiles` make of a view.
+impl Beside {
+    fn new(
+        surfaces: &Surfaces,
+        pixels: &Pixels<'_>,
+        [from, with]: [[usize; 2]; 2],
+        (width, height): (usize, usize),
+        goes_on: GoesOn<'_>,
+    ) -> Option<Self> {
+        let guess = pixels.reconstructed(surfaces, [&from[..1], &from[1..]], goes_on)?;
+        let albedo = pixels.of(PixelSums::albedo);
+        let z = blocks(width, height, |i| luminance(guess[i] * albedo[i]));
+        let [a, b] = [0, 1].map(|i| {
+            // Uncut, or what is cut off both would seem right.
+            let with = &with[i..=i];
+            let residual = pixels.of(|sums, n| sums.residual(with, n) + sums.excess(with, n));
+            let traced = |i: usize| match pixels.traced {
+                Some(traced) if pixels.at[i].is_some() => luminance(traced.diffuse(i, with)),
+                _ => 0.0,
+            };
+            blocks(width, height, |i| luminance(residual[i]) + traced(i))
+        });
+        let r = |i: usize| 0.5 * (a[i] + b[i]);
+        let noise = |i: usize| 0.25 * (a[i] - b[i]).powi(2);
+        let all = |value: &dyn Fn(usize) -> f64| (0..z.len()).map(value).collect::<Vec<f64>>();
+        Some(Self {
+            helps: all(&|i| z[i] * (z[i] - 2.0 * r(i))),
+            doubts: all(&|i| 4.0 * z[i] * z[i] * noise(i)),
+            errors: [all(&|i| (z[i] - r(i)).powi(2) - noise(i)), all(&|i| r(i) * r(i) - noise(i))],
+        })
+    }
+
+    /// The same with roles changed, and the mean of both.
+    fn mean(self, other: Self) -> Self {
+        let mean = |a: Vec<f64>, b: Vec<f64>| -> Vec<f64> {
+            a.into_iter().zip(b).map(|(a, b)| 0.5 * (a + b)).collect()
+        };
+        let ([a, b], [c, d]) = (self.errors, other.errors);
+        Self {
+            helps: mean(self.helps, other.helps),
+            doubts: mean(self.doubts, other.doubts),
+            errors: [mean(a, c), mean(b, d)],
+        }
+    }
+
+    /// Whether it is certainly better than the map: as blocks go, or, where a few blocks hold nearly all of the error, as far
+    /// beyond its noise as that is known by two batches.
+    fn is_better(&self) -> bool {
+        let (better, apart) = mean_and_error(&self.helps);
+        let noise = self.doubts.iter().sum::<f64>().sqrt() / self.doubts.len().max(1) as f64;
+        better + (CERTAIN * apart).min(CERTAIN_BY_NOISE * noise) < 0.0
+    }
+}
+
+/// The picture that the samples of `tiles` and the light `traced` to the eye make of a view; `None` where that was not to go on.
 pub fn settled(
     world: &World,
     frame: &CameraFrame,
     buffers: &FrameBuffers,
     tiles: &[Option<Arc<TileSums>>],
-) -> Settled {
+    traced: Option<&LightSums>,
+    goes_on: GoesOn<'_>,
+) -> Option<Settled> {
     let (width, height) = (buffers.width(), buffers.height());
-    let surfaces = Surfaces::of_view(world, frame, buffers);
-    let pixels = Pixels::new(width, height, tiles);
-    let both =
-        [HALVES, [HALVES[1], HALVES[0]]].map(|roles| against(&surfaces, &pixels, roles, (width, height)));
-    let [helps, errors] = [|r: &(Vec<f64>, Vec<f64>)| r.0.clone(), |r: &(Vec<f64>, Vec<f64>)| r.1.clone()]
-        .map(|of| of(&both[0]).iter().zip(&of(&both[1])).map(|(a, b)| 0.5 * (a + b)).collect::<Vec<f64>>());
-    let (better, doubt) = mean_and_error(&helps);
-    let corrects = better + CERTAIN * doubt < 0.0;
+    let surfaces = Surfaces::of_view(world, frame, buffers, goes_on)?;
+    let pixels = Pixels::new(width, height, tiles, traced);
+    let of_roles = |roles| Beside::new(&surfaces, &pixels, roles, (width, height), goes_on);
+    let beside = of_roles(HALVES)?.mean(of_roles([HALVES[1], HALVES[0]])?);
+    let corrects = beside.is_better();
     let mut diffuse = pixels.of(PixelSums::shown);
     if corrects {
-        let residual = pixels.reconstructed(&surfaces, [&HALVES[0], &HALVES[1]]);
+        let residual = pixels.reconstructed(&surfaces, [&HALVES[0], &HALVES[1]], goes_on)?;
         let albedo = pixels.of(PixelSums::albedo);
         for ((pixel, residual), albedo) in diffuse.iter_mut().zip(residual).zip(albedo) {
             *pixel += residual * albedo;
         }
     }
-    let lobes = pixels.lobes().mean(&surfaces);
+    let lobes = pixels.lobes().mean(&surfaces, goes_on)?;
     let bright = blocks(width, height, |i| luminance(diffuse[i] + lobes[i]));
     let mean = bright.iter().sum::<f64>() / bright.len().max(1) as f64;
-    let (squared, doubt) = mean_and_error(&errors);
+    let (squared, doubt) = mean_and_error(&beside.errors[usize::from(!corrects)]);
     let limit = (squared + CERTAIN * doubt).max(0.0).sqrt();
     let known = pixels.at.iter().all(Option::is_some) && mean > 0.0;
     let enough = |t: &&Arc<TileSums>| t.samples as usize >= BATCHES;
     let samples = tiles.iter().map(|t| t.as_ref().filter(enough).map_or(0, |t| t.samples)).collect();
-    Settled {
+    Some(Settled {
         diffuse: Map2d::from_vec(width, height, diffuse),
         lobes: Map2d::from_vec(width, height, lobes),
         samples,
         stated: if known { (limit / mean) as f32 } else { f32::INFINITY },
         corrects,
-    }
+    })
 }
 
 #[cfg(test)]
@@ -288,7 +359,7 @@ mod tests {
             Some(Arc::new(sums))
         };
         let tiles: Vec<_> = (0..grid.len() as u32).map(tile).collect();
-        settled(&world, &frame, &buffers, &tiles)
+        settled(&world, &frame, &buffers, &tiles, None, &|| true).expect("it goes on")
     }
 
     fn error(shown: &Settled, truth: f32) -> f32 {
@@ -325,7 +396,8 @@ mod tests {
     #[test]
     fn pixels_without_samples_show_what_they_showed() {
         let (world, frame, buffers) = view();
-        let none = settled(&world, &frame, &buffers, &vec![None; Tiles::of_size(SIZE.0, SIZE.1).len()]);
+        let none = vec![None; Tiles::of_size(SIZE.0, SIZE.1).len()];
+        let none = settled(&world, &frame, &buffers, &none, None, &|| true).expect("it goes on");
         let (base, first) = (Vec3::splat(0.1), Vec3::splat(0.3));
         assert_eq!(none.pixel(3, 4, base, first), first);
         assert!(none.stated.is_infinite() && none.fits(SIZE.0, SIZE.1) && !none.fits(SIZE.1, SIZE.0));
@@ -333,5 +405,23 @@ mod tests {
         let few = of(0.0, 0.0, 4, 1);
         assert!((few.pixel(3, 4, base, first) - Vec3::splat(1.0 + 0.8 * 0.2)).abs().max_element() < 1e-5);
         assert_eq!(of(0.0, 0.0, 64, 1).pixel(3, 4, base, first), Vec3::ONE);
+    }
+
+    #[test]
+    fn what_nobody_wants_is_not_made() {
+        let (world, frame, buffers) = view();
+        let tiles = vec![None; Tiles::of_size(SIZE.0, SIZE.1).len()];
+        assert!(settled(&world, &frame, &buffers, &tiles, None, &|| false).is_none());
+    }
+
+    /// A map that is off in one block only, as under a caustic, gives way too.
+    #[test]
+    fn one_block_is_enough_where_there_is_no_doubt() {
+        let beside = |noise: f64| Beside {
+            helps: (0..192).map(|i| if i == 77 { -2.0 } else { -1e-5 }).collect(),
+            doubts: vec![noise * noise; 192],
+            errors: [Vec::new(), Vec::new()],
+        };
+        assert!(beside(0.01).is_better() && !beside(0.1).is_better());
     }
 }

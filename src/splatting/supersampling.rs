@@ -20,6 +20,7 @@ use crate::image::{Map2d, srgb_from_linear};
 use crate::rng::{Stream, hash};
 use crate::sampling::Rect;
 use crate::scene::camera::CameraFrame;
+use crate::splatting::light_tracing::{LightSums, runs_for, trace_run};
 use crate::splatting::settled::settled;
 use crate::splatting::tile_sums::{BATCHES, PixelSample, TileSums};
 use crate::transport::gather::{Gather, Trust};
@@ -62,6 +63,16 @@ impl Tiles {
     /// Number of tiles.
     pub fn len(&self) -> usize {
         (self.width.div_ceil(TILE) * self.height.div_ceil(TILE)) as usize
+    }
+
+    /// Number of pixels.
+    pub fn pixel_count(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+
+    /// Pixels in a row of the picture.
+    pub fn width(&self) -> usize {
+        self.width as usize
     }
 
     /// Whether there is none.
@@ -146,9 +157,36 @@ pub fn supersampled(
     let of_tile = |tile| goes_on().then(|| Arc::new(supersample(world, frame, tile, None, samples, seed)));
     let tiles: Vec<_> =
         (0..Tiles::of_size(width, height).len() as u32).into_par_iter().map(of_tile).collect();
-    let settled = settled(world, frame, buffers, &tiles);
+    let traced = traced(world, frame, seed, samples, goes_on);
+    let Some(settled) = settled(world, frame, buffers, &tiles, traced.as_ref(), &|| true) else {
+        return first.clone();
+    };
     let pixel = |x, y| settled.pixel(x, y, buffers.color.at(x, y), first.at(x, y));
     Map2d::from_fn(width as usize, height as usize, pixel)
+}
+
+/// Light traced to the eye as much as belongs to so many samples of each pixel; `None` where paths find all there is.
+fn traced(
+    world: &World,
+    frame: &CameraFrame,
+    seed: u64,
+    samples: u32,
+    goes_on: &(dyn Fn() -> bool + Sync),
+) -> Option<LightSums> {
+    /// Runs that are held at once.
+    const TOGETHER: u32 = 64;
+    let pixels = frame.size.iter().map(|s| *s as usize).product();
+    if samples == 0 || !world.caustics().is_possible() {
+        return None;
+    }
+    let (mut sums, runs) = (LightSums::new(world, pixels), runs_for(samples, pixels));
+    for first in (0..runs).step_by(TOGETHER as usize) {
+        let some = first..runs.min(first + TOGETHER);
+        let traced: Vec<_> =
+            some.into_par_iter().map(|run| trace_run(world, frame, run, seed, &|| goes_on())).collect();
+        traced.iter().flatten().for_each(|splats| sums.add(splats));
+    }
+    Some(sums)
 }
 
 #[cfg(test)]

@@ -51,8 +51,8 @@ pub struct PixelSample {
 
 /// Lobes and the residual of the D part.
 pub const PARTS: usize = 2;
-const LOBES: usize = 0;
-const RESIDUAL: usize = 1;
+pub(super) const LOBES: usize = 0;
+pub(super) const RESIDUAL: usize = 1;
 
 impl From<Seen> for PixelSample {
     fn from(seen: Seen) -> Self {

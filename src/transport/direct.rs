@@ -26,7 +26,7 @@ const SAME: f32 = 2e-6;
 
 /// The share of light that passes along `ray`: thin panes let it through attenuated, in a straight line; all
 /// else blocks it, refracting glass too, whose light arrives by other ways.
-pub(super) fn visibility(scene: &Scene, accel: &Accel, ray: &Ray) -> Vec3 {
+pub(crate) fn visibility(scene: &Scene, accel: &Accel, ray: &Ray) -> Vec3 {
     let mut passed = Vec3::ONE;
     // A ray through the common edge of two triangles meets both, but one pane.
     let mut crossed = [(f32::NAN, false); 8];

@@ -140,6 +140,8 @@ struct Path {
     diffuse: u32,
     /// S surfaces in a row behind it.
     specular: u32,
+    /// Whether none of these has a wide lobe.
+    narrow: bool,
     /// Whether no S vertex lies between it and its beginning.
     straight: bool,
     /// Width of its cone here, and what a unit of length adds; for textures.
@@ -154,12 +156,19 @@ pub struct Gather<'a> {
     accel: &'a Accel,
     lights: &'a Lights,
     trust: Trust<'a>,
+    /// Whether light that reaches a D point over S alone is somebody else's.
+    drops_caustics: bool,
 }
 
 impl<'a> Gather<'a> {
     /// For a scene, with as much trust.
     pub fn new(scene: &'a Scene, accel: &'a Accel, lights: &'a Lights, trust: Trust<'a>) -> Self {
-        Self { scene, accel, lights, trust }
+        Self { scene, accel, lights, trust, drops_caustics: false }
+    }
+
+    /// Leaves out class C over lobes that are not wide: particles bring it ([`super::caustic`]).
+    pub fn without_caustics(self) -> Self {
+        Self { drops_caustics: true, ..self }
     }
 
     /// One sample of the irradiance on the side of a surface that `at` shows, which lies inside of `media`. Finite.
@@ -289,7 +298,7 @@ impl<'a> Gather<'a> {
     /// Adds the light that a path meets at `hit` or in the surrounding, weighed beside light samples of the vertex it
     /// comes from.
     fn shine(&self, light: Vec3, path: &Path, hit: Option<&Hit>, sum: &mut Arriving) {
-        if light == Vec3::ZERO {
+        if light == Vec3::ZERO || self.drops_caustics && !path.straight && path.narrow {
             return;
         }
         let share = path.found.map_or(1.0, |Found { from, pdf }| {
@@ -357,7 +366,7 @@ impl<'a> Gather<'a> {
         path.weigh(Vec3::splat(above));
         let pdf = normal.dot(wi).max(0.0) * FRAC_1_PI;
         path.found = (!self.lights.is_empty()).then_some(Found { from: at.into(), pdf });
-        path.specular = 0;
+        (path.specular, path.narrow) = (0, true);
         path.vertices += 1;
         (path.width, path.spread) = (0.0, 0.0);
         path.ray = at.spawn(wi);
@@ -373,7 +382,8 @@ impl<'a> Gather<'a> {
         sum: &mut Vec3,
     ) -> Option<Path> {
         let normal = at.facing_shading();
-        if !bsdf.is_delta() {
+        path.narrow &= !bsdf.is_wide();
+        if !bsdf.is_delta() && !(self.drops_caustics && path.narrow) {
             let light = self.light_samples(at, &path, stream, |wi| {
                 let (f, pdf) = bsdf.evaluate_and_pdf(at.wo, wi);
                 (f * normal.dot(wi).max(0.0), pdf)
@@ -423,6 +433,7 @@ impl Path {
             vertices: 0,
             diffuse: 0,
             specular: 0,
+            narrow: true,
             straight: true,
             width: 0.0,
             spread: 0.0,

@@ -2,6 +2,7 @@
 
 use glam::{Vec2, Vec3};
 
+use super::bsdf::{Bsdf, BsdfSample};
 use super::surface::{SurfacePoint, area_normal, texture_coordinates};
 use crate::geometry::{Hit, Ray, gamma, offset_origin};
 use crate::math;
@@ -135,6 +136,11 @@ impl Interaction {
     /// Whether a direction on either side is so close to the surface that the shading normal would be tilted for it.
     pub fn is_grazed_by(&self, direction: Vec3) -> bool {
         direction.dot(self.shading_normal).abs() < GRAZING
+    }
+
+    /// Whether light takes a sample of a Dirac lobe in both directions: not where the normal is bent for either of them.
+    pub fn is_reversible(&self, bsdf: &Bsdf, sample: &BsdfSample) -> bool {
+        !self.tilted && !self.is_grazed_by(sample.wi) && bsdf.is_reversible(self.wo, sample)
     }
 
     /// The same point seen through a cone of this width, scene units.

@@ -27,8 +27,8 @@ use foveal::perception::saliency::SaliencyModel;
 use foveal::scene::Scene;
 use foveal::scene::load::load;
 use foveal::splatting::trace::pixel_stream;
+use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
-use foveal::transport::particle::SceneTransport;
 use foveal::world::World;
 use glam::Vec3;
 
@@ -208,9 +208,9 @@ fn baked(scene: Scene) -> World {
     let (accel, lights) = (Arc::new(Accel::build(&scene)), Arc::new(Lights::build(&scene)));
     let settings =
         BakeSettings { texels: 512, particles: Some(1 << 12), error: None, ..BakeSettings::default() };
-    let baked = bake(&scene, &SceneTransport::new(&scene, &accel, &lights), &settings, &|_| true);
+    let baked = bake(Indexed { scene: &scene, accel: &accel, lights: &lights }, &settings, &|_| true);
     assert!(baked.illumination.is_sound(), "{}: irradiance is not finite", scene.name);
-    World { scene, accel, lights, illumination: Arc::new(baked.illumination) }
+    World { scene, accel, lights, illumination: Arc::new(baked.illumination), unfound: Arc::default() }
 }
 
 /// What was seen of a scene.

@@ -10,14 +10,13 @@ use std::time::Duration;
 use crossbeam_queue::SegQueue;
 use foveal::allocation::policy::Policy;
 use foveal::display::first_approximation::Probes;
-use foveal::illumination::bake::{BakeSettings, bake};
+use foveal::illumination::bake::{BakeSettings, Baker};
 use foveal::image::Map2d;
 use foveal::rng::hash;
 use foveal::scene::Camera;
 use foveal::scene::camera::CameraFrame;
 use foveal::scene::plan::ScenePlan;
 use foveal::splatting::AgeingRules;
-use foveal::transport::particle::SharedTransport;
 use foveal::world::World;
 use foveal_actors::allocator::Allocator;
 use foveal_actors::allocator::textures::Textures;
@@ -56,8 +55,9 @@ const REST_MAX: Duration = Duration::from_secs(3600);
 /// The world in the light that a refinement comes to.
 fn fully_lit(refinement: &Refinement) -> World {
     let Refinement { world, settings, .. } = refinement;
-    let transport = SharedTransport::new(world.scene.clone(), world.accel.clone(), world.lights.clone());
-    let baked = bake(&world.scene, &transport, settings, &|_| true);
+    let mut baker = Baker::new(world.indexed(), settings);
+    baker.begin_with(&*world.illumination);
+    let baked = baker.run(world.indexed(), &|_| true, &mut |_| {});
     world.with_illumination(Arc::new(baked.illumination))
 }
 

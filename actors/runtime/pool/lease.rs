@@ -53,10 +53,30 @@ impl<J> Hold<J> {
 pub(crate) trait Lease: Send + Sync {
     /// Whether the job at hand is still this worker's; the first answer holds for the whole delivery.
     fn claim(&self, journal: &mut Journal) -> bool;
+    /// Whether its epoch has not passed, by now.
+    fn is_wanted(&self) -> bool;
 }
 
-impl<J: Job> Lease for Place<J> {
+/// The job that a worker is at.
+pub(super) struct AtHand<'a, J: Job> {
+    pub place: &'a Place<J>,
+    pub shared: &'a Shared<J>,
+    pub epoch: u64,
+}
+
+impl<J: Job> Lease for AtHand<'_, J> {
     fn claim(&self, journal: &mut Journal) -> bool {
+        self.place.claim(journal)
+    }
+
+    fn is_wanted(&self) -> bool {
+        self.epoch >= self.shared.epoch.load(Ordering::Relaxed)
+    }
+}
+
+impl<J: Job> Place<J> {
+    /// As [`Lease::claim`].
+    pub(super) fn claim(&self, journal: &mut Journal) -> bool {
         let Hold { lent, until, claim } = &self.hold;
         if claim.load(Ordering::Relaxed) == UNCLAIMED {
             let kept = journal.keeps_lease(|| {

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use super::{Death, Entry, Job, JobPool, KILLS_MAX, Lease, Place, Worker};
+use super::lease::AtHand;
+use super::{Death, Entry, Job, JobPool, KILLS_MAX, Place, Worker};
 use crate::actor::{Actor, Cx};
 use crate::journal::Journal;
 use crate::log::format::{Symbol, lane};
@@ -118,7 +119,8 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
 
     fn run(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>) {
         if let Some(entry) = &self.current {
-            actor.run(&entry.job, &mut cx.at(&*self.place));
+            let (place, shared) = (&*self.place, &*self.pool.shared);
+            actor.run(&entry.job, &mut cx.at(&AtHand { place, shared, epoch: entry.epoch }));
         }
     }
 

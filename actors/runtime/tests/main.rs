@@ -7,6 +7,7 @@ mod common;
 mod damage;
 mod derived;
 mod ends;
+mod giving_up;
 mod hostile;
 mod leases;
 mod live;

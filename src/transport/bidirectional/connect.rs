@@ -12,14 +12,6 @@ use super::odds::{Odds, squared, weight};
 use super::vertex::{End, Vertex, geometric_cosine, receiver};
 
 impl Bidirectional<'_> {
-    /// Density per solid angle of a direction through its pixel: 1 over the pixel's solid angle.
-    pub(super) fn film(&self, direction: Vec3) -> f32 {
-        let [width, height] = self.frame.size;
-        let area = 4.0 * self.frame.right.length() * self.frame.up.length() / (width as f32 * height as f32);
-        let cosine = self.frame.forward.dot(direction);
-        1.0 / (area * cosine * cosine * cosine)
-    }
-
     /// Weight of a light that a subpath from the eye has met after `vertices` others, the last of them `from` if lights
     /// were sampled there, along the unit `wi`: at a hit with its distance from there, or in the surrounding.
     pub(super) fn weight_of_found(
@@ -101,7 +93,7 @@ impl Bidirectional<'_> {
         let distance = between.length();
         let direction = between / distance;
         let s = y.towards(scene, End::Light, direction)?;
-        let film = self.film(-direction);
+        let film = self.frame.density(-direction);
         let near = geometric_cosine(&y.at, direction) / (distance * distance);
         let paths = self.light_paths();
         let seen = f64::from(film * near) / paths;

@@ -31,6 +31,8 @@ use super::light::Lights;
 use super::medium::Media;
 use photons::{Photon, Photons};
 use vertex::Vertex;
+pub(crate) use vertex::geometric_cosine;
+pub(super) use vertex::{End, scattering};
 use walk::Seen;
 
 /// Radius of the first pass's disks, widths of a pixel where they lie.

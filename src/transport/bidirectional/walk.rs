@@ -6,7 +6,7 @@ use glam::Vec3;
 
 use crate::geometry::Ray;
 use crate::rng::Stream;
-use crate::transport::bsdf::{Bsdf, BsdfSample};
+use crate::transport::bsdf::Bsdf;
 use crate::transport::direct::is_pane;
 use crate::transport::interaction::Interaction;
 use crate::transport::light::{Emitter, Receiver};
@@ -78,11 +78,6 @@ impl Bidirectional<'_> {
         Some((hit, at, Bsdf::at(self.scene, &at)))
     }
 
-    /// Whether light takes a sample of a Dirac lobe in both directions.
-    fn is_reversible(&self, at: &Interaction, bsdf: &Bsdf, sample: &BsdfSample) -> bool {
-        !at.tilted && !at.is_grazed_by(sample.wi) && bsdf.is_reversible(at.wo, sample)
-    }
-
     /// Follows a subpath from the eye along a unit direction; `light` is the one from a light that it is connected with,
     /// photons are merged within `radius` times the distance.
     pub(super) fn eye_path(
@@ -93,7 +88,8 @@ impl Bidirectional<'_> {
         photons: Option<(&Photons, f32)>,
     ) -> Seen {
         let mut seen = Seen::default();
-        let odds = Odds { vcm: squared(self.light_paths() / f64::from(self.film(direction))), vc: 0.0 };
+        let odds =
+            Odds { vcm: squared(self.light_paths() / f64::from(self.frame.density(direction))), vc: 0.0 };
         let ray = Ray::new(self.frame.eye, direction);
         let mut walk = Walk::new(ray, Vec3::ONE, self.around_eye, odds, stream);
         // The last vertex, as far as lights were sampled there.
@@ -143,7 +139,7 @@ impl Bidirectional<'_> {
             let cosine = geometric_cosine(&at, sample.wi);
             walk.odds = if sample.delta {
                 from = None;
-                walk.odds.mirrored(cosine, self.is_reversible(&at, &bsdf, &sample))
+                walk.odds.mirrored(cosine, at.is_reversible(&bsdf, &sample))
             } else {
                 let Some(s) = scattering(self.scene, &at, &bsdf, End::Eye, sample.wi) else { break };
                 walk.odds.scattered(cosine, sample.pdf, s.to_eye)
@@ -196,7 +192,7 @@ impl Bidirectional<'_> {
             let Some(sample) = sample else { return };
             let out = geometric_cosine(&at, sample.wi);
             if sample.delta {
-                if !self.is_reversible(&at, &bsdf, &sample) {
+                if !at.is_reversible(&bsdf, &sample) {
                     return;
                 }
                 // Particles see shading normals from the other end than paths (Veach 1997, eq 5.19).

@@ -271,6 +271,23 @@ impl Bsdf {
         !matches!(self.lobe, Lobe::Glossy { .. } | Lobe::Ward { .. })
     }
 
+    /// α beyond which a lobe counts as diffuse where paths are told apart (Heckbert's D and S).
+    pub const WIDE: f32 = 0.25;
+
+    /// Whether the view-dependent lobes are as good as diffuse. Never those that have single directions only.
+    pub fn is_wide(&self) -> bool {
+        match self.lobe {
+            Lobe::Glossy { microfacet, .. } | Lobe::Ward { microfacet, .. } => {
+                microfacet.ax.max(microfacet.ay) > Self::WIDE
+            }
+            Lobe::None
+            | Lobe::Mirror { .. }
+            | Lobe::Smooth { .. }
+            | Lobe::Glass { .. }
+            | Lobe::Pane { .. } => false,
+        }
+    }
+
     /// Whether light from any direction is scattered in many, so that points on a surface can be connected.
     pub fn is_connectible(&self) -> bool {
         self.diffuse != Vec3::ZERO || !self.is_delta()
@@ -506,7 +523,7 @@ impl Bsdf {
     }
 
     /// f of the diffuse part as paths see it: reciprocal, with the coat crossed on both sides.
-    fn diffuse_f(&self, wo: Vec3, wi: Vec3) -> Vec3 {
+    pub fn diffuse_f(&self, wo: Vec3, wi: Vec3) -> Vec3 {
         self.diffuse * (FRAC_1_PI * self.coat_factor(wo) * self.coat_factor(wi))
     }
 

@@ -111,6 +111,35 @@ impl Lights {
         self.emit(scene, self.emitters[i], self.near.probability(i), stream)
     }
 
+    /// A light by power of those inside of the scene that have no area, counted from 0, and its probability.
+    pub fn choose_near_dirac(&self, choice: f64) -> Option<(usize, f64)> {
+        let skipped = self.near.sum_of_first(self.triangle_count) / self.near.total();
+        let i = self.near.sample(skipped + (1.0 - skipped) * choice)?;
+        Some((i.checked_sub(self.triangle_count)?, self.near.probability(i) / (1.0 - skipped)))
+    }
+
+    /// A particle of that light along the direction that `u` stands for, which is uniform in [0, 1)² where its light goes:
+    /// its ray and its flux, W per band.
+    pub fn emit_near_dirac(&self, scene: &Scene, light: usize, u: [f32; 2]) -> Option<(Ray, Vec3)> {
+        let Emitter::Analytic(i) = *self.emitters.get(self.triangle_count + light)? else { return None };
+        Some(self.emit_from_analytic(&scene.lights[i as usize], u))
+    }
+
+    /// Number of the lights inside of the scene that have no area.
+    pub fn near_dirac_count(&self) -> usize {
+        self.near_count - self.triangle_count
+    }
+
+    /// Power of the lights inside of the scene that have no area, luminance, W.
+    pub fn near_dirac_power(&self) -> f64 {
+        self.near.total() - self.near.sum_of_first(self.triangle_count)
+    }
+
+    /// Whether there are directional lights.
+    pub fn has_distant_dirac(&self) -> bool {
+        self.emitters[self.near_count..].iter().any(|e| self.is_dirac(*e))
+    }
+
     fn emit(
         &self,
         scene: &Scene,

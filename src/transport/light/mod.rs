@@ -7,10 +7,9 @@
 //! Lights inside of the scene are chosen by what they may bring to the surface (`tree`). The tracer of corrections
 //! still chooses by power alone ([`Lights::sample_direct`]).
 
+mod distant;
 mod distribution;
 mod emission;
-mod groups;
-mod irradiance;
 mod named;
 mod spherical_triangle;
 mod towards;
@@ -25,7 +24,6 @@ use crate::image::luminance;
 use crate::math;
 use crate::scene::{Light, Scene, TriangleIndex};
 use distribution::{Choice, EnvironmentDistribution};
-use groups::{LightGroups, Member};
 use spherical_triangle::{SAMPLED, SphericalTriangle, barycentrics};
 use tree::{Bounds, LightTree};
 
@@ -84,7 +82,6 @@ pub struct Lights {
     centre: Vec3,
     radius: f32,
     power: Vec3,
-    groups: LightGroups,
     /// Those inside of the scene, in their order.
     tree: LightTree,
 }
@@ -131,7 +128,6 @@ impl Lights {
             centre,
             radius,
             power: Vec3::ZERO,
-            groups: LightGroups::default(),
             tree: LightTree::default(),
         };
         let mut power = glam::DVec3::ZERO;
@@ -184,7 +180,6 @@ impl Lights {
         lights.power = power.as_vec3();
         let (a, b) = weights.split_at(lights.near_count);
         lights.near = Choice::new(a.iter().copied());
-        lights.groups = LightGroups::new(&lights.members(scene, a));
         lights.tree =
             LightTree::new(lights.emitters.iter().zip(a).map(|(&e, &w)| lights.bounds(scene, e, w)));
         lights.distant = Choice::new(b.iter().copied());
@@ -199,17 +194,6 @@ impl Lights {
             };
         }
         lights
-    }
-
-    /// The emissive triangles.
-    fn members(&self, scene: &Scene, powers: &[f64]) -> Vec<Member> {
-        let of = |(emitter, &power): (&Emitter, &f64)| {
-            let Emitter::Triangle(t) = *emitter else { return None };
-            let corners = scene.mesh.corners(t);
-            let (normal, material) = (normal_and_area(corners).0, scene.mesh.materials[t as usize].0);
-            Some(Member { corners, normal, material, power })
-        };
-        self.emitters.iter().zip(powers).filter_map(of).collect()
     }
 
     /// Bounds of what a light inside of the scene sends out, from its `power`, luminance, W.

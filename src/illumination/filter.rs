@@ -1,0 +1,395 @@
+//! The filter of stored light: halves that guard each other (à-trous wavelets, Dammertz et al. 2010; halves as in NFOR,
+//! Bitterli et al. 2016), on the surfaces themselves.
+//!
+//! As [`crate::splatting::filter`] does for pixels. Every value exists in two independent halves; how alike two sites are is
+//! told by the other half than the one that is smoothed, so that noise does not choose its own company. A half's noise is half of the
+//! squared difference of both, pooled.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::sites::{Site, Sites};
+use crate::image::luminance;
+use crate::math;
+
+/// Parts of light that are smoothed apart, each with edges of its own: see [`super::gathered`].
+pub const PARTS: usize = 3;
+/// Distances between taps, level by level, in widths of a site.
+const STEPS: [f32; 6] = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
+/// The last pass.
+const PEAKS: usize = STEPS.len() + 1;
+/// Taps with their weights, but for the middle one: a binomial kernel without its corners.
+const TAPS: [(f32, f32, f32); 12] = [
+    (1.0, 0.0, 0.25),
+    (-1.0, 0.0, 0.25),
+    (0.0, 1.0, 0.25),
+    (0.0, -1.0, 0.25),
+    (1.0, 1.0, 0.167),
+    (1.0, -1.0, 0.167),
+    (-1.0, 1.0, 0.167),
+    (-1.0, -1.0, 0.167),
+    (2.0, 0.0, 0.0625),
+    (-2.0, 0.0, 0.0625),
+    (0.0, 2.0, 0.0625),
+    (0.0, -2.0, 0.0625),
+];
+/// Weight of the middle.
+const MIDDLE: f32 = 0.375;
+/// A standard error below this share of a value is not smoothed away: nobody sees it.
+const CLEAN: f32 = 2e-3;
+/// Variance of a half at most, in squares of the light around.
+const NOISE_MAX: f32 = 16.0;
+/// Exponents from which on a weight is nothing.
+const NOTHING: f32 = 20.0;
+
+/// One part of the light of a site.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Noisy {
+    /// By half.
+    pub halves: [Vec3; 2],
+    /// Variance of the luminance of each.
+    pub variance: f32,
+}
+
+impl Noisy {
+    /// Two estimates; what they differ by is all that is known of their noise.
+    pub fn new(halves: [Vec3; 2]) -> Self {
+        Self { halves, variance: 0.5 * luminance(halves[0] - halves[1]).powi(2) }
+    }
+
+    /// Mean of both halves.
+    pub fn mean(&self) -> Vec3 {
+        (self.halves[0] + self.halves[1]) * 0.5
+    }
+
+    fn is_clean(&self) -> bool {
+        self.variance <= (CLEAN * luminance(self.mean())).powi(2)
+    }
+}
+
+/// The parts of the light of a site.
+pub type Parts = [Noisy; PARTS];
+
+/// A filter under way.
+#[derive(Clone, Debug)]
+pub struct Smoothing {
+    from: Vec<Parts>,
+    to: Vec<Parts>,
+    /// Which sites anything is known of.
+    known: Vec<bool>,
+    /// Which sites have neighbours at the distance of the last pass: where there were none, there are none further away.
+    reaching: Vec<bool>,
+    /// Passes done: pooling, the levels, peaks.
+    pass: usize,
+}
+
+impl Smoothing {
+    /// Of what was gathered at each site; those not `known` tell the others nothing.
+    pub fn new(gathered: Vec<Parts>, known: Vec<bool>) -> Self {
+        Self {
+            to: Vec::with_capacity(gathered.len()),
+            reaching: vec![true; gathered.len()],
+            from: gathered,
+            known,
+            pass: 0,
+        }
+    }
+
+    /// Does some more of it, `count` sites about. What comes out once it is done.
+    pub fn step(&mut self, sites: &Sites, count: usize) -> Option<Vec<Parts>> {
+        let done = self.to.len();
+        let end = done.saturating_add(count).min(self.from.len());
+        let (from, known, pass) = (&self.from, &self.known, self.pass);
+        let reaching = &mut self.reaching[done..end];
+        self.to.par_extend((done..end).into_par_iter().zip(reaching).map(|(i, reaches)| match pass {
+            _ if !known[i] || !*reaches => from[i],
+            0 if is_dark((sites, known), from, i) => {
+                *reaches = false;
+                from[i]
+            }
+            0 => pooled((sites, known), from, i),
+            PEAKS => without_peak((sites, known), from, i),
+            _ => {
+                let (parts, found) = smoothed((sites, known), from, i, STEPS[pass - 1]);
+                *reaches = found;
+                parts
+            }
+        }));
+        if self.to.len() < self.from.len() {
+            return None;
+        }
+        if self.pass == 0 {
+            // The dark tells the light beside it nothing.
+            self.known.iter_mut().zip(&self.reaching).for_each(|(known, reaches)| *known &= reaches);
+        }
+        std::mem::swap(&mut self.from, &mut self.to);
+        self.to.clear();
+        self.pass += 1;
+        (self.pass > PEAKS).then(|| std::mem::take(&mut self.from))
+    }
+}
+
+/// The sites around one with the weights of the kernel.
+fn taps<'a>(
+    (sites, known): (&'a Sites, &'a [bool]),
+    site: &'a Site,
+    step: f32,
+) -> impl Iterator<Item = (usize, f32)> + 'a {
+    let (x, y) = site.normal.any_orthonormal_pair();
+    TAPS.iter().filter_map(move |&(u, v, weight)| {
+        let place = site.position + (x * u + y * v) * (step * site.width);
+        sites.beside(site, place).map(|j| (j as usize, weight)).filter(|(j, _)| known[*j])
+    })
+}
+
+/// Whether no light was found at a site, nor at most of those around it: then it is dark there, and a wall or a shadow's edge
+/// that is near ends the light. Alone it may be chance.
+fn is_dark((sites, known): (&Sites, &[bool]), from: &[Parts], i: usize) -> bool {
+    let dark = |i: usize| from[i].iter().all(|part| part.halves == [Vec3::ZERO; 2]);
+    if !dark(i) {
+        return false;
+    }
+    let (mut all, mut none) = (0, 0);
+    for (j, _) in taps((sites, known), &sites.all()[i], 1.0) {
+        all += 1;
+        none += usize::from(dark(j));
+    }
+    2 * none >= all
+}
+
+/// Variances as they are around a site.
+fn pooled((sites, known): (&Sites, &[bool]), from: &[Parts], i: usize) -> Parts {
+    let mut out = from[i];
+    let site = &sites.all()[i];
+    if site.normal == Vec3::ZERO {
+        return out;
+    }
+    let light = |parts: &Parts| parts.iter().map(|part| luminance(part.mean())).sum::<f32>();
+    let mut sums = out.map(|part| part.variance * MIDDLE);
+    let (mut total, mut around, mut count) = (MIDDLE, [0.0; TAPS.len()], 0);
+    for (j, weight) in taps((sites, known), site, 2.0) {
+        total += weight;
+        sums.iter_mut().zip(&from[j]).for_each(|(sum, part)| *sum += weight * part.variance);
+        around[count] = light(&from[j]);
+        count += 1;
+    }
+    // Beside a wall the noise of the light behind it is not that of the dark before it: a lower quartile is on this side.
+    let around = &mut around[..count];
+    around.sort_unstable_by(f32::total_cmp);
+    let level = around.get(count / 4).map_or(0.0, |quartile| light(&out).max(*quartile));
+    let most = NOISE_MAX * level * level;
+    out.iter_mut().zip(sums).for_each(|(part, sum)| part.variance = (sum / total).min(most));
+    out
+}
+
+fn smoothed((sites, known): (&Sites, &[bool]), from: &[Parts], i: usize, step: f32) -> (Parts, bool) {
+    let here = &from[i];
+    let site = &sites.all()[i];
+    if here.iter().all(Noisy::is_clean) || site.normal == Vec3::ZERO {
+        return (*here, true);
+    }
+    let mut found = false;
+    let mut sums = here.map(|part| Sum::of(&part));
+    for (j, weight) in taps((sites, known), site, step) {
+        found = true;
+        for ((sum, own), other) in sums.iter_mut().zip(here).zip(&from[j]) {
+            sum.add(own, other, weight);
+        }
+    }
+    let mut out = *here;
+    out.iter_mut().zip(&sums).filter(|(part, _)| !part.is_clean()).for_each(|(part, sum)| *part = sum.mean());
+    (out, found)
+}
+
+/// No brighter than the brightest around: where few samples found a light by chance in both halves, they agree on a spot.
+fn without_peak((sites, known): (&Sites, &[bool]), from: &[Parts], i: usize) -> Parts {
+    let mut out = from[i];
+    let site = &sites.all()[i];
+    let mut around = [0.0f32; PARTS];
+    let mut count = 0;
+    for (j, _) in taps((sites, known), site, 2.0) {
+        around.iter_mut().zip(&from[j]).for_each(|(most, part)| *most = most.max(luminance(part.mean())));
+        count += 1;
+    }
+    // The edge of a narrow thing may be its brightest place.
+    if 2 * count >= TAPS.len() {
+        for (part, most) in out.iter_mut().zip(around) {
+            let light = luminance(part.mean());
+            if light > most {
+                part.halves = part.halves.map(|half| half * (most / light));
+            }
+        }
+    }
+    out
+}
+
+/// Weighted sums of both halves.
+struct Sum {
+    values: [Vec3; 2],
+    weights: [f32; 2],
+    variances: [f32; 2],
+}
+
+impl Sum {
+    fn of(part: &Noisy) -> Self {
+        Self {
+            values: part.halves.map(|h| h * MIDDLE),
+            weights: [MIDDLE; 2],
+            variances: [MIDDLE * MIDDLE * part.variance; 2],
+        }
+    }
+
+    /// How noisy the other is decides nothing: bright samples are the noisy ones, and the mean would be too dark.
+    #[inline]
+    fn add(&mut self, own: &Noisy, other: &Noisy, kernel: f32) {
+        let noise = own.variance + other.variance;
+        for half in 0..2 {
+            let guard = 1 - half;
+            let squared = luminance(other.halves[guard] - own.halves[guard]).powi(2);
+            let beyond = (squared - noise).max(0.0);
+            let likeness = match beyond / noise {
+                _ if beyond <= 0.0 => 1.0,
+                exponent if exponent < NOTHING => math::exp(-exponent),
+                // Also where there is no noise.
+                _ => continue,
+            };
+            let weight = kernel * likeness;
+            self.values[half] += other.halves[half] * weight;
+            self.weights[half] += weight;
+            self.variances[half] += weight * weight * other.variance;
+        }
+    }
+
+    fn mean(&self) -> Noisy {
+        let of = |half: usize| self.values[half] / self.weights[half];
+        let variance = |half: usize| self.variances[half] / self.weights[half].powi(2);
+        Noisy { halves: [of(0), of(1)], variance: 0.5 * (variance(0) + variance(1)) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::Stream;
+
+    const SIDE: usize = 64;
+
+    /// A square floor of 64 × 64 sites.
+    fn floor() -> Sites {
+        let site = |i: usize| Site {
+            element: i as u32,
+            back: false,
+            position: Vec3::new((i % SIDE) as f32, 0.0, (i / SIDE) as f32),
+            normal: Vec3::Y,
+            width: 1.0,
+        };
+        Sites::of((0..SIDE * SIDE).map(site).collect())
+    }
+
+    /// `signal` with noise of this deviation in each half.
+    fn noisy(signal: impl Fn(usize, usize) -> f32, deviation: f32, seed: u64) -> Vec<Parts> {
+        let part = |i: usize| {
+            let half = |half: u64| {
+                let noise = 12f32.sqrt() * (Stream::new(seed, i as u64, half).next_f32() - 0.5);
+                Vec3::splat(signal(i % SIDE, i / SIDE) + deviation * noise)
+            };
+            [Noisy::new([half(0), half(1)]), Noisy::default(), Noisy::default()]
+        };
+        (0..SIDE * SIDE).map(part).collect()
+    }
+
+    fn smoothed(parts: Vec<Parts>, known: Vec<bool>) -> Vec<f32> {
+        let mut smoothing = Smoothing::new(parts, known);
+        let sites = floor();
+        loop {
+            // In pieces, as a walk does it.
+            if let Some(parts) = smoothing.step(&sites, 1000) {
+                return parts.iter().map(|p| p[0].mean().x).collect();
+            }
+        }
+    }
+
+    fn deviation(values: impl Iterator<Item = f32>) -> f32 {
+        let (sum, n) = values.fold((0.0, 0), |(sum, n), v| (sum + v * v, n + 1));
+        (sum / n as f32).sqrt()
+    }
+
+    #[test]
+    fn noise_is_smoothed_away_and_told() {
+        let parts = noisy(|_, _| 1.0, 0.5, 1);
+        let mut smoothing = Smoothing::new(parts.clone(), vec![true; parts.len()]);
+        let sites = floor();
+        let out = loop {
+            if let Some(parts) = smoothing.step(&sites, SIDE * SIDE) {
+                break parts;
+            }
+        };
+        let left = deviation(out.iter().map(|p| p[0].mean().x - 1.0));
+        let told = deviation(out.iter().map(|p| (0.5 * p[0].variance).sqrt()));
+        assert!(left < 0.05 * 0.5, "{left}");
+        // It knows nothing of how alike halves are by chance.
+        assert!((0.1..3.0).contains(&(told / left)), "{told} {left}");
+    }
+
+    #[test]
+    fn edges_that_samples_show_stay() {
+        let edge = |x: usize, _| if x < SIDE / 2 { 0.2 } else { 1.0 };
+        let out = smoothed(noisy(edge, 0.1, 2), vec![true; SIDE * SIDE]);
+        let off = deviation(out.iter().enumerate().map(|(i, v)| v - edge(i % SIDE, 0)));
+        assert!(off < 0.03, "{off}");
+    }
+
+    /// Half of the floor is behind a wall: not even a trace of light comes there, however noisy it is beside it.
+    #[test]
+    fn the_dark_stays_dark() {
+        let mut parts = noisy(|_, _| 1.0, 0.5, 5);
+        for (i, part) in parts.iter_mut().enumerate() {
+            // Some of the light beside it was missed as well.
+            if i % SIDE >= SIDE / 2 || i % 7 == 0 {
+                *part = Parts::default();
+            }
+        }
+        let out = smoothed(parts, vec![true; SIDE * SIDE]);
+        assert!((0..SIDE * SIDE).filter(|i| i % SIDE >= SIDE / 2).all(|i| out[i] == 0.0));
+        let lit = (0..SIDE * SIDE).filter(|i| i % SIDE < SIDE / 2 - 2).map(|i| out[i]);
+        let mean = lit.clone().sum::<f32>() / lit.clone().count() as f32;
+        assert!((mean / (6.0 / 7.0) - 1.0).abs() < 0.1 && lit.clone().all(|v| v > 0.0), "{mean}");
+    }
+
+    /// Both halves found a light by chance: they agree on a spot, and nothing around does. A lit square stays.
+    #[test]
+    fn lone_spots_go_and_what_is_wider_stays() {
+        let light = |x: usize, y: usize| match (x, y) {
+            (10, 10) => 9.0,
+            (40..44, 40..44) => 9.0,
+            _ => 1.0,
+        };
+        let out = smoothed(noisy(light, 0.0, 3), vec![true; SIDE * SIDE]);
+        assert_eq!(out[10 * SIDE + 10], 1.0);
+        assert!((0..16).all(|i| out[(40 + i / 4) * SIDE + 40 + i % 4] == 9.0));
+    }
+
+    #[test]
+    fn without_noise_nothing_changes() {
+        let ramp = |x: usize, y: usize| 0.1 + 0.01 * x as f32 + if y > 40 { 1.0 } else { 0.0 };
+        let out = smoothed(noisy(ramp, 0.0, 3), vec![true; SIDE * SIDE]);
+        assert!(out.iter().enumerate().all(|(i, v)| *v == ramp(i % SIDE, i / SIDE)));
+    }
+
+    #[test]
+    fn what_is_not_known_tells_nothing() {
+        let hole =
+            |x: usize, y: usize| if (20..24).contains(&x) && (20..24).contains(&y) { 0.0 } else { 1.0 };
+        let known = (0..SIDE * SIDE).map(|i| hole(i % SIDE, i / SIDE) > 0.0).collect();
+        let mut parts = noisy(|_, _| 1.0, 0.3, 4);
+        for (i, p) in parts.iter_mut().enumerate() {
+            if hole(i % SIDE, i / SIDE) == 0.0 {
+                *p = Parts::default();
+            }
+        }
+        let out = smoothed(parts, known);
+        let beside = (0..SIDE * SIDE).filter(|i| hole(i % SIDE, i / SIDE) > 0.0).map(|i| out[i] - 1.0);
+        assert!(deviation(beside) < 0.03);
+        assert_eq!(out[22 * SIDE + 22], 0.0);
+    }
+}

@@ -1,0 +1,212 @@
+//! The sides of elements that light is gathered at, and which of them lie beside each other.
+//!
+//! Neighbours are found in space, not on the page of the lightmap, so that seams between charts do not show and vertices of
+//! dense meshes have neighbours as texels do.
+
+use glam::Vec3;
+
+use super::atlas::Atlas;
+
+/// Cells are so many widths of a site wide.
+const CELL: f32 = 2.0;
+/// Cosine between the normals of neighbours, at least: 25°.
+const FLAT: f32 = 0.906;
+/// Distance of a neighbour from the tangent plane, widths, at most.
+const BESIDE: f32 = 2.0;
+
+/// One side of an element.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Site {
+    /// The element.
+    pub element: u32,
+    /// Whether its back.
+    pub back: bool,
+    /// Where it is, scene units.
+    pub position: Vec3,
+    /// Unit normal on its side; zero where it has none.
+    pub normal: Vec3,
+    /// Width of what it stands for, scene units.
+    pub width: f32,
+}
+
+/// What is asked of a neighbour.
+#[derive(Clone, Copy, Debug)]
+struct Near {
+    position: Vec3,
+    normal: Vec3,
+    site: u32,
+    level: i32,
+}
+
+/// Sites, and where to find those near a place.
+#[derive(Clone, Debug, Default)]
+pub struct Sites {
+    all: Vec<Site>,
+    /// Per bucket of the hash of a cell where its members begin; one more at the end.
+    first: Vec<u32>,
+    members: Vec<Near>,
+    /// Which sizes of cells there are, as powers of two from [`FINEST`] on.
+    sizes: Vec<bool>,
+}
+
+/// The smallest cells, as a power of two; all that are smaller count as these.
+const FINEST: i32 = -60;
+/// The largest.
+const WIDEST: i32 = 60;
+
+/// The size of cells, as a power of two, for sites of this width: from the bits of the number, without a logarithm.
+fn level(width: f32) -> i32 {
+    let exponent = ((CELL * width).to_bits() >> 23 & 0xff) as i32 - 127;
+    exponent.clamp(FINEST, WIDEST)
+}
+
+/// 2⁻ˡ.
+fn per_cell(level: i32) -> f32 {
+    f32::from_bits(((127 - level) as u32) << 23)
+}
+
+/// The greatest integer below; beyond what an integer holds cells are shared, no more.
+fn floor(x: f32) -> i32 {
+    let whole = x as i32;
+    whole.saturating_sub(i32::from(whole as f32 > x))
+}
+
+fn cell(position: Vec3, level: i32) -> [i32; 3] {
+    (position * per_cell(level)).to_array().map(floor)
+}
+
+fn bucket(cell: [i32; 3], level: i32, buckets: usize) -> usize {
+    let [x, y, z] = cell.map(|v| u64::from(v as u32));
+    let mixed = x.wrapping_mul(0x9e37_79b9_7f4a_7c15)
+        ^ y.wrapping_mul(0xc2b2_ae3d_27d4_eb4f)
+        ^ z.wrapping_mul(0x1656_67b1_9e37_79f9)
+        ^ (level as u64).wrapping_mul(0x2545_f491_4f6c_dd1d);
+    ((mixed ^ mixed >> 32).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32) as usize & (buckets - 1)
+}
+
+impl Sites {
+    /// These elements of `atlas`, by number and whether the back is meant.
+    pub fn new(atlas: &Atlas, of: &[(u32, bool)]) -> Self {
+        let site = |&(element, back): &(u32, bool)| {
+            let e = &atlas.elements[element as usize];
+            let normal = if back { -e.normal } else { e.normal };
+            Site { element, back, position: e.position, normal, width: atlas.width_of(element) }
+        };
+        Self::of(of.iter().map(site).collect())
+    }
+
+    /// These.
+    pub fn of(all: Vec<Site>) -> Self {
+        let buckets = all.len().next_power_of_two();
+        let at: Vec<usize> =
+            all.iter().map(|s| bucket(cell(s.position, level(s.width)), level(s.width), buckets)).collect();
+        let mut first = vec![0u32; buckets + 1];
+        at.iter().for_each(|&b| first[b + 1] += 1);
+        for i in 1..first.len() {
+            first[i] += first[i - 1];
+        }
+        let mut next = first.clone();
+        let mut members =
+            vec![Near { position: Vec3::ZERO, normal: Vec3::ZERO, site: 0, level: 0 }; all.len()];
+        let mut sizes = vec![false; (WIDEST - FINEST + 1) as usize];
+        for (i, (&b, s)) in at.iter().zip(&all).enumerate() {
+            members[next[b] as usize] =
+                Near { position: s.position, normal: s.normal, site: i as u32, level: level(s.width) };
+            next[b] += 1;
+            sizes[(level(s.width) - FINEST) as usize] = true;
+        }
+        Self { all, first, members, sizes }
+    }
+
+    /// All of them.
+    pub fn all(&self) -> &[Site] {
+        &self.all
+    }
+
+    /// The neighbour of `site` that is nearest to a place of its tangent plane; `None` where the surface does not go on.
+    #[inline]
+    pub fn beside(&self, site: &Site, place: Vec3) -> Option<u32> {
+        let own = level(site.width);
+        // Where the mesh is finer or coarser cells are, too.
+        [own, own + 1, own - 1].into_iter().find_map(|level| {
+            if !self.sizes.get((level - FINEST) as usize).is_some_and(|there| *there) {
+                return None;
+            }
+            let here = cell(place, level);
+            let bucket = bucket(here, level, self.first.len() - 1);
+            let range = self.first[bucket] as usize..self.first[bucket + 1] as usize;
+            let mut nearest = None;
+            let mut least = (CELL * site.width).powi(2);
+            for near in &self.members[range] {
+                let distance = near.position.distance_squared(place);
+                if distance < least
+                    && near.normal.dot(site.normal) > FLAT
+                    && (near.position - site.position).dot(site.normal).abs() < BESIDE * site.width
+                    // Other cells share the bucket by chance, and chance knows the size of the scene.
+                    && near.level == level
+                    && cell(near.position, level) == here
+                {
+                    (nearest, least) = (Some(near.site), distance);
+                }
+            }
+            nearest
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::illumination::atlas::ConformalCharts;
+    use crate::illumination::test_scenes::{join, quad};
+
+    /// Two halves of a floor in two charts, and a wall.
+    fn floor() -> (Atlas, Sites) {
+        let mut mesh = quad(Vec3::ZERO, Vec3::X, Vec3::Y);
+        join(&mut mesh, &quad(Vec3::X, Vec3::X, Vec3::Y), 0);
+        join(&mut mesh, &quad(Vec3::ZERO, Vec3::Y, Vec3::Z), 0);
+        let atlas = Atlas::build(&mesh, 3000, &|_| true, &|_| true, &ConformalCharts);
+        let of: Vec<(u32, bool)> = (0..atlas.elements.len() as u32)
+            .filter(|&e| atlas.elements[e as usize].area > 0.0)
+            .flat_map(|e| [(e, false), (e, true)])
+            .collect();
+        let sites = Sites::new(&atlas, &of);
+        (atlas, sites)
+    }
+
+    #[test]
+    fn neighbours_are_found_across_charts_and_not_round_corners_or_through_sheets() {
+        let (_, sites) = floor();
+        let mut across = 0;
+        for site in sites.all() {
+            let step = 3.0 * site.width;
+            let (x, y) = site.normal.any_orthonormal_pair();
+            for way in [x, y, -x, -y] {
+                let place = site.position + way * step;
+                let Some(other) = sites.beside(site, place).map(|i| sites.all()[i as usize]) else {
+                    continue;
+                };
+                assert!(other.normal.dot(site.normal) > 0.99 && other.back == site.back);
+                assert!(other.position.distance(place) < 2.0 * site.width);
+                across += u32::from((site.position.x < 1.0) != (other.position.x < 1.0));
+            }
+        }
+        assert!(across > 50, "{across}");
+    }
+
+    #[test]
+    fn every_site_finds_itself() {
+        let (_, sites) = floor();
+        for (i, site) in sites.all().iter().enumerate() {
+            assert_eq!(sites.beside(site, site.position), Some(i as u32));
+        }
+    }
+
+    #[test]
+    fn sizes_without_end_are_survived() {
+        for width in [0.0, 1e-38, 1e30, f32::INFINITY, f32::NAN] {
+            let level = level(width);
+            assert!(bucket(cell(Vec3::new(1e30, -1e-30, f32::NAN), level), level, 64) < 64);
+        }
+    }
+}

@@ -332,7 +332,8 @@ impl Baker {
     fn appraised(&mut self, mut map: Illumination) -> Step {
         self.statement = self.held_back.statement(&map, self.paths / TESTED);
         // Without cameras there is nobody to see an error, and what halves differ by is all that is known.
-        let noise = map.summary.direct_error.hypot(map.summary.particle_error);
+        let (direct, rest) = (map.summary.direct_error, map.summary.particle_error);
+        let noise = (direct * direct + rest * rest).sqrt();
         let error = self.statement.map_or(noise, |s| s.at_most());
         map.summary.relative_error = error;
         map.summary.bias_error = (error * error - noise * noise).max(0.0).sqrt();

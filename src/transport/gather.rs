@@ -383,7 +383,7 @@ impl<'a> Gather<'a> {
     ) -> Option<Path> {
         let normal = at.facing_shading();
         path.narrow &= !bsdf.is_wide();
-        if !bsdf.is_delta() && !(self.drops_caustics && path.narrow) {
+        if !(bsdf.is_delta() || self.drops_caustics && path.narrow) {
             let light = self.light_samples(at, &path, stream, |wi| {
                 let (f, pdf) = bsdf.evaluate_and_pdf(at.wo, wi);
                 (f * normal.dot(wi).max(0.0), pdf)

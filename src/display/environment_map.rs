@@ -195,7 +195,7 @@ fn look(world: &World, split_sum: &SplitSum, object: u32, origin: Vec3, directio
         if depth == 0 {
             (distance, back) = (hit.t, at.back);
         }
-        sum += weight * tracer.base(&at.point());
+        sum += weight * tracer.base(&at.point(), || at);
         let bsdf = Bsdf::at(scene, &at);
         let [a, b] = bsdf.peaks(at.wo, split_sum);
         let strength = |s: &Option<BsdfSample>| s.map_or(0.0, |s| s.weight.max_element());

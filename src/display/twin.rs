@@ -120,7 +120,10 @@ fn shade_pixel(
     };
     let point = SurfacePoint::at(&world.scene, direction, &hit, hit.t * frame.pixel_angle());
     Surface {
-        color: world.tracer().base(&point),
+        color: world.tracer().base(&point, || {
+            Interaction::at(&world.scene, &Ray::new(frame.eye, direction), &hit)
+                .with_footprint(hit.t * frame.pixel_angle())
+        }),
         depth: primary.t * direction.dot(frame.forward),
         object: world.scene.mesh.objects[primary.triangle as usize],
         texture: if texture_ids { wanted_texture(&world.scene, &point) } else { TextureLevel::NONE },

@@ -156,6 +156,8 @@ pub struct Baker {
     dark: Vec<bool>,
     /// What is read where paths meet a diffuse surface.
     map: Arc<Illumination>,
+    /// Whether there are named lights.
+    has_named: bool,
     held_back: HeldBack,
     doing: Doing,
     /// Rounds done.
@@ -216,6 +218,7 @@ impl Baker {
             gathered: vec![Gathered::default(); sites.all().len()],
             dark: vec![false; sites.all().len().div_ceil(BLOCK)],
             map: Arc::default(),
+            has_named: indexed.lights.has_any_named(),
             held_back: HeldBack::new(indexed, settings.seed),
             doing: Doing::Begin,
             round: 0,
@@ -371,7 +374,7 @@ impl Baker {
         let (sites, atlas, points, seen, dark) =
             (self.sites.all(), &self.atlas, &self.points, &self.seen, &self.dark);
         let map = self.map.clone();
-        let gather = indexed.gather(Trust::Map(&*map)).without_caustics();
+        let gather = indexed.gather(Trust::Map(&*map)).without_caustics().without_named();
         let mut end = self.next;
         let mut batch = 0;
         while end < sites.len() && batch < BATCH {
@@ -392,7 +395,7 @@ impl Baker {
                 let count = of(site, seen[i]);
                 sums.begin_round();
                 let e = &atlas.elements[site.element as usize];
-                let expected = luminance(map.lookup(e.triangle, e.b1, e.b2, site.back).truncate());
+                let expected = luminance(map.lookup_unnamed(e.triangle, e.b1, e.b2, site.back).truncate());
                 sums.gather(indexed.scene, (atlas, points), &gather, site, (seed, count, expected));
                 u64::from(count)
             })
@@ -453,7 +456,7 @@ impl Baker {
             }
             // Not yet come to: there the light that it began with stays.
             let e = &self.atlas.elements[site.element as usize];
-            let begun = self.map.lookup(e.triangle, e.b1, e.b2, site.back).truncate();
+            let begun = self.map.lookup_unnamed(e.triangle, e.b1, e.b2, site.back).truncate();
             [Noisy::default(), Noisy::new([begun; 2]), Noisy::default()]
         };
         let parts = self.gathered.iter().zip(self.sites.all()).map(parts).collect();
@@ -472,6 +475,7 @@ impl Baker {
     fn stored(&self, parts: &[Parts]) -> Illumination {
         let elements = self.atlas.elements.len();
         let mut sides: [Vec<Value>; 2] = [vec![None; elements], vec![None; elements]];
+        let mut named = sides.clone();
         let mut totals = Totals::default();
         for (i, (site, parts)) in self.sites.all().iter().zip(parts).enumerate() {
             if !self.gathered[i].is_open() {
@@ -480,11 +484,17 @@ impl Baker {
             let light: Vec3 = parts.iter().map(Noisy::mean).sum();
             let variance = parts.iter().map(|p| 0.5 * p.variance).sum::<f32>();
             let value = light.extend(variance.sqrt());
-            sides[usize::from(site.back)][site.element as usize] = Some(value);
-            totals.add(&self.atlas.elements[site.element as usize], value, parts, self.seen[i]);
+            let (side, element) = (usize::from(site.back), site.element as usize);
+            let e = &self.atlas.elements[element];
+            // As smoothing: where nobody has come yet what there was stays.
+            let begun = || self.map.lookup_named(e.triangle, e.b1, e.b2, site.back);
+            let straight = self.gathered[i].named().unwrap_or_else(begun).extend(0.0);
+            (sides[side][element], named[side][element]) = (Some(value), Some(straight));
+            totals.add(e, value + straight, parts, self.seen[i]);
         }
         let [front, back] = sides;
-        Illumination::new(&self.atlas, front, back, totals.summary(self))
+        let map = Illumination::new(&self.atlas, front, back, totals.summary(self));
+        if self.has_named { map.with_named(&self.atlas, named) } else { map }
     }
 
     /// What was gathered so far, smoothed: where the round that has begun did not come to, the one before shows.

@@ -46,7 +46,7 @@ pub fn first_picture(indexed: Indexed<'_>, seed: u64) -> Illumination {
     let mut paths = 0;
     for round in 0..=ROUNDS {
         let trust = if round == 0 { Trust::Nobody } else { Trust::Map(&map) };
-        let gather = Gather::new(scene, accel, lights, trust);
+        let gather = Gather::new(scene, accel, lights, trust).without_named();
         let taken: u64 = gathered
             .par_iter_mut()
             .enumerate()
@@ -66,7 +66,13 @@ pub fn first_picture(indexed: Indexed<'_>, seed: u64) -> Illumination {
         let open: Vec<bool> = gathered.iter().map(Gathered::is_open).collect();
         let known = open.iter().enumerate().map(|(i, open)| *open && !dark[i / BLOCK]).collect();
         let shown = if round < ROUNDS { parts } else { smoothed(sites, parts, known) };
-        map = places.stored(&atlas, &all, &shown, &open, paths);
+        let light = |i: usize| open[i].then(|| shown[i].iter().map(Noisy::mean).sum::<Vec3>());
+        let straight = |i: usize| gathered[i].named().filter(|_| open[i]);
+        let [unnamed, named] = [places.of_all(&all, &light), places.of_all(&all, &straight)];
+        let has_indirect = shown.iter().any(|p| p[1].mean() != Vec3::ZERO);
+        map = stored(&atlas, &all, [&unnamed, &named], lights.has_any_named());
+        map.summary.particles = paths;
+        map.summary.has_indirect = has_indirect;
     }
     map.summary.notes = atlas.notes.clone();
     map.summary.notes.push("a first estimate from few paths".into());
@@ -116,17 +122,8 @@ impl Places {
         Self { sites: Some(Sites::of(chosen.iter().map(wide).collect())), spokesman, size }
     }
 
-    /// What the parts at these places make of all elements.
-    fn stored(
-        &self,
-        atlas: &Atlas,
-        all: &Sites,
-        parts: &[Parts],
-        known: &[bool],
-        paths: u64,
-    ) -> Illumination {
-        let light = |i: usize| parts[i].iter().map(Noisy::mean).sum::<Vec3>();
-        let own = |i: usize| known[i].then(|| light(i));
+    /// What light at these places is light of all sites; `None` where nothing is known.
+    fn of_all(&self, all: &Sites, own: &(dyn Fn(usize) -> Option<Vec3> + Sync)) -> Vec<Option<Vec3>> {
         let spoken = |i: usize, site: &Site| {
             let sites = self.sites.as_ref()?;
             let (x, y) = site.normal.any_orthonormal_pair();
@@ -142,22 +139,31 @@ impl Places {
             if n > 0 { Some(found.sum::<Vec3>() / n as f32) } else { own(self.spokesman[i] as usize) }
         };
         let value = |(i, site): (usize, &Site)| if self.sites.is_some() { spoken(i, site) } else { own(i) };
-        let values: Vec<Option<Vec3>> = all.all().par_iter().enumerate().map(value).collect();
-        let mut sides: [Vec<Value>; 2] = [vec![None; atlas.elements.len()], vec![None; atlas.elements.len()]];
-        let (mut power, mut area) = (Vec3::ZERO, 0.0);
-        for (site, value) in all.all().iter().zip(values) {
-            let e = &atlas.elements[site.element as usize];
-            power += value.unwrap_or(Vec3::ZERO) * e.opaque;
-            area += 0.5 * e.opaque;
+        all.all().par_iter().enumerate().map(value).collect()
+    }
+}
+
+/// The map of light at all sites: what is not named, and what is.
+fn stored(atlas: &Atlas, all: &Sites, light: [&[Option<Vec3>]; 2], has_named: bool) -> Illumination {
+    let none: Vec<Value> = vec![None; atlas.elements.len()];
+    let [unnamed, named] = light.map(|light| {
+        let mut sides = [none.clone(), none.clone()];
+        for (site, value) in all.all().iter().zip(light) {
             sides[usize::from(site.back)][site.element as usize] = value.map(|v| v.extend(0.0));
         }
-        let [front, back] = sides;
-        let mean = if area > 0.0 { (power / area).to_array() } else { [0.0; 3] };
-        let has_indirect = parts.iter().any(|p| p[1].mean() != Vec3::ZERO);
-        let summary =
-            Summary { particles: paths, mean, has_indirect, relative_error: 1.0, ..Summary::default() };
-        Illumination::new(atlas, front, back, summary)
+        sides
+    });
+    let (mut power, mut area) = (Vec3::ZERO, 0.0);
+    for (i, site) in all.all().iter().enumerate() {
+        let e = &atlas.elements[site.element as usize];
+        power += light.iter().filter_map(|light| light[i]).sum::<Vec3>() * e.opaque;
+        area += 0.5 * e.opaque;
     }
+    let mean = if area > 0.0 { (power / area).to_array() } else { [0.0; 3] };
+    let [front, back] = unnamed;
+    let map =
+        Illumination::new(atlas, front, back, Summary { mean, relative_error: 1.0, ..Summary::default() });
+    if has_named { map.with_named(atlas, named) } else { map }
 }
 
 /// The first site of each cell of this size and of each of six directions, and which of these is the one of each site.

@@ -10,6 +10,7 @@ use super::sites::Site;
 use crate::image::luminance;
 use crate::rng::{Stream, hash};
 use crate::scene::Scene;
+use crate::transport::bsdf::Bsdf;
 use crate::transport::gather::Gather;
 use crate::transport::medium::Media;
 
@@ -19,12 +20,17 @@ const KEPT: f32 = 0.5;
 /// Sample i of a half is cut at so many times √i times the light expected.
 const CUT: f32 = 64.0;
 
+/// Points of a site, at most, at which named lights are asked for.
+const NAMED: u32 = 4;
+
 /// Sums of one site, W/m² per band times samples; caustics W.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Gathered {
     sharp: [[f32; 3]; 2],
     soft: [[f32; 3]; 2],
     caustic: [[f32; 3]; 2],
+    /// Mean irradiance straight from named lights, once somebody asked for it.
+    named: Option<[f32; 3]>,
     /// Samples of both halves.
     samples: u32,
     /// Samples of each half that `soft` counts as.
@@ -53,7 +59,8 @@ impl Gathered {
 
     /// Whether samples have found any light.
     pub fn is_lit(&self) -> bool {
-        [self.sharp, self.soft].iter().flatten().flatten().any(|v| *v > 0.0)
+        let named = self.named.iter().flatten();
+        [self.sharp, self.soft].iter().flatten().flatten().chain(named).any(|v| *v > 0.0)
     }
 
     /// Another round begins: indirect light of the ones before counts less.
@@ -79,6 +86,16 @@ impl Gathered {
             return;
         }
         let side = u64::from(site.element) << 1 | u64::from(site.back);
+        self.named.get_or_insert_with(|| {
+            let looks = found.min(NAMED);
+            let look = |turn: u32| {
+                let point =
+                    points.candidate(scene, atlas, site.element, bit(usable, turn * found / looks)?)?;
+                let at = point.seen_from(scene, site.back).with_footprint(site.width);
+                Some(gather.named(&at, &Bsdf::at(scene, &at), Media::EMPTY))
+            };
+            ((0..looks).filter_map(look).sum::<Vec3>() / looks as f32).to_array()
+        });
         for sample in self.samples..self.samples + count {
             let (half, index) = ((sample & 1) as usize, sample >> 1);
             // Each half comes to all points in turn.
@@ -117,6 +134,11 @@ impl Gathered {
             scaled(self.soft, per(self.soft_weight)),
             scaled(self.caustic, caustic),
         ]
+    }
+
+    /// Irradiance straight from named lights, W/m², as far as anybody asked.
+    pub fn named(&self) -> Option<Vec3> {
+        self.named.map(Vec3::from_array)
     }
 
     /// Samples taken.

@@ -32,6 +32,13 @@ pub trait Irradiance: Sync + Send {
     /// front side or, if `back`, on its back side. Finite and not negative.
     fn irradiance(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3;
 
+    /// What of it does not come straight from named lights
+    /// ([`Lights::named`](crate::transport::light::Lights::named)), where the two are known apart: then a shadow ray says
+    /// exactly what the rest is, and shadows are sharp.
+    fn unnamed(&self, _triangle: u32, _b1: f32, _b2: f32, _back: bool) -> Option<Vec3> {
+        None
+    }
+
     /// The stored values behind it, where there are some: for displays that interpolate themselves.
     fn stored(&self) -> Option<&stored::Illumination> {
         None

@@ -16,7 +16,8 @@ use crate::image::luminance;
 use crate::rng::Stream;
 use crate::scene::{Camera, Scene};
 use crate::transport::Indexed;
-use crate::transport::gather::Trust;
+use crate::transport::bsdf::Bsdf;
+use crate::transport::gather::{Trust, shown};
 use crate::transport::interaction::Interaction;
 use crate::transport::medium::Media;
 
@@ -93,6 +94,8 @@ fn diffuse_end(scene: &Scene, accel: &Accel, mut ray: Ray) -> Option<Interaction
 #[derive(Clone, Debug)]
 struct Held {
     at: Interaction,
+    /// Irradiance straight from named lights, exactly: so displays show it.
+    named: Vec3,
     /// Sums of the luminance of irradiance, by batch.
     sums: [f64; BATCHES as usize],
 }
@@ -127,7 +130,8 @@ impl HeldBack {
             let frame = camera.frame(SIDE, SIDE);
             let direction = frame.direction(u * SIDE as f32, v * SIDE as f32);
             let at = diffuse_end(indexed.scene, indexed.accel, Ray::new(frame.eye, direction))?;
-            Some(Held { at, sums: [0.0; BATCHES as usize] })
+            let named = indexed.gather(Trust::Nobody).named(&at, &Bsdf::at(indexed.scene, &at), Media::EMPTY);
+            Some(Held { at, named, sums: [0.0; BATCHES as usize] })
         };
         let points = (0..POINTS).into_par_iter().filter_map(point).collect();
         Self { seed, points, taken: 0, wanted: FIRST }
@@ -158,19 +162,17 @@ impl HeldBack {
     /// More samples are wanted for the next statement where these leave it in doubt and `most` allows them.
     pub fn statement(&mut self, map: &dyn Irradiance, most: u64) -> Option<Statement> {
         let (batches, samples) = (f64::from(BATCHES), f64::from(self.taken.max(1)));
-        let shows =
-            |at: &Interaction| f64::from(luminance(map.irradiance(at.triangle, at.b1, at.b2, at.back)));
-        let bright =
-            BRIGHT * self.points.iter().map(|p| shows(&p.at)).sum::<f64>() / self.points.len().max(1) as f64;
+        let shows = |held: &Held| f64::from(luminance(shown(map, &held.at, held.named)));
+        let bright = BRIGHT * self.points.iter().map(shows).sum::<f64>() / self.points.len().max(1) as f64;
         let found: Vec<(f64, f64)> = self
             .points
             .iter()
-            .map(|Held { at, sums }| {
-                let means = sums.map(|sum| sum / samples);
+            .map(|held| {
+                let means = held.sums.map(|sum| sum / samples);
                 let mean = means.iter().sum::<f64>() / batches;
                 let noise =
                     means.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / (batches * (batches - 1.0));
-                let shown = shows(at);
+                let shown = shows(held);
                 // Decided by the map alone, or the samples would choose what counts.
                 let weight = if shown > bright { bright / shown } else { 1.0 };
                 (weight * mean, weight * weight * ((shown - mean).powi(2) - noise))

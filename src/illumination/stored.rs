@@ -36,6 +36,14 @@ pub struct Summary {
     pub notes: Vec<String>,
 }
 
+/// Irradiance straight from named lights, per element.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Named {
+    front: Vec<[f32; 3]>,
+    /// Empty where all backs are dark.
+    back: Vec<[f32; 3]>,
+}
+
 /// Irradiance on all surfaces, front and back, with its standard error.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Illumination {
@@ -47,6 +55,8 @@ pub struct Illumination {
     /// Per block of elements, the block of `back` that holds its back, or `DARK`.
     back_blocks: Vec<u32>,
     back: Vec<[f32; 4]>,
+    /// What comes straight from named lights, where that is kept apart: not in `front` and `back`, then.
+    named: Option<Named>,
     /// What the bake came to.
     pub summary: Summary,
 }
@@ -83,8 +93,24 @@ impl Illumination {
             front: front.iter().map(stored).collect(),
             back_blocks,
             back: lit_back,
+            named: None,
             summary,
         }
+    }
+
+    /// With what comes straight from named lights, front and back, which the values do not hold.
+    pub fn with_named(self, atlas: &Atlas, sides: [Vec<Value>; 2]) -> Self {
+        assert!(sides.iter().all(|side| side.len() == atlas.elements.len()), "values per element");
+        let [front, back] = sides.map(|mut side| {
+            fill_unknown(atlas, &mut side);
+            let stored = |v: &Value| {
+                let v = v.unwrap_or_default().truncate();
+                if v.is_finite() { v.max(Vec3::ZERO).to_array() } else { [0.0; 3] }
+            };
+            side.iter().map(stored).collect::<Vec<_>>()
+        });
+        let back = if back.iter().flatten().any(|v| *v > 0.0) { back } else { Vec::new() };
+        Self { named: Some(Named { front, back }), ..self }
     }
 
     /// Columns and rows of the lightmap.
@@ -107,30 +133,54 @@ impl Illumination {
         self.corners.len() * size_of::<Corners>()
             + (self.front.len() + self.back.len()) * size_of::<[f32; 4]>()
             + self.back_blocks.len() * 4
+            + self.named.as_ref().map_or(0, |n| (n.front.len() + n.back.len()) * size_of::<[f32; 3]>())
     }
 
     /// Irradiance and the standard error of its luminance.
     pub fn lookup(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec4 {
+        match &self.named {
+            None => self.interpolated(triangle, b1, b2, &|e| self.value(e, back)),
+            Some(_) => self.interpolated(triangle, b1, b2, &|e| self.total(e, back)),
+        }
+    }
+
+    /// The same without what comes straight from named lights, as far as that is kept apart.
+    pub fn lookup_unnamed(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec4 {
+        self.interpolated(triangle, b1, b2, &|e| self.value(e, back))
+    }
+
+    /// What comes straight from named lights, where that is kept apart.
+    pub fn lookup_named(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {
+        self.interpolated(triangle, b1, b2, &|e| self.named_value(e, back)).truncate()
+    }
+
+    /// Whether what comes straight from named lights is kept apart.
+    pub fn has_named(&self) -> bool {
+        self.named.is_some()
+    }
+
+    #[inline]
+    fn interpolated(&self, triangle: u32, b1: f32, b2: f32, value: &impl Fn(usize) -> Vec4) -> Vec4 {
         let Some(corners) = self.corners.get(triangle as usize) else {
             return Vec4::ZERO;
         };
         match corners {
             Corners::Vertices(v) => {
-                self.value(v[0] as usize, back) * (1.0 - b1 - b2).max(0.0)
-                    + self.value(v[1] as usize, back) * b1.max(0.0)
-                    + self.value(v[2] as usize, back) * b2.max(0.0)
+                value(v[0] as usize) * (1.0 - b1 - b2).max(0.0)
+                    + value(v[1] as usize) * b1.max(0.0)
+                    + value(v[2] as usize) * b2.max(0.0)
             }
-            Corners::Texels(uv) => self.bilinear(uv[0] * (1.0 - b1 - b2) + uv[1] * b1 + uv[2] * b2, back),
+            Corners::Texels(uv) => self.bilinear(uv[0] * (1.0 - b1 - b2) + uv[1] * b1 + uv[2] * b2, value),
         }
     }
 
-    fn bilinear(&self, p: Vec2, back: bool) -> Vec4 {
+    fn bilinear(&self, p: Vec2, value: &impl Fn(usize) -> Vec4) -> Vec4 {
         let last = Vec2::new(self.width as f32 - 1.0, self.height as f32 - 1.0);
         let p = (p - 0.5).max(Vec2::ZERO).min(last);
         let (x, y) = (p.x as usize, p.y as usize);
         let (x1, y1) = ((x + 1).min(self.width as usize - 1), (y + 1).min(self.height as usize - 1));
         let f = p - Vec2::new(x as f32, y as f32);
-        let at = |x: usize, y: usize| self.value(y * self.width as usize + x, back);
+        let at = |x: usize, y: usize| value(y * self.width as usize + x);
         at(x, y).lerp(at(x1, y), f.x).lerp(at(x, y1).lerp(at(x1, y1), f.x), f.y)
     }
 
@@ -145,17 +195,24 @@ impl Illumination {
         }
     }
 
+    #[inline]
+    fn named_value(&self, element: usize, back: bool) -> Vec4 {
+        let side = self.named.as_ref().map(|named| if back { &named.back } else { &named.front });
+        side.and_then(|side| side.get(element)).map_or(Vec4::ZERO, |v| Vec3::from_array(*v).extend(0.0))
+    }
+
+    /// All irradiance on a side of an element, and the standard error of its luminance.
+    #[inline]
+    pub fn total(&self, element: usize, back: bool) -> Vec4 {
+        self.value(element, back) + self.named_value(element, back)
+    }
+
     /// Where each triangle's illumination is found.
     pub fn corners(&self) -> &[Corners] {
         &self.corners
     }
 
-    /// Value of the back of an element.
-    pub fn back_value(&self, element: usize) -> Vec4 {
-        self.value(element, true)
-    }
-
-    /// Values of the front, per element.
+    /// Values of the front, per element, without what is kept apart.
     pub fn front_values(&self) -> &[[f32; 4]] {
         &self.front
     }
@@ -170,6 +227,11 @@ impl Illumination {
             && self.back_blocks.len() == self.front.len().div_ceil(BLOCK)
             && self.back_blocks.iter().all(|&b| b == DARK || (b as usize + 1) * BLOCK <= self.back.len())
             && self.front.iter().chain(&self.back).flatten().all(|v| v.is_finite() && *v >= 0.0)
+            && self.named.as_ref().is_none_or(|Named { front, back }| {
+                front.len() == self.front.len()
+                    && (back.is_empty() || back.len() == front.len())
+                    && front.iter().chain(back).flatten().all(|v| v.is_finite() && *v >= 0.0)
+            })
             && self.corners.iter().all(|c| match c {
                 Corners::Vertices(v) => v.iter().all(|&e| u64::from(e) < elements),
                 Corners::Texels(uv) => texel_corners_allowed && uv.iter().all(|p| p.is_finite()),
@@ -178,14 +240,28 @@ impl Illumination {
 
     /// What `from` shows, stored at the elements of `atlas`: the start of a refinement.
     pub fn resampled(atlas: &Atlas, from: &dyn Irradiance) -> Self {
-        let side = |back: bool| {
-            let value = |e: &super::atlas::Element| {
-                (e.area > 0.0).then(|| from.irradiance(e.triangle, e.b1, e.b2, back).extend(0.0))
-            };
-            atlas.elements.par_iter().map(value).collect::<Vec<Value>>()
+        type At<'a> = &'a (dyn Fn(u32, f32, f32, bool) -> Vec3 + Sync);
+        let sides = |at: At<'_>| {
+            [false, true].map(|back| {
+                let value = |e: &super::atlas::Element| {
+                    (e.area > 0.0).then(|| at(e.triangle, e.b1, e.b2, back).extend(0.0))
+                };
+                atlas.elements.par_iter().map(value).collect::<Vec<Value>>()
+            })
         };
-        let summary = from.stored().map(|s| s.summary.clone()).unwrap_or_default();
-        Self::new(atlas, side(false), side(true), summary)
+        let stored = from.stored();
+        let summary = stored.map(|s| s.summary.clone()).unwrap_or_default();
+        match stored.filter(|s| s.has_named()) {
+            None => {
+                let [front, back] = sides(&|t, b1, b2, back| from.irradiance(t, b1, b2, back));
+                Self::new(atlas, front, back, summary)
+            }
+            Some(s) => {
+                let [front, back] = sides(&|t, b1, b2, back| s.lookup_unnamed(t, b1, b2, back).truncate());
+                let named = sides(&|t, b1, b2, back| s.lookup_named(t, b1, b2, back));
+                Self::new(atlas, front, back, summary).with_named(atlas, named)
+            }
+        }
     }
 
     /// A hash of all values and of where they are found.
@@ -197,6 +273,10 @@ impl Illumination {
             h.update(bytemuck::cast_slice(values));
         }
         h.update(bytemuck::cast_slice(&self.back_blocks));
+        if let Some(Named { front, back }) = &self.named {
+            h.update(bytemuck::cast_slice(front));
+            h.update(bytemuck::cast_slice(back));
+        }
         h.update(&self.summary.particles.to_le_bytes());
         let bytes = h.finalize();
         bytes.as_bytes()[..8].iter().fold(0, |sum, &b| sum << 8 | u64::from(b))
@@ -240,6 +320,8 @@ impl Illumination {
             front,
             back_blocks,
             back,
+            // Exact from the first map of these elements on.
+            named: target.named.clone(),
             summary: target.summary.clone(),
         };
         Some((if arrived { target.clone() } else { next }, arrived))
@@ -249,6 +331,10 @@ impl Illumination {
 impl Irradiance for Illumination {
     fn irradiance(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {
         self.lookup(triangle, b1, b2, back).truncate()
+    }
+
+    fn unnamed(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Option<Vec3> {
+        self.has_named().then(|| self.lookup_unnamed(triangle, b1, b2, back).truncate())
     }
 
     fn stored(&self) -> Option<&Illumination> {

@@ -158,17 +158,38 @@ pub struct Gather<'a> {
     trust: Trust<'a>,
     /// Whether light that reaches a D point over S alone is somebody else's.
     drops_caustics: bool,
+    /// Whether the light of named lights that a sample begins with is somebody else's.
+    drops_named: bool,
 }
 
 impl<'a> Gather<'a> {
     /// For a scene, with as much trust.
     pub fn new(scene: &'a Scene, accel: &'a Accel, lights: &'a Lights, trust: Trust<'a>) -> Self {
-        Self { scene, accel, lights, trust, drops_caustics: false }
+        Self { scene, accel, lights, trust, drops_caustics: false, drops_named: false }
     }
 
     /// Leaves out class C over lobes that are not wide: particles bring it ([`super::caustic`]).
     pub fn without_caustics(self) -> Self {
         Self { drops_caustics: true, ..self }
+    }
+
+    /// Leaves out class N: it has no noise, and [`Self::named`] says what it is.
+    pub fn without_named(self) -> Self {
+        Self { drops_named: true, ..self }
+    }
+
+    /// Class N: the irradiance straight from named lights, exactly, a shadow ray each. Finite.
+    pub fn named(&self, at: &Interaction, bsdf: &Bsdf, media: Media) -> Vec3 {
+        let mut sum = Vec3::ZERO;
+        for light in self.lights.named(self.scene, at.position) {
+            let (value, _) = below_coat(at, bsdf, light.wi);
+            if value > 0.0
+                && let Some(light) = arriving(self.scene, self.accel, at, &media, &light)
+            {
+                sum += value * light;
+            }
+        }
+        finite(sum)
     }
 
     /// One sample of the irradiance on the side of a surface that `at` shows, which lies inside of `media`. Finite.
@@ -192,8 +213,10 @@ impl<'a> Gather<'a> {
         let mut seen =
             Seen { emission: finite(at.point().emission(self.scene) * absorbed), albedo, ..Seen::default() };
         if albedo != Vec3::ZERO {
-            seen.map = self.map_at(&at).unwrap_or(Vec3::ZERO);
-            seen.light = self.arriving_at(&at, &bsdf, Media::EMPTY, stream, 0);
+            let named = self.named(&at, &bsdf, Media::EMPTY);
+            seen.map = self.shown_at(&at, named);
+            seen.light = self.without_named().arriving_at(&at, &bsdf, Media::EMPTY, stream, 0);
+            seen.light.sharp += named;
         }
         if bsdf.has_view_dependent() {
             // Numbers of its own: both parts are followed here.
@@ -219,6 +242,14 @@ impl<'a> Gather<'a> {
                 Some(map.irradiance(at.triangle, at.b1, at.b2, at.back))
             }
             Trust::Nobody => None,
+        }
+    }
+
+    /// What the display shows of the irradiance at a point that named lights light so much.
+    fn shown_at(&self, at: &Interaction, named: Vec3) -> Vec3 {
+        match self.trust {
+            Trust::Map(map) | Trust::EndValue(map) => shown(map, at, named),
+            Trust::Nobody => Vec3::ZERO,
         }
     }
 
@@ -316,10 +347,11 @@ impl<'a> Gather<'a> {
         at: &Interaction,
         path: &Path,
         stream: Stream,
+        has_named: bool,
         reflects: impl Fn(Vec3) -> (Vec3, f32),
     ) -> Vec3 {
         let mut sum = Vec3::ZERO;
-        for light in self.lights.named(self.scene, at.position) {
+        for light in self.lights.named(self.scene, at.position).filter(|_| has_named) {
             let (value, _) = reflects(light.wi);
             if value.max_element() > 0.0
                 && let Some(light) = arriving(self.scene, self.accel, at, &path.media, &light)
@@ -343,13 +375,10 @@ impl<'a> Gather<'a> {
 
     /// Irradiance straight from lights, by samples of them.
     fn straight_light(&self, at: &Interaction, bsdf: &Bsdf, path: &Path, stream: Stream) -> Vec3 {
-        let (normal, geometric) = (at.facing_shading(), at.facing_geometric());
-        self.light_samples(at, path, stream, |wi| {
-            let cosine = normal.dot(wi);
-            if cosine <= 0.0 || geometric.dot(wi) <= 0.0 {
-                return (Vec3::ZERO, 0.0);
-            }
-            (Vec3::splat(cosine * bsdf.coat_factor(wi)), cosine * FRAC_1_PI)
+        let has_named = !(self.drops_named && path.vertices == 0);
+        self.light_samples(at, path, stream, has_named, |wi| {
+            let (value, cosine) = below_coat(at, bsdf, wi);
+            (Vec3::splat(value), cosine * FRAC_1_PI)
         })
     }
 
@@ -384,7 +413,7 @@ impl<'a> Gather<'a> {
         let normal = at.facing_shading();
         path.narrow &= !bsdf.is_wide();
         if !(bsdf.is_delta() || self.drops_caustics && path.narrow) {
-            let light = self.light_samples(at, &path, stream, |wi| {
+            let light = self.light_samples(at, &path, stream, true, |wi| {
                 let (f, pdf) = bsdf.evaluate_and_pdf(at.wo, wi);
                 (f * normal.dot(wi).max(0.0), pdf)
             });
@@ -417,6 +446,24 @@ impl<'a> Gather<'a> {
         }
         path.ray = at.spawn(sample.wi);
         (path.throughput.max_element() > 0.0).then_some(path)
+    }
+}
+
+/// The share of light from `wi` that a D part gets, cosine and coat, and the cosine alone; 0 from below the surface.
+fn below_coat(at: &Interaction, bsdf: &Bsdf, wi: Vec3) -> (f32, f32) {
+    let cosine = at.facing_shading().dot(wi);
+    if cosine <= 0.0 || at.facing_geometric().dot(wi) <= 0.0 {
+        return (0.0, 0.0);
+    }
+    (cosine * bsdf.coat_factor(wi), cosine)
+}
+
+/// The irradiance that a display shows at a point that named lights light so much: what else a map says, where it knows that
+/// apart, else all that it says.
+pub(crate) fn shown(map: &dyn Irradiance, at: &Interaction, named: Vec3) -> Vec3 {
+    match map.unnamed(at.triangle, at.b1, at.b2, at.back) {
+        Some(rest) => rest + named,
+        None => map.irradiance(at.triangle, at.b1, at.b2, at.back),
     }
 }
 

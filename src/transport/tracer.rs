@@ -18,6 +18,7 @@ use glam::Vec3;
 
 use super::bsdf::{Bsdf, BsdfSample};
 use super::direct::{Found, arriving, is_pane, mis_weight};
+use super::gather::{Gather, Trust};
 use super::interaction::Interaction;
 use super::light::Lights;
 use super::medium::Media;
@@ -130,10 +131,25 @@ impl<'a> Tracer<'a> {
     }
 
     /// Emission and diffuse part: what the display shows of the surface. Radiance; finite, not negative.
+    ///
+    /// `at`, the same point with its directions, is only asked for where light comes from lights with names.
     #[inline]
-    pub fn base(&self, point: &SurfacePoint) -> Vec3 {
+    pub fn base(&self, point: &SurfacePoint, at: impl FnOnce() -> Interaction) -> Vec3 {
         let diffuse = point.diffuse_albedo(self.scene);
-        self.finite(point.emission(self.scene) + diffuse * self.diffuse_light(point, diffuse))
+        let &SurfacePoint { triangle, b1, b2, back, .. } = point;
+        let irradiance = match self.illumination.unnamed(triangle, b1, b2, back) {
+            _ if diffuse == Vec3::ZERO => Vec3::ZERO,
+            Some(rest) => {
+                let at = at();
+                rest + self.named(&at, &Bsdf::at(self.scene, &at), Media::EMPTY)
+            }
+            None => self.illumination.irradiance(triangle, b1, b2, back),
+        };
+        self.finite(point.emission(self.scene) + diffuse * (irradiance * FRAC_1_PI))
+    }
+
+    fn named(&self, at: &Interaction, bsdf: &Bsdf, media: Media) -> Vec3 {
+        Gather::new(self.scene, self.accel, self.lights, Trust::Nobody).named(at, bsdf, media)
     }
 
     /// Everything that [`Self::base`] leaves out, as radiance towards `at.wo`. Finite.
@@ -147,13 +163,13 @@ impl<'a> Tracer<'a> {
             spread: at.footprint / at.t.max(f32::MIN_POSITIVE),
             ..Branch::START
         };
-        let diffuse = bsdf.diffuse_albedo() * self.diffuse_light(&at.point(), bsdf.diffuse_albedo());
+        let diffuse = bsdf.diffuse_albedo() * self.diffuse_light(at, &bsdf, Media::EMPTY);
         self.finite(diffuse * (bsdf.coat_factor(at.wo) - 1.0) + self.scatter(at, &bsdf, branch, stream))
     }
 
     /// The diffuse part alone, averaged over directions: albedo / π × irradiance.
     pub fn reflected_diffuse(&self, at: &Interaction, bsdf: &Bsdf) -> Vec3 {
-        self.finite(bsdf.diffuse_albedo() * self.diffuse_light(&at.point(), bsdf.diffuse_albedo()))
+        self.finite(bsdf.diffuse_albedo() * self.diffuse_light(at, bsdf, Media::EMPTY))
     }
 
     /// Radiance that arrives at the ray's origin, against its direction. Finite.
@@ -172,13 +188,17 @@ impl<'a> Tracer<'a> {
         Vec3::ZERO
     }
 
-    /// Stored irradiance / π, where there is something to reflect it.
-    #[inline]
-    fn diffuse_light(&self, point: &SurfacePoint, albedo: Vec3) -> Vec3 {
-        if albedo == Vec3::ZERO {
+    /// Irradiance / π, where there is something to reflect it: that of named lights by shadow rays, all else as stored.
+    fn diffuse_light(&self, at: &Interaction, bsdf: &Bsdf, media: Media) -> Vec3 {
+        if bsdf.diffuse_albedo() == Vec3::ZERO {
             return Vec3::ZERO;
         }
-        self.illumination.irradiance(point.triangle, point.b1, point.b2, point.back) * FRAC_1_PI
+        let &Interaction { triangle, b1, b2, back, .. } = at;
+        let irradiance = match self.illumination.unnamed(triangle, b1, b2, back) {
+            Some(rest) => rest + self.named(at, bsdf, media),
+            None => self.illumination.irradiance(triangle, b1, b2, back),
+        };
+        irradiance * FRAC_1_PI
     }
 
     /// Surfaces along a ray whose random numbers are shared out among pixels.
@@ -217,9 +237,8 @@ impl<'a> Tracer<'a> {
         let at = Interaction::at(self.scene, ray, hit).with_footprint(branch.width);
         let bsdf = Bsdf::at(self.scene, &at);
         let mut radiance = share(at.point().emission(self.scene));
-        radiance += bsdf.diffuse_albedo()
-            * self.diffuse_light(&at.point(), bsdf.diffuse_albedo())
-            * bsdf.coat_factor(at.wo);
+        radiance +=
+            bsdf.diffuse_albedo() * self.diffuse_light(&at, &bsdf, branch.media) * bsdf.coat_factor(at.wo);
         let absorbed = branch.media.transmittance_to(self.scene, &at, hit.t);
         if bsdf.has_view_dependent() {
             branch.contribution *= absorbed.max_element();

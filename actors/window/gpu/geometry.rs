@@ -5,6 +5,7 @@
 //! picture off near the root.
 
 use bytemuck::{Pod, Zeroable};
+use foveal::illumination::stored::Illumination;
 use foveal::illumination::{Irradiance, atlas::Corners};
 use foveal::scene::camera::CameraFrame;
 use foveal::scene::{Mesh, Reflectance, Scene, TextureId};
@@ -141,14 +142,16 @@ impl BaseLight {
     /// What `illumination` knows: its own elements where it has some, else its values at the corners
     /// of each triangle.
     pub fn new(mesh: &Mesh, illumination: &dyn Irradiance) -> Self {
+        let total = |stored: &Illumination, back: bool| {
+            (0..stored.element_count()).map(|e| stored.total(e, back).truncate().to_array()).collect()
+        };
         let mut light = match illumination.stored() {
             Some(stored) if stored.triangle_count() == mesh.triangles.len() => Self {
                 lightmap: stored.lightmap_size(),
                 corners: stored.corners().to_vec(),
-                front: stored.front_values().iter().map(|v| [v[0], v[1], v[2]]).collect(),
-                back: (0..stored.element_count())
-                    .map(|e| stored.back_value(e).truncate().to_array())
-                    .collect(),
+                // Named lights as well: adapters do not ask for them pixel by pixel.
+                front: total(stored, false),
+                back: total(stored, true),
             },
             _ => {
                 let at_corners = |back: bool| {

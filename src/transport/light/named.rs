@@ -16,6 +16,12 @@ impl Lights {
         self.emitters.len() - self.triangle_count - surroundings <= NAMED_MAX
     }
 
+    /// Whether there are lights that have names.
+    pub fn has_any_named(&self) -> bool {
+        let surroundings = usize::from(self.environment.is_some());
+        self.has_named() && self.emitters.len() > self.triangle_count + surroundings
+    }
+
     /// The light that each named light sends to `point`.
     pub fn named<'a>(&'a self, scene: &'a Scene, point: Vec3) -> impl Iterator<Item = LightSample> + 'a {
         let some = if self.has_named() { &self.emitters[self.triangle_count..] } else { &[] };

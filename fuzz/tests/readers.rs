@@ -14,8 +14,8 @@ use foveal::geometry::{Accel, Ray};
 use foveal::illumination::bake::{BakeSettings, bake, cache_key};
 use foveal::illumination::cache::{encode, load_illumination};
 use foveal::scene::load::{LoadOptions, load, load_with};
-use foveal::transport::light::Lights;
 use foveal::transport::Indexed;
+use foveal::transport::light::Lights;
 use foveal_runtime::{ActorId, Config, Exit, Hashing, Limit, Record, Runtime, Trace};
 use glam::Vec3;
 

@@ -21,7 +21,7 @@ const KEPT: f32 = 0.5;
 const CUT: f32 = 64.0;
 
 /// Points of a site, at most, at which named lights are asked for.
-const NAMED: u32 = 4;
+const NAMED: u32 = 8;
 
 /// Sums of one site, W/m² per band times samples; caustics W.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -33,9 +33,9 @@ pub trait Irradiance: Sync + Send {
     fn irradiance(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3;
 
     /// What of it does not come straight from named lights
-    /// ([`Lights::named`](crate::transport::light::Lights::named)), where the two are known apart: then a shadow ray says
-    /// exactly what the rest is, and shadows are sharp.
-    fn unnamed(&self, _triangle: u32, _b1: f32, _b2: f32, _back: bool) -> Option<Vec3> {
+    /// ([`Lights::named`](crate::transport::light::Lights::named)), where the two are known apart: then shadow rays say
+    /// exactly what these bring, and shadows are sharp.
+    fn unnamed(&self, _triangle: u32, _b1: f32, _b2: f32, _back: bool) -> Option<Unnamed> {
         None
     }
 
@@ -43,6 +43,15 @@ pub trait Irradiance: Sync + Send {
     fn stored(&self) -> Option<&stored::Illumination> {
         None
     }
+}
+
+/// Irradiance without what comes straight from named lights.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Unnamed {
+    /// W/m² per band.
+    pub rest: Vec3,
+    /// Whether any named light was seen from the elements around: where none was, nobody needs to ask.
+    pub is_lit: bool,
 }
 
 /// The same irradiance everywhere.

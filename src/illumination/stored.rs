@@ -4,8 +4,8 @@ use glam::{Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::Irradiance;
 use super::atlas::{Atlas, Corners, NEIGHBOURS};
+use super::{Irradiance, Unnamed};
 
 /// Elements that share one decision whether their back is stored.
 const BLOCK: usize = 64;
@@ -333,8 +333,13 @@ impl Irradiance for Illumination {
         self.lookup(triangle, b1, b2, back).truncate()
     }
 
-    fn unnamed(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Option<Vec3> {
-        self.has_named().then(|| self.lookup_unnamed(triangle, b1, b2, back).truncate())
+    fn unnamed(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Option<Unnamed> {
+        self.named.as_ref()?;
+        let is_lit = |e| Vec4::splat(f32::from(u8::from(self.named_value(e, back) != Vec4::ZERO)));
+        Some(Unnamed {
+            rest: self.lookup_unnamed(triangle, b1, b2, back).truncate(),
+            is_lit: self.interpolated(triangle, b1, b2, &is_lit).x > 0.0,
+        })
     }
 
     fn stored(&self) -> Option<&Illumination> {

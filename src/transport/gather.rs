@@ -35,7 +35,7 @@ use super::interaction::Interaction;
 use super::light::{Lights, Receiver};
 use super::medium::Media;
 use crate::geometry::{Accel, Hit, Ray};
-use crate::illumination::Irradiance;
+use crate::illumination::{Irradiance, Unnamed};
 use crate::rng::Stream;
 use crate::scene::Scene;
 
@@ -462,7 +462,13 @@ fn below_coat(at: &Interaction, bsdf: &Bsdf, wi: Vec3) -> (f32, f32) {
 /// apart, else all that it says.
 pub(crate) fn shown(map: &dyn Irradiance, at: &Interaction, named: Vec3) -> Vec3 {
     match map.unnamed(at.triangle, at.b1, at.b2, at.back) {
-        Some(rest) => rest + named,
+        Some(Unnamed { rest, is_lit }) => {
+            if is_lit {
+                rest + named
+            } else {
+                rest
+            }
+        }
         None => map.irradiance(at.triangle, at.b1, at.b2, at.back),
     }
 }

@@ -24,7 +24,7 @@ use super::light::Lights;
 use super::medium::Media;
 use super::surface::SurfacePoint;
 use crate::geometry::{Accel, Ray};
-use crate::illumination::Irradiance;
+use crate::illumination::{Irradiance, Unnamed};
 use crate::rng::Stream;
 use crate::scene::Scene;
 
@@ -139,7 +139,8 @@ impl<'a> Tracer<'a> {
         let &SurfacePoint { triangle, b1, b2, back, .. } = point;
         let irradiance = match self.illumination.unnamed(triangle, b1, b2, back) {
             _ if diffuse == Vec3::ZERO => Vec3::ZERO,
-            Some(rest) => {
+            Some(Unnamed { rest, is_lit: false }) => rest,
+            Some(Unnamed { rest, is_lit: true }) => {
                 let at = at();
                 rest + self.named(&at, &Bsdf::at(self.scene, &at), Media::EMPTY)
             }
@@ -195,7 +196,8 @@ impl<'a> Tracer<'a> {
         }
         let &Interaction { triangle, b1, b2, back, .. } = at;
         let irradiance = match self.illumination.unnamed(triangle, b1, b2, back) {
-            Some(rest) => rest + self.named(at, bsdf, media),
+            Some(Unnamed { rest, is_lit: false }) => rest,
+            Some(Unnamed { rest, is_lit: true }) => rest + self.named(at, bsdf, media),
             None => self.illumination.irradiance(triangle, b1, b2, back),
         };
         irradiance * FRAC_1_PI

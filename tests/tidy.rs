@@ -139,9 +139,10 @@ const CORE: [&str; 14] = [
 ];
 
 /// Uses against the order, each with its reason.
-const BACKWARD: [(&str, &str); 2] = [
+const BACKWARD: [(&str, &str); 3] = [
     // The interface by which the tracer is given its diffuse illumination.
     ("src/transport/", "illumination::Irradiance"),
+    ("src/transport/", "illumination::Unnamed"),
     // Radiosity's quadtrees are what is simplified.
     ("src/transport/radiosity/", "illumination::simplify"),
 ];

@@ -7,12 +7,16 @@ use super::first::first_picture;
 use super::stored::Illumination;
 use super::test_scenes::{cube, grid, join, lambert, quad, scene};
 use super::{Irradiance, cache};
-use crate::geometry::Accel;
+use crate::geometry::{Accel, Ray};
 use crate::math;
 use crate::scene::texture::MipChain;
-use crate::scene::{Camera, Material, Mesh, NamedCamera, Scene, Texture, TextureId};
+use crate::scene::{Camera, Light, Material, Mesh, NamedCamera, Scene, Texture, TextureId};
 use crate::transport::Indexed;
+use crate::transport::bsdf::Bsdf;
+use crate::transport::gather::{Trust, shown};
+use crate::transport::interaction::Interaction;
 use crate::transport::light::Lights;
+use crate::transport::medium::Media;
 
 fn settings(texels: u32, paths: u64) -> BakeSettings {
     BakeSettings { texels, seed: 3, particles: Some(paths), everything: true, error: None }
@@ -333,6 +337,44 @@ fn a_wall_lit_on_one_side_is_dark_on_the_other() {
     // round, down to what a texel's width of the floor tells it.
     let [early, late] = [1 << 17, 1 << 21].map(leak);
     assert!(early < 0.04 && late < 0.01, "{early} {late}");
+}
+
+/// The sun over a floor and a roof: stored light has texels, shown light has the edge itself, and is right in every point.
+#[test]
+fn shadows_of_named_lights_are_sharp_whatever_the_texels() {
+    let mut mesh = quad(Vec3::new(-2.0, 0.0, 2.0), Vec3::X * 4.0, Vec3::NEG_Z * 4.0);
+    join(&mut mesh, &quad(Vec3::new(-0.5, 1.0, -0.5), Vec3::X, Vec3::Z), 0);
+    let mut yard = scene(mesh, vec![lambert(0.5, 0.0)], Vec::new());
+    yard.lights = vec![Light::Directional { direction: Vec3::NEG_Y, irradiance: Vec3::splat(3.0) }];
+    with(&yard, |indexed| {
+        let map = super::bake::bake(indexed, &settings(600, 40_000), &|_| true).illumination;
+        let gather = indexed.gather(Trust::Nobody);
+        let shown_at = |x: f32| {
+            let ray = Ray::new(Vec3::new(x, 0.5, 0.1), Vec3::NEG_Y);
+            let at = Interaction::at(&yard, &ray, &indexed.accel.intersect(&yard, &ray).unwrap());
+            let rest = map.unnamed(at.triangle, at.b1, at.b2, at.back).unwrap();
+            let named = gather.named(&at, &Bsdf::at(&yard, &at), Media::EMPTY);
+            (rest, named, shown(&map, &at, named).x)
+        };
+        for i in 0..400 {
+            let x = -1.5 + 3.0 * (i as f32 + 0.5) / 400.0;
+            let (rest, named, shown) = shown_at(x);
+            let sun = if x.abs() < 0.5 { 0.0 } else { 3.0 };
+            assert_eq!(named.x, sun, "{x}");
+            assert!((rest.rest.x + sun - shown).abs() < 1e-6, "{x}: {rest:?} {shown}");
+            // Next to no light comes back to it.
+            assert!(rest.rest.x < 0.2, "{x}: {rest:?}");
+            // Deep in the shadow nobody needs to ask; out of it everybody does.
+            assert!(x.abs() > 0.15 || !rest.is_lit, "{x}");
+            assert!(x.abs() < 0.85 || rest.is_lit, "{x}");
+        }
+        // The texel at the edge holds a part of it.
+        let stored = on_floor(&map, &yard.mesh, 0.5, 0.1).x;
+        assert!(stored > 0.3 && stored < 2.9, "{stored}");
+        // Other elements keep both.
+        let kept = Illumination::resampled(&super::bake::atlas_of(&yard, 600, &|_| true), &map);
+        assert!(kept.has_named() && kept.is_sound());
+    });
 }
 
 #[test]

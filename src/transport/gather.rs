@@ -35,7 +35,8 @@ use super::interaction::Interaction;
 use super::light::{Lights, Receiver};
 use super::medium::Media;
 use crate::geometry::{Accel, Hit, Ray};
-use crate::illumination::{Irradiance, Unnamed};
+use crate::illumination::Irradiance;
+use crate::illumination::Unnamed;
 use crate::rng::Stream;
 use crate::scene::Scene;
 

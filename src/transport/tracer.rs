@@ -24,7 +24,8 @@ use super::light::Lights;
 use super::medium::Media;
 use super::surface::SurfacePoint;
 use crate::geometry::{Accel, Ray};
-use crate::illumination::{Irradiance, Unnamed};
+use crate::illumination::Irradiance;
+use crate::illumination::Unnamed;
 use crate::rng::Stream;
 use crate::scene::Scene;
 

@@ -4,8 +4,8 @@ use foveal::image::Map2d;
 use foveal::scene::material::Roughness;
 use foveal::scene::texture::MipChain;
 use foveal::scene::{
-    Camera, Display, Environment, Material, MaterialId, Mesh, Model, NamedCamera, Object, Reflectance, Scene,
-    SceneParts, Texture, TextureId,
+    Camera, Coat, Display, Environment, Material, MaterialId, Mesh, Model, NamedCamera, Object, Reflectance,
+    Scene, SceneParts, Texture, TextureId,
 };
 use glam::{Vec2, Vec3};
 
@@ -116,8 +116,10 @@ pub fn room(n: usize) -> Scene {
             "plastic",
             Model::Plastic {
                 albedo: Reflectance::constant(Vec3::new(0.9, 0.2, 0.1)),
-                ior: 1.5,
-                roughness: Roughness { alpha_x: 0.0, alpha_y: 0.0, distribution: Default::default() },
+                coat: Coat::new(
+                    1.5,
+                    Roughness { alpha_x: 0.0, alpha_y: 0.0, distribution: Default::default() },
+                ),
             },
         ),
     ];

@@ -564,7 +564,7 @@ impl Renderer {
         self.tiles.resize(tiles.len(), None);
         let tile = &mut self.tiles[sums.tile as usize];
         let before = tile.as_ref().map_or(0, |tile| tile.samples);
-        self.counts.refined += (sums.samples - before.min(sums.samples)) * sums.pixels.len() as u32;
+        self.counts.refined += (sums.samples - before.min(sums.samples)) * sums.len() as u32;
         *tile = Some(sums);
     }
 

@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 
+use super::coat::Coat;
 use super::metal_rough::MetalRough;
 
 /// Index into `Scene::materials`.
@@ -103,10 +104,8 @@ pub enum Model {
     Plastic {
         /// Albedo of the base, in [0, 1].
         albedo: Reflectance,
-        /// Refractive index of the coat.
-        ior: f32,
-        /// Roughness of the coat.
-        roughness: Roughness,
+        /// The coat.
+        coat: Coat,
     },
     /// Lambert + Cook–Torrance 1982, Fresnel by Schlick from `specular`.
     CookTorrance {
@@ -150,7 +149,7 @@ impl Model {
             Self::Conductor { roughness, .. }
             | Self::Metal { roughness, .. }
             | Self::Dielectric { roughness, .. }
-            | Self::Plastic { roughness, .. }
+            | Self::Plastic { coat: Coat { roughness, .. }, .. }
             | Self::CookTorrance { roughness, .. }
             | Self::Ward { roughness, .. } => Some(*roughness),
         }

@@ -5,13 +5,16 @@
 //! file, line and remedy.
 
 pub mod camera;
+pub mod coat;
 mod cutout;
 mod defaults;
 pub mod environment;
+pub mod fresnel;
 pub mod hierarchy;
 pub mod load;
 pub mod material;
 pub mod metal_rough;
+pub mod microfacet;
 pub mod mip_cache;
 pub mod path;
 pub mod plan;
@@ -26,6 +29,7 @@ use std::sync::Arc;
 use glam::{Vec2, Vec3};
 
 pub use camera::{Camera, CameraPath, NamedCamera};
+pub use coat::Coat;
 pub use environment::Environment;
 pub use material::{Distribution, Material, MaterialId, Model, Reflectance, Roughness, TextureId};
 pub use metal_rough::MetalRough;

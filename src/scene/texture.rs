@@ -220,6 +220,14 @@ impl MipChain {
         level.texels.as_ref().map_or([0.0; 4], |texels| texels.fetch(at, &self.decode))
     }
 
+    /// A chain with these linear values at its finest level, texel by texel; `None` where one is not known.
+    pub fn with_texels(&self, value: impl Fn(usize) -> Option<[f32; 4]>) -> Option<Self> {
+        let level = self.levels.first()?;
+        let texels = (0..level.width as usize * level.height as usize).map(value).collect::<Option<_>>()?;
+        let finest = level.texels.as_ref()?.encode(texels, self.gamma);
+        Some(Self::of(level.width as usize, level.height as usize, finest.0, self.gamma))
+    }
+
     /// Number of levels, at least 1.
     pub fn level_count(&self) -> usize {
         self.levels.len()

@@ -21,7 +21,7 @@ use xxhash_rust::xxh3::Xxh3;
 use super::filter::{GoesOn, Halves, Surfaces};
 use super::light_tracing::LightSums;
 use super::supersampling::Tiles;
-use super::tile_sums::{BATCHES, PixelSums, TileSums};
+use super::tile_sums::{BATCHES, PixelMeans, TileSums};
 use crate::display::FrameBuffers;
 use crate::image::{Map2d, luminance};
 use crate::scene::camera::CameraFrame;
@@ -101,7 +101,7 @@ impl Settled {
 
 /// The sums of every pixel, as a picture.
 struct Pixels<'a> {
-    at: Vec<Option<(&'a PixelSums, u32)>>,
+    at: Vec<Option<PixelMeans<'a>>>,
     /// What was traced to the eye.
     traced: Option<&'a LightSums>,
 }
@@ -117,23 +117,23 @@ impl<'a> Pixels<'a> {
         let mut at = vec![None; width * height];
         // Fewer leave a batch empty.
         for tile in tiles.iter().flatten().filter(|tile| tile.samples as usize >= BATCHES) {
-            for (sums, (x, y)) in tile.pixels.iter().zip(grid.pixels(tile.tile)) {
-                at[y * width + x] = Some((sums, tile.samples));
+            for (means, (x, y)) in tile.pixels().zip(grid.pixels(tile.tile)) {
+                at[y * width + x] = Some(means);
             }
         }
         Self { at, traced }
     }
 
     /// One value of each pixel; 0 where there are no samples.
-    fn of(&self, value: impl Fn(&PixelSums, u32) -> Vec3) -> Vec<Vec3> {
-        self.at.iter().map(|p| p.map_or(Vec3::ZERO, |(sums, n)| value(sums, n))).collect()
+    fn of(&self, value: impl Fn(&PixelMeans<'a>) -> Vec3) -> Vec<Vec3> {
+        self.at.iter().map(|p| p.as_ref().map_or(Vec3::ZERO, &value)).collect()
     }
 
     /// Reads all pixels that have samples.
-    fn each(&self, mut read: impl FnMut(usize, &PixelSums, u32)) {
+    fn each(&self, mut read: impl FnMut(usize, &PixelMeans<'a>)) {
         for (i, pixel) in self.at.iter().enumerate() {
-            if let Some((sums, n)) = pixel {
-                read(i, sums, *n);
+            if let Some(means) = pixel {
+                read(i, means);
             }
         }
     }
@@ -149,19 +149,19 @@ impl<'a> Pixels<'a> {
         let mut halves = Halves::of_nothing(count);
         let (mut albedo, none) = (vec![Vec3::ZERO; count], || vec![Vec3::ZERO; count]);
         let mut excess = [none(), none()];
-        self.each(|i, sums, n| {
-            albedo[i] = sums.albedo(n);
+        self.each(|i, means| {
+            albedo[i] = means.albedo();
             halves.known[i] = albedo[i] != Vec3::ZERO;
             let divided_by = albedo[i].max(Vec3::splat(ALBEDO_MIN));
             for (half, set) in sets.into_iter().enumerate() {
-                let (mut residual, mut variance) = (sums.residual(set, n), sums.residual_variance(set, n));
+                let (mut residual, mut variance) = (means.residual(set), means.residual_variance(set));
                 if let Some(traced) = self.traced {
                     residual += traced.diffuse(i, set);
                     variance += traced.diffuse_variance(i, set);
                 }
                 halves.values[half][i] = residual / divided_by;
                 halves.variances[half][i] = variance / luminance(divided_by).powi(2);
-                excess[half][i] = sums.excess(set, n);
+                excess[half][i] = means.excess(set);
             }
         });
         let missing = surfaces.agreed_around(&excess, &albedo);
@@ -172,12 +172,12 @@ impl<'a> Pixels<'a> {
     /// What lobes show.
     fn lobes(&self) -> Halves {
         let mut halves = Halves::of_nothing(self.at.len());
-        self.each(|i, sums, n| {
+        self.each(|i, means| {
             let traced = self.traced.filter(|traced| traced.has_lobes(i));
-            halves.known[i] = sums.has_lobes() || traced.is_some();
+            halves.known[i] = means.has_lobes() || traced.is_some();
             for (half, set) in HALVES.iter().enumerate().filter(|_| halves.known[i]) {
-                halves.values[half][i] = sums.lobes(set, n);
-                halves.variances[half][i] = sums.lobes_variance(set, n);
+                halves.values[half][i] = means.lobes(set);
+                halves.variances[half][i] = means.lobes_variance(set);
                 if let Some(traced) = traced {
                     halves.values[half][i] += traced.lobes(i, set);
                     halves.variances[half][i] += traced.lobes_variance(i, set);
@@ -232,12 +232,12 @@ impl Beside {
         goes_on: GoesOn<'_>,
     ) -> Option<Self> {
         let guess = pixels.reconstructed(surfaces, [&from[..1], &from[1..]], goes_on)?;
-        let albedo = pixels.of(PixelSums::albedo);
+        let albedo = pixels.of(PixelMeans::albedo);
         let z = blocks(width, height, |i| luminance(guess[i] * albedo[i]));
         let [a, b] = [0, 1].map(|i| {
             // Uncut, or what is cut off both would seem right.
             let with = &with[i..=i];
-            let residual = pixels.of(|sums, n| sums.residual(with, n) + sums.excess(with, n));
+            let residual = pixels.of(|means| means.residual(with) + means.excess(with));
             let traced = |i: usize| match pixels.traced {
                 Some(traced) if pixels.at[i].is_some() => luminance(traced.diffuse(i, with)),
                 _ => 0.0,
@@ -291,10 +291,10 @@ pub fn settled(
     let of_roles = |roles| Beside::new(&surfaces, &pixels, roles, (width, height), goes_on);
     let beside = of_roles(HALVES)?.mean(of_roles([HALVES[1], HALVES[0]])?);
     let corrects = beside.is_better();
-    let mut diffuse = pixels.of(PixelSums::shown);
+    let mut diffuse = pixels.of(PixelMeans::shown);
     if corrects {
         let residual = pixels.reconstructed(&surfaces, [&HALVES[0], &HALVES[1]], goes_on)?;
-        let albedo = pixels.of(PixelSums::albedo);
+        let albedo = pixels.of(PixelMeans::albedo);
         for ((pixel, residual), albedo) in diffuse.iter_mut().zip(residual).zip(albedo) {
             *pixel += residual * albedo;
         }
@@ -353,9 +353,10 @@ mod tests {
                     let parts = [Vec3::ZERO, Vec3::splat(residual + noise)];
                     PixelSample { shown: Vec3::ONE, albedo: Vec3::splat(0.5), parts }
                 };
-                let all: Vec<PixelSample> = (0..sums.pixels.len()).map(&mut sample).collect();
+                let all: Vec<PixelSample> = (0..sums.len()).map(&mut sample).collect();
                 sums.add(&all);
             }
+            sums.finish();
             Some(Arc::new(sums))
         };
         let tiles: Vec<_> = (0..grid.len() as u32).map(tile).collect();

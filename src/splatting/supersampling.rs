@@ -117,7 +117,9 @@ fn sample(gather: &Gather<'_>, frame: &CameraFrame, seed: u64, [x, y]: [u32; 2],
     let mut stream = Stream::in_sequence(of_batch, u64::MAX, index);
     let [dx, dy] = stream.next_2d();
     let ray = Ray::new(frame.eye, frame.direction(x as f32 + dx, y as f32 + dy));
-    gather.seen(&ray, frame.pixel_angle(), stream.split(0)).into()
+    // Textures are read ever finer, since samples average over the pixel, too: nothing of their mips is left in the limit.
+    let spread = frame.pixel_angle() / ((sample + 1) as f32).sqrt();
+    gather.seen(&ray, spread, stream.split(0)).into()
 }
 
 /// Adds `count` samples to each pixel of a tile, going `on` from what it has.
@@ -139,6 +141,7 @@ pub fn supersample(
         let samples: Vec<PixelSample> = tiles.pixels(tile).map(of_pixel).collect();
         sums.add(&samples);
     }
+    sums.finish();
     sums
 }
 

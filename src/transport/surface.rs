@@ -2,7 +2,6 @@
 
 use glam::{Vec2, Vec3};
 
-use super::bsdf::fresnel;
 use super::interaction::mip_level;
 use crate::geometry::Hit;
 use crate::scene::{Material, MaterialId, Model, Reflectance, Scene, Texture, TextureId};
@@ -130,14 +129,7 @@ impl SurfacePoint {
             Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => {
                 self.reflectance(scene, diffuse)
             }
-            Model::Plastic { albedo, ior, .. } => {
-                let ior = ior.clamp(1.0, 3.0);
-                let base = self.reflectance(scene, albedo);
-                // Into the coat, any number of reflections below it, and out again.
-                let outer = fresnel::dielectric_mean(ior);
-                let escape = (1.0 - outer) / (ior * ior);
-                base * ((1.0 - outer) * escape) / (Vec3::ONE - base * (1.0 - escape))
-            }
+            Model::Plastic { albedo, coat } => coat.albedo(self.reflectance(scene, albedo)),
             Model::Mirror { .. }
             | Model::Conductor { .. }
             | Model::Metal { .. }

@@ -9,7 +9,6 @@ use foveal::illumination::stored::Illumination;
 use foveal::illumination::{Irradiance, atlas::Corners};
 use foveal::scene::camera::CameraFrame;
 use foveal::scene::{Mesh, Reflectance, Scene, TextureId};
-use foveal::transport::bsdf::fresnel::dielectric_mean;
 use glam::Vec3;
 
 /// Triangles under one leaf of the tree.
@@ -397,11 +396,8 @@ fn diffuse(material: &foveal::scene::Material) -> Diffuse {
         Model::Lambert { albedo } => bare(*albedo),
         Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => bare(*diffuse),
         Model::MetalRough(m) => bare(m.diffuse),
-        Model::Plastic { albedo, ior, .. } => {
-            let ior = ior.clamp(1.0, 3.0);
-            let outer = dielectric_mean(ior);
-            let escape = (1.0 - outer) / (ior * ior);
-            Diffuse { albedo: *albedo, coat: [(1.0 - outer) * escape, 1.0 - escape] }
+        Model::Plastic { albedo, coat } => {
+            Diffuse { albedo: *albedo, coat: [coat.in_and_out(), coat.back()] }
         }
         Model::Mirror { .. } | Model::Conductor { .. } | Model::Metal { .. } | Model::Dielectric { .. } => {
             bare(Reflectance::constant(Vec3::ZERO))

@@ -23,7 +23,7 @@
 use glam::Vec3;
 
 use super::mtl::{MapStatement, MtlMaterial};
-use crate::scene::{Distribution, Material, Model, Reflectance, Roughness, TextureId};
+use crate::scene::{Coat, Distribution, Material, Model, Reflectance, Roughness, TextureId};
 
 /// What was put right in materials, by the name of the first one.
 #[derive(Debug, Default)]
@@ -117,7 +117,10 @@ pub(super) fn material(
         if smooth { Model::Mirror { specular } } else { Model::Metal { specular, roughness: rough } }
     } else if m.pr.is_some() && m.ks.is_none() && map_ks.is_none() {
         let ior = m.ni.filter(|n| *n > 1.01).unwrap_or(1.5).min(10.0);
-        Model::Plastic { albedo: Reflectance { color: bounded(kd), map: map_kd }, ior, roughness: rough }
+        Model::Plastic {
+            albedo: Reflectance { color: bounded(kd), map: map_kd },
+            coat: Coat::new(ior, rough),
+        }
     } else if illum < 2 || ks.max_element() <= 0.0 {
         Model::Lambert { albedo: Reflectance { color: bounded(kd), map: map_kd } }
     } else {

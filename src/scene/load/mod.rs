@@ -11,6 +11,7 @@ mod file_tests;
 mod folder;
 mod from_mtl;
 mod gltf;
+mod hidden_texels;
 mod mtl;
 mod obj;
 mod obj_lines;
@@ -151,6 +152,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     if !pending.is_empty() {
         gltf::surfaces::finish(&mut materials, &mut textures, pending, &ids, &mut warnings);
     }
+    hidden_texels::recolor(&mut materials, &mut textures);
     let environment = environment(&sidecar, &mut folder, options, &mut warnings);
 
     let name = path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());

@@ -7,7 +7,7 @@ use super::from_mtl::default_material;
 use super::mtl::MapStatement;
 use super::sidecar::RADIANCE_MAX;
 use super::toml_table::Table;
-use crate::scene::{Distribution, Material, Model, Reflectance, Roughness, TextureId};
+use crate::scene::{Coat, Distribution, Material, Model, Reflectance, Roughness, TextureId};
 
 /// A picture that a material asks for.
 #[derive(Clone, Debug, PartialEq)]
@@ -124,8 +124,7 @@ pub(super) fn material_table(name: &str, table: &Table<'_>) -> Result<MaterialTa
         },
         "plastic" => Model::Plastic {
             albedo: r.reflectance("albedo", "map_albedo", 1.0, grey)?,
-            ior: r.ior()?,
-            roughness: r.roughness(0.1)?,
+            coat: Coat::new(r.ior()?, r.roughness(0.1)?),
         },
         "cook_torrance" => {
             let (diffuse, specular, roughness) = r.layered()?;

@@ -8,8 +8,6 @@
 //! Directions are world space, unit, and point away from the surface. Absent on purpose: subsurface
 //! scattering, layers beyond one coat, dispersion.
 
-pub mod fresnel;
-pub mod microfacet;
 pub mod peaks;
 
 use std::f32::consts::{FRAC_1_PI, PI};
@@ -19,8 +17,9 @@ use glam::Vec3;
 use super::interaction::Interaction;
 use crate::image::luminance;
 use crate::math;
+pub use crate::scene::fresnel;
+use crate::scene::microfacet::Microfacet;
 use crate::scene::{Distribution, MetalRough, Model, Reflectance, Roughness, Scene, SplitSum};
-use microfacet::Microfacet;
 
 /// One sampled direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -109,8 +108,8 @@ enum Lobe {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Coat {
     None,
-    /// A smooth dielectric of this index.
-    Dielectric(f32),
+    /// A plastic's.
+    Dielectric(crate::scene::Coat),
     /// A layer ([`crate::scene::metal_rough::Layer`]) of these reflectances at normal and grazing incidence; light
     /// crosses it to `kept` on average.
     Layer {
@@ -133,15 +132,6 @@ pub struct Bsdf {
     lobe: Lobe,
 }
 
-fn microfacet(r: &Roughness, v_groove: bool) -> Option<Microfacet> {
-    (!r.is_smooth()).then(|| Microfacet {
-        ax: r.alpha_x.clamp(Roughness::SMOOTH, 1.0),
-        ay: r.alpha_y.clamp(Roughness::SMOOTH, 1.0),
-        distribution: r.distribution,
-        v_groove,
-    })
-}
-
 impl Bsdf {
     /// The reflectance at an interaction, seen from its `wo`.
     pub fn at(scene: &Scene, at: &Interaction) -> Self {
@@ -162,9 +152,9 @@ impl Bsdf {
         if at.back && !m.two_sided {
             return bsdf;
         }
-        let facet_lobe = |facet: Facet, r: &Roughness, v_groove: bool| match microfacet(r, v_groove) {
+        let facet_lobe = |facet: Facet, r: &Roughness, v_groove: bool| match Microfacet::of(r) {
             None => Lobe::Smooth { facet },
-            Some(microfacet) => Lobe::Glossy { facet, microfacet },
+            Some(microfacet) => Lobe::Glossy { facet, microfacet: Microfacet { v_groove, ..microfacet } },
         };
         match &m.model {
             Model::Lambert { .. } => {}
@@ -182,14 +172,13 @@ impl Bsdf {
                     Lobe::Pane { eta: ior, transmittance: *transmittance }
                 } else {
                     let eta = if at.back { 1.0 / ior } else { ior };
-                    Lobe::Glass { eta, microfacet: microfacet(roughness, false) }
+                    Lobe::Glass { eta, microfacet: Microfacet::of(roughness) }
                 };
             }
-            Model::Plastic { ior, roughness, .. } => {
-                let ior = ior.clamp(1.0, 3.0);
-                if ior > 1.0 {
-                    bsdf.coat = Coat::Dielectric(ior);
-                    bsdf.lobe = facet_lobe(Facet::Dielectric { eta: ior }, roughness, false);
+            Model::Plastic { coat, .. } => {
+                if !coat.is_none() {
+                    bsdf.coat = Coat::Dielectric(*coat);
+                    bsdf.lobe = facet_lobe(Facet::Dielectric { eta: coat.ior }, &coat.roughness, false);
                 }
             }
             Model::MetalRough(m) if m.is_diffuse => {}
@@ -231,7 +220,7 @@ impl Bsdf {
                 let specular = lookup(specular).min(Vec3::ONE - bsdf.diffuse);
                 if specular.max_element() > 0.0 {
                     let beckmann = Roughness { distribution: Distribution::Beckmann, ..*roughness };
-                    bsdf.lobe = match microfacet(&beckmann, false) {
+                    bsdf.lobe = match Microfacet::of(&beckmann) {
                         None => Lobe::Mirror { reflectance: specular },
                         Some(microfacet) => Lobe::Ward { specular, microfacet },
                     };
@@ -246,15 +235,13 @@ impl Bsdf {
         self.diffuse
     }
 
-    /// How much more or less of the diffuse light leaves towards `wo` than on average: (1 − F(wo)) / (1 − F̄)
-    /// under a coat, 1 otherwise.
+    /// How much more or less of the diffuse light leaves towards `wo` than on average: T(wo) / T̄ under a coat that lets
+    /// T of the light cross, 1 otherwise.
     pub fn coat_factor(&self, wo: Vec3) -> f32 {
         let cosine = wo.dot(self.normal).max(0.0);
         match self.coat {
             Coat::None => 1.0,
-            Coat::Dielectric(ior) => {
-                (1.0 - fresnel::dielectric(cosine, ior)) / (1.0 - fresnel::dielectric_mean(ior))
-            }
+            Coat::Dielectric(coat) => coat.factor(cosine),
             Coat::Layer { f0, f90, alpha, kept } => {
                 (1.0 - SplitSum::table().layer(f0, f90, cosine, alpha)) / kept
             }

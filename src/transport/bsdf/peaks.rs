@@ -36,7 +36,7 @@ impl Model {
                 luminance(Vec3::new(band(0), band(1), band(2))).clamp(0.0, 1.0)
             }
             Self::MetalRough(m) => m.specular_mean.clamp(0.0, 1.0),
-            Self::Plastic { ior, .. } => fresnel::dielectric_mean(ior.clamp(1.0, 3.0)),
+            Self::Plastic { coat, .. } => coat.reflects(),
         }
     }
 }

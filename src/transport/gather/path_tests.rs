@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::math;
-use crate::scene::{Distribution, Light, Model, Reflectance, Roughness};
+use crate::scene::{Coat, Distribution, Light, Model, Reflectance, Roughness};
 use crate::transport::test_boxes::{Builder, glass, lambert, mean, rough};
 
 fn nobody<'a>(scene: &'a Scene, accel: &'a Accel, lights: &'a Lights) -> Gather<'a> {
@@ -97,8 +97,8 @@ fn models() -> Vec<(Model, bool)> {
         (Model::Metal { specular: white, roughness: rough(0.3) }, false),
         (Model::Metal { specular: white, roughness: rough(1.0) }, false),
         (Model::Conductor { eta: Vec3::splat(0.14), k: Vec3::splat(4.0), roughness: beckmann }, false),
-        (Model::Plastic { albedo: white, ior: 1.5, roughness: rough(0.0) }, true),
-        (Model::Plastic { albedo: half, ior: 1.5, roughness: rough(0.2) }, false),
+        (Model::Plastic { albedo: white, coat: Coat::new(1.5, rough(0.0)) }, true),
+        (Model::Plastic { albedo: half, coat: Coat::new(1.5, rough(0.2)) }, false),
         (Model::CookTorrance { diffuse: half, specular: half, roughness: beckmann }, false),
         (Model::Ward { diffuse: half, specular: half, roughness: skewed }, false),
     ]

@@ -1,7 +1,7 @@
 use super::*;
 use crate::illumination::Uniform;
 use crate::scene::texture::{MipChain, Texture};
-use crate::scene::{Distribution, Light, Material, Model, Reflectance, Roughness, TextureId};
+use crate::scene::{Coat, Distribution, Light, Material, Model, Reflectance, Roughness, TextureId};
 use crate::transport::test_boxes::{Builder, glass, lambert, mean, rough};
 
 /// A map that says this everywhere.
@@ -72,7 +72,7 @@ fn wrong_maps_leave_no_trace_among_all_kinds_of_surfaces() {
     let mut b = Builder::default();
     let wall = b.material(lambert(0.6));
     let lamp = b.emitter(lambert(0.0), Vec3::splat(4.0));
-    let coated = b.material(Model::Plastic { albedo: half, ior: 1.5, roughness: rough(0.1) });
+    let coated = b.material(Model::Plastic { albedo: half, coat: Coat::new(1.5, rough(0.1)) });
     let metal = b.material(Model::Metal { specular: half, roughness: rough(0.4) });
     let mirror = b.material(Model::Mirror { specular: half });
     let ball = b.material(glass(1.5, 0.9, false));

@@ -1,6 +1,6 @@
 use super::*;
 use crate::illumination::Uniform;
-use crate::scene::{Model, Reflectance};
+use crate::scene::{Coat, Model, Reflectance};
 use crate::transport::gather::{Gather, Trust};
 use crate::transport::test_boxes::{Builder, glass, lambert, mean, rough};
 
@@ -64,7 +64,7 @@ fn the_two_parts_add_up() {
         Model::Mirror { specular: white() },
         glass(1.5, 0.9, false),
         glass(1.5, 0.9, true),
-        Model::Plastic { albedo: Reflectance::constant(Vec3::splat(0.6)), ior: 1.5, roughness: rough(0.0) },
+        Model::Plastic { albedo: Reflectance::constant(Vec3::splat(0.6)), coat: Coat::new(1.5, rough(0.0)) },
     ] {
         let mut b = Builder::default();
         let material = b.material(model.clone());
@@ -91,7 +91,7 @@ fn agrees_with_the_path_tracer_in_a_furnace() {
         glass(1.5, 1.0, true),
         Model::Dielectric { ior: 1.5, transmittance: Vec3::ONE, thin: false, roughness: rough(0.2) },
         Model::Metal { specular: white(), roughness: rough(0.3) },
-        Model::Plastic { albedo: white(), ior: 1.5, roughness: rough(0.1) },
+        Model::Plastic { albedo: white(), coat: Coat::new(1.5, rough(0.1)) },
         Model::Ward {
             diffuse: Reflectance::constant(Vec3::splat(0.3)),
             specular: Reflectance::constant(Vec3::splat(0.6)),

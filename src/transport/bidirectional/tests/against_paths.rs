@@ -1,7 +1,7 @@
 //! Against the path tracer, in scenes of which both see all light.
 
 use super::*;
-use crate::scene::{Distribution, Roughness, Texture, TextureId, texture::MipChain};
+use crate::scene::{Coat, Distribution, Roughness, Texture, TextureId, texture::MipChain};
 use crate::transport::gather::{Gather, Trust};
 use crate::transport::test_boxes::rough;
 
@@ -78,7 +78,7 @@ fn diffuse_and_glossy_bodies() {
         (
             "coats",
             vec![
-                Model::Plastic { albedo: half, ior: 1.5, roughness: rough(0.3) },
+                Model::Plastic { albedo: half, coat: Coat::new(1.5, rough(0.3)) },
                 Model::CookTorrance { diffuse: half, specular: some, roughness: beckmann },
                 Model::Ward { diffuse: some, specular: half, roughness: skewed },
             ],
@@ -108,8 +108,7 @@ fn mirrors_glass_and_smooth_coats() {
             "coat",
             Model::Plastic {
                 albedo: Reflectance::constant(Vec3::splat(0.5)),
-                ior: 1.5,
-                roughness: rough(0.0),
+                coat: Coat::new(1.5, rough(0.0)),
             },
         ),
     ];

@@ -2,8 +2,8 @@
 
 use glam::{Vec2, Vec3};
 
+use super::{Distribution, Roughness};
 use crate::math;
-use crate::scene::Distribution;
 
 /// A distribution of facet normals with slopes along two axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,6 +30,16 @@ pub struct Reflection {
 }
 
 impl Microfacet {
+    /// The facets of a surface with Smith's shadowing; none where it is smooth.
+    pub fn of(roughness: &Roughness) -> Option<Self> {
+        (!roughness.is_smooth()).then(|| Self {
+            ax: roughness.alpha_x.clamp(Roughness::SMOOTH, 1.0),
+            ay: roughness.alpha_y.clamp(Roughness::SMOOTH, 1.0),
+            distribution: roughness.distribution,
+            v_groove: false,
+        })
+    }
+
     /// D(h): ∫ D h_z dω = 1.
     pub fn d(&self, h: Vec3) -> f32 {
         let z2 = h.z * h.z;

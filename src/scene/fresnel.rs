@@ -45,12 +45,6 @@ pub fn schlick_between(cosine: f32, f0: Vec3, f90: Vec3) -> Vec3 {
     f0 + (f90 - f0) * (m * m * (m * m) * m)
 }
 
-/// Cosine-weighted mean over the hemisphere of [`dielectric`] from outside, for eta in [1, 3]: the fit of
-/// Kulla & Conty 2017 (within 0.01 of the quadrature, tested).
-pub fn dielectric_mean(eta: f32) -> f32 {
-    ((eta - 1.0) / (4.08567 + 1.00071 * eta)).clamp(0.0, 0.9)
-}
-
 /// Reflectance and transmittance of a thin pane, all reflections between its faces summed: without
 /// absorption 2R / (1 + R).
 pub fn pane(cosine: f32, eta: f32, transmittance: Vec3) -> (Vec3, Vec3) {
@@ -100,15 +94,6 @@ mod tests {
         }
         for c in [0.1, 0.5, 1.0] {
             assert!((conductor(c, 1.5, 0.0) - dielectric(c, 1.5)).abs() < 1e-5);
-        }
-    }
-
-    #[test]
-    fn mean_agrees_with_quadrature() {
-        for eta in [1.0f32, 1.1, 1.3, 1.5, 2.0, 2.5, 3.0] {
-            let n = 4000;
-            let sum: f32 = (0..n).map(|i| dielectric(((i as f32 + 0.5) / n as f32).sqrt(), eta)).sum();
-            assert!((dielectric_mean(eta) - sum / n as f32).abs() < 0.01, "{eta}");
         }
     }
 }

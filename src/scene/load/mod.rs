@@ -141,6 +141,11 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
             sidecar.cameras.push(camera);
         }
     }
+    for path in own.paths {
+        if !sidecar.paths.iter().any(|p| p.name == path.name) {
+            sidecar.paths.push(path);
+        }
+    }
     let mut requests = TextureRequests::default();
     let Materials { mut materials, filters, pending } =
         materials(&joined, &sidecar, &folder, &mut requests, &mut warnings);
@@ -154,7 +159,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     let environment = environment(&sidecar, &mut folder, options, &mut warnings);
 
     let name = path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
-    let (mesh, labels) = joined.into_mesh(path, &mut warnings)?;
+    let (mesh, labels) = joined.into_mesh(path, own.any, &mut warnings)?;
     let bounds = mesh.bounds();
     let grouped = hierarchy::group(&mesh, &materials, sidecar.up, |t| labels.name(t));
     let mut scene = SceneParts {
@@ -280,6 +285,7 @@ fn read_mesh(
         joined.own.any = true;
         joined.own.lights.extend(file.lights);
         joined.own.cameras.extend(file.cameras);
+        joined.own.paths.extend(file.paths);
         let library =
             Library { relative, shown: shown.clone(), materials: Definitions::Gltf(file.materials) };
         joined.add(file.mesh, shown, base, vec![library]);

@@ -187,6 +187,8 @@ fn gltf(t: &Table<'_>) -> Result<Choices, SceneError> {
         scene: t.string("scene")?.map(str::to_owned),
         variant: t.string("variant")?.map(str::to_owned),
         light_scale: t.number_in("light_scale", good, "between 1e-9 and 1e9")?.unwrap_or(1.0),
+        play: t.string("play")?.map(str::to_owned),
+        time: t.number_in("time", |v| (-1e6..=1e6).contains(&v), "between -1e6 and 1e6 seconds")?,
         ignored: t.strings("ignore")?.unwrap_or_default().into_iter().map(|(n, _)| n.to_owned()).collect(),
     };
     t.finish()?;

@@ -36,7 +36,10 @@ pub(super) struct Document {
     #[serde(default)]
     pub cameras: List<Camera>,
     #[serde(default)]
-    pub animations: List<IgnoredAny>,
+    pub animations: List<Animation>,
+    #[serde(default)]
+    #[expect(dead_code, reason = "read so that a skin without joints is no document")]
+    pub skins: List<Skin>,
     #[serde(default)]
     pub extensions_used: List<String>,
     #[serde(default)]
@@ -253,6 +256,28 @@ pub(super) struct BufferView {
     pub byte_offset: Whole,
     pub byte_length: Whole,
     pub byte_stride: Option<Whole>,
+    #[serde(default)]
+    pub extensions: ViewExtensions,
+}
+
+#[derive(Debug, Default, Deserialize)]
+pub(super) struct ViewExtensions {
+    #[serde(rename = "EXT_meshopt_compression", alias = "KHR_meshopt_compression")]
+    pub meshopt: Option<Meshopt>,
+}
+
+/// Where a compressed view really lies.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Meshopt {
+    pub buffer: Index,
+    #[serde(default)]
+    pub byte_offset: Whole,
+    pub byte_length: Whole,
+    pub byte_stride: Whole,
+    pub count: Whole,
+    pub mode: String,
+    pub filter: Option<String>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -441,6 +466,54 @@ pub(super) struct Glossiness {
     #[serde(default = "one")]
     pub glossiness_factor: f32,
     pub specular_glossiness_texture: Option<TextureInfo>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Skin {
+    #[expect(dead_code, reason = "has to be there")]
+    pub joints: List<Index>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Animation {
+    pub name: Option<String>,
+    #[serde(default)]
+    pub channels: List<Channel>,
+    #[serde(default)]
+    pub samplers: List<AnimationSampler>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Channel {
+    pub sampler: Index,
+    pub target: Target,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Target {
+    pub node: Option<Index>,
+    pub path: String,
+    #[serde(default)]
+    pub extensions: TargetExtensions,
+}
+
+#[derive(Debug, Default, Deserialize)]
+pub(super) struct TargetExtensions {
+    #[serde(rename = "KHR_animation_pointer")]
+    pub pointer: Option<Pointer>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Pointer {
+    #[expect(dead_code, reason = "has to be there")]
+    pub pointer: String,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct AnimationSampler {
+    pub input: Index,
+    pub output: Index,
+    pub interpolation: Option<String>,
 }
 
 #[derive(Debug, Deserialize)]

@@ -37,11 +37,18 @@ pub(super) fn read(
         odd.count("a primitive without POSITION", "not drawn");
         return Ok(None);
     };
+    if [Some(position), primitive.indices].into_iter().flatten().any(|i| accessors.is_placeholder(i)) {
+        odd.count("a mesh whose buffer names no file", "not drawn");
+        return Ok(None);
+    }
     let positions: Vec<Vec3> =
         accessors.floats::<3>(position, "positions")?.into_iter().map(Vec3::from).collect();
     let count = positions.len();
     let vertices = |index: Option<Index>, odd: &mut Oddities| -> Result<Option<Index>, Problem> {
         let Some(index) = index else { return Ok(None) };
+        if accessors.is_placeholder(index) {
+            return Ok(None);
+        }
         if accessors.count(index)? == count as u64 {
             return Ok(Some(index));
         }

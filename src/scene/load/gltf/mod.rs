@@ -5,6 +5,7 @@
 //! are, and only what the shown scene draws is read at all. What is odd but harmless becomes one line per kind.
 
 mod accessor;
+mod animation;
 mod buffers;
 mod container;
 mod document;
@@ -12,11 +13,15 @@ mod extensions;
 mod lights;
 mod materials;
 mod meshes;
+mod meshopt;
 mod nodes;
 mod number;
 pub(super) mod surfaces;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod verdicts;
+mod whole;
 
 use std::collections::hash_map::Entry;
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -28,8 +33,10 @@ use super::LoadOptions;
 use super::error::{Place, SceneError, Warning};
 use super::folder::Folder;
 use super::obj::{ObjFile, Run};
-use crate::scene::{Light, NamedCamera};
+use crate::scene::camera::PathKey;
+use crate::scene::{CameraPath, Light, NamedCamera};
 use accessor::Accessors;
+use animation::{Motion, Moved};
 use buffers::Buffers;
 use document::{Document, Instancing, Primitive};
 use materials::{Coordinates, Pictures};
@@ -103,11 +110,15 @@ pub(super) struct Choices {
     pub light_scale: f32,
     /// Extensions to do without.
     pub ignored: Vec<String>,
+    /// Name of the animation that moves cameras and poses the scene.
+    pub play: Option<String>,
+    /// The time at which the scene stands, seconds; before its animation begins where there is none.
+    pub time: Option<f32>,
 }
 
 impl Default for Choices {
     fn default() -> Self {
-        Self { scene: None, variant: None, light_scale: 1.0, ignored: Vec::new() }
+        Self { scene: None, variant: None, light_scale: 1.0, ignored: Vec::new(), play: None, time: None }
     }
 }
 
@@ -120,6 +131,8 @@ pub(super) struct GltfFile {
     pub materials: Vec<Source>,
     pub lights: Vec<Light>,
     pub cameras: Vec<NamedCamera>,
+    /// Of cameras that an animation moves, by their names.
+    pub paths: Vec<CameraPath>,
 }
 
 /// Reads a file. `shown` names it in messages; `base` is its folder, relative to the scene's.
@@ -154,7 +167,7 @@ pub(super) fn parse(
         return Err(refuse(Problem::new("/asset/version", message)));
     }
     let mut odd = Oddities::default();
-    extensions::check(&document, &choices.ignored, &place, &mut odd)?;
+    extensions::check(&document, json, &choices.ignored, &place, &mut odd)?;
     let mut buffers = Buffers::new(&document, folder, base, bytes, container.bin);
     let mut reader = Reader {
         document: &document,
@@ -170,6 +183,11 @@ pub(super) fn parse(
     };
     reader.read(&mut buffers).map_err(refuse)?;
     let out = reader.out;
+    if out.mesh.triangles.is_empty() {
+        whole::check(&document, json, &mut buffers, &mut odd)
+            .map_err(refuse)?;
+        odd.count("no triangle", "nothing is drawn but the sky");
+    }
     odd.report(&place, warnings);
     Ok(out)
 }
@@ -202,10 +220,17 @@ impl<'d> Reader<'d, '_> {
                 &every
             }
         };
-        let placed = nodes::placed(document, roots)?;
-        if !document.animations.is_empty() {
-            self.odd.count("animation", "not played; everything stands as it does before it begins");
+        let motion = match animation::chosen(document, self.choices.play.as_deref(), self.odd) {
+            None => Motion::default(),
+            Some(animation) => animation::read(animation, document, buffers, self.odd)?,
+        };
+        let time = self.choices.time;
+        let placed =
+            nodes::placed(document, roots, |n| time.map_or(Moved::default(), |t| motion.at(n, t)))?;
+        if !document.animations.is_empty() && time.is_none() {
+            self.odd.count("animation", "not played; things stand as they do before it begins");
         }
+        let mut viewers: Vec<(usize, String)> = Vec::new();
         let mut parts: HashMap<u32, Vec<Option<Part>>> = HashMap::new();
         let mut things = 0usize;
         for p in &placed {
@@ -215,7 +240,7 @@ impl<'d> Reader<'d, '_> {
                 if let Some(view) = lights::camera(camera, &p.world, self.odd) {
                     let name =
                         node.name.as_deref().or(camera.name.as_deref()).map_or_else(String::new, named);
-                    self.add_camera(name, view);
+                    viewers.extend(self.add_camera(name, view).map(|name| (p.node, name)));
                 }
             }
             let extensions = node.extensions.as_deref();
@@ -261,6 +286,31 @@ impl<'d> Reader<'d, '_> {
                 }
             }
         }
+        self.add_paths(&viewers, &motion)
+    }
+
+    /// Adds the paths of cameras that move.
+    fn add_paths(&mut self, viewers: &[(usize, String)], motion: &Motion) -> Result<(), Problem> {
+        let document = self.document;
+        let chains = nodes::chains(document, &viewers.iter().map(|v| v.0).collect::<Vec<_>>());
+        for ((node, name), chain) in viewers.iter().zip(chains) {
+            let moving: Vec<usize> = chain.iter().copied().filter(|&n| motion.moves(n)).collect();
+            let Some(camera) = document.nodes[*node].camera.filter(|_| !moving.is_empty()) else { continue };
+            let camera = get(&document.cameras, camera, "cameras")?;
+            let mut unheard = Oddities::default();
+            let keys: Vec<PathKey> = motion
+                .moments(&moving, self.odd)
+                .into_iter()
+                .filter_map(|t| {
+                    let world = nodes::world(document, &chain, |n| motion.at(n, t));
+                    let view = lights::camera(camera, &world, &mut unheard)?;
+                    Some(PathKey { t, eye: view.eye, target: view.target })
+                })
+                .collect();
+            if !keys.is_empty() {
+                self.out.paths.push(CameraPath { name: name.clone(), keys });
+            }
+        }
         Ok(())
     }
 
@@ -295,17 +345,19 @@ impl<'d> Reader<'d, '_> {
         }
     }
 
-    fn add_camera(&mut self, name: String, camera: crate::scene::Camera) {
+    /// Adds a camera; returns the name that it has got.
+    fn add_camera(&mut self, name: String, camera: crate::scene::Camera) -> Option<String> {
         let name = if name.is_empty() { "camera".to_owned() } else { name };
         let taken = |n: &str| self.out.cameras.iter().any(|c| c.name == n);
         // A document of a million cameras is no reason to look long for a name.
         if self.out.cameras.len() >= 1024 {
             self.odd.count("a camera beyond the first 1024", "left out");
-            return;
+            return None;
         }
         let unique = (2..).map(|n| format!("{name} ({n})"));
         let name = std::iter::once(name.clone()).chain(unique).find(|n| !taken(n)).unwrap_or(name);
-        self.out.cameras.push(NamedCamera { name, camera });
+        self.out.cameras.push(NamedCamera { name: name.clone(), camera });
+        Some(name)
     }
 
     /// The slot of the material of a primitive.

@@ -429,7 +429,7 @@ fn variants_and_required_extensions_are_chosen_by_name() {
     let rest = format!(
         r#"{mesh}, "nodes": [{{"mesh": 0}}], "materials": [{{"name": "wood"}}, {{"name": "steel"}}],
         "extensions": {{"KHR_materials_variants": {{"variants": [{{"name": "a"}}, {{"name": "b"}}]}}}},
-        "extensionsRequired": ["KHR_materials_sheen"]"#
+        "extensionsRequired": ["KHR_materials_sheen"], "extensionsUsed": ["KHR_materials_sheen"]"#
     );
     let file = place.write("a.gltf", maker.text(&rest));
     let with = |ignored: &[&str], variant: Option<&str>| {

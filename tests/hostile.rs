@@ -56,7 +56,9 @@ fn a_document_without_triangles_shows_the_sky() {
     let folder = folder("empty-gltf");
     let file = folder.join("empty.gltf");
     fs::write(&file, "{\"asset\": {\"version\": \"2.0\"}, \"nodes\": [{}]}").expect("a file");
-    for words in ["explain", "walk --frames 2 --size 48x32", "bake", "reference --size 48x32 --spp 2 --out empty.png"] {
+    for words in
+        ["explain", "walk --frames 2 --size 48x32", "bake", "reference --size 48x32 --spp 2 --out empty.png"]
+    {
         let words = words.replace("empty.png", &folder.join("empty.png").display().to_string());
         let ended = Foveal::new(&words).arg(&file).ok();
         assert!(ended.err.contains("no triangle"), "{words}: {}", ended.err);

@@ -55,7 +55,10 @@ pub fn scene() -> ImageResult<SceneFiles> {
     table(&mut g, &mut roots);
     plant_and_veil(&mut g, &mut roots);
     lamps_and_cameras(&mut g, &mut roots);
-    let times = g.floats(&(0..TOUR.len()).map(|i| [2.0 * i as f64]).collect::<Vec<_>>(), r#", "min": [0], "max": [12]"#);
+    let times = g.floats(
+        &(0..TOUR.len()).map(|i| [2.0 * i as f64]).collect::<Vec<_>>(),
+        r#", "min": [0], "max": [12]"#,
+    );
     let eyes = g.floats(&TOUR.map(|[eye, _]| eye), "");
     let turns = g.floats(&TOUR.map(|[eye, target]| looking(eye.into(), target.into()).to_array()), "");
     let tour = roots[roots.len() - 1];
@@ -161,7 +164,10 @@ fn table(g: &mut Gltf, roots: &mut Vec<usize>) {
     );
     let pane = g.material(
         "Pane",
-        &with(plain([0.95, 0.8, 0.55], 0.0, 0.0), r#""KHR_materials_transmission": { "transmissionFactor": 1 }"#),
+        &with(
+            plain([0.95, 0.8, 0.55], 0.0, 0.0),
+            r#""KHR_materials_transmission": { "transmissionFactor": 1 }"#,
+        ),
     );
     // One box for the top and the four legs, in sixteen bits.
     let block = g.quantised("Block", &cuboid(v(-0.5, -0.5, -0.5), v(0.5, 0.5, 0.5)), lacquer);
@@ -169,13 +175,16 @@ fn table(g: &mut Gltf, roots: &mut Vec<usize>) {
         format!(r#""translation": [{x}, {y}, {z}], "scale": {size:?}"#)
     };
     roots.push(g.thing("Top", block, 1, &scaled(0.0, 0.72, -0.6, [1.7, 0.05, 0.8])));
-    for (i, (x, z)) in [(-0.78, -0.93), (0.78, -0.93), (-0.78, -0.27), (0.78, -0.27)].into_iter().enumerate() {
+    for (i, (x, z)) in [(-0.78, -0.93), (0.78, -0.93), (-0.78, -0.27), (0.78, -0.27)].into_iter().enumerate()
+    {
         roots.push(g.thing(&format!("Leg {i}"), block, 1, &scaled(x, 0.348, z, [0.06, 0.695, 0.06])));
     }
     let ball = |radius: f64| sphere(DVec3::ZERO, radius, 40, 20);
-    for (name, material, radius, x, z) in
-        [("Gold", gold, 0.13, -0.62, -0.62), ("Chrome", chrome, 0.15, -0.28, -0.72), ("Enamel", enamel, 0.1, 0.02, -0.42)]
-    {
+    for (name, material, radius, x, z) in [
+        ("Gold", gold, 0.13, -0.62, -0.62),
+        ("Chrome", chrome, 0.15, -0.28, -0.72),
+        ("Enamel", enamel, 0.1, 0.02, -0.42),
+    ] {
         let mesh = g.mesh(name, &ball(radius), material, "");
         let y = 0.7455 + radius;
         roots.push(g.thing(name, mesh, 1, &format!(r#""translation": [{x}, {y}, {z}]"#)));
@@ -185,7 +194,12 @@ fn table(g: &mut Gltf, roots: &mut Vec<usize>) {
     let tumbler = tumbler();
     let tumbler = g.mesh("Tumbler", &tumbler, glass, "");
     roots.push(g.thing("Tumbler", tumbler, 1, r#""translation": [0.3, 0.7455, -0.55]"#));
-    let screen = g.mesh("Screen", &quad(v(-0.13, 0.0, 0.0), v(0.26, 0.0, 0.0), v(0.0, 0.3, 0.0), [1.0, 1.0]), pane, "");
+    let screen = g.mesh(
+        "Screen",
+        &quad(v(-0.13, 0.0, 0.0), v(0.26, 0.0, 0.0), v(0.0, 0.3, 0.0), [1.0, 1.0]),
+        pane,
+        "",
+    );
     let turn = DQuat::from_xyzw(0.0, -0.34, 0.0, 0.94).normalize();
     let [x, y, z, w] = turn.to_array().map(|v| (v * 1e4).round() / 1e4);
     roots.push(g.thing(
@@ -194,7 +208,8 @@ fn table(g: &mut Gltf, roots: &mut Vec<usize>) {
         1,
         &format!(r#""translation": [0.52, 0.7455, -0.45], "rotation": [{x}, {y}, {z}, {w}]"#),
     ));
-    let hidden = g.thing("Spare", ring, 0, r#""extensions": { "KHR_node_visibility": { "visible": false } }"#);
+    let hidden =
+        g.thing("Spare", ring, 0, r#""extensions": { "KHR_node_visibility": { "visible": false } }"#);
     roots.push(hidden);
 }
 
@@ -214,7 +229,14 @@ fn plant_and_veil(g: &mut Gltf, roots: &mut Vec<usize>) {
         r#""alphaMode": "MASK", "alphaCutoff": 0.5, "doubleSided": true, "pbrMetallicRoughness": { "metallicFactor": 0, "roughnessFactor": 0.9, "baseColorTexture": { "index": 2 } }"#,
     );
     let clay = g.material("Clay", &plain([0.55, 0.28, 0.16], 0.0, 0.95));
-    let pot = lathe(&[curve(&[[0.0, 0.0], [0.1, 0.0]], 1), curve(&[[0.1, 0.0], [0.13, 0.12], [0.15, 0.2]], 4), curve(&[[0.15, 0.2], [0.0, 0.19]], 1)], 32);
+    let pot = lathe(
+        &[
+            curve(&[[0.0, 0.0], [0.1, 0.0]], 1),
+            curve(&[[0.1, 0.0], [0.13, 0.12], [0.15, 0.2]], 4),
+            curve(&[[0.15, 0.2], [0.0, 0.19]], 1),
+        ],
+        32,
+    );
     let pot = g.mesh("Pot", &pot, clay, "");
     roots.push(g.thing("Pot", pot, 1, r#""translation": [1.3, 0.001, -1.3]"#));
     // Leaves around, each a card that leans outwards.
@@ -225,7 +247,9 @@ fn plant_and_veil(g: &mut Gltf, roots: &mut Vec<usize>) {
         let (s, c) = (f64::from(i) * 2.399_963).sin_cos();
         let lean = 0.18 + 0.05 * f64::from(i % 5);
         rows.0.push([0.04 * s, 0.19 + 0.008 * f64::from(i), 0.04 * c]);
-        rows.1.push((DQuat::from_rotation_y(f64::from(i) * 2.399_963) * DQuat::from_rotation_x(lean)).to_array());
+        rows.1.push(
+            (DQuat::from_rotation_y(f64::from(i) * 2.399_963) * DQuat::from_rotation_x(lean)).to_array(),
+        );
         rows.2.push([1.0, 0.8 + 0.07 * f64::from(i % 4), 1.0]);
     }
     let (t, r, s) = (g.floats(&rows.0, ""), g.floats(&rows.1, ""), g.floats(&rows.2, ""));
@@ -248,7 +272,8 @@ fn plant_and_veil(g: &mut Gltf, roots: &mut Vec<usize>) {
     let sign_mesh = g.mesh("Chart", &sign_mesh, sign, "");
     roots.push(g.thing("Chart", sign_mesh, 1, ""));
     let bench = g.material("Oak", &plain([0.5, 0.36, 0.2], 0.0, 0.6));
-    let bench_mesh = g.mesh("Bench", &rounded_box(v(0.95, 0.001, 0.3), v(1.45, 0.42, 1.2), 0.02, 2), bench, "");
+    let bench_mesh =
+        g.mesh("Bench", &rounded_box(v(0.95, 0.001, 0.3), v(1.45, 0.42, 1.2), 0.02, 2), bench, "");
     roots.push(g.thing("Bench", bench_mesh, 1, ""));
 }
 
@@ -259,7 +284,8 @@ fn lamps_and_cameras(g: &mut Gltf, roots: &mut Vec<usize>) {
     );
     let bulb = g.mesh("Bulb", &sphere(DVec3::ZERO, 0.07, 24, 12), glow, "");
     roots.push(g.thing("Bulb", bulb, 1, r#""translation": [1.3, 1.9, -1.3]"#));
-    let light = |number: usize| format!(r#""extensions": {{ "KHR_lights_punctual": {{ "light": {number} }} }}"#);
+    let light =
+        |number: usize| format!(r#""extensions": {{ "KHR_lights_punctual": {{ "light": {number} }} }}"#);
     roots.push(g.node("Ceiling light", &format!(r#""translation": [-0.9, 2.3, 1.2], {}"#, light(0))));
     let spot = Gltf::pose(v(0.1, 2.45, 0.5), v(-0.1, 0.75, -0.6));
     roots.push(g.node("Spot", &format!("{spot}, {}", light(1))));

@@ -120,7 +120,14 @@ impl Gltf {
         self.primitive(name, &attributes, &indices, material, "")
     }
 
-    fn primitive(&mut self, name: &str, attributes: &str, indices: &[u32], material: usize, more: &str) -> usize {
+    fn primitive(
+        &mut self,
+        name: &str,
+        attributes: &str,
+        indices: &[u32],
+        material: usize,
+        more: &str,
+    ) -> usize {
         let bytes: Vec<u8> = indices.iter().flat_map(|i| i.to_le_bytes()).collect();
         let view = self.view(&bytes, None);
         let list = self.accessor(view, WORD, indices.len(), "SCALAR", "");
@@ -151,7 +158,13 @@ impl Gltf {
     }
 
     /// The files of the scene. `rest` are the document's other keys; all nodes in `roots` are shown.
-    pub fn finish(self, name: &str, roots: &[usize], rest: &str, pictures: Vec<(&str, Vec<u8>)>) -> SceneFiles {
+    pub fn finish(
+        self,
+        name: &str,
+        roots: &[usize],
+        rest: &str,
+        pictures: Vec<(&str, Vec<u8>)>,
+    ) -> SceneFiles {
         let mut text = format!(
             "{{\n\"asset\": {{ \"version\": \"2.0\", \"generator\": \"foveal scenes/generate.rs\", \
              \"copyright\": \"CC0\" }},\n\"scene\": 0,\n\"scenes\": [{{ \"nodes\": {roots:?} }}],\n"
@@ -169,7 +182,8 @@ impl Gltf {
         let _ = writeln!(text, r#""buffers": [{{ "uri": "{name}.bin", "byteLength": {length} }}],"#);
         text.push_str(rest.trim());
         text.push_str("\n}\n");
-        let mut files = vec![(format!("{name}.gltf"), text.into_bytes()), (format!("{name}.bin"), self.bytes)];
+        let mut files =
+            vec![(format!("{name}.gltf"), text.into_bytes()), (format!("{name}.bin"), self.bytes)];
         files.extend(pictures.into_iter().map(|(file, bytes)| (file.to_owned(), bytes)));
         SceneFiles { name: name.to_owned(), triangle_count: self.shown, files }
     }

@@ -10,11 +10,13 @@ mod defaults;
 pub mod environment;
 pub mod hierarchy;
 pub mod load;
+pub mod lobe_albedo;
 pub mod material;
 pub mod metal_rough;
 pub mod mip_cache;
 pub mod path;
 pub mod plan;
+pub mod sheen;
 pub mod split_sum;
 #[cfg(test)]
 pub mod test_scenes;
@@ -27,8 +29,10 @@ use glam::{Vec2, Vec3};
 
 pub use camera::{Camera, CameraPath, NamedCamera};
 pub use environment::Environment;
+pub use lobe_albedo::LobeAlbedo;
 pub use material::{Distribution, Material, MaterialId, Model, Reflectance, Roughness, TextureId};
 pub use metal_rough::MetalRough;
+pub use sheen::Sheen;
 pub use split_sum::SplitSum;
 pub use texture::Texture;
 

@@ -13,7 +13,7 @@ use glam::Vec3;
 
 use super::bidirectional::{End, geometric_cosine, scattering};
 use super::bsdf::Bsdf;
-use super::direct::{is_pane, visibility};
+use super::direct::{goes_straight, visibility};
 use super::interaction::Interaction;
 use super::light::Lights;
 use super::lit::{LitSurfaces, Start};
@@ -275,7 +275,7 @@ impl<'a> Caustics<'a> {
         let over_all_lobes = class == Class::Unfound && flight.vertices > 0;
         let sample =
             if over_all_lobes { bsdf.sample_all(at.wo, u, u_lobe) } else { bsdf.sample(at.wo, u, u_lobe) }?;
-        let passed = sample.transmitted && is_pane(self.scene, at);
+        let passed = goes_straight(self.scene, at, &sample);
         let wanted = match class {
             Class::All => sample.delta || !bsdf.is_wide(),
             Class::Unfound => sample.delta || over_all_lobes,

@@ -7,7 +7,7 @@ use glam::Vec3;
 use crate::geometry::Ray;
 use crate::rng::Stream;
 use crate::transport::bsdf::Bsdf;
-use crate::transport::direct::is_pane;
+use crate::transport::direct::goes_straight;
 use crate::transport::interaction::Interaction;
 use crate::transport::light::{Emitter, Receiver};
 use crate::transport::medium::Media;
@@ -113,7 +113,7 @@ impl Bidirectional<'_> {
             }
             let (u, u_lobe) = (walk.stream.next_2d(), walk.stream.next_f32());
             let sample = bsdf.sample_all(at.wo, u, u_lobe);
-            if let Some(through) = sample.filter(|s| s.transmitted && is_pane(self.scene, &at)) {
+            if let Some(through) = sample.filter(|s| goes_straight(self.scene, &at, s)) {
                 walk.leave(&at, through.wi, through.weight);
                 continue;
             }
@@ -173,7 +173,7 @@ impl Bidirectional<'_> {
         for _ in 0..BOUNCES_MAX {
             let Some((_, at, bsdf)) = self.hit(&mut walk) else { return };
             let sample = bsdf.sample_all(at.wo, walk.stream.next_2d(), walk.stream.next_f32());
-            if let Some(through) = sample.filter(|s| s.transmitted && is_pane(self.scene, &at)) {
+            if let Some(through) = sample.filter(|s| goes_straight(self.scene, &at, s)) {
                 walk.leave(&at, through.wi, through.weight);
                 continue;
             }

@@ -128,7 +128,8 @@ pub(super) fn read<'d>(
             let message = format!("has more than {KEYS_MAX} keys; export with fewer");
             return Err(Problem::new(format!("/animations/{number}"), message));
         }
-        let times = accessors.floats::<1>(sampler.input, "times")?.into_iter().map(|[t]| t).collect::<Vec<_>>();
+        let times =
+            accessors.floats::<1>(sampler.input, "times")?.into_iter().map(|[t]| t).collect::<Vec<_>>();
         let rises = times.windows(2).all(|t| t[0] < t[1]) && times.iter().all(|t| t.is_finite());
         let values = values(&mut accessors, sampler.output, property)?;
         if !rises || !values.iter().flatten().all(|v| v.is_finite()) {

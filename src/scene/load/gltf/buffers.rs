@@ -187,12 +187,14 @@ impl<'a> Buffers<'a> {
         let layout = Layout::named(&packed.mode, filter, count, stride)
             .map_err(|why| Problem::new(at(), format!("is compressed {why}; export it again")))?;
         if u128::from(count) * u128::from(stride) != u128::from(declared) {
-            let message = format!("has {count} elements of {stride} bytes, but the view has {declared} bytes");
+            let message =
+                format!("has {count} elements of {stride} bytes, but the view has {declared} bytes");
             return Err(Problem::new(at() + "/count", message + "; export it again"));
         }
         self.decoded_bytes = self.decoded_bytes.saturating_add(declared);
         if self.decoded_bytes > DECODED_BYTES_MAX {
-            let message = format!("makes the views of the file more than {DECODED_BYTES_MAX} bytes; split it");
+            let message =
+                format!("makes the views of the file more than {DECODED_BYTES_MAX} bytes; split it");
             return Err(Problem::new(at() + "/count", message));
         }
         let bytes = self.range(packed.buffer, packed.byte_offset.0, packed.byte_length.0, at)?;

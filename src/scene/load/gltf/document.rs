@@ -411,6 +411,45 @@ pub(super) struct MaterialExtensions {
     pub volume: Option<Volume>,
     #[serde(rename = "KHR_materials_pbrSpecularGlossiness")]
     pub glossiness: Option<Glossiness>,
+    #[serde(rename = "KHR_materials_clearcoat")]
+    pub clearcoat: Option<Clearcoat>,
+    #[serde(rename = "KHR_materials_sheen")]
+    pub sheen: Option<SheenObject>,
+    #[serde(rename = "KHR_materials_anisotropy")]
+    pub anisotropy: Option<Anisotropy>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Clearcoat {
+    #[serde(default)]
+    pub clearcoat_factor: f32,
+    #[serde(default)]
+    pub clearcoat_roughness_factor: f32,
+    pub clearcoat_texture: Option<TextureInfo>,
+    pub clearcoat_roughness_texture: Option<TextureInfo>,
+    pub clearcoat_normal_texture: Option<TextureInfo>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct SheenObject {
+    #[serde(default)]
+    pub sheen_color_factor: [f32; 3],
+    #[serde(default)]
+    pub sheen_roughness_factor: f32,
+    pub sheen_color_texture: Option<TextureInfo>,
+    pub sheen_roughness_texture: Option<TextureInfo>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Anisotropy {
+    #[serde(default)]
+    pub anisotropy_strength: f32,
+    #[serde(default)]
+    pub anisotropy_rotation: f32,
+    pub anisotropy_texture: Option<TextureInfo>,
 }
 
 #[derive(Debug, Deserialize)]

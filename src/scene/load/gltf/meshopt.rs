@@ -50,7 +50,9 @@ impl Layout {
             ("INDICES", "NONE") => Mode::Indices,
             _ => {
                 let [mode, filter] = [mode, filter].map(super::buffers::shortened);
-                return Err(format!("in mode {mode:?} with filter {filter:?}, which this build does not know"));
+                return Err(format!(
+                    "in mode {mode:?} with filter {filter:?}, which this build does not know"
+                ));
             }
         };
         let fits = match mode {
@@ -67,7 +69,9 @@ impl Layout {
         };
         match usize::try_from(count) {
             Ok(count) if fits => Ok(Self { mode, count, stride: stride as usize }),
-            _ => Err(format!("as {count} elements of {stride} bytes, which its mode and filter do not allow")),
+            _ => {
+                Err(format!("as {count} elements of {stride} bytes, which its mode and filter do not allow"))
+            }
         }
     }
 }
@@ -321,8 +325,7 @@ fn triangles(bytes: &[u8], count: usize, stride: usize) -> Result<Vec<u8>, &'sta
     let end = stream.0.len().checked_sub(16).ok_or(SHORT)?;
     let (data, table) = stream.0.split_at(end);
     let edges = Recent([[0; 2]; 16], 0);
-    let mut corners =
-        Corners { data: Stream(data), next: 0, last: 0, vertices: Recent([0; 16], 0), edges };
+    let mut corners = Corners { data: Stream(data), next: 0, last: 0, vertices: Recent([0; 16], 0), edges };
     let mut out = Vec::with_capacity(count * stride);
     for &code in codes {
         let triangle = match code {
@@ -501,7 +504,9 @@ mod tests {
 
     #[test]
     fn attributes_come_back_bit_for_bit() {
-        for (count, stride) in [(1, 4), (15, 4), (16, 8), (17, 12), (300, 12), (513, 16), (600, 64), (70, 256)] {
+        for (count, stride) in
+            [(1, 4), (15, 4), (16, 8), (17, 12), (300, 12), (513, 16), (600, 64), (70, 256)]
+        {
             let elements: Vec<u8> = (0..count * stride)
                 .map(|i| {
                     let (e, k) = (i / stride, i % stride);
@@ -577,17 +582,10 @@ mod tests {
         stream.extend([0xf1, 10, 1, 0]);
         stream.extend([0; 16]);
         let found = decode(&stream, &layout(Mode::Triangles, 24, 4)).unwrap();
-        let found: Vec<u32> = found.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
-        let expected = [
-            [0, 1, 2],
-            [0, 2, 3],
-            [0, 3, 1],
-            [0, 1, 10],
-            [0, 10, 11],
-            [0, 11, 10],
-            [15, 14, 10],
-            [0, 1, 2],
-        ];
+        let found: Vec<u32> =
+            found.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+        let expected =
+            [[0, 1, 2], [0, 2, 3], [0, 3, 1], [0, 1, 10], [0, 10, 11], [0, 11, 10], [15, 14, 10], [0, 1, 2]];
         assert_eq!(found, expected.concat());
         let short = decode(&stream, &layout(Mode::Triangles, 24, 2)).unwrap();
         assert_eq!(short.len(), 48);
@@ -603,7 +601,8 @@ mod tests {
         stream.extend([v as u8 | 0x80, (v >> 7) as u8]);
         stream.extend([0; 4]);
         let found = decode(&stream, &layout(Mode::Indices, 4, 4)).unwrap();
-        let found: Vec<i32> = found.chunks_exact(4).map(|b| i32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+        let found: Vec<i32> =
+            found.chunks_exact(4).map(|b| i32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
         assert_eq!(found, [5, -2, 6, 298]);
         assert_eq!(decode(&stream, &layout(Mode::Indices, 3, 4)), Err(LONG));
         assert_eq!(decode(&stream, &layout(Mode::Indices, 5, 4)), Err(SHORT));
@@ -611,9 +610,11 @@ mod tests {
 
     #[test]
     fn filters_undo_what_the_text_says() {
-        let mut v: Vec<u8> = [-3i32 << 24 | 5, 2 << 24 | 0x00ff_ffff].iter().flat_map(|v| v.to_le_bytes()).collect();
+        let mut v: Vec<u8> =
+            [-3i32 << 24 | 5, 2 << 24 | 0x00ff_ffff].iter().flat_map(|v| v.to_le_bytes()).collect();
         filtered(&mut v, 8, Filter::Exponential);
-        let floats: Vec<f32> = v.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+        let floats: Vec<f32> =
+            v.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
         assert_eq!(floats, [0.625, -4.0]);
         // Straight up, along x, and the lower pole at a corner; ten bits in sixteen.
         let up = octahedral([0, 0, 511, 9], 32_767.0);
@@ -635,9 +636,15 @@ mod tests {
     #[test]
     fn layouts_are_those_that_the_text_allows() {
         let ok = |mode, filter, count, stride| Layout::named(mode, filter, count, stride).is_ok();
-        assert!(ok("ATTRIBUTES", "NONE", 5, 12) && ok("TRIANGLES", "NONE", 6, 2) && ok("INDICES", "NONE", 7, 4));
+        assert!(
+            ok("ATTRIBUTES", "NONE", 5, 12) && ok("TRIANGLES", "NONE", 6, 2) && ok("INDICES", "NONE", 7, 4)
+        );
         assert!(ok("ATTRIBUTES", "QUATERNION", 5, 8) && ok("ATTRIBUTES", "EXPONENTIAL", 5, 12));
-        assert!(!ok("ATTRIBUTES", "NONE", 5, 0) && !ok("ATTRIBUTES", "NONE", 5, 260) && !ok("ATTRIBUTES", "NONE", 5, 6));
+        assert!(
+            !ok("ATTRIBUTES", "NONE", 5, 0)
+                && !ok("ATTRIBUTES", "NONE", 5, 260)
+                && !ok("ATTRIBUTES", "NONE", 5, 6)
+        );
         assert!(!ok("ATTRIBUTES", "OCTAHEDRAL", 5, 12) && !ok("TRIANGLES", "OCTAHEDRAL", 6, 4));
         assert!(!ok("TRIANGLES", "NONE", 7, 4) && !ok("INDICES", "NONE", 7, 8) && !ok("WORDS", "NONE", 7, 4));
     }

@@ -184,8 +184,7 @@ pub(super) fn parse(
     reader.read(&mut buffers).map_err(refuse)?;
     let out = reader.out;
     if out.mesh.triangles.is_empty() {
-        whole::check(&document, json, &mut buffers, &mut odd)
-            .map_err(refuse)?;
+        whole::check(&document, json, &mut buffers, &mut odd).map_err(refuse)?;
         odd.count("no triangle", "nothing is drawn but the sky");
     }
     odd.report(&place, warnings);
@@ -225,8 +224,7 @@ impl<'d> Reader<'d, '_> {
             Some(animation) => animation::read(animation, document, buffers, self.odd)?,
         };
         let time = self.choices.time;
-        let placed =
-            nodes::placed(document, roots, |n| time.map_or(Moved::default(), |t| motion.at(n, t)))?;
+        let placed = nodes::placed(document, roots, |n| time.map_or(Moved::default(), |t| motion.at(n, t)))?;
         if !document.animations.is_empty() && time.is_none() {
             self.odd.count("animation", "not played; things stand as they do before it begins");
         }

@@ -206,7 +206,9 @@ mod tests {
         let lists: Vec<&[usize]> = chain.iter().map(Vec::as_slice).collect();
         assert!(refused(&children(&lists)).message.contains("flatten"));
         assert_eq!(
-            placed(&children(&lists[2..].iter().map(|_| &[][..]).collect::<Vec<_>>()), &[], still).unwrap().len(),
+            placed(&children(&lists[2..].iter().map(|_| &[][..]).collect::<Vec<_>>()), &[], still)
+                .unwrap()
+                .len(),
             0
         );
     }

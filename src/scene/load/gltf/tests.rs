@@ -429,7 +429,7 @@ fn variants_and_required_extensions_are_chosen_by_name() {
     let rest = format!(
         r#"{mesh}, "nodes": [{{"mesh": 0}}], "materials": [{{"name": "wood"}}, {{"name": "steel"}}],
         "extensions": {{"KHR_materials_variants": {{"variants": [{{"name": "a"}}, {{"name": "b"}}]}}}},
-        "extensionsRequired": ["KHR_materials_sheen"], "extensionsUsed": ["KHR_materials_sheen"]"#
+        "extensionsRequired": ["KHR_materials_lint"], "extensionsUsed": ["KHR_materials_lint"]"#
     );
     let file = place.write("a.gltf", maker.text(&rest));
     let with = |ignored: &[&str], variant: Option<&str>| {
@@ -441,10 +441,10 @@ fn variants_and_required_extensions_are_chosen_by_name() {
         load_with(&file, &options)
     };
     assert!(matches!(with(&[], None), Err(SceneError::RequiredExtension { names, .. }) if names.len() == 1));
-    let name = |variant| with(&["KHR_materials_sheen"], variant).unwrap().scene.materials[0].name.clone();
+    let name = |variant| with(&["KHR_materials_lint"], variant).unwrap().scene.materials[0].name.clone();
     assert_eq!([name(None), name(Some("a")), name(Some("b"))], ["wood", "wood", "steel"]);
-    assert!(says(&with(&["KHR_materials_sheen"], Some("c")).unwrap(), "there are: a, b"));
-    let hash = |variant| with(&["KHR_materials_sheen"], variant).unwrap().scene.content_hash;
+    assert!(says(&with(&["KHR_materials_lint"], Some("c")).unwrap(), "there are: a, b"));
+    let hash = |variant| with(&["KHR_materials_lint"], variant).unwrap().scene.content_hash;
     assert_ne!(hash(None), hash(Some("b")), "bakes of the one are none of the other");
 }
 

@@ -177,7 +177,11 @@ fn add_light(scene: &mut Scene) -> String {
     let position = view.eye + scene.up * (0.8 * height);
     // The surroundings at their mean distance get π W/m², so that white is at radiance 1.
     let mean = met.iter().sum::<f32>() / met.len() as f32;
-    scene.lights.push(Light::Point { position, intensity: Vec3::splat(PI * mean * mean) });
+    scene.lights.push(Light::Point {
+        position,
+        intensity: Vec3::splat(PI * mean * mean),
+        range: f32::INFINITY,
+    });
     "no light, and the start view is in a closed room; a lamp above it, a sky and a sun are made up \
      (Ke in the MTL, or a sidecar's [[light]], give others)"
         .to_owned()

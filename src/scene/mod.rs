@@ -111,6 +111,8 @@ pub enum Light {
         position: Vec3,
         /// Radiant intensity per band, W/sr.
         intensity: Vec3,
+        /// Distance at which its light ends ([`Light::window`]), scene units; infinite for what nature has.
+        range: f32,
     },
     /// A cone with a smooth edge between two half angles.
     Spot {
@@ -124,6 +126,8 @@ pub enum Light {
         inner: f32,
         /// Half angle beyond which nothing is emitted, radians; ≥ `inner`.
         outer: f32,
+        /// Distance at which its light ends, scene units.
+        range: f32,
     },
     /// Parallel light.
     Directional {
@@ -132,6 +136,27 @@ pub enum Light {
         /// Irradiance at perpendicular incidence per band, W/m².
         irradiance: Vec3,
     },
+}
+
+impl Light {
+    /// The factor by which glTF's `range` lets light end: 1 − (d / range)⁴, never below 0.
+    pub fn window(range: f32, distance: f32) -> f32 {
+        if range.is_infinite() {
+            return 1.0;
+        }
+        let r = distance / range;
+        (1.0 - r * r * (r * r)).clamp(0.0, 1.0)
+    }
+
+    /// Where a lamp is, and its range; `None` for light from afar.
+    pub fn lamp(&self) -> Option<(Vec3, f32)> {
+        match *self {
+            Self::Point { position, range, .. } | Self::Spot { position, range, .. } => {
+                Some((position, range))
+            }
+            Self::Directional { .. } => None,
+        }
+    }
 }
 
 /// How the picture is shown (sidecar `[display]`).

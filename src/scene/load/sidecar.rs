@@ -304,14 +304,16 @@ fn light(t: &Table<'_>) -> Result<Light, SceneError> {
     };
     let kind = t.required("kind", t.string("kind")?)?;
     let light = match kind {
-        "point" => Light::Point { position: position()?, intensity: power("intensity")? },
+        "point" => {
+            Light::Point { position: position()?, intensity: power("intensity")?, range: f32::INFINITY }
+        }
         "spot" => {
             let (inner, outer) = (half_angle("inner")?, half_angle("outer")?);
             if outer < inner || outer == 0.0 {
                 return Err(t.invalid("outer", "must be above 0 and not less than `inner`"));
             }
             let (position, direction, intensity) = (position()?, direction()?, power("intensity")?);
-            Light::Spot { position, direction, intensity, inner, outer }
+            Light::Spot { position, direction, intensity, inner, outer, range: f32::INFINITY }
         }
         "directional" => Light::Directional { direction: direction()?, irradiance: power("irradiance")? },
         other => {

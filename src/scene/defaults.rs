@@ -97,8 +97,15 @@ fn axes(up: Vec3) -> [Vec3; 3] {
     [right, up, right.cross(up)]
 }
 
-/// Adds what is missing: light, a camera, a path. Returns what to tell the user.
-pub(super) fn complete(scene: &mut Scene) -> Vec<String> {
+/// Whether the start view stands in the open, so that light from outside is expected.
+pub(super) fn is_open(scene: &Scene) -> bool {
+    let eye = scene.cameras.first().map_or_else(|| default_camera(scene).0.eye, |c| c.camera.eye);
+    let hits = nearest(&scene.mesh, eye, &feelers());
+    hits.iter().flatten().count() * 20 < FEELERS * 19
+}
+
+/// Adds what is missing: light (`glows` says that what there is only glows), a camera, a path. Returns what to tell the user.
+pub(super) fn complete(scene: &mut Scene, glows: bool) -> Vec<String> {
     let mut said = Vec::new();
     if scene.cameras.is_empty() {
         let (camera, inside) = default_camera(scene);
@@ -106,7 +113,7 @@ pub(super) fn complete(scene: &mut Scene) -> Vec<String> {
         let place = if inside { "inside the room" } else { "in front of the whole" };
         said.push(format!("no camera; one {place} is made up (a sidecar's [[camera]] gives another)"));
     }
-    if !has_light(scene) {
+    if !has_light(scene) || glows {
         said.push(add_light(scene));
     }
     if scene.paths.is_empty() {

@@ -186,9 +186,11 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         warnings.push(Warning::new(Place::new(path, 0), message));
     }
     // Lights of glTF are photometric, and nobody chose them for an exposure of 1.
-    let shines = has_lights || own.any && scene.materials.iter().any(Material::is_emissive);
-    scene.display.metered = shines && !sidecar.exposure_given;
-    for message in defaults::complete(&mut scene) {
+    let emits = own.any && scene.materials.iter().any(Material::is_emissive);
+    // What glows in the open (labels, screens, coals) is no lighting: viewers show such files in surroundings of their own.
+    let glows = emits && scene.lights.is_empty() && scene.environment.is_none() && defaults::is_open(&scene);
+    scene.display.metered = (has_lights || emits) && !glows && !sidecar.exposure_given;
+    for message in defaults::complete(&mut scene, glows) {
         warnings.push(Warning::new(Place::new(path, 0), message));
     }
     if warnings.len() > WARNINGS_MAX {

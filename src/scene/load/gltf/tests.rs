@@ -795,3 +795,24 @@ fn a_picture_that_is_not_there_shows_a_checker() {
     let scene = loaded(&place, maker.text(&rest)).scene;
     assert_eq!((scene.textures.len(), scene.textures[0].name.as_str()), (1, "maps/a b.png"));
 }
+
+#[test]
+fn what_only_glows_in_the_open_stands_under_a_sky() {
+    let of = |name: &str, more: &str| {
+        let place = Place::new(name);
+        let mut maker = Maker::default();
+        let mesh = quad(&mut maker);
+        let rest = format!(
+            r#"{mesh}, "nodes": [{{"mesh": 0}}{more}], "materials": [{{"emissiveFactor": [1, 1, 1]}}],
+            "extensions": {{"KHR_lights_punctual": {{"lights": [{{"type": "point"}}]}}}}"#
+        );
+        loaded(&place, maker.text(&rest)).scene
+    };
+    let label = of("gltf-label", "");
+    assert!(label.environment.is_some() && !label.display.metered);
+    let lit = of(
+        "gltf-lit",
+        r#", {"extensions": {"KHR_lights_punctual": {"light": 0}}, "translation": [0, 0, 2]}"#,
+    );
+    assert!(lit.environment.is_none() && lit.display.metered);
+}

@@ -236,7 +236,7 @@ mod tests {
     #[test]
     fn a_box_seen_from_outside_gets_sky_and_a_view_of_all_of_it() {
         let mut scene = box_scene(false);
-        let said = complete(&mut scene);
+        let said = complete(&mut scene, false);
         assert_eq!(said.len(), 2, "{said:?}");
         assert!(said[0].contains("in front") && said[1].contains("sky") && !said[1].contains("lamp"));
         let frame = scene.cameras[0].camera.frame(100, 100);
@@ -253,7 +253,7 @@ mod tests {
     #[test]
     fn a_room_gets_a_view_and_a_lamp_inside() {
         let mut scene = box_scene(true);
-        let said = complete(&mut scene);
+        let said = complete(&mut scene, false);
         assert!(said[0].contains("inside") && said[1].contains("lamp"), "{said:?}");
         let inside = |p: Vec3| p.min_element() > 0.0 && p.max_element() < 1.0;
         assert!(inside(scene.cameras[0].camera.eye));
@@ -278,7 +278,7 @@ mod tests {
         let mut scene = with_camera(box_scene(true));
         scene.materials[0].emission.color = Vec3::ONE;
         let before = scene.cameras.clone();
-        assert!(complete(&mut scene).is_empty());
+        assert!(complete(&mut scene, false).is_empty());
         assert_eq!(scene.cameras, before);
         assert!(scene.lights.is_empty() && scene.environment.is_none());
     }

@@ -240,6 +240,38 @@ impl<'b, 'a> Accessors<'b, 'a> {
         Ok(values)
     }
 
+    /// Colours of three or four numbers, in [0, 1].
+    pub fn colors(&mut self, index: Index) -> Result<Vec<[f32; 4]>, Problem> {
+        let shape = &get(&self.document.accessors, index, "accessors")?.shape;
+        let unit = |v: f32| if v.is_nan() { 1.0 } else { v.clamp(0.0, 1.0) };
+        if shape == "VEC4" {
+            return Ok(self.floats::<4>(index, "colours")?.into_iter().map(|c| c.map(unit)).collect());
+        }
+        let three = self.floats::<3>(index, "colours")?;
+        Ok(three.into_iter().map(|[r, g, b]| [r, g, b, 1.0].map(unit)).collect())
+    }
+
+    /// Matrices of floats.
+    pub fn matrices(&mut self, index: Index) -> Result<Vec<[f32; 16]>, Problem> {
+        let (accessor, size, _) = self.accessor(index, 64)?;
+        if accessor.shape != "MAT4" || accessor.component_type.0 != 5126 {
+            let message = format!("is {}, but matrices are MAT4 of floats", accessor.shape);
+            return Err(Problem::new(format!("/accessors/{}/type", index.0), message));
+        }
+        let mut values: Vec<[f32; 16]> = Vec::new();
+        if accessor.buffer_view.is_none() {
+            values.resize(accessor.count.0 as usize, [0.0; 16]);
+        }
+        self.elements(index, accessor, size, |i, bytes| {
+            let value = std::array::from_fn(|c| component(&bytes[4 * c..], 5126, false));
+            match values.get_mut(i) {
+                Some(place) => *place = value,
+                None => values.push(value),
+            }
+        })?;
+        Ok(values)
+    }
+
     /// Indices of vertices.
     pub fn indices(&mut self, index: Index) -> Result<Vec<u32>, Problem> {
         let (accessor, size, _) = self.accessor(index, 4)?;

@@ -5,6 +5,10 @@ use serde::de::IgnoredAny;
 
 use super::number::{Index, List, Whole};
 
+/// Joints of a skin, and targets of a primitive.
+pub(super) const JOINTS_MAX: usize = 4096;
+pub(super) const TARGETS_MAX: usize = 1024;
+
 /// Nodes of a document.
 pub(super) const NODES_MAX: usize = 1 << 22;
 
@@ -38,7 +42,6 @@ pub(super) struct Document {
     #[serde(default)]
     pub animations: List<Animation>,
     #[serde(default)]
-    #[expect(dead_code, reason = "read so that a skin without joints is no document")]
     pub skins: List<Skin>,
     #[serde(default)]
     pub extensions_used: List<String>,
@@ -118,6 +121,8 @@ pub(super) struct Node {
     pub translation: Option<[f32; 3]>,
     pub rotation: Option<[f32; 4]>,
     pub scale: Option<[f32; 3]>,
+    #[serde(default)]
+    pub weights: List<f32, TARGETS_MAX>,
     pub extensions: Option<Box<NodeExtensions>>,
 }
 
@@ -160,6 +165,9 @@ pub(super) struct Visibility {
 pub(super) struct Mesh {
     pub name: Option<String>,
     pub primitives: List<Primitive>,
+    /// Of morph targets, unless a node has others.
+    #[serde(default)]
+    pub weights: List<f32, TARGETS_MAX>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -169,9 +177,18 @@ pub(super) struct Primitive {
     pub material: Option<Index>,
     pub mode: Option<Index>,
     #[serde(default)]
-    pub targets: List<IgnoredAny>,
+    pub targets: List<MorphTarget, TARGETS_MAX>,
     #[serde(default)]
     pub extensions: PrimitiveExtensions,
+}
+
+/// What a primitive is moved by, times a weight.
+#[derive(Debug, Deserialize)]
+pub(super) struct MorphTarget {
+    #[serde(rename = "POSITION")]
+    pub position: Option<Index>,
+    #[serde(rename = "NORMAL")]
+    pub normal: Option<Index>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -186,6 +203,14 @@ pub(super) struct Attributes {
     pub uv1: Option<Index>,
     #[serde(rename = "COLOR_0")]
     pub color: Option<Index>,
+    #[serde(rename = "JOINTS_0")]
+    pub joints0: Option<Index>,
+    #[serde(rename = "JOINTS_1")]
+    pub joints1: Option<Index>,
+    #[serde(rename = "WEIGHTS_0")]
+    pub weights0: Option<Index>,
+    #[serde(rename = "WEIGHTS_1")]
+    pub weights1: Option<Index>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -508,9 +533,10 @@ pub(super) struct Glossiness {
 }
 
 #[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
 pub(super) struct Skin {
-    #[expect(dead_code, reason = "has to be there")]
-    pub joints: List<Index>,
+    pub joints: List<Index, JOINTS_MAX>,
+    pub inverse_bind_matrices: Option<Index>,
 }
 
 #[derive(Debug, Deserialize)]

@@ -16,6 +16,7 @@ mod meshes;
 mod meshopt;
 mod nodes;
 mod number;
+mod skins;
 pub(super) mod surfaces;
 #[cfg(test)]
 mod tests;
@@ -23,6 +24,7 @@ mod tests;
 mod verdicts;
 mod whole;
 
+use std::borrow::Cow;
 use std::collections::hash_map::Entry;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
@@ -200,8 +202,8 @@ struct Reader<'d, 'o> {
     out: GltfFile,
     /// Names of materials so far.
     names: HashSet<String>,
-    /// Slot of a material of the document; `u32::MAX` is the one of what has none.
-    material_of: HashMap<u32, u32>,
+    /// Slot of a material of the document, times a colour; `u32::MAX` is the one of what has none.
+    material_of: HashMap<(u32, [u8; 4]), u32>,
     /// Of each slot.
     coordinates: Vec<Coordinates>,
     pictures: Pictures<'d>,
@@ -229,6 +231,10 @@ impl<'d> Reader<'d, '_> {
             self.odd.count("animation", "not played; things stand as they do before it begins");
         }
         let mut viewers: Vec<(usize, String)> = Vec::new();
+        let mut worlds = vec![None; if document.skins.is_empty() { 0 } else { document.nodes.len() }];
+        if !worlds.is_empty() {
+            placed.iter().for_each(|p| worlds[p.node] = Some(p.world));
+        }
         let mut parts: HashMap<u32, Vec<Option<Part>>> = HashMap::new();
         let mut things = 0usize;
         for p in &placed {
@@ -250,9 +256,6 @@ impl<'d> Reader<'d, '_> {
             }
             let Some(index) = node.mesh else { continue };
             let mesh = get(&document.meshes, index, "meshes")?;
-            if node.skin.is_some() {
-                self.odd.count("a skin", "not used; its mesh stands as it was bound");
-            }
             let instances = match extensions.and_then(|e| e.instancing.as_ref()) {
                 None => vec![p.world],
                 Some(of) => instances(of, &p.world, document, buffers)?,
@@ -275,12 +278,36 @@ impl<'d> Reader<'d, '_> {
                     place.insert(read?)
                 }
             };
+            let weights = if node.weights.is_empty() { &mesh.weights } else { &node.weights };
+            let joints = match node.skin {
+                None => None,
+                Some(skin) => {
+                    let skin = get(&document.skins, skin, "skins")?;
+                    skins::joints(skin, document, &worlds, &mut Accessors::new(document, buffers), self.odd)?
+                }
+            };
             for (primitive, part) in mesh.primitives.iter().zip(read.iter()) {
                 let Some(part) = part else { continue };
-                let slot = self.material(primitive, buffers)?;
-                for world in &instances {
-                    self.add(part, world, slot, name_index)
-                        .map_err(|message| Problem::new(format!("/nodes/{}", p.node), message))?;
+                let mut accessors = Accessors::new(document, buffers);
+                let mut part = Cow::Borrowed(part);
+                if !primitive.targets.is_empty() && weights.iter().any(|w| *w != 0.0) {
+                    skins::morph(part.to_mut(), primitive, weights, &mut accessors, self.odd)?;
+                }
+                let mut stands = instances.as_slice();
+                let moved = match &joints {
+                    None => None,
+                    Some(joints) => skins::skinned(&part, primitive, joints, &mut accessors, self.odd)?,
+                };
+                if let Some(moved) = moved {
+                    // Joints put it into the world; where its own node is does not matter.
+                    (part, stands) = (Cow::Owned(moved), &[DMat4::IDENTITY]);
+                }
+                for (color, part) in part.shades() {
+                    let slot = self.material(primitive, color, buffers)?;
+                    for world in stands {
+                        self.add(&part, world, slot, name_index)
+                            .map_err(|message| Problem::new(format!("/nodes/{}", p.node), message))?;
+                    }
                 }
             }
         }
@@ -359,13 +386,18 @@ impl<'d> Reader<'d, '_> {
     }
 
     /// The slot of the material of a primitive.
-    fn material(&mut self, primitive: &Primitive, buffers: &mut Buffers<'d>) -> Result<u32, Problem> {
+    fn material(
+        &mut self,
+        primitive: &Primitive,
+        color: [u8; 4],
+        buffers: &mut Buffers<'d>,
+    ) -> Result<u32, Problem> {
         let mapped = self.variant.and_then(|variant| {
             let all = primitive.extensions.variants.as_ref()?;
             all.mappings.iter().find(|m| m.variants.contains(&Index(variant))).map(|m| m.material)
         });
         let index = mapped.or(primitive.material);
-        let key = index.map_or(u32::MAX, |i| i.0);
+        let key = (index.map_or(u32::MAX, |i| i.0), color);
         if let Some(&slot) = self.material_of.get(&key) {
             return Ok(slot);
         }
@@ -385,8 +417,11 @@ impl<'d> Reader<'d, '_> {
             name = format!("{plain} #{}", self.out.materials.len());
             self.names.insert(name.clone());
         }
-        let (source, coordinates) =
+        let (mut source, coordinates) =
             materials::read(material, name.clone(), &mut self.pictures, buffers, self.odd)?;
+        let [r, g, b, opacity] = color.map(|v| f32::from(v) / 255.0);
+        source.base *= glam::Vec3::new(r, g, b);
+        source.base_alpha *= opacity;
         let slot = self.out.materials.len() as u32;
         self.out.materials.push(source);
         self.coordinates.push(coordinates);

@@ -816,3 +816,70 @@ fn what_only_glows_in_the_open_stands_under_a_sky() {
     );
     assert!(lit.environment.is_none() && lit.display.metered);
 }
+
+#[test]
+fn a_skin_of_one_joint_is_the_nodes_transform_and_targets_move_by_their_weights() {
+    let place = Place::new("gltf-skin");
+    let mut maker = Maker::default();
+    let mesh = quad(&mut maker);
+    let plain = format!(
+        r#"{mesh}, "materials": [{{}}], "nodes": [{{"mesh": 0, "translation": [1, 2, 3], "rotation": [0, 0.6, 0, 0.8], "scale": [2, 2, 2]}}]"#
+    );
+    let plain = loaded(&place, maker.text(&plain)).scene.mesh.positions.clone();
+    let joints = maker.accessor(&[0u8; 16], 5121, 4, "VEC4", "");
+    let weights = maker.accessor(bytemuck::cast_slice(&[[0.5f32, 0.0, 0.0, 0.0]; 4]), 5126, 4, "VEC4", "");
+    // Bound where x was one less.
+    let bind = glam::Mat4::from_translation(Vec3::X).to_cols_array();
+    let bind = maker.accessor(bytemuck::cast_slice(&bind), 5126, 1, "MAT4", "");
+    let skinned = mesh.replace(
+        r#""TEXCOORD_0""#,
+        &format!(r#""JOINTS_0": {joints}, "WEIGHTS_0": {weights}, "TEXCOORD_0""#),
+    );
+    let rest = |joint: &str| {
+        format!(
+            r#"{skinned}, "materials": [{{}}], "nodes": [{{"mesh": 0, "skin": 0, "translation": [9, 9, 9]}},
+            {{"translation": [1, 2, 3], "rotation": [0, 0.6, 0, 0.8], "scale": [2, 2, 2]}}],
+            "skins": [{{"joints": [{joint}], "inverseBindMatrices": {bind}}}]"#
+        )
+    };
+    let found = loaded(&place, maker.text(&rest("1")));
+    // x = 1 of the bound mesh is where x = 0 of the plain one would be moved by one.
+    let moved = found.scene.mesh.positions[0];
+    assert!((moved - plain[1]).length() < 1e-5, "{moved} {plain:?}");
+    let lost = loaded(&place, maker.text(&rest("1, 7")));
+    assert!(says(&lost, "joints are not in the scene") || says(&lost, "matrix for each joint"));
+    let up = maker.vec3(&[Vec3::Z * 4.0; 4]);
+    let target =
+        mesh.replace(r#""material": 0"#, &format!(r#""material": 0, "targets": [{{"POSITION": {up}}}]"#));
+    for (weights, z) in [("", 0.0), (r#", "weights": [0.25]"#, 1.0)] {
+        let rest = format!(r#"{target}, "materials": [{{}}], "nodes": [{{"mesh": 0{weights}}}]"#);
+        let scene = loaded(&place, maker.text(&rest)).scene;
+        assert!(scene.mesh.positions.iter().all(|p| p.z == z), "{:?}", scene.mesh.positions);
+    }
+}
+
+#[test]
+fn colours_of_vertices_are_factors_of_the_base_colour() {
+    let place = Place::new("gltf-colors");
+    let mut maker = Maker::default();
+    let mesh = quad(&mut maker);
+    let half = [1.0f32, 0.5, 0.0];
+    let even = maker.accessor(bytemuck::cast_slice(&[half; 4]), 5126, 4, "VEC3", "");
+    let of = |maker: &Maker, colors: usize| {
+        let mesh = mesh.replace(r#""TEXCOORD_0""#, &format!(r#""COLOR_0": {colors}, "TEXCOORD_0""#));
+        let rest = format!(
+            r#"{mesh}, "nodes": [{{"mesh": 0}}], "materials": [{{"extensions": {{"KHR_materials_unlit": {{}}}},
+            "pbrMetallicRoughness": {{"baseColorFactor": [0.5, 1, 1, 1]}}}}]"#
+        );
+        loaded(&place, maker.text(&rest)).scene
+    };
+    let scene = of(&maker, even);
+    assert_eq!(scene.materials.len(), 1);
+    assert!((scene.materials[0].emission.color - Vec3::new(0.5, 0.5, 0.0)).abs().max_element() < 0.005);
+    // Each triangle the mean of its corners; the same area in as many triangles.
+    let bytes = [[255u8, 0, 0, 255], [255, 0, 0, 255], [255, 0, 0, 255], [0, 0, 255, 255]];
+    let uneven = maker.accessor(&bytes.concat(), 5121, 4, "VEC4", r#", "normalized": true"#);
+    let scene = of(&maker, uneven);
+    assert_eq!((scene.materials.len(), scene.mesh.triangles.len(), area(&scene)), (2, 2, 1.0));
+    assert!(scene.materials[1].emission.color.z > 0.3);
+}

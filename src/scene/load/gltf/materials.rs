@@ -92,6 +92,8 @@ pub(in super::super) struct Source {
     pub base_map: Option<MapUse>,
     pub alpha: Alpha,
     pub normal: Option<MapUse>,
+    /// Factor of how far normals lean.
+    pub normal_scale: f32,
     pub emission: Vec3,
     pub emission_map: Option<MapUse>,
 }
@@ -150,9 +152,6 @@ pub(super) fn read(
     if material.occlusion_texture.is_some() {
         odd.count("occlusion map", "not used; what lies in shadow is computed");
     }
-    if material.normal_texture.as_ref().is_some_and(|n| n.scale != 1.0) {
-        odd.count("scale of a normal map", "not used; the map counts as it is");
-    }
     let alpha = match material.alpha_mode.as_deref() {
         Some("MASK") => Alpha::Mask(material.alpha_cutoff.unwrap_or(0.5)),
         Some("BLEND") => Alpha::Blend,
@@ -163,7 +162,20 @@ pub(super) fn read(
         }
     };
     let base_alpha = unit(base_alpha);
-    let source = Source { name, kind, base, base_alpha, base_map, alpha, normal, emission, emission_map };
+    let scale = material.normal_texture.as_ref().map_or(1.0, |n| n.scale);
+    let normal_scale = if scale.is_finite() { scale.clamp(-1e3, 1e3) } else { 1.0 };
+    let source = Source {
+        name,
+        kind,
+        base,
+        base_alpha,
+        base_map,
+        alpha,
+        normal,
+        normal_scale,
+        emission,
+        emission_map,
+    };
     Ok((source, coordinates))
 }
 

@@ -86,12 +86,18 @@ pub(in super::super) fn finish(
     warnings: &mut Vec<Warning>,
 ) {
     let mut joined: HashMap<Key, Joined> = HashMap::new();
+    let mut leaning: HashMap<(TextureId, u32), TextureId> = HashMap::new();
     for mut p in pending {
         let resolve = |id: Option<TextureId>| id.and_then(|id| ids.get(id.0 as usize).copied().flatten());
         p.base = resolve(p.base);
         p.rough = resolve(p.rough);
         p.through = resolve(p.through);
         let Some(material) = materials.get_mut(p.material.0 as usize) else { continue };
+        if let Some(map) = material.normal_map.filter(|_| p.source.normal_scale != 1.0) {
+            let key = (map, p.source.normal_scale.to_bits());
+            let scaled = leaning.entry(key).or_insert_with(|| lean(map, p.source.normal_scale, textures));
+            material.normal_map = Some(*scaled);
+        }
         let mut said = Vec::new();
         finish_one(material, &p, textures, &mut joined, &mut said);
         for message in said {
@@ -217,6 +223,23 @@ fn coverage(
             Some(Veil { in_alpha: map.is_some(), mean })
         }
     }
+}
+
+/// A map of normals that lean `scale` times as far.
+fn lean(map: TextureId, scale: f32, textures: &mut Vec<Texture>) -> TextureId {
+    let of = &textures[map.0 as usize];
+    let [w, h] = of.size(0);
+    let texel = |i: usize| {
+        let [x, y, z, _] = of.texel(0, i % w, i / w).map(|v| 2.0 * v - 1.0);
+        let n = Vec3::new(x * scale, y * scale, z).try_normalize().unwrap_or(Vec3::Z);
+        let [x, y, z] = n.to_array().map(|v| ((0.5 * v + 0.5) * 65_535.0 + 0.5) as u16);
+        [x, y, z, u16::MAX]
+    };
+    let texels = (0..w * h).into_par_iter().map(texel).collect();
+    let mips = Arc::new(MipChain::from_rgba16(w, h, texels));
+    let texture = Texture { name: format!("{} (leaning)", of.name), mips, ..of.clone() };
+    textures.push(texture);
+    TextureId(textures.len() as u32 - 1)
 }
 
 /// A map whose colours are multiplied by its alpha.

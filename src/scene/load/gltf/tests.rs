@@ -883,3 +883,19 @@ fn colours_of_vertices_are_factors_of_the_base_colour() {
     assert_eq!((scene.materials.len(), scene.mesh.triangles.len(), area(&scene)), (2, 2, 1.0));
     assert!(scene.materials[1].emission.color.z > 0.3);
 }
+
+#[test]
+fn normals_lean_as_far_as_their_scale_says() {
+    // Leaning by 45 degrees along x: half as far is a slope of one half.
+    let lean = data_png(&[[218, 128, 218, 255]]);
+    let found = with_materials(
+        "gltf-lean",
+        &format!(
+            r#"[{{"normalTexture": {{"index": 0, "scale": 0.5}}}}], "textures": [{{"source": 0}}], "images": [{lean}]"#
+        ),
+    );
+    let map = found.scene.materials[0].normal_map.unwrap();
+    assert_eq!(found.scene.textures.len(), 1);
+    let [x, y, z, _] = found.scene.textures[map.0 as usize].texel(0, 0, 0).map(|v| 2.0 * v - 1.0);
+    assert!((x / z - 0.5).abs() < 0.01 && y.abs() < 0.01, "{x} {y} {z}");
+}

@@ -231,7 +231,7 @@ impl Bsdf {
         let h = m.sample(o, u);
         let i = h * (2.0 * o.dot(h)) - o;
         let wi = self.world(Vec3::new(i.x, i.y, -i.z)).normalize_or_zero();
-        (i.z > 0.0 && wi.dot(self.geometric) < 0.0).then(|| BsdfSample {
+        (i.z > 0.0 && wi.dot(self.geometric) < 0.0).then_some(BsdfSample {
             wi,
             // What single scattering loses is not lost here.
             weight,

@@ -48,7 +48,7 @@ pub(super) struct Coordinates {
 #[derive(Clone, Debug, PartialEq)]
 pub(in super::super) enum Kind {
     /// Metal, dielectric or between.
-    MetalRough(MetalRoughSource),
+    MetalRough(Box<MetalRoughSource>),
     /// A body that lets light through, which its base colour tints at each crossing.
     Glass { ior: f32, transmittance: Vec3, roughness: f32 },
     /// Looks as its base colour says, whatever the light.
@@ -191,7 +191,7 @@ fn kind(material: &Material, map: Option<MapUse>, through_map: Option<MapUse>, o
             odd.count("map of specular and glossiness", "not used; their factors count");
         }
         let f0 = color(g.specular_factor);
-        return Kind::MetalRough(MetalRoughSource {
+        return Kind::MetalRough(Box::new(MetalRoughSource {
             metallic: 0.0,
             roughness: 1.0 - unit(g.glossiness_factor),
             map: None,
@@ -201,7 +201,7 @@ fn kind(material: &Material, map: Option<MapUse>, through_map: Option<MapUse>, o
             through_map: None,
             over,
             grain,
-        });
+        }));
     }
     // 0 means that all is reflected at every angle.
     let ior = e.ior.as_ref().map_or(1.5, |i| if i.ior.is_finite() { i.ior } else { 1.5 });
@@ -226,7 +226,7 @@ fn kind(material: &Material, map: Option<MapUse>, through_map: Option<MapUse>, o
         }
         odd.count("a volume that lets less than half of the light through", "shown without its inside");
     }
-    Kind::MetalRough(MetalRoughSource {
+    Kind::MetalRough(Box::new(MetalRoughSource {
         metallic,
         roughness,
         map,
@@ -236,7 +236,7 @@ fn kind(material: &Material, map: Option<MapUse>, through_map: Option<MapUse>, o
         through_map,
         over,
         grain,
-    })
+    }))
 }
 
 /// What passes one unit of a volume: all of its colour after the distance, after one unit its root.

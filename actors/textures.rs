@@ -150,8 +150,12 @@ pub fn decisive(scene: &Scene) -> Vec<bool> {
             Model::MetalRough(m) if m.roughness_in_alpha => m.specular.map,
             _ => None,
         };
-        for map in [material.opacity_map, material.bump_map, material.normal_map, lobe].into_iter().flatten()
-        {
+        let through = match &material.model {
+            Model::MetalRough(m) => m.through.map,
+            _ => material.tint.map,
+        };
+        let others = [material.opacity_map, material.bump_map, material.normal_map, lobe, through];
+        for map in others.into_iter().flatten() {
             decisive[map.0 as usize] = true;
         }
     }

@@ -22,7 +22,7 @@ fn scenes_are_the_generators_output() {
             }
             let path = folder.join(name);
             let kept = fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}; {again}", path.display()));
-            let is_text = [".obj", ".mtl", ".toml"].iter().any(|e| name.ends_with(e));
+            let is_text = [".obj", ".mtl", ".toml", ".gltf", ".bin"].iter().any(|e| name.ends_with(e));
             let same = if is_text {
                 kept == *bytes
             } else {

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::support::{Foveal, root};
+use crate::support::{Foveal, folder, root};
 
 /// Scene files in a folder and below, in the order of their names.
 fn scene_files(folder: &Path, found: &mut Vec<PathBuf>) {
@@ -48,4 +48,24 @@ fn collected_files() {
 #[test]
 fn hand_made_files() {
     check("hostile-made", 20);
+}
+
+/// A document that draws nothing is none that is wrong: every command shows its sky, and says why there is nothing else.
+#[test]
+fn a_document_without_triangles_shows_the_sky() {
+    let folder = folder("empty-gltf");
+    let file = folder.join("empty.gltf");
+    fs::write(&file, "{\"asset\": {\"version\": \"2.0\"}, \"nodes\": [{}]}").expect("a file");
+    for words in
+        ["explain", "walk --frames 2 --size 48x32", "bake", "reference --size 48x32 --spp 2 --out empty.png"]
+    {
+        let words = words.replace("empty.png", &folder.join("empty.png").display().to_string());
+        let ended = Foveal::new(&words).arg(&file).ok();
+        assert!(ended.err.contains("no triangle"), "{words}: {}", ended.err);
+    }
+    let broken = folder.join("broken.gltf");
+    let text = r#"{"asset": {"version": "2.0"}, "bufferViews": [{"buffer": 0, "byteLength": 8}], "buffers": [{"byteLength": 8}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "SCALAR"}]}"#;
+    fs::write(&broken, text).expect("a file");
+    Foveal::new("explain").arg(&broken).fails(3, &["broken.gltf", "/accessors/0", "leave the view"]);
 }

@@ -231,10 +231,11 @@ const GLTF: &str = r#""bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer"
     "pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "extensions": {"KHR_texture_transform": {"scale": [2, 3],
     "rotation": 0.5, "offset": [0.1, 0.2]}}}, "metallicRoughnessTexture": {"index": 0}}, "normalTexture": {"index": 0},
     "emissiveFactor": [1, 2, 3], "extensions": {"KHR_materials_ior": {"ior": 1.3}, "KHR_materials_transmission":
-    {"transmissionFactor": 0.2}, "KHR_materials_specular": {"specularFactor": 0.5}}}], "textures": [{"source": 0, "sampler":
+    {"transmissionFactor": 0.2, "transmissionTexture": {"index": 0}}, "KHR_materials_clearcoat": {"clearcoatFactor": 0.5},
+    "KHR_materials_sheen": {"sheenColorFactor": [1, 0.5, 0]}, "KHR_materials_anisotropy": {"anisotropyStrength": 0.5}, "KHR_materials_specular": {"specularFactor": 0.5}}}], "textures": [{"source": 0, "sampler":
     0}], "samplers": [{"wrapS": 33071}], "images": [{"uri": "a.png"}], "cameras": [{"type": "perspective", "perspective":
     {"yfov": 0.7}}], "scenes": [{"nodes": [0]}], "scene": 0, "nodes": [{"children": [1, 2, 3], "rotation": [0, 0, 0.6, 0.8]},
-    {"mesh": 0, "scale": [1, -2, 3]}, {"camera": 0, "translation": [0, 0, 4]}, {"matrix":
+    {"mesh": 0, "scale": [1, -2, 3], "weights": [1]}, {"camera": 0, "translation": [0, 0, 4]}, {"matrix":
     [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 1, 2, 3, 1], "extensions": {"KHR_lights_punctual": {"light": 0}, "EXT_mesh_gpu_instancing":
     {"attributes": {"TRANSLATION": 0}}}, "mesh": 0}], "extensions": {"KHR_lights_punctual": {"lights": [{"type": "spot",
     "intensity": 5, "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.4}}]}}, "extensionsUsed": ["KHR_lights_punctual"]"#;
@@ -244,23 +245,107 @@ fn gltf_text() {
     fuzz(&[gltf_document().into_bytes()], |bytes| scene_with("a.gltf", bytes, "a.gltf"));
 }
 
-/// Edits of a document of the right length in a container, and of the container.
+/// A container around a document and bytes, its lengths right.
+fn glb(json: &[u8], bin: &[u8]) -> Vec<u8> {
+    let pad = |bytes: &[u8], with: u8| {
+        let mut bytes = bytes.to_vec();
+        bytes.resize(bytes.len().next_multiple_of(4), with);
+        bytes
+    };
+    let (json, bin) = (pad(json, b' '), pad(bin, 0));
+    let mut file = b"glTF".to_vec();
+    for word in [2, (28 + json.len() + bin.len()) as u32, json.len() as u32] {
+        file.extend(word.to_le_bytes());
+    }
+    file.extend(b"JSON");
+    file.extend(json);
+    file.extend((bin.len() as u32).to_le_bytes());
+    file.extend(b"BIN\0");
+    file.extend(bin);
+    file
+}
+
+/// Edits of a container.
 #[test]
 fn gltf_binary() {
-    let glb = |json: &[u8]| {
-        let mut json = json.to_vec();
-        json.resize(json.len().next_multiple_of(4), b' ');
-        let mut file = b"glTF".to_vec();
-        for word in [2, 20 + json.len() as u32, json.len() as u32] {
-            file.extend(word.to_le_bytes());
-        }
-        file.extend(b"JSON");
-        file.extend(json);
-        file
+    fuzz(&[glb(gltf_document().as_bytes(), &[])], |bytes| scene_with("a.glb", bytes, "a.glb"));
+}
+
+/// Edits of a document in a container whose lengths are right.
+#[test]
+fn gltf_document_in_a_container() {
+    fuzz(&[gltf_document().into_bytes()], |json| scene_with("a.glb", &glb(json, &[]), "a.glb"));
+}
+
+/// Edits of what accessors read: the document and all lengths are right.
+#[test]
+fn gltf_accessors() {
+    let document = |length: usize| {
+        let views: Vec<String> = ["0", "48", "80", "96"]
+            .iter()
+            .map(|at| format!("{{\"buffer\": 0, \"byteOffset\": {at}, \"byteLength\": 48}}"))
+            .collect();
+        format!(
+            "{{{BEGINNING}\"buffers\": [{{\"byteLength\": {length}}}], \"bufferViews\": [{}], {ACCESSORS}}}",
+            views.join(",")
+        )
     };
-    let document = gltf_document().into_bytes();
-    fuzz(&[glb(&document)], |bytes| scene_with("a.glb", bytes, "a.glb"));
-    fuzz(&[document], |bytes| scene_with("a.glb", &glb(bytes), "a.glb"));
+    let corpus: Vec<Vec<u8>> = vec![(0..160u8).collect(), vec![0; 160], vec![0x3f; 160]];
+    fuzz(&corpus, |bytes| {
+        let mut bytes = bytes.to_vec();
+        bytes.resize(160, 7);
+        scene_with("a.glb", &glb(document(160).as_bytes(), &bytes), "a.glb");
+    });
+}
+
+const ACCESSORS: &str = r#""accessors": [{"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "sparse":
+    {"count": 2, "indices": {"bufferView": 2, "componentType": 5121}, "values": {"bufferView": 1}}}, {"bufferView": 1,
+    "componentType": 5122, "normalized": true, "count": 4, "type": "VEC4"}, {"bufferView": 2, "componentType": 5121, "count": 12,
+    "type": "SCALAR"}, {"bufferView": 3, "componentType": 5126, "count": 2, "type": "SCALAR"}, {"bufferView": 0, "componentType":
+    5126, "count": 2, "type": "VEC4"}, {"bufferView": 1, "componentType": 5121, "count": 4, "type": "VEC4"}], "meshes":
+    [{"weights": [0.5], "primitives": [{"attributes": {"POSITION": 0, "NORMAL": 1, "COLOR_0": 1, "JOINTS_0": 5, "WEIGHTS_0": 1},
+    "indices": 2, "targets": [{"POSITION": 0}]}]}], "cameras": [{"type": "perspective", "perspective": {"yfov": 0.7}}],
+    "nodes": [{"mesh": 0, "skin": 0}, {"mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 0,
+    "ROTATION": 1}}}}, {"camera": 0}], "skins": [{"joints": [0, 2]}], "animations": [{"samplers": [{"input": 3, "output": 4}],
+    "channels": [{"sampler": 0, "target": {"node": 2, "path": "rotation"}}]}]"#;
+
+/// Edits of compressed views: the document and all lengths are right.
+#[test]
+fn gltf_meshopt() {
+    let layouts = [
+        ("ATTRIBUTES", 12, 20),
+        ("ATTRIBUTES", 8, 300),
+        ("TRIANGLES", 4, 24),
+        ("TRIANGLES", 2, 3),
+        ("INDICES", 4, 24),
+    ];
+    let filters = ["NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR"];
+    let mut corpus: Vec<Vec<u8>> = Vec::new();
+    for (header, length) in [(0xa0, 90), (0xa1, 90), (0xe1, 60), (0xd1, 40)] {
+        corpus.push(std::iter::once(header).chain((1..length).map(|i: u8| i.wrapping_mul(37) % 5)).collect());
+        corpus.push(std::iter::once(header).chain((1..length).map(|i: u8| i.wrapping_mul(91))).collect());
+        corpus.push(std::iter::once(header).chain(vec![0; usize::from(length)]).collect());
+    }
+    fuzz(&corpus, |bytes| {
+        for (i, (mode, stride, count)) in layouts.iter().enumerate() {
+            let filter = if i < 2 { filters[bytes.len() % filters.len()] } else { "NONE" };
+            let json = format!(
+                "{{{BEGINNING}\"buffers\": [{{\"byteLength\": {}}}, {{\"byteLength\": 9999}}], \"bufferViews\": [{{\"buffer\": 1, \"byteLength\": {},
+                \"extensions\": {{\"EXT_meshopt_compression\": {{\"buffer\": 0, \"byteLength\": {}, \"byteStride\": {stride},
+                \"count\": {count}, \"mode\": \"{mode}\", \"filter\": \"{filter}\"}}}}}}], \"accessors\": [{{\"bufferView\": 0,
+                \"componentType\": {}, \"count\": {}, \"type\": \"{}\"}}, {{\"componentType\": 5126, \"count\": 24, \"type\": \"VEC3\"}}],
+                \"meshes\": [{{\"primitives\": [{{\"attributes\": {{\"POSITION\": {}}}, \"indices\": 0}}]}}], \"nodes\": [{{\"mesh\": 0}}]}}",
+                bytes.len(),
+                stride * count,
+                bytes.len(),
+                if i < 2 { 5126 } else if *stride == 2 { 5123 } else { 5125 },
+                if *stride == 8 { count / 2 } else { *count },
+                if i < 2 { "VEC3" } else { "SCALAR" },
+                i32::from(i >= 2)
+            );
+            scene_with("a.glb", &glb(json.as_bytes(), bytes), "a.glb");
+        }
+    });
 }
 
 #[test]

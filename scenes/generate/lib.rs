@@ -5,10 +5,12 @@
     reason = "the files that are kept were made with these; a test compares them"
 )]
 
+mod atelier;
 mod chess;
 mod cornell;
 mod duck;
 mod gallery;
+mod gltf;
 mod implicit;
 mod large;
 mod obj;
@@ -24,12 +26,13 @@ pub use obj::SceneFiles;
 pub type Make = fn() -> image::ImageResult<SceneFiles>;
 
 /// The bundled scenes by name.
-pub const BUNDLED: [(&str, Make); 7] = [
+pub const BUNDLED: [(&str, Make); 8] = [
     ("box", cornell::scene),
     ("duck", duck::scene),
     ("table", table::scene),
     ("gallery", gallery::scene),
     ("chess", chess::scene),
+    ("atelier", atelier::scene),
     ("furnace", test_rooms::furnace),
     ("diffuse", test_rooms::diffuse),
 ];

@@ -197,9 +197,9 @@ fn look(world: &World, split_sum: &SplitSum, object: u32, origin: Vec3, directio
         }
         sum += weight * tracer.base(&at.point(), || at);
         let bsdf = Bsdf::at(scene, &at);
-        let [a, b] = bsdf.peaks(at.wo, split_sum);
         let strength = |s: &Option<BsdfSample>| s.map_or(0.0, |s| s.weight.max_element());
-        let peak = if strength(&a) >= strength(&b) { a } else { b };
+        let stronger = |a, b| if strength(&a) >= strength(&b) { a } else { b };
+        let peak = bsdf.peaks(at.wo, split_sum).into_iter().reduce(stronger).flatten();
         let Some(peak) = peak.filter(|peak| peak.weight.max_element() > 0.02) else { break };
         weight *= peak.weight * peak.radiance_scale;
         ray = at.spawn(peak.wi);

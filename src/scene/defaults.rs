@@ -97,8 +97,15 @@ fn axes(up: Vec3) -> [Vec3; 3] {
     [right, up, right.cross(up)]
 }
 
-/// Adds what is missing: light, a camera, a path. Returns what to tell the user.
-pub(super) fn complete(scene: &mut Scene) -> Vec<String> {
+/// Whether the start view stands in the open, so that light from outside is expected.
+pub(super) fn is_open(scene: &Scene) -> bool {
+    let eye = scene.cameras.first().map_or_else(|| default_camera(scene).0.eye, |c| c.camera.eye);
+    let hits = nearest(&scene.mesh, eye, &feelers());
+    hits.iter().flatten().count() * 20 < FEELERS * 19
+}
+
+/// Adds what is missing: light (`glows` says that what there is only glows), a camera, a path. Returns what to tell the user.
+pub(super) fn complete(scene: &mut Scene, glows: bool) -> Vec<String> {
     let mut said = Vec::new();
     if scene.cameras.is_empty() {
         let (camera, inside) = default_camera(scene);
@@ -106,7 +113,7 @@ pub(super) fn complete(scene: &mut Scene) -> Vec<String> {
         let place = if inside { "inside the room" } else { "in front of the whole" };
         said.push(format!("no camera; one {place} is made up (a sidecar's [[camera]] gives another)"));
     }
-    if !has_light(scene) {
+    if !has_light(scene) || glows {
         said.push(add_light(scene));
     }
     if scene.paths.is_empty() {
@@ -177,7 +184,11 @@ fn add_light(scene: &mut Scene) -> String {
     let position = view.eye + scene.up * (0.8 * height);
     // The surroundings at their mean distance get π W/m², so that white is at radiance 1.
     let mean = met.iter().sum::<f32>() / met.len() as f32;
-    scene.lights.push(Light::Point { position, intensity: Vec3::splat(PI * mean * mean) });
+    scene.lights.push(Light::Point {
+        position,
+        intensity: Vec3::splat(PI * mean * mean),
+        range: f32::INFINITY,
+    });
     "no light, and the start view is in a closed room; a lamp above it, a sky and a sun are made up \
      (Ke in the MTL, or a sidecar's [[light]], give others)"
         .to_owned()
@@ -225,7 +236,7 @@ mod tests {
     #[test]
     fn a_box_seen_from_outside_gets_sky_and_a_view_of_all_of_it() {
         let mut scene = box_scene(false);
-        let said = complete(&mut scene);
+        let said = complete(&mut scene, false);
         assert_eq!(said.len(), 2, "{said:?}");
         assert!(said[0].contains("in front") && said[1].contains("sky") && !said[1].contains("lamp"));
         let frame = scene.cameras[0].camera.frame(100, 100);
@@ -242,7 +253,7 @@ mod tests {
     #[test]
     fn a_room_gets_a_view_and_a_lamp_inside() {
         let mut scene = box_scene(true);
-        let said = complete(&mut scene);
+        let said = complete(&mut scene, false);
         assert!(said[0].contains("inside") && said[1].contains("lamp"), "{said:?}");
         let inside = |p: Vec3| p.min_element() > 0.0 && p.max_element() < 1.0;
         assert!(inside(scene.cameras[0].camera.eye));
@@ -267,7 +278,7 @@ mod tests {
         let mut scene = with_camera(box_scene(true));
         scene.materials[0].emission.color = Vec3::ONE;
         let before = scene.cameras.clone();
-        assert!(complete(&mut scene).is_empty());
+        assert!(complete(&mut scene, false).is_empty());
         assert_eq!(scene.cameras, before);
         assert!(scene.lights.is_empty() && scene.environment.is_none());
     }

@@ -134,7 +134,13 @@ impl Model {
     /// be rough.
     pub fn roughness_range(&self) -> Option<[Roughness; 3]> {
         let Self::MetalRough(m) = self else { return self.roughness().map(|r| [r; 3]) };
-        let [least, most] = m.roughness_range;
+        let [mut least, mut most] = m.roughness_range;
+        if let Some(coat) = m.over.and_then(|over| over.coat) {
+            (least, most) = (least.min(coat.roughness), most.max(coat.roughness));
+        }
+        if m.over.is_some_and(|over| over.sheen.is_some()) {
+            most = 1.0;
+        }
         Some([least, m.roughness, most].map(|r| {
             let alpha = MetalRough::alpha(r);
             Roughness { alpha_x: alpha, alpha_y: alpha, distribution: Distribution::Ggx }
@@ -177,6 +183,8 @@ pub struct Material {
     pub normal_map: Option<TextureId>,
     /// Reflects on both sides (the default); else the back side is black and passes no light.
     pub two_sided: bool,
+    /// Of what crosses the surface of glass.
+    pub tint: Reflectance,
     /// Its emission is what it looks like, from both sides, and lights nothing (glTF's unlit).
     pub shadeless: bool,
 }
@@ -194,6 +202,7 @@ impl Material {
             bump_scale: 1.0,
             normal_map: None,
             two_sided: true,
+            tint: Reflectance::constant(Vec3::ONE),
             shadeless: false,
         }
     }
@@ -262,7 +271,11 @@ impl Material {
 
     /// Whether light passes through it.
     pub fn is_transparent(&self) -> bool {
-        matches!(self.model, Model::Dielectric { .. })
+        match &self.model {
+            Model::Dielectric { .. } => true,
+            Model::MetalRough(m) => m.is_seen_through(),
+            _ => false,
+        }
     }
 
     /// Whether it has a lobe that needs distributed rays.

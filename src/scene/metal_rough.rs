@@ -9,11 +9,12 @@
 //! diffuse  = (1 − m) b / π · (1 − E(μₒ)) (1 − E(μᵢ)) / (1 − Ē)
 //! ```
 //!
-//! E is what the layer reflects towards a direction ([`SplitSum::layer`]), Ē its mean, so that no light is lost between
+//! E is what the layer reflects towards a direction ([`LobeAlbedo::layer`]), Ē its mean, so that no light is lost between
 //! base and layer. The products (1 − m) b (1 − Ē) and f₀ are made for each texel when a scene is loaded: the base layer
 //! shows the one by itself, a lobe needs the other with r, and neither needs a third map.
 
-use super::{Reflectance, SplitSum};
+use super::lobe_albedo::LobeAlbedo;
+use super::{Reflectance, Sheen};
 
 /// Steps of r at which Ē is kept.
 const STEPS: usize = 32;
@@ -27,6 +28,10 @@ pub struct MetalRough {
     pub specular: Reflectance,
     /// Whether the alpha of the map of `specular` is r; else `roughness` is.
     pub roughness_in_alpha: bool,
+    /// m; `None` where it differs and no map has it.
+    pub metallic: Option<f32>,
+    /// Whether the alpha of the map of `diffuse` is m.
+    pub metallic_in_alpha: bool,
     /// r, or its mean where a map has it.
     pub roughness: f32,
     /// Least and greatest r of all texels.
@@ -35,15 +40,116 @@ pub struct MetalRough {
     pub layer: Layer,
     /// Mean of f₀ over the map, luminance.
     pub specular_mean: f32,
+    /// What passes below the layer to the other side, t (1 − m) b; black for most things.
+    pub through: Reflectance,
+    /// Share of the surface that is there; the rest is seen through in a straight line.
+    pub coverage: f32,
+    /// Whether the alpha of the map of `diffuse` is a factor of `coverage`.
+    pub coverage_in_alpha: bool,
+    /// What lies over all of it.
+    pub over: Option<Over>,
+    /// Grain of the layer.
+    pub grain: Option<Grain>,
     /// Whether it counts as diffuse: so rough, and so little metal, that its layer hardly depends on the view.
     pub is_diffuse: bool,
 }
 
+/// A clear coat of index 1.5.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Coat {
+    /// How much of it is there, in [0, 1].
+    pub strength: f32,
+    /// r.
+    pub roughness: f32,
+}
+
+impl Coat {
+    /// Reflectance at normal incidence.
+    pub const F0: f32 = 0.04;
+
+    /// What it reflects towards `cosine`. (The text dims what is below by the Fresnel term of the surface's normal, which is
+    /// the same for a smooth coat; a rough one reflects less at grazing angles, and what it does not reflect is not lost.)
+    pub fn reflectance(&self, cosine: f32) -> f32 {
+        let alpha = MetalRough::alpha(self.roughness);
+        self.strength * LobeAlbedo::table().layer(Self::F0, 1.0, cosine, alpha)
+    }
+
+    /// The cosine-weighted mean of [`Self::reflectance`].
+    pub fn mean(&self) -> f32 {
+        let alpha = MetalRough::alpha(self.roughness);
+        self.strength * LobeAlbedo::table().layer_mean(Self::F0, 1.0, alpha)
+    }
+}
+
+/// Grooves in one direction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grain {
+    /// How much longer highlights are along them, in [0, 1].
+    pub strength: f32,
+    /// Their direction: the angle from the tangent, counter-clockwise, radians.
+    pub rotation: f32,
+}
+
+impl Grain {
+    /// α along and across the grooves.
+    pub fn alphas(&self, r: f32) -> [f32; 2] {
+        let alpha = r * r;
+        [alpha + (1.0 - alpha) * self.strength * self.strength, alpha]
+    }
+}
+
+/// What lies over a layer and its base, and dims both.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Over {
+    /// A clear coat over everything.
+    pub coat: Option<Coat>,
+    /// Fibres below the coat.
+    pub sheen: Option<Sheen>,
+    mean: f32,
+}
+
+impl Over {
+    /// Coat and fibres; `None` where there are neither.
+    pub fn new(coat: Option<Coat>, sheen: Option<Sheen>) -> Option<Self> {
+        let coat = coat.filter(|c| c.strength > 0.0);
+        let sheen = sheen.filter(|s| s.color.max_element() > 0.0);
+        let below = sheen.map_or(1.0, |s| 1.0 - s.color.max_element() * Sheen::mean(s.alpha()));
+        let mean = coat.map_or(1.0, |c| 1.0 - c.mean()) * below;
+        (coat.is_some() || sheen.is_some()).then_some(Self { coat, sheen, mean })
+    }
+
+    /// The share of light towards `cosine` that the coat leaves to what is below it.
+    pub fn below_coat(&self, cosine: f32) -> f32 {
+        self.coat.map_or(1.0, |c| 1.0 - c.reflectance(cosine))
+    }
+
+    /// The share of light that is left towards `cosine` below both.
+    pub fn kept(&self, cosine: f32) -> f32 {
+        let fibres =
+            self.sheen.map_or(1.0, |s| 1.0 - s.color.max_element() * Sheen::albedo(cosine, s.alpha()));
+        self.below_coat(cosine) * fibres
+    }
+
+    /// Its cosine-weighted mean over directions.
+    pub fn kept_mean(&self) -> f32 {
+        self.mean
+    }
+}
+
 impl MetalRough {
-    /// α of the roughness r. Beyond the last row of the split sum lobes hardly grow wider, but what they lose would.
+    /// α of the roughness r.
     pub fn alpha(r: f32) -> f32 {
-        let r = r.min(SplitSum::ROUGHEST);
         r * r
+    }
+
+    /// Whether light passes it, straight or blurred.
+    pub fn is_seen_through(&self) -> bool {
+        self.coverage < 1.0 || self.coverage_in_alpha || self.through.color.max_element() > 0.0
+    }
+
+    /// Whether the lobes of the layer are all there are.
+    pub fn is_plain(&self) -> bool {
+        !self.is_seen_through() && self.over.is_none() && self.grain.is_none()
     }
 }
 
@@ -63,7 +169,7 @@ impl Layer {
     pub fn new(f0: f32, f90: f32) -> Self {
         let mean = |i| {
             let r = i as f32 / STEPS as f32;
-            SplitSum::table().layer_mean(f0, f90, MetalRough::alpha(r)).min(0.98)
+            LobeAlbedo::table().layer_mean(f0, f90, MetalRough::alpha(r)).min(0.98)
         };
         Self { f0, f90, means: (0..=STEPS).map(mean).collect() }
     }
@@ -77,7 +183,7 @@ impl Layer {
 
     /// (1 − E(μ)) / (1 − Ē): how much more or less of the base shows towards `cosine` than on average.
     pub fn factor(&self, cosine: f32, r: f32) -> f32 {
-        let e = SplitSum::table().layer(self.f0, self.f90, cosine, MetalRough::alpha(r));
+        let e = LobeAlbedo::table().layer(self.f0, self.f90, cosine, MetalRough::alpha(r));
         (1.0 - e) / (1.0 - self.mean(r))
     }
 }

@@ -12,12 +12,14 @@ pub mod environment;
 pub mod fresnel;
 pub mod hierarchy;
 pub mod load;
+pub mod lobe_albedo;
 pub mod material;
 pub mod metal_rough;
 pub mod microfacet;
 pub mod mip_cache;
 pub mod path;
 pub mod plan;
+pub mod sheen;
 pub mod split_sum;
 #[cfg(test)]
 pub mod test_scenes;
@@ -31,8 +33,10 @@ use glam::{Vec2, Vec3};
 pub use camera::{Camera, CameraPath, NamedCamera};
 pub use coat::Coat;
 pub use environment::Environment;
+pub use lobe_albedo::LobeAlbedo;
 pub use material::{Distribution, Material, MaterialId, Model, Reflectance, Roughness, TextureId};
 pub use metal_rough::MetalRough;
+pub use sheen::Sheen;
 pub use split_sum::SplitSum;
 pub use texture::Texture;
 
@@ -111,6 +115,8 @@ pub enum Light {
         position: Vec3,
         /// Radiant intensity per band, W/sr.
         intensity: Vec3,
+        /// Distance at which its light ends ([`Light::window`]), scene units; infinite for what nature has.
+        range: f32,
     },
     /// A cone with a smooth edge between two half angles.
     Spot {
@@ -124,6 +130,8 @@ pub enum Light {
         inner: f32,
         /// Half angle beyond which nothing is emitted, radians; ≥ `inner`.
         outer: f32,
+        /// Distance at which its light ends, scene units.
+        range: f32,
     },
     /// Parallel light.
     Directional {
@@ -132,6 +140,27 @@ pub enum Light {
         /// Irradiance at perpendicular incidence per band, W/m².
         irradiance: Vec3,
     },
+}
+
+impl Light {
+    /// The factor by which glTF's `range` lets light end: 1 − (d / range)⁴, never below 0.
+    pub fn window(range: f32, distance: f32) -> f32 {
+        if range.is_infinite() {
+            return 1.0;
+        }
+        let r = distance / range;
+        (1.0 - r * r * (r * r)).clamp(0.0, 1.0)
+    }
+
+    /// Where a lamp is, and its range; `None` for light from afar.
+    pub fn lamp(&self) -> Option<(Vec3, f32)> {
+        match *self {
+            Self::Point { position, range, .. } | Self::Spot { position, range, .. } => {
+                Some((position, range))
+            }
+            Self::Directional { .. } => None,
+        }
+    }
 }
 
 /// How the picture is shown (sidecar `[display]`).

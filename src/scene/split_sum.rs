@@ -1,9 +1,6 @@
-//! What rough lobes reflect altogether: the split sum of Karis 2013, and what follows from it for a base under a layer.
+//! What rough lobes reflect altogether: the split sum of Karis 2013.
 //!
-//! A lobe of microfacets with Schlick's Fresnel reflects f₀ A + f₉₀ B of the light. Single scattering loses what meets a
-//! second facet; [`SplitSum::gain`] gives it back as Turquin 2019 does, by a factor 1 + f₀ (1 / (A + B) − 1).
-
-use std::sync::LazyLock;
+//! A lobe of microfacets with Schlick's Fresnel reflects f₀ A + f₉₀ B of the light.
 
 use glam::Vec3;
 
@@ -73,59 +70,9 @@ impl SplitSum {
     }
 }
 
-static TABLE: LazyLock<SplitSum> = LazyLock::new(SplitSum::default);
-
-impl SplitSum {
-    /// √α of the last row.
-    pub const ROUGHEST: f32 = (ROUGHNESSES as f32 - 0.5) / ROUGHNESSES as f32;
-
-    /// The table, made once.
-    pub fn table() -> &'static Self {
-        &TABLE
-    }
-
-    /// What a lobe of reflectance 1 gains by scattering more than once, less 1: 1 / (A + B) − 1.
-    pub fn gain(&self, cosine: f32, alpha: f32) -> f32 {
-        let [a, b] = self.at(cosine, alpha);
-        (1.0 / (a + b).max(0.1) - 1.0).max(0.0)
-    }
-
-    /// Reflectance towards `cosine` of a layer with `f0` at normal and `f90` at grazing incidence.
-    pub fn layer(&self, f0: f32, f90: f32, cosine: f32, alpha: f32) -> f32 {
-        let [a, b] = self.at(cosine, alpha);
-        ((f0 * a + f90 * b) * (1.0 + f0 * self.gain(cosine, alpha))).clamp(0.0, 1.0)
-    }
-
-    /// The cosine-weighted mean of [`Self::layer`] over the hemisphere.
-    pub fn layer_mean(&self, f0: f32, f90: f32, alpha: f32) -> f32 {
-        const STEPS: usize = 4 * COSINES;
-        let mean: f32 = (0..STEPS)
-            .map(|i| {
-                let cosine = (i as f32 + 0.5) / STEPS as f32;
-                2.0 * cosine * self.layer(f0, f90, cosine, alpha)
-            })
-            .sum();
-        mean / STEPS as f32
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_white_layer_reflects_all_and_a_dielectric_one_what_fresnel_says() {
-        let table = SplitSum::table();
-        for alpha in [0.0, 0.04, 0.25, 0.5, 1.0] {
-            for cosine in [0.05, 0.3, 0.7, 1.0] {
-                assert!((table.layer(1.0, 1.0, cosine, alpha) - 1.0).abs() < 1e-5, "{alpha} {cosine}");
-            }
-        }
-        // Schlick's mean is f₀ + (1 − f₀) / 21.
-        let mean = table.layer_mean(0.04, 1.0, 0.0);
-        assert!((mean - (0.04 + 0.96 / 21.0)).abs() < 0.006, "{mean}");
-        assert!(table.gain(1.0, 1.0) > 0.5 && table.gain(1.0, 0.0) < 0.01);
-    }
 
     #[test]
     fn numbers_of_the_reference() {

@@ -262,7 +262,7 @@ mod tests {
         b.rectangle(Vec3::ZERO, Vec3::X * 4.0, Vec3::Y * 4.0, mirror);
         b.rectangle(Vec3::Z * 2.0, Vec3::Y, Vec3::X, screen);
         let mut scene = b.scene();
-        scene.lights = vec![Light::Point { position: Vec3::Z, intensity: Vec3::ONE }];
+        scene.lights = vec![Light::Point { position: Vec3::Z, intensity: Vec3::ONE, range: f32::INFINITY }];
         World::new(Arc::new(scene), Arc::new(Uniform(Vec3::ZERO)))
     }
 

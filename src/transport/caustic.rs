@@ -13,7 +13,7 @@ use glam::Vec3;
 
 use super::bidirectional::{End, geometric_cosine, scattering};
 use super::bsdf::Bsdf;
-use super::direct::{is_pane, visibility};
+use super::direct::{goes_straight, visibility};
 use super::interaction::Interaction;
 use super::light::Lights;
 use super::lit::{LitSurfaces, Start};
@@ -21,7 +21,7 @@ use super::medium::Media;
 use crate::geometry::{Accel, Hit, Ray};
 use crate::image::luminance;
 use crate::rng::{Stream, hash};
-use crate::scene::{Material, Model, Scene};
+use crate::scene::{Light, Material, Model, Scene};
 use aim::Aim;
 
 /// Particles that share sequences.
@@ -242,11 +242,21 @@ impl<'a> Caustics<'a> {
     }
 
     fn follow(&self, mut flight: Flight, stream: &mut Stream, deposit: &mut dyn FnMut(&Deposit<'_>)) {
+        // What of the light ends before it has come so far, as long as it goes straight on.
+        let (lamp, mut left) = (self.lights.ending_lamp(flight.ray.origin), 1.0);
         for _ in 0..SURFACES_MAX {
             let Some(hit) = self.accel.intersect(self.scene, &flight.ray) else { return };
             let at = Interaction::at(self.scene, &flight.ray, &hit);
             let length = hit.t * flight.ray.direction.length();
             flight.flux *= flight.media.transmittance_to(self.scene, &at, length);
+            if let Some((position, range)) = lamp.filter(|_| flight.vertices == 0) {
+                let now = Light::window(range, position.distance(at.position));
+                if now <= 0.0 {
+                    return;
+                }
+                flight.flux *= now / left;
+                left = now;
+            }
             let bsdf = Bsdf::at(self.scene, &at);
             let arrives = match self.sources.class {
                 // Whatever its colour there: a black texel is lit as its neighbours are.
@@ -275,7 +285,7 @@ impl<'a> Caustics<'a> {
         let over_all_lobes = class == Class::Unfound && flight.vertices > 0;
         let sample =
             if over_all_lobes { bsdf.sample_all(at.wo, u, u_lobe) } else { bsdf.sample(at.wo, u, u_lobe) }?;
-        let passed = sample.transmitted && is_pane(self.scene, at);
+        let passed = goes_straight(self.scene, at, &sample);
         let wanted = match class {
             Class::All => sample.delta || !bsdf.is_wide(),
             Class::Unfound => sample.delta || over_all_lobes,

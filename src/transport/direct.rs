@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::bsdf::fresnel;
+use super::bsdf::{Bsdf, BsdfSample, fresnel};
 use super::interaction::Interaction;
 use super::light::{LightSample, Lights, Receiver};
 use super::medium::Media;
@@ -24,7 +24,7 @@ pub(super) fn mis_weight(n: u32, p: f32, m: u32, q: f32) -> f32 {
 /// Relative difference of distances that are one: a few roundings.
 const SAME: f32 = 2e-6;
 
-/// The share of light that passes along `ray`: thin panes let it through attenuated, in a straight line; all
+/// The share of light that passes along `ray`: thin panes and veils let it through attenuated, in a straight line; all
 /// else blocks it, refracting glass too, whose light arrives by other ways.
 pub(crate) fn visibility(scene: &Scene, accel: &Accel, ray: &Ray) -> Vec3 {
     let mut passed = Vec3::ONE;
@@ -33,7 +33,13 @@ pub(crate) fn visibility(scene: &Scene, accel: &Accel, ray: &Ray) -> Vec3 {
     let mut count = 0;
     let blocked = accel.any_hit(scene, ray, |hit: Hit| {
         let material = &scene.materials[scene.mesh.materials[hit.triangle as usize].0 as usize];
-        let Model::Dielectric { ior, transmittance, thin: true, .. } = &material.model else { return true };
+        let pane = match &material.model {
+            Model::Dielectric { ior, transmittance, thin: true, .. } => {
+                Some((ior.clamp(1.0, 10.0), *transmittance))
+            }
+            Model::MetalRough(m) if m.is_seen_through() => None,
+            _ => return true,
+        };
         let at = Interaction::at(scene, ray, &hit);
         if at.back && !material.two_sided {
             return true;
@@ -44,7 +50,10 @@ pub(crate) fn visibility(scene: &Scene, accel: &Accel, ray: &Ray) -> Vec3 {
         crossed[count % crossed.len()] = (hit.t, at.back);
         count += 1;
         let cosine = at.wo.dot(at.facing_shading()).abs();
-        passed *= fresnel::pane(cosine, ior.clamp(1.0, 10.0), *transmittance).1;
+        passed *= match pane {
+            Some((ior, transmittance)) => fresnel::pane(cosine, ior, transmittance).1,
+            None => Bsdf::at(scene, &at).straight(),
+        };
         passed.max_element() <= 0.0
     });
     if blocked { Vec3::ZERO } else { passed }
@@ -93,8 +102,12 @@ impl Found {
     }
 }
 
-/// Whether the surface is a pane, which does not bend rays, so that light sampling sees through it.
+/// Whether a sample passes a surface as if it were not there, unbent, so that light sampling sees through it.
 #[inline]
-pub(super) fn is_pane(scene: &Scene, at: &Interaction) -> bool {
-    matches!(at.material(scene).model, Model::Dielectric { thin: true, .. })
+pub(super) fn goes_straight(scene: &Scene, at: &Interaction, sample: &BsdfSample) -> bool {
+    sample.transmitted
+        && match &at.material(scene).model {
+            Model::Dielectric { thin, .. } => *thin,
+            _ => sample.wi == -at.wo,
+        }
 }

@@ -30,7 +30,7 @@ use std::f32::consts::{FRAC_1_PI, PI};
 use glam::Vec3;
 
 use super::bsdf::{Bsdf, cosine_hemisphere};
-use super::direct::{arriving, is_pane, mis_weight};
+use super::direct::{arriving, goes_straight, mis_weight};
 use super::interaction::Interaction;
 use super::light::{Lights, Receiver};
 use super::medium::Media;
@@ -430,7 +430,7 @@ impl<'a> Gather<'a> {
             path.media = path.media.crossed(self.scene, at);
         }
         // Light samples of the vertex before see through panes.
-        if !(sample.transmitted && is_pane(self.scene, at)) {
+        if !goes_straight(self.scene, at, &sample) {
             let pdf = sample.pdf;
             path.found = (!sample.delta && !self.lights.is_empty()).then_some(Found { from: at.into(), pdf });
             path.straight = false;

@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::Vec3;
 
 use super::bsdf::{Bsdf, BsdfSample};
-use super::direct::{Found, arriving, is_pane, mis_weight};
+use super::direct::{Found, arriving, goes_straight, mis_weight};
 use super::gather::{Gather, Trust};
 use super::interaction::Interaction;
 use super::light::Lights;
@@ -260,6 +260,9 @@ impl<'a> Tracer<'a> {
 
     /// Radiance of the view-dependent lobes, without the coat's share of the diffuse part.
     fn scatter(&self, at: &Interaction, bsdf: &Bsdf, branch: Branch, mut stream: Stream) -> Vec3 {
+        if bsdf.is_layered() {
+            return self.scatter_layers(at, bsdf, branch, stream);
+        }
         let mut sum = Vec3::ZERO;
         let lobes = bsdf.delta_lobes(at.wo);
         if lobes.iter().all(Option::is_some) && branch.contribution <= self.settings.min_contribution {
@@ -301,6 +304,17 @@ impl<'a> Tracer<'a> {
             sum *= (others + bound) / (others + largest);
         }
         sum / estimates
+    }
+
+    /// The lobes of a surface that has several, all of them or, where little is seen of them, one by chance.
+    fn scatter_layers(&self, at: &Interaction, bsdf: &Bsdf, mut branch: Branch, mut stream: Stream) -> Vec3 {
+        if branch.contribution <= self.settings.min_contribution {
+            let Some((part, p, _)) = bsdf.chosen(at.wo, stream.next_f32()) else { return Vec3::ZERO };
+            branch.contribution /= p;
+            return self.scatter(at, &part, branch, stream) / p;
+        }
+        let part = |(k, part)| self.scatter(at, &part, branch, stream.split(0x1a7e_0000 + k as u64));
+        bsdf.parts().enumerate().map(part).sum()
     }
 
     /// One estimate of lobes that are not of Dirac's kind, by samples of the lobes and of the lights; with it the most
@@ -385,7 +399,7 @@ impl<'a> Tracer<'a> {
         if sample.transmitted {
             next.media = branch.media.crossed(self.scene, at);
             // Through a pane the ray goes on as it was found, and light samples were weighed so.
-            if is_pane(self.scene, at) {
+            if goes_straight(self.scene, at, sample) {
                 next.found = branch.found;
             }
         }

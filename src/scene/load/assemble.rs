@@ -8,7 +8,7 @@ use glam::Vec3;
 use super::Library;
 use super::error::{Place, SceneError, Warning};
 use super::obj::ObjFile;
-use crate::scene::{Light, MaterialId, Mesh, NamedCamera, TriangleIndex};
+use crate::scene::{CameraPath, Light, MaterialId, Mesh, NamedCamera, TriangleIndex};
 
 /// Coordinates beyond this are left out: the square of an area must fit into single precision.
 const COORDINATE_MAX: f32 = 1e9;
@@ -58,13 +58,14 @@ pub(super) struct Joined {
     pub own: Own,
 }
 
-/// Lights and cameras of glTF files.
+/// Lights, cameras and their paths of glTF files.
 #[derive(Default)]
 pub(super) struct Own {
     /// Whether any file is one.
     pub any: bool,
     pub lights: Vec<Light>,
     pub cameras: Vec<NamedCamera>,
+    pub paths: Vec<CameraPath>,
 }
 
 /// What is known of triangles besides the mesh.
@@ -173,12 +174,21 @@ impl Joined {
         id
     }
 
-    /// The mesh without triangles that have no area or no finite corners, and what is known of them.
-    pub fn into_mesh(self, path: &Path, warnings: &mut Vec<Warning>) -> Result<(Mesh, Labels), SceneError> {
+    /// The mesh without triangles that have no area or no finite corners, and what is known of them. A glTF document
+    /// without triangles can be meant (`may_be_empty`), and its reader says so.
+    pub fn into_mesh(
+        self,
+        path: &Path,
+        may_be_empty: bool,
+        warnings: &mut Vec<Warning>,
+    ) -> Result<(Mesh, Labels), SceneError> {
         let mut mesh = self.mesh;
         let mut name_of = self.name_of;
         let none =
             |message: &str| SceneError::NoGeometry { path: path.to_path_buf(), message: message.to_owned() };
+        if mesh.triangles.is_empty() && may_be_empty {
+            return Ok((Mesh::default(), Labels { name_of, names: self.names }));
+        }
         if mesh.triangles.is_empty() {
             return Err(none(
                 "no face to draw; export polygons (`f` lines of an OBJ file, triangles of a glTF scene)",
@@ -215,15 +225,6 @@ impl Joined {
         mesh.triangles.truncate(kept);
         mesh.materials.truncate(kept);
         name_of.truncate(kept);
-        let diagonal = (high - low).length();
-        if diagonal < DIAGONAL_MIN {
-            return Err(none(&format!(
-                "the whole scene is {diagonal:e} units across, too small for single precision; scale it up"
-            )));
-        }
-        let Some(&[first, ..]) = mesh.triangles.first() else {
-            return Err(none("no face has an area that single precision can hold; check the coordinates"));
-        };
         let mut say = |count: usize, what: &str| {
             if count > 0 {
                 let s = if count == 1 { "" } else { "s" };
@@ -233,6 +234,18 @@ impl Joined {
         };
         say(far, &format!("with a coordinate that is not finite or beyond {COORDINATE_MAX:e}"));
         say(flat, "without area");
+        if kept == 0 && may_be_empty {
+            return Ok((Mesh::default(), Labels { name_of, names: self.names }));
+        }
+        let diagonal = (high - low).length();
+        if diagonal < DIAGONAL_MIN {
+            return Err(none(&format!(
+                "the whole scene is {diagonal:e} units across, too small for single precision; scale it up"
+            )));
+        }
+        let Some(&[first, ..]) = mesh.triangles.first() else {
+            return Err(none("no face has an area that single precision can hold; check the coordinates"));
+        };
         if turned > 0 {
             let s = if turned == 1 { "" } else { "s" };
             let what = format!(

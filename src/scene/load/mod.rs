@@ -142,6 +142,11 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
             sidecar.cameras.push(camera);
         }
     }
+    for path in own.paths {
+        if !sidecar.paths.iter().any(|p| p.name == path.name) {
+            sidecar.paths.push(path);
+        }
+    }
     let mut requests = TextureRequests::default();
     let Materials { mut materials, filters, pending } =
         materials(&joined, &sidecar, &folder, &mut requests, &mut warnings);
@@ -156,7 +161,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     let environment = environment(&sidecar, &mut folder, options, &mut warnings);
 
     let name = path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
-    let (mesh, labels) = joined.into_mesh(path, &mut warnings)?;
+    let (mesh, labels) = joined.into_mesh(path, own.any, &mut warnings)?;
     let bounds = mesh.bounds();
     let grouped = hierarchy::group(&mesh, &materials, sidecar.up, |t| labels.name(t));
     let mut scene = SceneParts {
@@ -183,9 +188,11 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         warnings.push(Warning::new(Place::new(path, 0), message));
     }
     // Lights of glTF are photometric, and nobody chose them for an exposure of 1.
-    let shines = has_lights || own.any && scene.materials.iter().any(Material::is_emissive);
-    scene.display.metered = shines && !sidecar.exposure_given;
-    for message in defaults::complete(&mut scene) {
+    let emits = own.any && scene.materials.iter().any(Material::is_emissive);
+    // What glows in the open (labels, screens, coals) is no lighting: viewers show such files in surroundings of their own.
+    let glows = emits && scene.lights.is_empty() && scene.environment.is_none() && defaults::is_open(&scene);
+    scene.display.metered = (has_lights || emits) && !glows && !sidecar.exposure_given;
+    for message in defaults::complete(&mut scene, glows) {
         warnings.push(Warning::new(Place::new(path, 0), message));
     }
     if warnings.len() > WARNINGS_MAX {
@@ -282,6 +289,7 @@ fn read_mesh(
         joined.own.any = true;
         joined.own.lights.extend(file.lights);
         joined.own.cameras.extend(file.cameras);
+        joined.own.paths.extend(file.paths);
         let library =
             Library { relative, shown: shown.clone(), materials: Definitions::Gltf(file.materials) };
         joined.add(file.mesh, shown, base, vec![library]);

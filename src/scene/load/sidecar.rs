@@ -187,6 +187,8 @@ fn gltf(t: &Table<'_>) -> Result<Choices, SceneError> {
         scene: t.string("scene")?.map(str::to_owned),
         variant: t.string("variant")?.map(str::to_owned),
         light_scale: t.number_in("light_scale", good, "between 1e-9 and 1e9")?.unwrap_or(1.0),
+        play: t.string("play")?.map(str::to_owned),
+        time: t.number_in("time", |v| (-1e6..=1e6).contains(&v), "between -1e6 and 1e6 seconds")?,
         ignored: t.strings("ignore")?.unwrap_or_default().into_iter().map(|(n, _)| n.to_owned()).collect(),
     };
     t.finish()?;
@@ -302,14 +304,16 @@ fn light(t: &Table<'_>) -> Result<Light, SceneError> {
     };
     let kind = t.required("kind", t.string("kind")?)?;
     let light = match kind {
-        "point" => Light::Point { position: position()?, intensity: power("intensity")? },
+        "point" => {
+            Light::Point { position: position()?, intensity: power("intensity")?, range: f32::INFINITY }
+        }
         "spot" => {
             let (inner, outer) = (half_angle("inner")?, half_angle("outer")?);
             if outer < inner || outer == 0.0 {
                 return Err(t.invalid("outer", "must be above 0 and not less than `inner`"));
             }
             let (position, direction, intensity) = (position()?, direction()?, power("intensity")?);
-            Light::Spot { position, direction, intensity, inner, outer }
+            Light::Spot { position, direction, intensity, inner, outer, range: f32::INFINITY }
         }
         "directional" => Light::Directional { direction: direction()?, irradiance: power("irradiance")? },
         other => {

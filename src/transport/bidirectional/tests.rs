@@ -209,7 +209,7 @@ fn a_lamp_over_a_mirror() {
     b.rectangle(Vec3::ZERO, Vec3::X * 9.0, Vec3::Y * 9.0, mirror);
     b.rectangle(Vec3::Z * 2.0, Vec3::Y * 2.0, Vec3::X * 2.0, ceiling);
     let mut scene = b.scene();
-    scene.lights = vec![Light::Point { position: Vec3::Z, intensity: Vec3::ONE }];
+    scene.lights = vec![Light::Point { position: Vec3::Z, intensity: Vec3::ONE, range: f32::INFINITY }];
     let view = View { side: 16, ..View::new(Vec3::new(0.3, 0.2, 0.5), Vec3::new(0.1, 0.0, 2.0), 0.9) };
     let (found, merged) = truth(&scene, view, 800, 4);
     let exact = plane(view, 2.0, None, |p| {
@@ -239,7 +239,7 @@ fn a_paraboloid_straight_and_in_a_mirror() {
             b.rectangle(Vec3::new(x, 0.0, 1.917), Vec3::Z * 0.25, Vec3::Y * 0.25, silver);
         }
         let mut scene = b.scene();
-        scene.lights = vec![Light::Point { position: Vec3::Z, intensity: Vec3::ONE }];
+        scene.lights = vec![Light::Point { position: Vec3::Z, intensity: Vec3::ONE, range: f32::INFINITY }];
         scene
     };
     let caustic = |p: Vec3| 0.9 / (1.0 + 0.25 * p.truncate().length_squared()).powi(2);
@@ -270,7 +270,8 @@ fn a_slab_absorbs_whoever_goes_through_it() {
         b.rectangle(Vec3::Z * 0.5, Vec3::Y * 9.0, Vec3::X * 9.0, slab);
         b.rectangle(Vec3::ZERO, Vec3::X * 3.0, Vec3::Y * 3.0, floor);
         let mut scene = b.scene();
-        scene.lights = vec![Light::Point { position: Vec3::Z * lamp, intensity: Vec3::ONE }];
+        scene.lights =
+            vec![Light::Point { position: Vec3::Z * lamp, intensity: Vec3::ONE, range: f32::INFINITY }];
         let at = Vec3::new(0.0, -0.3, eye);
         let view = View { side: 16, ..View::new(at, Vec3::new(0.05, -0.25, 0.0), 1.2) };
         // Lengths inside of the slab, along slanted ways.

@@ -6,8 +6,9 @@ use glam::Vec3;
 
 use crate::geometry::Ray;
 use crate::rng::Stream;
+use crate::scene::Light;
 use crate::transport::bsdf::Bsdf;
-use crate::transport::direct::is_pane;
+use crate::transport::direct::goes_straight;
 use crate::transport::interaction::Interaction;
 use crate::transport::light::{Emitter, Receiver};
 use crate::transport::medium::Media;
@@ -113,7 +114,7 @@ impl Bidirectional<'_> {
             }
             let (u, u_lobe) = (walk.stream.next_2d(), walk.stream.next_f32());
             let sample = bsdf.sample_all(at.wo, u, u_lobe);
-            if let Some(through) = sample.filter(|s| s.transmitted && is_pane(self.scene, &at)) {
+            if let Some(through) = sample.filter(|s| goes_straight(self.scene, &at, s)) {
                 walk.leave(&at, through.wi, through.weight);
                 continue;
             }
@@ -170,12 +171,19 @@ impl Bidirectional<'_> {
         let mut walk = Walk::new(ray, flux, around, Odds::default(), stream);
         let (only_alone, mut alone) = (alone, self.lights.is_dirac(emitter));
         let (mut vertices, mut beside) = (0, true);
+        let lamp = self.lights.ending_lamp(walk.ray.origin);
         for _ in 0..BOUNCES_MAX {
             let Some((_, at, bsdf)) = self.hit(&mut walk) else { return };
             let sample = bsdf.sample_all(at.wo, walk.stream.next_2d(), walk.stream.next_f32());
-            if let Some(through) = sample.filter(|s| s.transmitted && is_pane(self.scene, &at)) {
+            if let Some(through) = sample.filter(|s| goes_straight(self.scene, &at, s)) {
                 walk.leave(&at, through.wi, through.weight);
                 continue;
+            }
+            if let Some((position, range)) = lamp.filter(|_| vertices == 0) {
+                walk.throughput *= Light::window(range, position.distance(at.position));
+                if walk.throughput.max_element() <= 0.0 {
+                    return;
+                }
             }
             let cosine = geometric_cosine(&at, at.wo);
             walk.odds = if vertices == 0 {

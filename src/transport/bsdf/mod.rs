@@ -8,6 +8,7 @@
 //! Directions are world space, unit, and point away from the surface. Absent on purpose: subsurface
 //! scattering, layers beyond one coat, dispersion.
 
+mod layers;
 pub mod peaks;
 
 use std::f32::consts::{FRAC_1_PI, PI};
@@ -18,8 +19,9 @@ use super::interaction::Interaction;
 use crate::image::luminance;
 use crate::math;
 pub use crate::scene::fresnel;
+use crate::scene::metal_rough::Over;
 use crate::scene::microfacet::Microfacet;
-use crate::scene::{Distribution, MetalRough, Model, Reflectance, Roughness, Scene, SplitSum};
+use crate::scene::{Distribution, LobeAlbedo, Model, Reflectance, Roughness, Scene, Sheen};
 
 /// One sampled direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -93,14 +95,29 @@ enum Lobe {
         specular: Vec3,
         microfacet: Microfacet,
     },
-    /// `eta` = n_t / n_i seen from the viewer's side. Rough where there is a microfacet.
+    /// `eta` = n_t / n_i seen from the viewer's side. Rough where there is a microfacet; `tint` of what crosses.
     Glass {
         eta: f32,
         microfacet: Option<Microfacet>,
+        tint: Vec3,
     },
     Pane {
         eta: f32,
         transmittance: Vec3,
+    },
+    /// Straight through.
+    Straight {
+        weight: Vec3,
+    },
+    /// Through, blurred as by rough glass without thickness; it counts as a lobe of single directions, as that does.
+    Blurred {
+        weight: Vec3,
+        microfacet: Microfacet,
+    },
+    /// Fibres.
+    Fibres {
+        color: Vec3,
+        alpha: f32,
     },
 }
 
@@ -117,6 +134,7 @@ enum Coat {
         f90: f32,
         alpha: f32,
         kept: f32,
+        over: Option<Over>,
     },
 }
 
@@ -130,6 +148,9 @@ pub struct Bsdf {
     diffuse: Vec3,
     coat: Coat,
     lobe: Lobe,
+    /// Lobes beside that one, as many as `layers` says.
+    more: [Lobe; layers::MORE],
+    layers: u8,
 }
 
 impl Bsdf {
@@ -147,6 +168,8 @@ impl Bsdf {
             diffuse: point.diffuse_albedo(scene),
             coat: Coat::None,
             lobe: Lobe::None,
+            more: [Lobe::None; layers::MORE],
+            layers: 0,
         };
         // The back of a one-sided surface is black.
         if at.back && !m.two_sided {
@@ -172,7 +195,7 @@ impl Bsdf {
                     Lobe::Pane { eta: ior, transmittance: *transmittance }
                 } else {
                     let eta = if at.back { 1.0 / ior } else { ior };
-                    Lobe::Glass { eta, microfacet: Microfacet::of(roughness) }
+                    Lobe::Glass { eta, microfacet: Microfacet::of(roughness), tint: lookup(&m.tint) }
                 };
             }
             Model::Plastic { coat, .. } => {
@@ -182,28 +205,7 @@ impl Bsdf {
                 }
             }
             Model::MetalRough(m) if m.is_diffuse => {}
-            Model::MetalRough(m) => {
-                let (f0, r) = match m.specular.map {
-                    None => (m.specular.color, m.roughness),
-                    Some(map) => {
-                        let [red, green, blue, alpha] = point.texel(scene, map);
-                        let r = if m.roughness_in_alpha { alpha } else { m.roughness };
-                        (m.specular.color * Vec3::new(red, green, blue), r)
-                    }
-                };
-                let f0 = f0.clamp(Vec3::ZERO, Vec3::ONE);
-                let alpha = MetalRough::alpha(r.clamp(0.0, 1.0));
-                let rough = Roughness { alpha_x: alpha, alpha_y: alpha, distribution: Distribution::Ggx };
-                let cosine = at.wo.dot(bsdf.normal).max(0.0);
-                let gain = if rough.is_smooth() { 0.0 } else { SplitSum::table().gain(cosine, alpha) };
-                let gain = Vec3::ONE + f0 * gain;
-                bsdf.lobe =
-                    facet_lobe(Facet::Between { f0: f0 * gain, f90: gain * m.layer.f90 }, &rough, false);
-                if bsdf.diffuse != Vec3::ZERO {
-                    let (f0, f90) = (m.layer.f0, m.layer.f90);
-                    bsdf.coat = Coat::Layer { f0, f90, alpha, kept: 1.0 - m.layer.mean(r) };
-                }
-            }
+            Model::MetalRough(m) => bsdf.set_metal_rough(scene, m, at, &point),
             Model::CookTorrance { specular, roughness, .. } => {
                 let f0 = lookup(specular);
                 if f0.max_element() > 0.0 {
@@ -242,20 +244,23 @@ impl Bsdf {
         match self.coat {
             Coat::None => 1.0,
             Coat::Dielectric(coat) => coat.factor(cosine),
-            Coat::Layer { f0, f90, alpha, kept } => {
-                (1.0 - SplitSum::table().layer(f0, f90, cosine, alpha)) / kept
+            Coat::Layer { f0, f90, alpha, kept, over } => {
+                let over = over.map_or(1.0, |over| over.kept(cosine) / over.kept_mean());
+                over * (1.0 - LobeAlbedo::table().layer(f0, f90, cosine, alpha)) / kept
             }
         }
     }
 
     /// Whether anything depends on the view.
     pub fn has_view_dependent(&self) -> bool {
-        self.lobe != Lobe::None || self.coat != Coat::None
+        self.lobe != Lobe::None || self.coat != Coat::None || self.layers > 0
     }
 
     /// Whether the view-dependent lobes have single directions only, so that sampling lights is in vain.
     pub fn is_delta(&self) -> bool {
-        !matches!(self.lobe, Lobe::Glossy { .. } | Lobe::Ward { .. })
+        let wide =
+            |lobe: &Lobe| matches!(lobe, Lobe::Glossy { .. } | Lobe::Ward { .. } | Lobe::Fibres { .. });
+        !wide(&self.lobe) && !self.beside().iter().any(wide)
     }
 
     /// α beyond which a lobe counts as diffuse where paths are told apart (Heckbert's D and S).
@@ -263,14 +268,20 @@ impl Bsdf {
 
     /// Whether the view-dependent lobes are as good as diffuse. Never those that have single directions only.
     pub fn is_wide(&self) -> bool {
+        if self.is_layered() {
+            return self.parts().all(|part| part.is_wide());
+        }
         match self.lobe {
             Lobe::Glossy { microfacet, .. } | Lobe::Ward { microfacet, .. } => {
                 microfacet.ax.max(microfacet.ay) > Self::WIDE
             }
+            Lobe::Fibres { .. } => true,
             Lobe::None
             | Lobe::Mirror { .. }
             | Lobe::Smooth { .. }
             | Lobe::Glass { .. }
+            | Lobe::Straight { .. }
+            | Lobe::Blurred { .. }
             | Lobe::Pane { .. } => false,
         }
     }
@@ -311,7 +322,7 @@ impl Bsdf {
         refract(wo, self.normal, eta)
     }
 
-    /// All directions of delta lobes, each with its full weight (not divided by a probability): a caller that
+    /// All directions of delta lobes (of the first one where there are several beside each other), each with its full weight (not divided by a probability): a caller that
     /// branches follows all of them.
     pub fn delta_lobes(&self, wo: Vec3) -> [Option<BsdfSample>; 2] {
         let reflection = |weight: Vec3| {
@@ -329,12 +340,12 @@ impl Bsdf {
         match self.lobe {
             Lobe::Mirror { reflectance } => [reflection(reflectance), None],
             Lobe::Smooth { facet } => [reflection(facet.reflectance(cosine)), None],
-            Lobe::Glass { eta, microfacet: None } => {
+            Lobe::Glass { eta, microfacet: None, tint } => {
                 let f = fresnel::dielectric(cosine, eta);
                 let through = self.refracted(wo, eta).filter(|wi| f < 1.0 && wi.dot(self.geometric) < 0.0);
                 let refraction = through.map(|wi| BsdfSample {
                     wi,
-                    weight: Vec3::splat(1.0 - f),
+                    weight: tint * (1.0 - f),
                     pdf: 1.0,
                     delta: true,
                     transmitted: true,
@@ -354,16 +365,36 @@ impl Bsdf {
                 };
                 [reflection(r), Some(through)]
             }
-            Lobe::None | Lobe::Glossy { .. } | Lobe::Ward { .. } | Lobe::Glass { .. } => [None, None],
+            Lobe::Straight { weight } => {
+                let through = BsdfSample {
+                    wi: -wo,
+                    weight,
+                    pdf: 1.0,
+                    delta: true,
+                    transmitted: true,
+                    radiance_scale: 1.0,
+                };
+                [None, Some(through)]
+            }
+            Lobe::None
+            | Lobe::Glossy { .. }
+            | Lobe::Ward { .. }
+            | Lobe::Glass { .. }
+            | Lobe::Blurred { .. }
+            | Lobe::Fibres { .. } => [None, None],
         }
     }
 
     /// A direction of the view-dependent lobes; `None` where it falls below the horizon (weight 0; do not
     /// draw again).
     pub fn sample(&self, wo: Vec3, u: [f32; 2], u_lobe: f32) -> Option<BsdfSample> {
+        if self.is_layered() {
+            return self.sample_layered(wo, u, u_lobe);
+        }
         match self.lobe {
             Lobe::None => None,
             Lobe::Mirror { .. }
+            | Lobe::Straight { .. }
             | Lobe::Smooth { .. }
             | Lobe::Pane { .. }
             | Lobe::Glass { microfacet: None, .. } => {
@@ -397,9 +428,13 @@ impl Bsdf {
                     radiance_scale: 1.0,
                 })
             }
-            Lobe::Glass { eta, microfacet: Some(microfacet) } => {
-                self.sample_rough_glass(wo, u, u_lobe, eta, &microfacet)
+            Lobe::Glass { eta, microfacet: Some(microfacet), tint } => {
+                let sample = self.sample_rough_glass(wo, u, u_lobe, eta, &microfacet)?;
+                let weight = if sample.transmitted { sample.weight * tint } else { sample.weight };
+                Some(BsdfSample { weight, ..sample })
             }
+            Lobe::Blurred { weight, microfacet } => self.sample_blurred(wo, u, weight, &microfacet),
+            Lobe::Fibres { .. } => self.sample_fibres(wo, u),
         }
     }
 
@@ -455,6 +490,9 @@ impl Bsdf {
         if self.is_delta() || wi.dot(self.geometric) <= 0.0 {
             return (Vec3::ZERO, 0.0);
         }
+        if self.is_layered() {
+            return self.evaluate_layered(wo, wi);
+        }
         self.glossy(self.local(wo), self.local(wi))
     }
 
@@ -477,10 +515,13 @@ impl Bsdf {
                 let value = if h.z < 1e-6 { Vec3::ZERO } else { specular * f };
                 (value, microfacet.reflection(o, i).pdf)
             }
+            Lobe::Fibres { color, alpha } => (color * Sheen::value(alpha, o, i), i.z * FRAC_1_PI),
             Lobe::None
             | Lobe::Mirror { .. }
             | Lobe::Smooth { .. }
             | Lobe::Glass { .. }
+            | Lobe::Straight { .. }
+            | Lobe::Blurred { .. }
             | Lobe::Pane { .. } => (Vec3::ZERO, 0.0),
         };
         (if value.is_finite() { value } else { Vec3::ZERO }, pdf)
@@ -488,9 +529,14 @@ impl Bsdf {
 
     /// About the share of light that the view-dependent lobes return towards `wo`.
     pub fn view_dependent_albedo(&self, wo: Vec3) -> Vec3 {
+        if self.is_layered() {
+            return self.parts().map(|part| part.view_dependent_albedo(wo)).sum();
+        }
         let cosine = wo.dot(self.normal).max(0.0);
         match self.lobe {
             Lobe::None => Vec3::ZERO,
+            Lobe::Straight { weight } | Lobe::Blurred { weight, .. } => weight,
+            Lobe::Fibres { color, alpha } => color * Sheen::albedo(cosine, alpha),
             Lobe::Mirror { reflectance } => reflectance,
             Lobe::Smooth { facet } | Lobe::Glossy { facet, .. } => facet.reflectance(cosine),
             Lobe::Ward { specular, .. } => specular,

@@ -11,6 +11,9 @@ use crate::image::luminance;
 use crate::scene::Model;
 pub use crate::scene::split_sum::SplitSum;
 
+/// Directions that a surface may have: of each of its lobes one, and two of glass.
+pub const PEAKS: usize = 4;
+
 impl Model {
     /// α of the view-dependent lobe, the larger of the two; 0 for smooth and diffuse surfaces.
     pub fn lobe_alpha(&self) -> f32 {
@@ -44,7 +47,19 @@ impl Model {
 impl Bsdf {
     /// The directions of the view-dependent lobes, rough ones as if they were smooth, each with what the whole lobe
     /// reflects.
-    pub fn peaks(&self, wo: Vec3, split_sum: &SplitSum) -> [Option<BsdfSample>; 2] {
+    pub fn peaks(&self, wo: Vec3, split_sum: &SplitSum) -> [Option<BsdfSample>; PEAKS] {
+        let mut peaks = [None; PEAKS];
+        let parts = self.parts().flat_map(|part| part.own_peaks(wo, split_sum));
+        if self.is_layered() {
+            // Of each lobe there is one.
+            parts.flatten().zip(&mut peaks).for_each(|(peak, place)| *place = Some(peak));
+        } else {
+            parts.zip(&mut peaks).for_each(|(peak, place)| *place = peak);
+        }
+        peaks
+    }
+
+    fn own_peaks(&self, wo: Vec3, split_sum: &SplitSum) -> [Option<BsdfSample>; 2] {
         let cosine = wo.dot(self.normal).max(0.0);
         let rough = |f0: Vec3, alpha: f32, most: Vec3| {
             let [a, b] = split_sum.at(cosine, alpha);
@@ -65,21 +80,25 @@ impl Bsdf {
                 smooth(rough(facet.reflectance(1.0), alpha, most))
             }
             Lobe::Ward { specular, .. } => smooth(specular),
-            Lobe::Glass { eta, microfacet: Some(microfacet) } => {
+            Lobe::Blurred { weight, .. } => Self { lobe: Lobe::Straight { weight }, ..*self }.delta_lobes(wo),
+            // Too wide to have one.
+            Lobe::Fibres { .. } => [None, None],
+            Lobe::Glass { eta, microfacet: Some(microfacet), tint } => {
                 let alpha = microfacet.ax.max(microfacet.ay);
                 let f0 = fresnel::dielectric(1.0, eta);
                 let reflected = rough(Vec3::splat(f0), alpha, Vec3::ONE).x;
                 let [reflection, through] =
-                    Self { lobe: Lobe::Glass { eta, microfacet: None }, ..*self }.delta_lobes(wo);
-                let weighted = |sample: Option<BsdfSample>, weight: f32| {
-                    sample.map(|s| BsdfSample { weight: Vec3::splat(weight), ..s })
-                };
-                [weighted(reflection, reflected), weighted(through, 1.0 - reflected)]
+                    Self { lobe: Lobe::Glass { eta, microfacet: None, tint }, ..*self }.delta_lobes(wo);
+                let weighted =
+                    |sample: Option<BsdfSample>, weight| sample.map(|s| BsdfSample { weight, ..s });
+                let passed = tint * (1.0 - reflected);
+                [weighted(reflection, Vec3::splat(reflected)), weighted(through, passed)]
             }
             Lobe::None
             | Lobe::Mirror { .. }
             | Lobe::Smooth { .. }
             | Lobe::Pane { .. }
+            | Lobe::Straight { .. }
             | Lobe::Glass { microfacet: None, .. } => self.delta_lobes(wo),
         }
     }

@@ -54,7 +54,7 @@ fn a_lamp_over_a_mirror() {
     b.rectangle(Vec3::ZERO, Vec3::X * 4.0, Vec3::Y * 4.0, floor);
     ceiling(&mut b, 2.0, 0.5);
     let mut scene = b.scene();
-    scene.lights = vec![Light::Point { position: Vec3::Z, intensity: Vec3::ONE }];
+    scene.lights = vec![Light::Point { position: Vec3::Z, intensity: Vec3::ONE, range: f32::INFINITY }];
     for class in BOTH {
         let expected = mean_on_ceiling(|r2| 0.8 * 3.0 / (9.0 + r2).sqrt().powi(3));
         assert_near(irradiance(&scene, class, 32, |_| 1.0), expected, 0.02, "ceiling");
@@ -72,7 +72,7 @@ fn a_lamp_in_a_paraboloid() {
     });
     ceiling(&mut b, 4.0, 1.0);
     let mut scene = b.scene();
-    scene.lights = vec![Light::Point { position: Vec3::Z, intensity: Vec3::ONE }];
+    scene.lights = vec![Light::Point { position: Vec3::Z, intensity: Vec3::ONE, range: f32::INFINITY }];
     let expected = |r2: f64| 0.9 / (1.0 + 0.25 * r2).powi(2);
     for (inner, outer) in [(0.0, 0.3), (0.3, 0.6), (0.6, 0.9)] {
         let in_ring = |p: Vec3| {
@@ -97,7 +97,7 @@ fn light_through_a_slab() {
     b.cube(Vec3::Z * 2.0, 0.5, slab);
     ceiling(&mut b, 4.0, 0.5);
     let mut scene = b.scene();
-    scene.lights = vec![Light::Point { position: Vec3::ZERO, intensity: Vec3::ONE }];
+    scene.lights = vec![Light::Point { position: Vec3::ZERO, intensity: Vec3::ONE, range: f32::INFINITY }];
     for class in BOTH {
         let expected = mean_on_ceiling(|r2| {
             let distance = (16.0 + r2).sqrt();
@@ -142,7 +142,7 @@ fn gloss_belongs_to_one_class_only() {
         b.rectangle(Vec3::ZERO, Vec3::X * 4.0, Vec3::Y * 4.0, floor);
         ceiling(&mut b, 2.0, 1.0);
         let mut scene = b.scene();
-        scene.lights = vec![Light::Point { position: Vec3::Z, intensity: Vec3::ONE }];
+        scene.lights = vec![Light::Point { position: Vec3::Z, intensity: Vec3::ONE, range: f32::INFINITY }];
         assert_eq!(irradiance(&scene, Class::All, 1, |_| 1.0) > 0.0, all);
         let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
         assert!(!Sources::new(&scene, &accel, &lights, Class::Unfound).is_possible());
@@ -159,7 +159,8 @@ fn irradiance_is_that_of_the_shading_normal() {
     let dark = b.material(lambert(DARK));
     b.surface(1, dark, |u, v| (Vec3::new(u - 0.5, v - 0.5, 0.0), normal));
     let mut scene = b.scene();
-    scene.lights = vec![Light::Point { position: Vec3::new(1.5, 0.0, 0.5), intensity: Vec3::ONE }];
+    scene.lights =
+        vec![Light::Point { position: Vec3::new(1.5, 0.0, 0.5), intensity: Vec3::ONE, range: f32::INFINITY }];
     let image = Vec3::new(1.5, 0.0, 1.5);
     let (mut expected, steps) = (0.0, 64);
     for i in 0..steps * steps {
@@ -181,7 +182,7 @@ fn without_lamps_or_mirrors_there_is_nothing_to_trace() {
         let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
         Sources::new(&scene, &accel, &lights, class).is_possible()
     };
-    let lamp = Light::Point { position: Vec3::Z, intensity: Vec3::ONE };
+    let lamp = Light::Point { position: Vec3::Z, intensity: Vec3::ONE, range: f32::INFINITY };
     for class in BOTH {
         assert!(possible(mirror(0.5), Some(lamp.clone()), class));
         assert!(!possible(mirror(0.5), None, class));

@@ -53,9 +53,15 @@ fn irradiance_under_a_square_light() {
 }
 
 #[test]
+fn a_lamp_is_dark_where_its_range_ends() {
+    assert_eq!([0.0, 1.0, 2.0, 3.0].map(|d| Light::window(2.0, d)), [1.0, 15.0 / 16.0, 0.0, 0.0]);
+    assert_eq!(Light::window(f32::INFINITY, 1e30), 1.0);
+}
+
+#[test]
 fn point_spot_and_directional_lights() {
     let lights = [
-        (Light::Point { position: Vec3::Z * 2.0, intensity: Vec3::ONE }, 0.25),
+        (Light::Point { position: Vec3::Z * 2.0, intensity: Vec3::ONE, range: f32::INFINITY }, 0.25),
         (
             Light::Spot {
                 position: Vec3::Z * 2.0,
@@ -63,10 +69,13 @@ fn point_spot_and_directional_lights() {
                 intensity: Vec3::ONE,
                 inner: 0.2,
                 outer: 0.4,
+                range: f32::INFINITY,
             },
             0.25,
         ),
         (Light::Directional { direction: Vec3::new(0.0, 0.6, -0.8), irradiance: Vec3::ONE }, 0.8),
+        // Half way to where it ends 1/16 is gone.
+        (Light::Point { position: Vec3::Z * 2.0, intensity: Vec3::ONE, range: 4.0 }, 0.25 * 15.0 / 16.0),
     ];
     for (light, irradiance) in lights {
         let mut b = Builder::default();

@@ -83,7 +83,11 @@ fn wrong_maps_leave_no_trace_among_all_kinds_of_surfaces() {
     b.rectangle(Vec3::new(1.9, 0.0, 0.0), Vec3::Z * 1.5, Vec3::Y * 1.5, metal);
     b.sphere(Vec3::new(0.5, 0.5, -1.0), 0.5, 8, ball);
     let mut scene = b.scene();
-    scene.lights = vec![Light::Point { position: Vec3::new(-0.5, 0.3, 1.0), intensity: Vec3::ONE }];
+    scene.lights = vec![Light::Point {
+        position: Vec3::new(-0.5, 0.3, 1.0),
+        intensity: Vec3::ONE,
+        range: f32::INFINITY,
+    }];
     let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
     let (nothing, much) = (uniform(0.0), uniform(9.0));
     for target in [Vec3::new(-0.8, -0.6, -1.9), Vec3::new(1.9, 0.2, 0.3), Vec3::new(0.4, 1.9, 0.2)] {

@@ -105,7 +105,11 @@ mod tests {
         let mesh = quad(Vec3::new(-0.5, 1.0, -0.5), Vec3::X, Vec3::Z);
         let lights = vec![
             Light::Directional { direction: Vec3::new(0.3, -0.9, 0.1), irradiance: Vec3::splat(2.0) },
-            Light::Point { position: Vec3::new(0.2, 0.7, 0.1), intensity: Vec3::splat(0.3) },
+            Light::Point {
+                position: Vec3::new(0.2, 0.7, 0.1),
+                intensity: Vec3::splat(0.3),
+                range: f32::INFINITY,
+            },
         ];
         let mut s = scene(mesh, vec![lambert(0.5, 1.5)], lights);
         let bright = Map2d::from_fn(16, 8, |x, y| Vec3::splat(if (x, y) == (3, 2) { 20.0 } else { 0.3 }));

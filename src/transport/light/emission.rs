@@ -171,10 +171,10 @@ impl Lights {
 
     fn emit_from_analytic(&self, light: &Light, u: [f32; 2]) -> (Ray, Vec3) {
         match *light {
-            Light::Point { position, intensity } => {
+            Light::Point { position, intensity, .. } => {
                 (Ray::new(position, cone(Vec3::Z, -1.0, u)), intensity * (2.0 * TAU))
             }
-            Light::Spot { position, direction, intensity, inner, outer } => {
+            Light::Spot { position, direction, intensity, inner, outer, .. } => {
                 let axis = direction.normalize();
                 let low = math::cos(outer);
                 let towards = cone(axis, low, u);

@@ -84,6 +84,8 @@ pub struct Lights {
     power: Vec3,
     /// Those inside of the scene, in their order.
     tree: LightTree,
+    /// Places and ranges of lamps whose light ends somewhere.
+    ending: Vec<(Vec3, f32)>,
 }
 
 /// Front normal and area of a triangle.
@@ -129,6 +131,7 @@ impl Lights {
             radius,
             power: Vec3::ZERO,
             tree: LightTree::default(),
+            ending: scene.lights.iter().filter_map(Light::lamp).filter(|l| l.1.is_finite()).collect(),
         };
         let mut power = glam::DVec3::ZERO;
         let mut weights: Vec<f64> = Vec::new();
@@ -205,10 +208,10 @@ impl Lights {
                 Some(Bounds::of_triangle(corners, normal_and_area(corners).0, power / f64::from(PI)))
             }
             Emitter::Analytic(i) => match scene.lights[i as usize] {
-                Light::Point { position, intensity } => {
+                Light::Point { position, intensity, .. } => {
                     Some(Bounds::of_point(position, f64::from(luminance(intensity))))
                 }
-                Light::Spot { position, direction, intensity, inner, outer } => {
+                Light::Spot { position, direction, intensity, inner, outer, .. } => {
                     let strength = f64::from(luminance(intensity));
                     Some(Bounds::of_spot(position, direction.normalize(), inner, outer, strength))
                 }
@@ -216,6 +219,11 @@ impl Lights {
             },
             Emitter::Surrounding => None,
         }
+    }
+
+    /// The lamp at a point, with its range, if its light ends somewhere.
+    pub(in crate::transport) fn ending_lamp(&self, origin: Vec3) -> Option<(Vec3, f32)> {
+        self.ending.iter().find(|(position, _)| *position == origin).copied()
     }
 
     /// Whether nothing emits.
@@ -319,8 +327,8 @@ impl Lights {
 /// Power of a light without area; directional ones through a disk of `radius`.
 fn analytic_power(light: &Light, radius: f32) -> Vec3 {
     match *light {
-        Light::Point { position, intensity } if position.is_finite() => intensity * (2.0 * TAU),
-        Light::Spot { position, direction, intensity, inner, outer }
+        Light::Point { position, intensity, .. } if position.is_finite() => intensity * (2.0 * TAU),
+        Light::Spot { position, direction, intensity, inner, outer, .. }
             if position.is_finite() && direction.try_normalize().is_some() =>
         {
             // The cubic edge holds half of what its cone would.
@@ -405,13 +413,14 @@ fn sample_analytic(light: &Light, point: Vec3) -> Option<LightSample> {
         (distance > 0.0 && distance.is_finite()).then(|| (to / distance, distance))
     };
     let (wi, distance, radiance) = match *light {
-        Light::Point { position, intensity } => {
+        Light::Point { position, intensity, range } => {
             let (wi, distance) = near(position)?;
-            (wi, distance, intensity / (distance * distance))
+            (wi, distance, intensity / (distance * distance) * Light::window(range, distance))
         }
-        Light::Spot { position, direction, intensity, inner, outer } => {
+        Light::Spot { position, direction, intensity, inner, outer, range } => {
             let (wi, distance) = near(position)?;
             let falloff = spot_falloff(-wi.dot(direction.normalize()), inner, outer);
+            let falloff = falloff * Light::window(range, distance);
             (wi, distance, intensity * (falloff / (distance * distance)))
         }
         Light::Directional { direction, irradiance } => (-direction.normalize(), f32::INFINITY, irradiance),

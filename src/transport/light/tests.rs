@@ -86,11 +86,18 @@ fn irradiance_of_lights_without_area() {
     let white = Vec3::ONE;
     let position = Vec3::new(0.0, 2.0, 0.0);
     s.lights = vec![
-        Light::Point { position, intensity: white * 4.0 },
-        Light::Spot { position, direction: Vec3::NEG_Y, intensity: white * 8.0, inner: 0.2, outer: 0.3 },
+        Light::Point { position, intensity: white * 4.0, range: f32::INFINITY },
+        Light::Spot {
+            position,
+            direction: Vec3::NEG_Y,
+            intensity: white * 8.0,
+            inner: 0.2,
+            outer: 0.3,
+            range: f32::INFINITY,
+        },
         Light::Directional { direction: Vec3::new(0.0, -0.6, 0.8), irradiance: white * 5.0 },
-        Light::Point { position: Vec3::NAN, intensity: white },
-        Light::Point { position, intensity: Vec3::INFINITY },
+        Light::Point { position: Vec3::NAN, intensity: white, range: f32::INFINITY },
+        Light::Point { position, intensity: Vec3::INFINITY, range: f32::INFINITY },
         Light::Directional { direction: Vec3::ZERO, irradiance: white },
     ];
     assert_eq!(Lights::build(&s).emitters.len(), 3);
@@ -121,8 +128,15 @@ fn mixed() -> Scene {
     let mut s = square_light();
     let position = Vec3::new(0.0, 2.0, 0.0);
     s.lights = vec![
-        Light::Point { position, intensity: Vec3::X },
-        Light::Spot { position, direction: Vec3::NEG_Y, intensity: Vec3::Y, inner: 0.1, outer: 0.8 },
+        Light::Point { position, intensity: Vec3::X, range: f32::INFINITY },
+        Light::Spot {
+            position,
+            direction: Vec3::NEG_Y,
+            intensity: Vec3::Y,
+            inner: 0.1,
+            outer: 0.8,
+            range: f32::INFINITY,
+        },
         Light::Directional { direction: Vec3::NEG_Y, irradiance: Vec3::splat(0.02) },
     ];
     s.environment = Some(Environment::constant(Vec3::new(0.01, 0.01, 0.03)));

@@ -66,6 +66,56 @@ fn whole(bytes: &[u8], kind: u32) -> u32 {
     }
 }
 
+/// Bytes of an element, columns of matrices at multiples of four.
+fn element_size(component: u64, shape: &str) -> Option<u64> {
+    let n = components(shape)? as u64;
+    Some(match shape {
+        "MAT2" => 2 * (2 * component).next_multiple_of(4),
+        "MAT3" => 3 * (3 * component).next_multiple_of(4),
+        "MAT4" => 4 * (4 * component).next_multiple_of(4),
+        _ => n * component,
+    })
+}
+
+/// Whether an accessor can hold indices of vertices.
+pub(super) fn are_indices(of: &Accessor) -> bool {
+    of.shape == "SCALAR" && matches!(of.component_type.0, 5121 | 5123 | 5125)
+}
+
+/// Whether accessor `index` lies within the view that it names, as both are declared; nothing is read. What is of no known
+/// type, or names a view that is not there, passes.
+pub(super) fn check_lengths(document: &Document, index: usize) -> Result<(), Problem> {
+    let of = &document.accessors[index];
+    let view = of.buffer_view.and_then(|v| document.buffer_views.get(v.at()).map(|view| (v, view)));
+    let size = component_size(of.component_type.0).and_then(|c| element_size(c, &of.shape));
+    let (Some((number, view)), Some(size)) = (view, size) else { return Ok(()) };
+    let stride = view.byte_stride.map_or(size, |s| s.0);
+    if stride < size {
+        return Err(short_stride(index as u32, number, stride, size));
+    }
+    fits(of.byte_offset.0, stride, size, of.count.0, view.byte_length.0)
+        .map_err(|message| Problem::new(format!("/accessors/{index}"), message))
+}
+
+fn short_stride(index: u32, view: Index, stride: u64, size: u64) -> Problem {
+    let message = format!("view {} has a byteStride of {stride}, less than the {size} of an element", view.0);
+    Problem::new(format!("/accessors/{index}/bufferView"), message)
+}
+
+/// Whether `count` elements of `size` bytes every `stride` bytes from `offset` lie within `length` bytes.
+fn fits(offset: u64, stride: u64, size: u64, count: u64, length: u64) -> Result<(), String> {
+    if count == 0 {
+        return Ok(());
+    }
+    let end = u128::from(offset) + u128::from(stride) * u128::from(count - 1) + u128::from(size);
+    if end > u128::from(length) {
+        return Err(format!(
+            "{count} elements of {size} bytes from byte {offset} leave the view of {length} bytes; export again"
+        ));
+    }
+    Ok(())
+}
+
 impl<'b, 'a> Accessors<'b, 'a> {
     pub fn new(document: &'a Document, buffers: &'b mut Buffers<'a>) -> Self {
         Self { document, buffers, decoded: 0 }
@@ -123,11 +173,7 @@ impl<'b, 'a> Accessors<'b, 'a> {
             let (bytes, stride) = self.buffers.view(view)?;
             let stride = stride.unwrap_or(size);
             if stride < size {
-                let message = format!(
-                    "view {} has a byteStride of {stride}, less than the {size} of an element",
-                    view.0
-                );
-                return Err(Problem::new(at("/bufferView"), message));
+                return Err(short_stride(index.0, view, stride, size));
             }
             walk(bytes, accessor.byte_offset.0, stride, size, count, &mut each)
                 .map_err(|message| Problem::new(at(""), message))?;
@@ -156,6 +202,12 @@ impl<'b, 'a> Accessors<'b, 'a> {
             each(places[i] as usize, b)
         })
         .map_err(|message| Problem::new(at("/sparse/values"), message))
+    }
+
+    /// Whether an accessor names bytes that the file does not have.
+    pub fn is_placeholder(&self, index: Index) -> bool {
+        let view = self.document.accessors.get(index.at()).and_then(|a| a.buffer_view);
+        view.is_some_and(|view| self.buffers.is_placeholder(view))
     }
 
     /// How many elements an accessor has, as it says.
@@ -188,11 +240,43 @@ impl<'b, 'a> Accessors<'b, 'a> {
         Ok(values)
     }
 
+    /// Colours of three or four numbers, in [0, 1].
+    pub fn colors(&mut self, index: Index) -> Result<Vec<[f32; 4]>, Problem> {
+        let shape = &get(&self.document.accessors, index, "accessors")?.shape;
+        let unit = |v: f32| if v.is_nan() { 1.0 } else { v.clamp(0.0, 1.0) };
+        if shape == "VEC4" {
+            return Ok(self.floats::<4>(index, "colours")?.into_iter().map(|c| c.map(unit)).collect());
+        }
+        let three = self.floats::<3>(index, "colours")?;
+        Ok(three.into_iter().map(|[r, g, b]| [r, g, b, 1.0].map(unit)).collect())
+    }
+
+    /// Matrices of floats.
+    pub fn matrices(&mut self, index: Index) -> Result<Vec<[f32; 16]>, Problem> {
+        let (accessor, size, _) = self.accessor(index, 64)?;
+        if accessor.shape != "MAT4" || accessor.component_type.0 != 5126 {
+            let message = format!("is {}, but matrices are MAT4 of floats", accessor.shape);
+            return Err(Problem::new(format!("/accessors/{}/type", index.0), message));
+        }
+        let mut values: Vec<[f32; 16]> = Vec::new();
+        if accessor.buffer_view.is_none() {
+            values.resize(accessor.count.0 as usize, [0.0; 16]);
+        }
+        self.elements(index, accessor, size, |i, bytes| {
+            let value = std::array::from_fn(|c| component(&bytes[4 * c..], 5126, false));
+            match values.get_mut(i) {
+                Some(place) => *place = value,
+                None => values.push(value),
+            }
+        })?;
+        Ok(values)
+    }
+
     /// Indices of vertices.
     pub fn indices(&mut self, index: Index) -> Result<Vec<u32>, Problem> {
         let (accessor, size, _) = self.accessor(index, 4)?;
         let kind = accessor.component_type.0;
-        if accessor.shape != "SCALAR" || !matches!(kind, 5121 | 5123 | 5125) {
+        if !are_indices(accessor) {
             let message =
                 format!("of type {} and component {kind} are no indices of vertices", accessor.shape);
             return Err(Problem::new(format!("/accessors/{}", index.0), message));
@@ -218,16 +302,7 @@ fn walk(
     count: u64,
     each: &mut impl FnMut(usize, &[u8]),
 ) -> Result<(), String> {
-    if count == 0 {
-        return Ok(());
-    }
-    let end = u128::from(offset) + u128::from(stride) * u128::from(count - 1) + u128::from(size);
-    if end > bytes.len() as u128 {
-        return Err(format!(
-            "{count} elements of {size} bytes from byte {offset} leave the view of {} bytes; export again",
-            bytes.len()
-        ));
-    }
+    fits(offset, stride, size, count, bytes.len() as u64)?;
     let mut at = offset as usize;
     for i in 0..count as usize {
         each(i, &bytes[at..at + size as usize]);

@@ -1,5 +1,6 @@
 //! Bytes of buffers, read when something that is drawn asks for them first.
 
+use std::collections::HashMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -7,13 +8,18 @@ use base64::Engine;
 use base64::engine::general_purpose::{GeneralPurpose, GeneralPurposeConfig};
 use base64::engine::{DecodePaddingMode, general_purpose::STANDARD};
 
+use super::super::error::FileProblem;
 use super::super::folder::Folder;
-use super::document::Document;
+use super::document::{Document, Meshopt};
+use super::meshopt::{self, Layout};
 use super::number::Index;
 use super::{Problem, get};
 
 /// Bytes of all data URIs of buffers.
 const DATA_BYTES_MAX: usize = 512 << 20;
+
+/// Bytes of all views that were compressed.
+const DECODED_BYTES_MAX: u64 = 4 << 30;
 
 /// The bytes behind a document: those of its own file, and the files beside it.
 pub(super) struct Buffers<'a> {
@@ -25,6 +31,9 @@ pub(super) struct Buffers<'a> {
     bin: Option<Range<usize>>,
     loaded: Vec<Option<Vec<u8>>>,
     data_bytes: usize,
+    /// Views that were compressed, by their number.
+    decoded: HashMap<u32, Vec<u8>>,
+    decoded_bytes: u64,
 }
 
 /// What a `uri` means.
@@ -44,7 +53,8 @@ impl<'a> Buffers<'a> {
         bin: Option<Range<usize>>,
     ) -> Self {
         let loaded = vec![None; document.buffers.len()];
-        Self { document, folder, base, file, bin, loaded, data_bytes: 0 }
+        let (decoded, decoded_bytes) = (HashMap::new(), 0);
+        Self { document, folder, base, file, bin, loaded, data_bytes: 0, decoded, decoded_bytes }
     }
 
     /// What lies behind a `uri`. The error completes "`uri` …".
@@ -88,41 +98,141 @@ impl<'a> Buffers<'a> {
             }
         };
         if declared > length as u64 {
-            let message = format!("is {declared}, but there are {length} bytes; export the buffer again");
-            return Err(Problem::new(at() + "/byteLength", message));
+            return Err(too_short(index, declared, length as u64));
         }
         Ok(())
     }
 
+    /// Whether a view lies in a buffer that is only a place for bytes, which the file does not have.
+    pub fn is_placeholder(&self, view: Index) -> bool {
+        let Some(view) = self.document.buffer_views.get(view.at()) else { return false };
+        let buffer = view.extensions.meshopt.as_ref().map_or(view.buffer, |m| m.buffer);
+        let no_name = self.document.buffers.get(buffer.at()).is_some_and(|b| b.uri.is_none());
+        no_name && (buffer.0 > 0 || !self.is_container())
+    }
+
+    fn is_container(&self) -> bool {
+        self.file.starts_with(b"glTF")
+    }
+
+    /// What is odd about a buffer of which nothing is drawn; it completes "`uri` …". An error where its bytes are not there.
+    pub fn doubt(&mut self, index: usize) -> Result<Option<String>, Problem> {
+        let declared = &self.document.buffers[index];
+        let at = |key: &str| format!("/buffers/{index}{key}");
+        let length = match &declared.uri {
+            // Without a `uri` it is the file's own chunk, or a place for what an extension brings.
+            None if index > 0 || !self.is_container() => return Ok(None),
+            None => match &self.bin {
+                Some(bin) => bin.len() as u64,
+                None => {
+                    let message = "has no `uri`, and the file has no bytes of its own; export again";
+                    return Err(Problem::new(at(""), message));
+                }
+            },
+            Some(uri) if uri.starts_with("data:") => match self.resolve(uri) {
+                Ok(Reference::Data(bytes)) => bytes.len() as u64,
+                Ok(Reference::File(_)) => return Ok(None),
+                Err(why) => return Ok(Some(why)),
+            },
+            Some(uri) if uri.contains(':') => {
+                return Ok(Some("names no file beside the scene".to_owned()));
+            }
+            Some(uri) => match self.folder.find(self.base, &percent_decoded(uri)) {
+                Ok(found) => match std::fs::metadata(found) {
+                    Ok(file) => file.len(),
+                    Err(_) => return Ok(Some("cannot be read".to_owned())),
+                },
+                Err(why @ FileProblem::Missing) => {
+                    return Err(Problem::new(at("/uri"), format!("\"{}\" {why}", shortened(uri))));
+                }
+                Err(why) => return Ok(Some(format!("\"{}\" {why}", shortened(uri)))),
+            },
+        };
+        if declared.byte_length.0 > length {
+            return Err(too_short(index, declared.byte_length.0, length));
+        }
+        Ok(None)
+    }
+
     /// The bytes of a view, and its stride.
     pub fn view(&mut self, index: Index) -> Result<(&[u8], Option<u64>), Problem> {
-        let view = get(&self.document.buffer_views, index, "bufferViews")?;
+        let document = self.document;
+        let view = get(&document.buffer_views, index, "bufferViews")?;
         let at = || format!("/bufferViews/{}", index.0);
-        let buffer = view.buffer.at();
-        get(&self.document.buffers, view.buffer, "buffers")?;
-        let own = self.document.buffers[buffer].uri.is_none();
-        if self.loaded[buffer].is_none() {
-            self.load(buffer)?;
-        }
-        let declared = self.document.buffers[buffer].byte_length.0;
-        let (start, length) = (view.byte_offset.0, view.byte_length.0);
-        let end = start.checked_add(length).filter(|&end| end <= declared).ok_or_else(|| {
-            let message = format!("{length} bytes from {start} leave the buffer of {declared}; export again");
-            Problem::new(at(), message)
-        })?;
         if let Some(stride) = view.byte_stride.filter(|s| !(1..=252).contains(&s.0)) {
             let message = format!("is {}; it must be between 4 and 252", stride.0);
             return Err(Problem::new(at() + "/byteStride", message));
         }
+        let stride = view.byte_stride.map(|s| s.0);
+        let Some(packed) = &view.extensions.meshopt else {
+            return Ok((self.range(view.buffer, view.byte_offset.0, view.byte_length.0, at)?, stride));
+        };
+        if !self.decoded.contains_key(&index.0) {
+            let bytes = self.decompress(packed, view.byte_length.0, &at)?;
+            self.decoded.insert(index.0, bytes);
+        }
+        Ok((self.decoded.get(&index.0).map_or(&[], Vec::as_slice), stride))
+    }
+
+    /// What comes out of a compressed view, which has to be `declared` bytes.
+    fn decompress(
+        &mut self,
+        packed: &Meshopt,
+        declared: u64,
+        at: &dyn Fn() -> String,
+    ) -> Result<Vec<u8>, Problem> {
+        let at = || at() + "/extensions/EXT_meshopt_compression";
+        let (count, stride) = (packed.count.0, packed.byte_stride.0);
+        let filter = packed.filter.as_deref().unwrap_or("NONE");
+        let layout = Layout::named(&packed.mode, filter, count, stride)
+            .map_err(|why| Problem::new(at(), format!("is compressed {why}; export it again")))?;
+        if u128::from(count) * u128::from(stride) != u128::from(declared) {
+            let message =
+                format!("has {count} elements of {stride} bytes, but the view has {declared} bytes");
+            return Err(Problem::new(at() + "/count", message + "; export it again"));
+        }
+        self.decoded_bytes = self.decoded_bytes.saturating_add(declared);
+        if self.decoded_bytes > DECODED_BYTES_MAX {
+            let message =
+                format!("makes the views of the file more than {DECODED_BYTES_MAX} bytes; split it");
+            return Err(Problem::new(at() + "/count", message));
+        }
+        let bytes = self.range(packed.buffer, packed.byte_offset.0, packed.byte_length.0, at)?;
+        meshopt::decode(bytes, &layout)
+            .map_err(|why| Problem::new(at(), format!("the compressed bytes {why}; export it again")))
+    }
+
+    /// Bytes of a buffer; `at` is where they are asked for.
+    fn range(
+        &mut self,
+        buffer: Index,
+        start: u64,
+        length: u64,
+        at: impl Fn() -> String,
+    ) -> Result<&[u8], Problem> {
+        let declared = get(&self.document.buffers, buffer, "buffers")?;
+        let (buffer, own) = (buffer.at(), declared.uri.is_none());
+        if self.loaded[buffer].is_none() {
+            self.load(buffer)?;
+        }
+        let declared = declared.byte_length.0;
+        let end = start.checked_add(length).filter(|&end| end <= declared).ok_or_else(|| {
+            let message = format!("{length} bytes from {start} leave the buffer of {declared}; export again");
+            Problem::new(at(), message)
+        })?;
         let whole: &[u8] = match (&self.loaded[buffer], &self.bin) {
             (Some(bytes), _) => bytes,
             (None, Some(bin)) if own => &self.file[bin.clone()],
             (None, _) => &[],
         };
         // `load` has seen that there are as many bytes as declared.
-        let bytes = whole.get(start as usize..end as usize).unwrap_or(&[]);
-        Ok((bytes, view.byte_stride.map(|s| s.0)))
+        Ok(whole.get(start as usize..end as usize).unwrap_or(&[]))
     }
+}
+
+fn too_short(index: usize, declared: u64, length: u64) -> Problem {
+    let message = format!("is {declared}, but there are {length} bytes; export the buffer again");
+    Problem::new(format!("/buffers/{index}/byteLength"), message)
 }
 
 /// A scheme before a colon. A single letter is a drive, which [`Folder::find`] refuses.

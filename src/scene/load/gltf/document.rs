@@ -5,6 +5,10 @@ use serde::de::IgnoredAny;
 
 use super::number::{Index, List, Whole};
 
+/// Joints of a skin, and targets of a primitive.
+pub(super) const JOINTS_MAX: usize = 4096;
+pub(super) const TARGETS_MAX: usize = 1024;
+
 /// Nodes of a document.
 pub(super) const NODES_MAX: usize = 1 << 22;
 
@@ -36,7 +40,9 @@ pub(super) struct Document {
     #[serde(default)]
     pub cameras: List<Camera>,
     #[serde(default)]
-    pub animations: List<IgnoredAny>,
+    pub animations: List<Animation>,
+    #[serde(default)]
+    pub skins: List<Skin>,
     #[serde(default)]
     pub extensions_used: List<String>,
     #[serde(default)]
@@ -115,6 +121,8 @@ pub(super) struct Node {
     pub translation: Option<[f32; 3]>,
     pub rotation: Option<[f32; 4]>,
     pub scale: Option<[f32; 3]>,
+    #[serde(default)]
+    pub weights: List<f32, TARGETS_MAX>,
     pub extensions: Option<Box<NodeExtensions>>,
 }
 
@@ -157,6 +165,9 @@ pub(super) struct Visibility {
 pub(super) struct Mesh {
     pub name: Option<String>,
     pub primitives: List<Primitive>,
+    /// Of morph targets, unless a node has others.
+    #[serde(default)]
+    pub weights: List<f32, TARGETS_MAX>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -166,9 +177,18 @@ pub(super) struct Primitive {
     pub material: Option<Index>,
     pub mode: Option<Index>,
     #[serde(default)]
-    pub targets: List<IgnoredAny>,
+    pub targets: List<MorphTarget, TARGETS_MAX>,
     #[serde(default)]
     pub extensions: PrimitiveExtensions,
+}
+
+/// What a primitive is moved by, times a weight.
+#[derive(Debug, Deserialize)]
+pub(super) struct MorphTarget {
+    #[serde(rename = "POSITION")]
+    pub position: Option<Index>,
+    #[serde(rename = "NORMAL")]
+    pub normal: Option<Index>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -183,6 +203,14 @@ pub(super) struct Attributes {
     pub uv1: Option<Index>,
     #[serde(rename = "COLOR_0")]
     pub color: Option<Index>,
+    #[serde(rename = "JOINTS_0")]
+    pub joints0: Option<Index>,
+    #[serde(rename = "JOINTS_1")]
+    pub joints1: Option<Index>,
+    #[serde(rename = "WEIGHTS_0")]
+    pub weights0: Option<Index>,
+    #[serde(rename = "WEIGHTS_1")]
+    pub weights1: Option<Index>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -253,6 +281,28 @@ pub(super) struct BufferView {
     pub byte_offset: Whole,
     pub byte_length: Whole,
     pub byte_stride: Option<Whole>,
+    #[serde(default)]
+    pub extensions: ViewExtensions,
+}
+
+#[derive(Debug, Default, Deserialize)]
+pub(super) struct ViewExtensions {
+    #[serde(rename = "EXT_meshopt_compression", alias = "KHR_meshopt_compression")]
+    pub meshopt: Option<Meshopt>,
+}
+
+/// Where a compressed view really lies.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Meshopt {
+    pub buffer: Index,
+    #[serde(default)]
+    pub byte_offset: Whole,
+    pub byte_length: Whole,
+    pub byte_stride: Whole,
+    pub count: Whole,
+    pub mode: String,
+    pub filter: Option<String>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -386,6 +436,45 @@ pub(super) struct MaterialExtensions {
     pub volume: Option<Volume>,
     #[serde(rename = "KHR_materials_pbrSpecularGlossiness")]
     pub glossiness: Option<Glossiness>,
+    #[serde(rename = "KHR_materials_clearcoat")]
+    pub clearcoat: Option<Clearcoat>,
+    #[serde(rename = "KHR_materials_sheen")]
+    pub sheen: Option<SheenObject>,
+    #[serde(rename = "KHR_materials_anisotropy")]
+    pub anisotropy: Option<Anisotropy>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Clearcoat {
+    #[serde(default)]
+    pub clearcoat_factor: f32,
+    #[serde(default)]
+    pub clearcoat_roughness_factor: f32,
+    pub clearcoat_texture: Option<TextureInfo>,
+    pub clearcoat_roughness_texture: Option<TextureInfo>,
+    pub clearcoat_normal_texture: Option<TextureInfo>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct SheenObject {
+    #[serde(default)]
+    pub sheen_color_factor: [f32; 3],
+    #[serde(default)]
+    pub sheen_roughness_factor: f32,
+    pub sheen_color_texture: Option<TextureInfo>,
+    pub sheen_roughness_texture: Option<TextureInfo>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Anisotropy {
+    #[serde(default)]
+    pub anisotropy_strength: f32,
+    #[serde(default)]
+    pub anisotropy_rotation: f32,
+    pub anisotropy_texture: Option<TextureInfo>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -441,6 +530,55 @@ pub(super) struct Glossiness {
     #[serde(default = "one")]
     pub glossiness_factor: f32,
     pub specular_glossiness_texture: Option<TextureInfo>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Skin {
+    pub joints: List<Index, JOINTS_MAX>,
+    pub inverse_bind_matrices: Option<Index>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Animation {
+    pub name: Option<String>,
+    #[serde(default)]
+    pub channels: List<Channel>,
+    #[serde(default)]
+    pub samplers: List<AnimationSampler>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Channel {
+    pub sampler: Index,
+    pub target: Target,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Target {
+    pub node: Option<Index>,
+    pub path: String,
+    #[serde(default)]
+    pub extensions: TargetExtensions,
+}
+
+#[derive(Debug, Default, Deserialize)]
+pub(super) struct TargetExtensions {
+    #[serde(rename = "KHR_animation_pointer")]
+    pub pointer: Option<Pointer>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Pointer {
+    #[expect(dead_code, reason = "has to be there")]
+    pub pointer: String,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct AnimationSampler {
+    pub input: Index,
+    pub output: Index,
+    pub interpolation: Option<String>,
 }
 
 #[derive(Debug, Deserialize)]

@@ -23,6 +23,7 @@ fn axis(v: glam::DVec4) -> Option<Vec3> {
 /// A light in foveal's terms. Candela, lux and nits are taken for as many radiometric units, which moves the exposure
 /// and nothing else. `scale` is the sidecar's.
 pub(super) fn light(of: &LightObject, world: &DMat4, scale: f32, odd: &mut Oddities) -> Option<Light> {
+    let range = of.range.filter(|r| *r > 0.0 && r.is_finite()).unwrap_or(f32::INFINITY);
     // More than anything is; sums must stay finite.
     const POWER_MAX: f32 = 1e9;
     let clean = |v: f32| if v.is_finite() { v.clamp(0.0, POWER_MAX) } else { 0.0 };
@@ -31,11 +32,8 @@ pub(super) fn light(of: &LightObject, world: &DMat4, scale: f32, odd: &mut Oddit
     if power.max_element() <= 0.0 || !place.is_finite() {
         return None;
     }
-    if of.range.is_some() {
-        odd.count("range of a light", "not used; its light falls off by the square of the distance alone");
-    }
     match of.kind.as_str() {
-        "point" => Some(Light::Point { position: place, intensity: power }),
+        "point" => Some(Light::Point { position: place, intensity: power, range }),
         "directional" => towards.map(|direction| Light::Directional { direction, irradiance: power }),
         "spot" => {
             let (inner, outer) = of
@@ -50,6 +48,7 @@ pub(super) fn light(of: &LightObject, world: &DMat4, scale: f32, odd: &mut Oddit
                 intensity: power,
                 inner,
                 outer,
+                range,
             })
         }
         _ => {
@@ -96,7 +95,11 @@ mod tests {
         let light = |text: &str, odd: &mut Oddities| light(&read(text), &world, 2.0, odd);
         assert_eq!(
             light(r#"{"type": "point", "color": [1, 0.5, 0], "intensity": 3}"#, odd),
-            Some(Light::Point { position: Vec3::X, intensity: Vec3::new(6.0, 3.0, 0.0) })
+            Some(Light::Point {
+                position: Vec3::X,
+                intensity: Vec3::new(6.0, 3.0, 0.0),
+                range: f32::INFINITY
+            })
         );
         assert_eq!(
             light(r#"{"type": "directional"}"#, odd),

@@ -7,10 +7,12 @@ use std::sync::Arc;
 use glam::{Mat2, Vec2, Vec3};
 
 use super::buffers::{Buffers, Reference, shortened};
-use super::document::{Document, Material, TextureInfo, TextureTransform};
+use super::document::{Document, Material, TextureInfo, TextureTransform, Volume};
 use super::number::Index;
 use super::{Oddities, Problem, get};
 use crate::math;
+use crate::scene::Sheen;
+use crate::scene::metal_rough::{Coat, Grain, Over};
 
 /// A picture: where it is, or its bytes; what is wrong with it otherwise.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,11 +48,28 @@ pub(super) struct Coordinates {
 #[derive(Clone, Debug, PartialEq)]
 pub(in super::super) enum Kind {
     /// Metal, dielectric or between.
-    MetalRough { metallic: f32, roughness: f32, map: Option<MapUse>, f0: Vec3, f90: f32 },
-    /// Lets light through.
-    Glass { ior: f32, transmittance: Vec3, thin: bool, roughness: f32 },
+    MetalRough(Box<MetalRoughSource>),
+    /// A body that lets light through, which its base colour tints at each crossing.
+    Glass { ior: f32, transmittance: Vec3, roughness: f32 },
     /// Looks as its base colour says, whatever the light.
     Unlit,
+}
+
+/// A surface between metal and dielectric, and what lies over it.
+#[derive(Clone, Debug, PartialEq)]
+pub(in super::super) struct MetalRoughSource {
+    pub metallic: f32,
+    pub roughness: f32,
+    /// Roughness in green, metalness in blue.
+    pub map: Option<MapUse>,
+    pub f0: Vec3,
+    pub f90: f32,
+    /// The share of what is no metal that lets light through instead of scattering it.
+    pub through: f32,
+    /// A factor of that, in red.
+    pub through_map: Option<MapUse>,
+    pub over: Option<Over>,
+    pub grain: Option<Grain>,
 }
 
 /// How alpha is meant.
@@ -73,6 +92,8 @@ pub(in super::super) struct Source {
     pub base_map: Option<MapUse>,
     pub alpha: Alpha,
     pub normal: Option<MapUse>,
+    /// Factor of how far normals lean.
+    pub normal_scale: f32,
     pub emission: Vec3,
     pub emission_map: Option<MapUse>,
 }
@@ -108,28 +129,28 @@ pub(super) fn read(
         None => (pbr.base_color_factor, &pbr.base_color_texture, &pbr.metallic_roughness_texture),
     };
     let rough_info = if e.unlit.is_some() { &None } else { rough_info };
-    let infos = [base_info, rough_info, &material.normal_texture, &material.emissive_texture];
+    let through_info = e.transmission.as_ref().and_then(|t| t.transmission_texture.clone());
+    let through_info = if e.unlit.is_some() { None } else { through_info };
+    let infos = [base_info, rough_info, &material.normal_texture, &material.emissive_texture, &through_info];
     let coordinates = coordinates(infos.into_iter().flatten(), odd);
     let mut map = |info: &Option<TextureInfo>| -> Result<Option<MapUse>, Problem> {
         info.as_ref().map(|i| pictures.map_use(i, &coordinates, buffers, odd)).transpose()
     };
     let base_map = map(base_info)?;
     let rough_map = map(rough_info)?;
+    let through_map = map(&through_info)?;
     let normal = map(&material.normal_texture)?;
     let emission_map = map(&material.emissive_texture)?;
     let [r, g, b, base_alpha] = base_factor;
     let base = color([r, g, b]);
     let strength = e.emissive_strength.as_ref().map_or(1.0, |s| s.emissive_strength);
     let emission = Vec3::from(material.emissive_factor.map(|v| bounded(v * strength, RADIANCE_MAX)));
-    let kind = kind(material, base, rough_map, odd);
+    let kind = kind(material, rough_map, through_map, odd);
     if material.double_sided && emission.max_element() > 0.0 {
         odd.count("a double-sided light", "shines from its front only");
     }
     if material.occlusion_texture.is_some() {
         odd.count("occlusion map", "not used; what lies in shadow is computed");
-    }
-    if material.normal_texture.as_ref().is_some_and(|n| n.scale != 1.0) {
-        odd.count("scale of a normal map", "not used; the map counts as it is");
     }
     let alpha = match material.alpha_mode.as_deref() {
         Some("MASK") => Alpha::Mask(material.alpha_cutoff.unwrap_or(0.5)),
@@ -141,28 +162,46 @@ pub(super) fn read(
         }
     };
     let base_alpha = unit(base_alpha);
-    let source = Source { name, kind, base, base_alpha, base_map, alpha, normal, emission, emission_map };
+    let scale = material.normal_texture.as_ref().map_or(1.0, |n| n.scale);
+    let normal_scale = if scale.is_finite() { scale.clamp(-1e3, 1e3) } else { 1.0 };
+    let source = Source {
+        name,
+        kind,
+        base,
+        base_alpha,
+        base_map,
+        alpha,
+        normal,
+        normal_scale,
+        emission,
+        emission_map,
+    };
     Ok((source, coordinates))
 }
 
-fn kind(material: &Material, base: Vec3, map: Option<MapUse>, odd: &mut Oddities) -> Kind {
+fn kind(material: &Material, map: Option<MapUse>, through_map: Option<MapUse>, odd: &mut Oddities) -> Kind {
     let e = &material.extensions;
     if e.unlit.is_some() {
         return Kind::Unlit;
     }
     let pbr = &material.pbr_metallic_roughness;
+    let (over, grain) = (over(material, odd), grain(material, odd));
     if let Some(g) = &e.glossiness {
         if g.specular_glossiness_texture.is_some() {
             odd.count("map of specular and glossiness", "not used; their factors count");
         }
         let f0 = color(g.specular_factor);
-        return Kind::MetalRough {
+        return Kind::MetalRough(Box::new(MetalRoughSource {
             metallic: 0.0,
             roughness: 1.0 - unit(g.glossiness_factor),
             map: None,
             f0,
             f90: if f0.max_element() > 0.0 { 1.0 } else { 0.0 },
-        };
+            through: 0.0,
+            through_map: None,
+            over,
+            grain,
+        }));
     }
     // 0 means that all is reflected at every angle.
     let ior = e.ior.as_ref().map_or(1.5, |i| if i.ior.is_finite() { i.ior } else { 1.5 });
@@ -176,32 +215,66 @@ fn kind(material: &Material, base: Vec3, map: Option<MapUse>, odd: &mut Oddities
     let f0 = (tint * plain).min(Vec3::ONE) * strength;
     let (metallic, roughness) = (unit(pbr.metallic_factor), unit(pbr.roughness_factor));
     let through = e.transmission.as_ref().map_or(0.0, |t| unit(t.transmission_factor));
-    if through <= 0.0 {
-        return Kind::MetalRough { metallic, roughness, map, f0, f90: strength };
-    }
-    if e.transmission.as_ref().is_some_and(|t| t.transmission_texture.is_some()) {
-        odd.count("map of transmission", "not used; its factor counts");
-    }
-    if through * (1.0 - metallic) < 0.5 {
-        odd.count("a material that lets less than half of the light through", "shown opaque");
-        return Kind::MetalRough { metallic, roughness, map, f0, f90: strength };
-    }
-    odd.count(
-        "KHR_materials_transmission",
-        "shown as clear glass: its colour is the mean of its map, its weight whole",
-    );
-    let volume = e.volume.as_ref().filter(|v| v.thickness_factor > 0.0);
-    let transmittance = match volume {
-        None => base,
-        Some(v) => {
-            // All of the colour after the distance; after one unit its root.
-            let distance = v.attenuation_distance.unwrap_or(f32::INFINITY);
-            let exponent = if distance > 0.0 && distance.is_finite() { 1.0 / distance } else { 0.0 };
-            color(v.attenuation_color).max(Vec3::splat(1e-6)).map(|c| math::powf(c, exponent).clamp(0.0, 1.0))
+    // A body has one surface: what scatters below it has no place beside what passes.
+    if let Some(volume) = e.volume.as_ref().filter(|v| v.thickness_factor > 0.0 && through > 0.0) {
+        if through * (1.0 - metallic) >= 0.5 {
+            if through < 1.0 || through_map.is_some() || metallic > 0.0 || map.is_some() {
+                odd.count("a volume that is not all glass", "shown as clear glass of its factors");
+            }
+            let ior = if ior == 0.0 { 10.0 } else { ior.clamp(1.0, 10.0) };
+            return Kind::Glass { ior, transmittance: transmittance(volume), roughness };
         }
-    };
-    let ior = if ior == 0.0 { 10.0 } else { ior.clamp(1.0, 10.0) };
-    Kind::Glass { ior, transmittance, thin: volume.is_none(), roughness }
+        odd.count("a volume that lets less than half of the light through", "shown without its inside");
+    }
+    Kind::MetalRough(Box::new(MetalRoughSource {
+        metallic,
+        roughness,
+        map,
+        f0,
+        f90: strength,
+        through,
+        through_map,
+        over,
+        grain,
+    }))
+}
+
+/// What passes one unit of a volume: all of its colour after the distance, after one unit its root.
+fn transmittance(volume: &Volume) -> Vec3 {
+    let distance = volume.attenuation_distance.unwrap_or(f32::INFINITY);
+    let exponent = if distance > 0.0 && distance.is_finite() { 1.0 / distance } else { 0.0 };
+    color(volume.attenuation_color).max(Vec3::splat(1e-6)).map(|c| math::powf(c, exponent).clamp(0.0, 1.0))
+}
+
+/// The coat and the fibres of a material.
+fn over(material: &Material, odd: &mut Oddities) -> Option<Over> {
+    let e = &material.extensions;
+    let coat = e.clearcoat.as_ref().map(|c| {
+        if [&c.clearcoat_texture, &c.clearcoat_roughness_texture, &c.clearcoat_normal_texture]
+            .into_iter()
+            .any(Option::is_some)
+        {
+            odd.count("maps of KHR_materials_clearcoat", "not used; its factors count");
+        }
+        Coat { strength: unit(c.clearcoat_factor), roughness: unit(c.clearcoat_roughness_factor) }
+    });
+    let sheen = e.sheen.as_ref().map(|s| {
+        if s.sheen_color_texture.is_some() || s.sheen_roughness_texture.is_some() {
+            odd.count("maps of KHR_materials_sheen", "not used; its factors count");
+        }
+        Sheen { color: color(s.sheen_color_factor), roughness: unit(s.sheen_roughness_factor) }
+    });
+    Over::new(coat, sheen)
+}
+
+fn grain(material: &Material, odd: &mut Oddities) -> Option<Grain> {
+    let a = material.extensions.anisotropy.as_ref()?;
+    if a.anisotropy_texture.is_some() {
+        odd.count("map of KHR_materials_anisotropy", "not used; its factors count");
+    }
+    let strength = unit(a.anisotropy_strength);
+    let rotation = if a.anisotropy_rotation.is_finite() { a.anisotropy_rotation } else { 0.0 };
+    (strength > 0.0).then_some(Grain { strength, rotation })
 }
 
 /// The set and the transform that coordinates are given for good: those of all maps, where they agree. Where they do

@@ -1,5 +1,8 @@
 //! Primitives to triangles.
 
+use std::borrow::Cow;
+use std::collections::HashMap;
+
 use glam::{DMat3, DMat4, Vec2, Vec3};
 
 use super::accessor::Accessors;
@@ -15,6 +18,8 @@ pub(super) struct Part {
     pub normals: Vec<Vec3>,
     /// Sets 0 and 1 as in the file, from the upper left; empty where there are none.
     pub uvs: [Vec<Vec2>; 2],
+    /// Factors of the base colour, linear, in [0, 1]; empty where there are none.
+    pub colors: Vec<[f32; 4]>,
     pub triangles: Vec<[u32; 3]>,
 }
 
@@ -37,11 +42,18 @@ pub(super) fn read(
         odd.count("a primitive without POSITION", "not drawn");
         return Ok(None);
     };
+    if [Some(position), primitive.indices].into_iter().flatten().any(|i| accessors.is_placeholder(i)) {
+        odd.count("a mesh whose buffer names no file", "not drawn");
+        return Ok(None);
+    }
     let positions: Vec<Vec3> =
         accessors.floats::<3>(position, "positions")?.into_iter().map(Vec3::from).collect();
     let count = positions.len();
     let vertices = |index: Option<Index>, odd: &mut Oddities| -> Result<Option<Index>, Problem> {
         let Some(index) = index else { return Ok(None) };
+        if accessors.is_placeholder(index) {
+            return Ok(None);
+        }
         if accessors.count(index)? == count as u64 {
             return Ok(Some(index));
         }
@@ -50,12 +62,10 @@ pub(super) fn read(
     };
     let a = &primitive.attributes;
     let (normal, uv0, uv1) = (vertices(a.normal, odd)?, vertices(a.uv0, odd)?, vertices(a.uv1, odd)?);
-    if a.color.is_some() {
-        odd.count("vertex colours", "not used");
-    }
-    if !primitive.targets.is_empty() {
-        odd.count("morph targets", "not used; the mesh is shown as it is without them");
-    }
+    let colors = match vertices(a.color, odd)? {
+        None => Vec::new(),
+        Some(index) => accessors.colors(index)?,
+    };
     let normals = match normal {
         None => vec![Vec3::ZERO; count],
         // A normal of any length is meant as a direction; NaN and zero mean a flat face.
@@ -83,7 +93,7 @@ pub(super) fn read(
     if triangles.len() < all {
         odd.add("triangle with an index that is no vertex", "left out", all - triangles.len());
     }
-    Ok(Some(Part { positions, normals, uvs, triangles }))
+    Ok(Some(Part { positions, normals, uvs, colors, triangles }))
 }
 
 /// As texture coordinates are kept: what is not finite is zero.
@@ -101,7 +111,76 @@ fn triangles(mode: u32, count: usize, corner: impl Fn(usize) -> u32) -> Vec<[u32
     }
 }
 
+/// Colours that one primitive is split into.
+const SHADES_MAX: usize = 256;
+
+/// A linear colour of eight bits each, opacity last.
+pub(super) type Shade = [u8; 4];
+
+/// What changes nothing.
+const WHITE: Shade = [255; 4];
+
 impl Part {
+    /// The part by the mean colours of its triangles' corners, as fine as [`SHADES_MAX`] allows, in the order of first use.
+    pub fn shades(&self) -> Vec<(Shade, Cow<'_, Self>)> {
+        if self.colors.is_empty() {
+            return vec![(WHITE, Cow::Borrowed(self))];
+        }
+        let mean = |t: &[u32; 3]| -> Shade {
+            std::array::from_fn(|c| {
+                let sum: f32 = t.iter().map(|&v| self.colors[v as usize][c]).sum();
+                (sum / 3.0 * 255.0 + 0.5).clamp(0.0, 255.0) as u8
+            })
+        };
+        let means: Vec<Shade> = self.triangles.iter().map(mean).collect();
+        // Fewer and fewer steps until there are few enough.
+        for steps in [255u32, 63, 31, 15, 7, 3] {
+            let coarse = |v: u8| ((u32::from(v) * steps + 127) / 255 * 255 / steps) as u8;
+            let mut place: HashMap<Shade, usize> = HashMap::new();
+            let mut shades: Vec<(Shade, Vec<[u32; 3]>)> = Vec::new();
+            for (t, color) in self.triangles.iter().zip(&means) {
+                let color = color.map(coarse);
+                let at = *place.entry(color).or_insert_with(|| {
+                    shades.push((color, Vec::new()));
+                    shades.len() - 1
+                });
+                shades[at].1.push(*t);
+                if shades.len() > SHADES_MAX {
+                    break;
+                }
+            }
+            // Three steps of four channels are 256 colours.
+            if shades.len() <= SHADES_MAX {
+                if let [(color, _)] = shades.as_slice() {
+                    return vec![(*color, Cow::Borrowed(self))];
+                }
+                return shades.into_iter().map(|(c, t)| (c, Cow::Owned(self.only(&t)))).collect();
+            }
+        }
+        vec![(WHITE, Cow::Borrowed(self))]
+    }
+
+    /// These triangles, and the vertices that they use.
+    fn only(&self, triangles: &[[u32; 3]]) -> Self {
+        let mut place: HashMap<u32, u32> = HashMap::new();
+        let mut kept: Vec<usize> = Vec::new();
+        let mut renamed = |v: u32| {
+            *place.entry(v).or_insert_with(|| {
+                kept.push(v as usize);
+                kept.len() as u32 - 1
+            })
+        };
+        let triangles = triangles.iter().map(|t| t.map(&mut renamed)).collect();
+        let uvs = |set: &Vec<Vec2>| kept.iter().filter_map(|&v| set.get(v).copied()).collect();
+        Self {
+            positions: kept.iter().map(|&v| self.positions[v]).collect(),
+            normals: kept.iter().map(|&v| self.normals[v]).collect(),
+            uvs: [uvs(&self.uvs[0]), uvs(&self.uvs[1])],
+            colors: Vec::new(),
+            triangles,
+        }
+    }
+
     /// Positions and normals where a node puts them, and whether that turns triangles round; `None` where the node
     /// leaves nothing of their area.
     pub fn placed(&self, world: &DMat4) -> Option<(Vec<Vec3>, Vec<Vec3>, bool)> {

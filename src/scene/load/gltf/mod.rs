@@ -5,6 +5,7 @@
 //! are, and only what the shown scene draws is read at all. What is odd but harmless becomes one line per kind.
 
 mod accessor;
+mod animation;
 mod buffers;
 mod container;
 mod document;
@@ -12,12 +13,18 @@ mod extensions;
 mod lights;
 mod materials;
 mod meshes;
+mod meshopt;
 mod nodes;
 mod number;
+mod skins;
 pub(super) mod surfaces;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod verdicts;
+mod whole;
 
+use std::borrow::Cow;
 use std::collections::hash_map::Entry;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
@@ -28,8 +35,10 @@ use super::LoadOptions;
 use super::error::{Place, SceneError, Warning};
 use super::folder::Folder;
 use super::obj::{ObjFile, Run};
-use crate::scene::{Light, NamedCamera};
+use crate::scene::camera::PathKey;
+use crate::scene::{CameraPath, Light, NamedCamera};
 use accessor::Accessors;
+use animation::{Motion, Moved};
 use buffers::Buffers;
 use document::{Document, Instancing, Primitive};
 use materials::{Coordinates, Pictures};
@@ -103,11 +112,15 @@ pub(super) struct Choices {
     pub light_scale: f32,
     /// Extensions to do without.
     pub ignored: Vec<String>,
+    /// Name of the animation that moves cameras and poses the scene.
+    pub play: Option<String>,
+    /// The time at which the scene stands, seconds; before its animation begins where there is none.
+    pub time: Option<f32>,
 }
 
 impl Default for Choices {
     fn default() -> Self {
-        Self { scene: None, variant: None, light_scale: 1.0, ignored: Vec::new() }
+        Self { scene: None, variant: None, light_scale: 1.0, ignored: Vec::new(), play: None, time: None }
     }
 }
 
@@ -120,6 +133,8 @@ pub(super) struct GltfFile {
     pub materials: Vec<Source>,
     pub lights: Vec<Light>,
     pub cameras: Vec<NamedCamera>,
+    /// Of cameras that an animation moves, by their names.
+    pub paths: Vec<CameraPath>,
 }
 
 /// Reads a file. `shown` names it in messages; `base` is its folder, relative to the scene's.
@@ -154,7 +169,7 @@ pub(super) fn parse(
         return Err(refuse(Problem::new("/asset/version", message)));
     }
     let mut odd = Oddities::default();
-    extensions::check(&document, &choices.ignored, &place, &mut odd)?;
+    extensions::check(&document, json, &choices.ignored, &place, &mut odd)?;
     let mut buffers = Buffers::new(&document, folder, base, bytes, container.bin);
     let mut reader = Reader {
         document: &document,
@@ -170,6 +185,10 @@ pub(super) fn parse(
     };
     reader.read(&mut buffers).map_err(refuse)?;
     let out = reader.out;
+    if out.mesh.triangles.is_empty() {
+        whole::check(&document, json, &mut buffers, &mut odd).map_err(refuse)?;
+        odd.count("no triangle", "nothing is drawn but the sky");
+    }
     odd.report(&place, warnings);
     Ok(out)
 }
@@ -183,8 +202,8 @@ struct Reader<'d, 'o> {
     out: GltfFile,
     /// Names of materials so far.
     names: HashSet<String>,
-    /// Slot of a material of the document; `u32::MAX` is the one of what has none.
-    material_of: HashMap<u32, u32>,
+    /// Slot of a material of the document, times a colour; `u32::MAX` is the one of what has none.
+    material_of: HashMap<(u32, [u8; 4]), u32>,
     /// Of each slot.
     coordinates: Vec<Coordinates>,
     pictures: Pictures<'d>,
@@ -202,9 +221,19 @@ impl<'d> Reader<'d, '_> {
                 &every
             }
         };
-        let placed = nodes::placed(document, roots)?;
-        if !document.animations.is_empty() {
-            self.odd.count("animation", "not played; everything stands as it does before it begins");
+        let motion = match animation::chosen(document, self.choices.play.as_deref(), self.odd) {
+            None => Motion::default(),
+            Some(animation) => animation::read(animation, document, buffers, self.odd)?,
+        };
+        let time = self.choices.time;
+        let placed = nodes::placed(document, roots, |n| time.map_or(Moved::default(), |t| motion.at(n, t)))?;
+        if !document.animations.is_empty() && time.is_none() {
+            self.odd.count("animation", "not played; things stand as they do before it begins");
+        }
+        let mut viewers: Vec<(usize, String)> = Vec::new();
+        let mut worlds = vec![None; if document.skins.is_empty() { 0 } else { document.nodes.len() }];
+        if !worlds.is_empty() {
+            placed.iter().for_each(|p| worlds[p.node] = Some(p.world));
         }
         let mut parts: HashMap<u32, Vec<Option<Part>>> = HashMap::new();
         let mut things = 0usize;
@@ -215,7 +244,7 @@ impl<'d> Reader<'d, '_> {
                 if let Some(view) = lights::camera(camera, &p.world, self.odd) {
                     let name =
                         node.name.as_deref().or(camera.name.as_deref()).map_or_else(String::new, named);
-                    self.add_camera(name, view);
+                    viewers.extend(self.add_camera(name, view).map(|name| (p.node, name)));
                 }
             }
             let extensions = node.extensions.as_deref();
@@ -227,9 +256,6 @@ impl<'d> Reader<'d, '_> {
             }
             let Some(index) = node.mesh else { continue };
             let mesh = get(&document.meshes, index, "meshes")?;
-            if node.skin.is_some() {
-                self.odd.count("a skin", "not used; its mesh stands as it was bound");
-            }
             let instances = match extensions.and_then(|e| e.instancing.as_ref()) {
                 None => vec![p.world],
                 Some(of) => instances(of, &p.world, document, buffers)?,
@@ -252,13 +278,62 @@ impl<'d> Reader<'d, '_> {
                     place.insert(read?)
                 }
             };
+            let weights = if node.weights.is_empty() { &mesh.weights } else { &node.weights };
+            let joints = match node.skin {
+                None => None,
+                Some(skin) => {
+                    let skin = get(&document.skins, skin, "skins")?;
+                    skins::joints(skin, document, &worlds, &mut Accessors::new(document, buffers), self.odd)?
+                }
+            };
             for (primitive, part) in mesh.primitives.iter().zip(read.iter()) {
                 let Some(part) = part else { continue };
-                let slot = self.material(primitive, buffers)?;
-                for world in &instances {
-                    self.add(part, world, slot, name_index)
-                        .map_err(|message| Problem::new(format!("/nodes/{}", p.node), message))?;
+                let mut accessors = Accessors::new(document, buffers);
+                let mut part = Cow::Borrowed(part);
+                if !primitive.targets.is_empty() && weights.iter().any(|w| *w != 0.0) {
+                    skins::morph(part.to_mut(), primitive, weights, &mut accessors, self.odd)?;
                 }
+                let mut stands = instances.as_slice();
+                let moved = match &joints {
+                    None => None,
+                    Some(joints) => skins::skinned(&part, primitive, joints, &mut accessors, self.odd)?,
+                };
+                if let Some(moved) = moved {
+                    // Joints put it into the world; where its own node is does not matter.
+                    (part, stands) = (Cow::Owned(moved), &[DMat4::IDENTITY]);
+                }
+                for (color, part) in part.shades() {
+                    let slot = self.material(primitive, color, buffers)?;
+                    for world in stands {
+                        self.add(&part, world, slot, name_index)
+                            .map_err(|message| Problem::new(format!("/nodes/{}", p.node), message))?;
+                    }
+                }
+            }
+        }
+        self.add_paths(&viewers, &motion)
+    }
+
+    /// Adds the paths of cameras that move.
+    fn add_paths(&mut self, viewers: &[(usize, String)], motion: &Motion) -> Result<(), Problem> {
+        let document = self.document;
+        let chains = nodes::chains(document, &viewers.iter().map(|v| v.0).collect::<Vec<_>>());
+        for ((node, name), chain) in viewers.iter().zip(chains) {
+            let moving: Vec<usize> = chain.iter().copied().filter(|&n| motion.moves(n)).collect();
+            let Some(camera) = document.nodes[*node].camera.filter(|_| !moving.is_empty()) else { continue };
+            let camera = get(&document.cameras, camera, "cameras")?;
+            let mut unheard = Oddities::default();
+            let keys: Vec<PathKey> = motion
+                .moments(&moving, self.odd)
+                .into_iter()
+                .filter_map(|t| {
+                    let world = nodes::world(document, &chain, |n| motion.at(n, t));
+                    let view = lights::camera(camera, &world, &mut unheard)?;
+                    Some(PathKey { t, eye: view.eye, target: view.target })
+                })
+                .collect();
+            if !keys.is_empty() {
+                self.out.paths.push(CameraPath { name: name.clone(), keys });
             }
         }
         Ok(())
@@ -295,27 +370,34 @@ impl<'d> Reader<'d, '_> {
         }
     }
 
-    fn add_camera(&mut self, name: String, camera: crate::scene::Camera) {
+    /// Adds a camera; returns the name that it has got.
+    fn add_camera(&mut self, name: String, camera: crate::scene::Camera) -> Option<String> {
         let name = if name.is_empty() { "camera".to_owned() } else { name };
         let taken = |n: &str| self.out.cameras.iter().any(|c| c.name == n);
         // A document of a million cameras is no reason to look long for a name.
         if self.out.cameras.len() >= 1024 {
             self.odd.count("a camera beyond the first 1024", "left out");
-            return;
+            return None;
         }
         let unique = (2..).map(|n| format!("{name} ({n})"));
         let name = std::iter::once(name.clone()).chain(unique).find(|n| !taken(n)).unwrap_or(name);
-        self.out.cameras.push(NamedCamera { name, camera });
+        self.out.cameras.push(NamedCamera { name: name.clone(), camera });
+        Some(name)
     }
 
     /// The slot of the material of a primitive.
-    fn material(&mut self, primitive: &Primitive, buffers: &mut Buffers<'d>) -> Result<u32, Problem> {
+    fn material(
+        &mut self,
+        primitive: &Primitive,
+        color: [u8; 4],
+        buffers: &mut Buffers<'d>,
+    ) -> Result<u32, Problem> {
         let mapped = self.variant.and_then(|variant| {
             let all = primitive.extensions.variants.as_ref()?;
             all.mappings.iter().find(|m| m.variants.contains(&Index(variant))).map(|m| m.material)
         });
         let index = mapped.or(primitive.material);
-        let key = index.map_or(u32::MAX, |i| i.0);
+        let key = (index.map_or(u32::MAX, |i| i.0), color);
         if let Some(&slot) = self.material_of.get(&key) {
             return Ok(slot);
         }
@@ -335,8 +417,11 @@ impl<'d> Reader<'d, '_> {
             name = format!("{plain} #{}", self.out.materials.len());
             self.names.insert(name.clone());
         }
-        let (source, coordinates) =
+        let (mut source, coordinates) =
             materials::read(material, name.clone(), &mut self.pictures, buffers, self.odd)?;
+        let [r, g, b, opacity] = color.map(|v| f32::from(v) / 255.0);
+        source.base *= glam::Vec3::new(r, g, b);
+        source.base_alpha *= opacity;
         let slot = self.out.materials.len() as u32;
         self.out.materials.push(source);
         self.coordinates.push(coordinates);

@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DMat4, DVec3};
 
+use super::animation::Moved;
 use super::document::{Document, Node};
 use super::number::Index;
 use super::{Problem, get};
@@ -17,8 +18,12 @@ pub(super) struct Placed {
     pub world: DMat4,
 }
 
-/// The nodes of a scene in the order of the document, parents before children.
-pub(super) fn placed(document: &Document, roots: &[Index]) -> Result<Vec<Placed>, Problem> {
+/// The nodes of a scene in the order of the document, parents before children, each as `moved` says.
+pub(super) fn placed(
+    document: &Document,
+    roots: &[Index],
+    moved: impl Fn(usize) -> Moved,
+) -> Result<Vec<Placed>, Problem> {
     check(document)?;
     let mut order = Vec::new();
     let mut seen = vec![false; document.nodes.len()];
@@ -40,7 +45,7 @@ pub(super) fn placed(document: &Document, roots: &[Index]) -> Result<Vec<Placed>
         if node.extensions.as_ref().is_some_and(|e| e.visibility.as_ref().is_some_and(|v| !v.visible)) {
             continue;
         }
-        let world = above * local(node);
+        let world = above * local(node, &moved(index));
         order.push(Placed { node: index, world });
         for child in node.children.iter().rev() {
             stack.push((child.at(), world, depth + 1));
@@ -116,20 +121,45 @@ pub(super) fn transform(translation: [f32; 3], turn: [f32; 4], scale: [f32; 3]) 
     )
 }
 
-fn local(node: &Node) -> DMat4 {
+/// A node's own transform; what is moved takes the place of what the node says.
+fn local(node: &Node, moved: &Moved) -> DMat4 {
     match &node.matrix {
-        Some(m) => DMat4::from_cols_array(&m.map(f64::from)),
-        None => transform(
-            node.translation.unwrap_or([0.0; 3]),
-            node.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]),
-            node.scale.unwrap_or([1.0; 3]),
+        Some(m) if *moved == Moved::default() => DMat4::from_cols_array(&m.map(f64::from)),
+        _ => transform(
+            moved.translation.or(node.translation).unwrap_or([0.0; 3]),
+            moved.rotation.or(node.rotation).unwrap_or([0.0, 0.0, 0.0, 1.0]),
+            moved.scale.or(node.scale).unwrap_or([1.0; 3]),
         ),
     }
+}
+
+/// The nodes above each of some nodes and the node itself, the highest first. The graph was checked by [`placed`].
+pub(super) fn chains(document: &Document, of: &[usize]) -> Vec<Vec<usize>> {
+    let mut parent = vec![usize::MAX; document.nodes.len()];
+    for (i, node) in document.nodes.iter().enumerate() {
+        node.children.iter().for_each(|c| parent[c.at()] = i);
+    }
+    let chain = |&node: &usize| {
+        let mut chain: Vec<usize> =
+            std::iter::successors(Some(node), |&n| Some(parent[n]).filter(|&p| p != usize::MAX)).collect();
+        chain.reverse();
+        chain
+    };
+    of.iter().map(chain).collect()
+}
+
+/// World from the space of the last node of a chain.
+pub(super) fn world(document: &Document, chain: &[usize], moved: impl Fn(usize) -> Moved) -> DMat4 {
+    chain.iter().fold(DMat4::IDENTITY, |above, &n| above * local(&document.nodes[n], &moved(n)))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn still(_: usize) -> Moved {
+        Moved::default()
+    }
 
     fn document(nodes: &str) -> Document {
         serde_json::from_str(&format!("{{\"asset\": {{\"version\": \"2.0\"}}, \"nodes\": [{nodes}]}}"))
@@ -154,14 +184,14 @@ mod tests {
     #[test]
     fn transforms_add_up_from_the_root() {
         let d = document("{\"translation\": [1, 0, 0], \"children\": [1]}, {\"scale\": [2, 2, 2]}");
-        let found = placed(&d, &[Index(0)]).unwrap();
+        let found = placed(&d, &[Index(0)], still).unwrap();
         assert_eq!(found.len(), 2);
         assert_eq!(found[1].world.transform_point3(DVec3::ONE), DVec3::new(3.0, 2.0, 2.0));
     }
 
     #[test]
     fn circles_lattices_and_deep_chains_end_with_a_message() {
-        let refused = |d: &Document| placed(d, &[Index(0)]).unwrap_err();
+        let refused = |d: &Document| placed(d, &[Index(0)], still).unwrap_err();
         assert!(refused(&children(&[&[1], &[2], &[1]])).message.contains("one parent"));
         assert!(refused(&children(&[&[], &[2], &[3], &[1]])).message.contains("above itself"));
         assert!(refused(&children(&[&[0]])).message.contains("above itself"));
@@ -176,7 +206,9 @@ mod tests {
         let lists: Vec<&[usize]> = chain.iter().map(Vec::as_slice).collect();
         assert!(refused(&children(&lists)).message.contains("flatten"));
         assert_eq!(
-            placed(&children(&lists[2..].iter().map(|_| &[][..]).collect::<Vec<_>>()), &[]).unwrap().len(),
+            placed(&children(&lists[2..].iter().map(|_| &[][..]).collect::<Vec<_>>()), &[], still)
+                .unwrap()
+                .len(),
             0
         );
     }

@@ -278,11 +278,9 @@ fn lights_and_cameras_come_after_those_of_the_sidecar() {
     let found = loaded(&place, maker.text(&rest));
     let names = |scene: &Scene| scene.cameras.iter().map(|c| c.name.clone()).collect::<Vec<_>>();
     assert_eq!(names(&found.scene), ["eye", "camera", "camera (2)"]);
-    assert!(
-        found.scene.display.metered && found.scene.environment.is_none() && says(&found, "range of a light")
-    );
+    assert!(found.scene.display.metered && found.scene.environment.is_none());
     let position = Vec3::new(0.0, 0.0, 2.0);
-    assert_eq!(found.scene.lights, [Light::Point { position, intensity: Vec3::splat(8.0) }]);
+    assert_eq!(found.scene.lights, [Light::Point { position, intensity: Vec3::splat(8.0), range: 9.0 }]);
     place.write(
         "a.toml",
         "format = 1\n[gltf]\nlight_scale = 0.5\n[display]\nexposure = 3.0\n[[camera]]\nname = \"mine\"\neye = [0.0, 0.0, 3.0]\n\
@@ -290,7 +288,7 @@ fn lights_and_cameras_come_after_those_of_the_sidecar() {
     );
     let scene = loaded(&place, maker.text(&rest)).scene;
     assert_eq!(names(&scene), ["mine", "eye", "camera", "camera (2)"]);
-    assert_eq!(scene.lights, [Light::Point { position, intensity: Vec3::splat(4.0) }]);
+    assert_eq!(scene.lights, [Light::Point { position, intensity: Vec3::splat(4.0), range: 9.0 }]);
     assert_eq!((scene.display.exposure, scene.display.metered), (3.0, false));
     // A sidecar alone finds the file beside it.
     assert_eq!(load(&place.0.join("a.toml")).unwrap().scene.cameras.len(), 4);
@@ -329,9 +327,10 @@ fn maps_of_colour_metalness_and_roughness_become_those_that_are_shown() {
     let close = |a: [f32; 4], b: [f32; 4]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 0.004);
     assert!(close(texel(&m.specular, 0), [1.0, 0.0, 0.0, 0.2]), "{:?}", texel(&m.specular, 0));
     assert!(close(texel(&m.specular, 1), [0.04, 0.04, 0.04, 1.0]), "{:?}", texel(&m.specular, 1));
-    assert!(close(texel(&m.diffuse, 0), [0.0, 0.0, 0.0, 1.0]));
+    // Its alpha is how much of it is metal.
+    assert!(m.metallic_in_alpha && close(texel(&m.diffuse, 0), [0.0, 0.0, 0.0, 1.0]));
     let kept = 1.0 - m.layer.mean(1.0);
-    assert!(close(texel(&m.diffuse, 1), [kept, kept, kept, 1.0]), "{:?}", texel(&m.diffuse, 1));
+    assert!(close(texel(&m.diffuse, 1), [kept, kept, kept, 0.0]), "{:?}", texel(&m.diffuse, 1));
 }
 
 #[test]
@@ -368,9 +367,188 @@ fn alpha_cuts_out_where_it_is_below_the_cutoff() {
     assert_eq!(there(&of("gltf-high", r#""MASK", "alphaCutoff": 0.7"#, 0.8)), [false, false]);
     assert_eq!(there(&of("gltf-none", r#""MASK", "alphaCutoff": 0"#, 0.0)), [true, true]);
     assert_eq!(there(&of("gltf-opaque", r#""OPAQUE""#, 0.1)), [true, true]);
-    // A veil all over is a pane.
+    // What is half there shows by its share what it is, and by the rest what is behind.
     let veil = of("gltf-veil", r#""BLEND""#, 1.0);
-    assert!(matches!(veil.materials[0].model, Model::Dielectric { thin: true, .. }));
+    let Model::MetalRough(m) = &veil.materials[0].model else { panic!("{:?}", veil.materials[0]) };
+    assert!(m.coverage_in_alpha && m.is_seen_through() && veil.materials[0].is_transparent());
+    let texel = veil.textures[m.diffuse.map.unwrap().0 as usize].texel(0, 0, 0);
+    assert!((texel[3] - 60.0 / 255.0).abs() < 1e-6, "{texel:?}");
+    // An edge between all and nothing is cut out.
+    let edge = data_png(&[[255, 255, 255, 0], [255, 255, 255, 255]]);
+    let cut = with_materials(
+        "gltf-edge",
+        &format!(
+            r#"[{{"pbrMetallicRoughness": {{"baseColorTexture": {{"index": 0}}}}, "alphaMode": "BLEND"}}],
+            "textures": [{{"source": 0}}], "images": [{edge}]"#
+        ),
+    );
+    assert!(says(&cut, "cut out") && cut.scene.materials[0].opacity_map.is_some());
+}
+
+/// The radiance that a camera straight above sees of an unlit thing behind a sheet.
+fn seen_through(name: &str, sheet: &str) -> Vec3 {
+    use crate::geometry::Ray;
+    let place = Place::new(name);
+    let mut maker = Maker::default();
+    let mesh = quad(&mut maker);
+    let position = maker.vec3(&CORNERS.map(|p| p * 4.0 - Vec3::new(2.0, 2.0, 1.0)));
+    let indices = maker.indices(&[0, 1, 2, 0, 2, 3]);
+    let mesh = mesh.replace(
+        r#""meshes": ["#,
+        &format!(
+            r#""meshes": [{{"primitives": [{{"attributes": {{"POSITION": {position}}}, "indices": {indices}, "material": 1}}]}}, "#
+        ),
+    );
+    let rest = format!(
+        r#"{mesh}, "nodes": [{{"mesh": 0}}, {{"mesh": 1}}], "materials": [{sheet}, {{"extensions": {{"KHR_materials_unlit": {{}}}}}}]"#
+    );
+    let scene = loaded(&place, maker.text(&rest)).scene;
+    let world =
+        crate::world::World::new(scene.into(), std::sync::Arc::new(crate::illumination::Uniform(Vec3::ZERO)));
+    let mean = |i: u64| {
+        let stream = crate::rng::Stream::new(3, i, 0);
+        world.tracer().radiance(&Ray::new(Vec3::new(0.4, 0.3, 2.0), Vec3::NEG_Z), stream)
+    };
+    (0..64).map(mean).sum::<Vec3>() / 64.0
+}
+
+#[test]
+fn veils_blend_and_glass_passes_what_is_not_reflected() {
+    let unlit = |alpha: f32, color: &str| {
+        format!(
+            r#"{{"alphaMode": "BLEND", "pbrMetallicRoughness": {{"baseColorFactor": [{color}, {alpha}]}}, "extensions": {{"KHR_materials_unlit": {{}}}}}}"#
+        )
+    };
+    let close = |a: Vec3, b: Vec3| assert!((a - b).abs().max_element() < 2e-3, "{a} {b}");
+    close(seen_through("gltf-blend-half", &unlit(0.5, "0.2, 0.4, 0")), Vec3::new(0.6, 0.7, 0.5));
+    close(seen_through("gltf-blend-quarter", &unlit(0.25, "0, 0, 0")), Vec3::splat(0.75));
+    // Straight on 4 % of the sky is reflected; the rest passes and is tinted.
+    let glass = |more: &str| {
+        format!(
+            r#"{{"pbrMetallicRoughness": {{"metallicFactor": 0, "roughnessFactor": 0, "baseColorFactor": [1, 0.5, 0, 1]{more}}},
+            "extensions": {{"KHR_materials_transmission": {{"transmissionFactor": 1}}}}}}"#
+        )
+    };
+    let through = seen_through("gltf-thin-glass", &glass(""));
+    close(through, Vec3::new(0.96, 0.48, 0.0) + 0.04 * Vec3::new(0.45, 0.55, 0.7));
+}
+
+#[test]
+fn a_body_of_glass_absorbs_by_its_distance_and_is_tinted_at_its_surface() {
+    let glass = with_materials(
+        "gltf-volume",
+        r#"[{"pbrMetallicRoughness": {"baseColorFactor": [0.5, 1, 1, 1], "roughnessFactor": 0}, "extensions":
+        {"KHR_materials_transmission": {"transmissionFactor": 1}, "KHR_materials_volume": {"thicknessFactor": 1,
+        "attenuationDistance": 0.5, "attenuationColor": [0.5, 0.25, 1]}, "KHR_materials_ior": {"ior": 1.3}}}]"#,
+    );
+    // Metal by default, which is no glass.
+    assert!(matches!(glass.scene.materials[0].model, Model::MetalRough(_)));
+    let glass = with_materials(
+        "gltf-volume-glass",
+        r#"[{"pbrMetallicRoughness": {"baseColorFactor": [0.5, 1, 1, 1], "roughnessFactor": 0, "metallicFactor": 0}, "extensions":
+        {"KHR_materials_transmission": {"transmissionFactor": 1}, "KHR_materials_volume": {"thicknessFactor": 1,
+        "attenuationDistance": 0.5, "attenuationColor": [0.5, 0.25, 1]}, "KHR_materials_ior": {"ior": 1.3}}}]"#,
+    );
+    let m = &glass.scene.materials[0];
+    assert_eq!(m.tint.color, Vec3::new(0.5, 1.0, 1.0));
+    let Model::Dielectric { ior, transmittance, thin: false, .. } = m.model else { panic!("{m:?}") };
+    assert_eq!(ior, 1.3);
+    // After one unit, which is twice the distance.
+    assert!((transmittance - Vec3::new(0.25, 0.0625, 1.0)).abs().max_element() < 1e-5, "{transmittance}");
+}
+
+#[test]
+fn a_coat_fibres_and_grain_are_read() {
+    let found = with_materials(
+        "gltf-over",
+        r#"[{"pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1}, "extensions": {
+        "KHR_materials_clearcoat": {"clearcoatFactor": 0.5, "clearcoatRoughnessFactor": 0.1},
+        "KHR_materials_sheen": {"sheenColorFactor": [0.2, 0.4, 0.6], "sheenRoughnessFactor": 0.3},
+        "KHR_materials_anisotropy": {"anisotropyStrength": 0.5, "anisotropyRotation": 1}}}]"#,
+    );
+    let m = &found.scene.materials[0];
+    assert!(!m.is_diffuse() && m.is_glossy());
+    let Model::MetalRough(m) = &m.model else { panic!("{m:?}") };
+    let over = m.over.unwrap();
+    assert_eq!((over.coat.unwrap().strength, over.sheen.unwrap().color), (0.5, Vec3::new(0.2, 0.4, 0.6)));
+    assert_eq!(m.grain.unwrap().alphas(0.0), [0.25, 0.0]);
+    // What is below them gets less.
+    let alone = 1.0 - m.layer.mean(1.0);
+    assert!((m.diffuse.color.x - alone * over.kept_mean()).abs() < 1e-6);
+}
+
+#[test]
+fn compressed_views_are_those_that_they_were_made_of() {
+    let place = Place::new("gltf-meshopt");
+    let mut maker = Maker::default();
+    let mesh = quad(&mut maker);
+    let rest = format!(r#"{mesh}, "nodes": [{{"mesh": 0}}], "materials": [{{}}]"#);
+    let plain = loaded(&place, maker.text(&rest)).scene;
+    // Indices 0 1 2 0 2 3 as triangles: three new ones, then the newest edge and a new one. The version of two baselines
+    // says the same.
+    let triangles = [&[0xe1, 0xf0, 0x00][..], &[0; 16]].concat();
+    let deltas = [0i32, 1, 1, -2, 2, 1];
+    let zigzag = |d: i32| ((if d < 0 { (-d - 1) << 1 | 1 } else { d << 1 }) << 1) as u8;
+    let indices: Vec<u8> =
+        std::iter::once(0xd1).chain(deltas.iter().map(|&d| zigzag(d))).chain([0; 4]).collect();
+    for (name, mode, bytes) in [("EXT", "TRIANGLES", triangles), ("KHR", "INDICES", indices)] {
+        let mut packed = Maker { bytes: maker.bytes.clone(), ..Maker::default() };
+        packed.views = maker.views.clone();
+        packed.accessors = maker.accessors.clone();
+        let at = packed.view(&bytes);
+        packed.views.pop();
+        let start = packed.bytes.len() - bytes.len().next_multiple_of(4);
+        assert_eq!(at, 3);
+        packed.views[2] = format!(
+            r#"{{"buffer": 1, "byteLength": 24, "extensions": {{"{name}_meshopt_compression": {{"buffer": 0, "byteOffset": {start},
+            "byteLength": {}, "byteStride": 4, "count": 6, "mode": "{mode}"}}}}}}"#,
+            bytes.len()
+        );
+        let text = packed.text(&rest);
+        let text = text.replacen("}],", r#"}, {"byteLength": 24}],"#, 1);
+        let scene = loaded(&place, &text).scene;
+        assert_eq!(scene.mesh.triangles, plain.mesh.triangles, "{mode}");
+        let short = text.replace(r#""count": 6, "mode""#, r#""count": 9, "mode""#);
+        let error = load(&place.write("bad.gltf", short)).unwrap_err();
+        assert!(error.to_string().contains("/bufferViews/2"), "{error}");
+        let wrong = text.replace(r#""byteStride": 4, "count": 6"#, r#""byteStride": 3, "count": 8"#);
+        assert!(load(&place.write("bad.gltf", wrong)).is_err());
+    }
+}
+
+#[test]
+fn a_camera_that_moves_is_a_path_and_a_time_poses_things() {
+    let place = Place::new("gltf-path");
+    let mut maker = Maker::default();
+    let mesh = quad(&mut maker);
+    let times = maker.accessor(bytemuck::cast_slice(&[1.0f32, 3.0]), 5126, 2, "SCALAR", "");
+    let there = maker.vec3(&[Vec3::ZERO, Vec3::new(4.0, 0.0, 0.0)]);
+    let h = 0.5f32.sqrt();
+    let turns =
+        maker.accessor(bytemuck::cast_slice(&[0.0f32, 0.0, 0.0, 1.0, 0.0, h, 0.0, h]), 5126, 2, "VEC4", "");
+    let rest = format!(
+        r#"{mesh}, "materials": [{{}}], "cameras": [{{"type": "perspective", "perspective": {{"yfov": 0.7}}}}],
+        "nodes": [{{"mesh": 0, "name": "still"}}, {{"name": "cart", "children": [2, 3]}}, {{"name": "eye", "camera": 0,
+            "translation": [0, 1, 0]}}, {{"mesh": 0}}, {{"name": "fixed", "camera": 0}}],
+        "animations": [{{"name": "drive", "samplers": [{{"input": {times}, "output": {there}}}, {{"input": {times}, "output": {turns},
+            "interpolation": "STEP"}}], "channels": [{{"sampler": 0, "target": {{"node": 1, "path": "translation"}}}},
+            {{"sampler": 1, "target": {{"node": 1, "path": "rotation"}}}}]}}]"#
+    );
+    let scene = loaded(&place, maker.text(&rest)).scene;
+    assert_eq!(scene.paths.len(), 1);
+    let path = &scene.paths[0];
+    assert_eq!((path.name.as_str(), path.duration()), ("eye", 2.0));
+    let camera = path.at(1.0, Vec3::Y, 0.7);
+    assert!((camera.eye - Vec3::new(2.0, 1.0, 0.0)).length() < 1e-3, "{}", camera.eye);
+    assert!(((camera.target - camera.eye).normalize() - Vec3::NEG_Z).length() < 1e-3);
+    let end = path.at(2.0, Vec3::Y, 0.7);
+    assert!(((end.target - end.eye).normalize() - Vec3::NEG_X).length() < 1e-3);
+    // Things stand where they are before it begins, or at the time that the sidecar says.
+    assert_eq!(scene.mesh.corners(2)[1], Vec3::X);
+    place.write("a.toml", "format = 1\n[gltf]\nplay = \"drive\"\ntime = 2.0\n");
+    let posed = loaded(&place, maker.text(&rest)).scene;
+    assert_eq!(posed.mesh.corners(2)[1], Vec3::X * 3.0);
+    assert_eq!(posed.mesh.corners(0)[1], Vec3::X);
 }
 
 #[test]
@@ -429,7 +607,7 @@ fn variants_and_required_extensions_are_chosen_by_name() {
     let rest = format!(
         r#"{mesh}, "nodes": [{{"mesh": 0}}], "materials": [{{"name": "wood"}}, {{"name": "steel"}}],
         "extensions": {{"KHR_materials_variants": {{"variants": [{{"name": "a"}}, {{"name": "b"}}]}}}},
-        "extensionsRequired": ["KHR_materials_sheen"]"#
+        "extensionsRequired": ["KHR_materials_lint"], "extensionsUsed": ["KHR_materials_lint"]"#
     );
     let file = place.write("a.gltf", maker.text(&rest));
     let with = |ignored: &[&str], variant: Option<&str>| {
@@ -441,10 +619,10 @@ fn variants_and_required_extensions_are_chosen_by_name() {
         load_with(&file, &options)
     };
     assert!(matches!(with(&[], None), Err(SceneError::RequiredExtension { names, .. }) if names.len() == 1));
-    let name = |variant| with(&["KHR_materials_sheen"], variant).unwrap().scene.materials[0].name.clone();
+    let name = |variant| with(&["KHR_materials_lint"], variant).unwrap().scene.materials[0].name.clone();
     assert_eq!([name(None), name(Some("a")), name(Some("b"))], ["wood", "wood", "steel"]);
-    assert!(says(&with(&["KHR_materials_sheen"], Some("c")).unwrap(), "there are: a, b"));
-    let hash = |variant| with(&["KHR_materials_sheen"], variant).unwrap().scene.content_hash;
+    assert!(says(&with(&["KHR_materials_lint"], Some("c")).unwrap(), "there are: a, b"));
+    let hash = |variant| with(&["KHR_materials_lint"], variant).unwrap().scene.content_hash;
     assert_ne!(hash(None), hash(Some("b")), "bakes of the one are none of the other");
 }
 
@@ -616,4 +794,108 @@ fn a_picture_that_is_not_there_shows_a_checker() {
     );
     let scene = loaded(&place, maker.text(&rest)).scene;
     assert_eq!((scene.textures.len(), scene.textures[0].name.as_str()), (1, "maps/a b.png"));
+}
+
+#[test]
+fn what_only_glows_in_the_open_stands_under_a_sky() {
+    let of = |name: &str, more: &str| {
+        let place = Place::new(name);
+        let mut maker = Maker::default();
+        let mesh = quad(&mut maker);
+        let rest = format!(
+            r#"{mesh}, "nodes": [{{"mesh": 0}}{more}], "materials": [{{"emissiveFactor": [1, 1, 1]}}],
+            "extensions": {{"KHR_lights_punctual": {{"lights": [{{"type": "point"}}]}}}}"#
+        );
+        loaded(&place, maker.text(&rest)).scene
+    };
+    let label = of("gltf-label", "");
+    assert!(label.environment.is_some() && !label.display.metered);
+    let lit = of(
+        "gltf-lit",
+        r#", {"extensions": {"KHR_lights_punctual": {"light": 0}}, "translation": [0, 0, 2]}"#,
+    );
+    assert!(lit.environment.is_none() && lit.display.metered);
+}
+
+#[test]
+fn a_skin_of_one_joint_is_the_nodes_transform_and_targets_move_by_their_weights() {
+    let place = Place::new("gltf-skin");
+    let mut maker = Maker::default();
+    let mesh = quad(&mut maker);
+    let plain = format!(
+        r#"{mesh}, "materials": [{{}}], "nodes": [{{"mesh": 0, "translation": [1, 2, 3], "rotation": [0, 0.6, 0, 0.8], "scale": [2, 2, 2]}}]"#
+    );
+    let plain = loaded(&place, maker.text(&plain)).scene.mesh.positions.clone();
+    let joints = maker.accessor(&[0u8; 16], 5121, 4, "VEC4", "");
+    let weights = maker.accessor(bytemuck::cast_slice(&[[0.5f32, 0.0, 0.0, 0.0]; 4]), 5126, 4, "VEC4", "");
+    // Bound where x was one less.
+    let bind = glam::Mat4::from_translation(Vec3::X).to_cols_array();
+    let bind = maker.accessor(bytemuck::cast_slice(&bind), 5126, 1, "MAT4", "");
+    let skinned = mesh.replace(
+        r#""TEXCOORD_0""#,
+        &format!(r#""JOINTS_0": {joints}, "WEIGHTS_0": {weights}, "TEXCOORD_0""#),
+    );
+    let rest = |joint: &str| {
+        format!(
+            r#"{skinned}, "materials": [{{}}], "nodes": [{{"mesh": 0, "skin": 0, "translation": [9, 9, 9]}},
+            {{"translation": [1, 2, 3], "rotation": [0, 0.6, 0, 0.8], "scale": [2, 2, 2]}}],
+            "skins": [{{"joints": [{joint}], "inverseBindMatrices": {bind}}}]"#
+        )
+    };
+    let found = loaded(&place, maker.text(&rest("1")));
+    // x = 1 of the bound mesh is where x = 0 of the plain one would be moved by one.
+    let moved = found.scene.mesh.positions[0];
+    assert!((moved - plain[1]).length() < 1e-5, "{moved} {plain:?}");
+    let lost = loaded(&place, maker.text(&rest("1, 7")));
+    assert!(says(&lost, "joints are not in the scene") || says(&lost, "matrix for each joint"));
+    let up = maker.vec3(&[Vec3::Z * 4.0; 4]);
+    let target =
+        mesh.replace(r#""material": 0"#, &format!(r#""material": 0, "targets": [{{"POSITION": {up}}}]"#));
+    for (weights, z) in [("", 0.0), (r#", "weights": [0.25]"#, 1.0)] {
+        let rest = format!(r#"{target}, "materials": [{{}}], "nodes": [{{"mesh": 0{weights}}}]"#);
+        let scene = loaded(&place, maker.text(&rest)).scene;
+        assert!(scene.mesh.positions.iter().all(|p| p.z == z), "{:?}", scene.mesh.positions);
+    }
+}
+
+#[test]
+fn colours_of_vertices_are_factors_of_the_base_colour() {
+    let place = Place::new("gltf-colors");
+    let mut maker = Maker::default();
+    let mesh = quad(&mut maker);
+    let half = [1.0f32, 0.5, 0.0];
+    let even = maker.accessor(bytemuck::cast_slice(&[half; 4]), 5126, 4, "VEC3", "");
+    let of = |maker: &Maker, colors: usize| {
+        let mesh = mesh.replace(r#""TEXCOORD_0""#, &format!(r#""COLOR_0": {colors}, "TEXCOORD_0""#));
+        let rest = format!(
+            r#"{mesh}, "nodes": [{{"mesh": 0}}], "materials": [{{"extensions": {{"KHR_materials_unlit": {{}}}},
+            "pbrMetallicRoughness": {{"baseColorFactor": [0.5, 1, 1, 1]}}}}]"#
+        );
+        loaded(&place, maker.text(&rest)).scene
+    };
+    let scene = of(&maker, even);
+    assert_eq!(scene.materials.len(), 1);
+    assert!((scene.materials[0].emission.color - Vec3::new(0.5, 0.5, 0.0)).abs().max_element() < 0.005);
+    // Each triangle the mean of its corners; the same area in as many triangles.
+    let bytes = [[255u8, 0, 0, 255], [255, 0, 0, 255], [255, 0, 0, 255], [0, 0, 255, 255]];
+    let uneven = maker.accessor(&bytes.concat(), 5121, 4, "VEC4", r#", "normalized": true"#);
+    let scene = of(&maker, uneven);
+    assert_eq!((scene.materials.len(), scene.mesh.triangles.len(), area(&scene)), (2, 2, 1.0));
+    assert!(scene.materials[1].emission.color.z > 0.3);
+}
+
+#[test]
+fn normals_lean_as_far_as_their_scale_says() {
+    // Leaning by 45 degrees along x: half as far is a slope of one half.
+    let lean = data_png(&[[218, 128, 218, 255]]);
+    let found = with_materials(
+        "gltf-lean",
+        &format!(
+            r#"[{{"normalTexture": {{"index": 0, "scale": 0.5}}}}], "textures": [{{"source": 0}}], "images": [{lean}]"#
+        ),
+    );
+    let map = found.scene.materials[0].normal_map.unwrap();
+    assert_eq!(found.scene.textures.len(), 1);
+    let [x, y, z, _] = found.scene.textures[map.0 as usize].texel(0, 0, 0).map(|v| 2.0 * v - 1.0);
+    assert!((x / z - 0.5).abs() < 0.01 && y.abs() < 0.01, "{x} {y} {z}");
 }

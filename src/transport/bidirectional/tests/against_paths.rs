@@ -145,13 +145,18 @@ fn lights_without_area_panes_masks_and_bumps() {
     scene.environment = Some(Environment { map: Some(sky), up: Vec3::Z, ..Environment::constant(Vec3::ONE) });
     scene.lights = vec![
         Light::Directional { direction: Vec3::new(0.3, 0.4, -1.0).normalize(), irradiance: Vec3::splat(0.8) },
-        Light::Point { position: Vec3::new(0.4, 0.0, 0.9), intensity: Vec3::splat(0.3) },
+        Light::Point {
+            position: Vec3::new(0.4, 0.0, 0.9),
+            intensity: Vec3::splat(0.3),
+            range: f32::INFINITY,
+        },
         Light::Spot {
             position: Vec3::new(-0.4, -0.4, 0.9),
             direction: Vec3::new(0.1, 0.3, -1.0).normalize(),
             intensity: Vec3::splat(0.4),
             inner: 0.3,
             outer: 0.6,
+            range: f32::INFINITY,
         },
     ];
     let view = View::new(Vec3::new(0.0, -1.8, 1.2), Vec3::new(0.0, 0.1, 0.2), 0.9);

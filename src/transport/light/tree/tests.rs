@@ -29,12 +29,19 @@ fn crowded(count: usize, seed: u64) -> Scene {
         let position = cube_of(&mut s, 2.0);
         let intensity = Vec3::splat(s.next_f32() * 3.0);
         scene.lights.push(if i % 3 == 0 {
-            Light::Point { position, intensity }
+            Light::Point { position, intensity, range: f32::INFINITY }
         } else {
             let outer = 0.02 + 1.5 * s.next_f32();
             // Also such with a hard edge.
             let inner = if i % 3 == 1 { outer } else { outer * s.next_f32() };
-            Light::Spot { position, direction: direction(&mut s), intensity, inner, outer }
+            Light::Spot {
+                position,
+                direction: direction(&mut s),
+                intensity,
+                inner,
+                outer,
+                range: f32::INFINITY,
+            }
         });
     }
     scene

@@ -1,0 +1,166 @@
+//! What a rough lobe of glTF reflects altogether, and what follows from it for a base below.
+//!
+//! A lobe of GGX microfacets with Schlick's Fresnel reflects f₀ A + f₉₀ B of the light (Karis 2013). Single scattering
+//! loses what meets a second facet; [`LobeAlbedo::gain`] gives it back as Turquin 2019 does, by a factor
+//! 1 + f₀ (1 / (A + B) − 1). The table is finer than [`super::SplitSum`], holds its ends, and is sampled by visible facets, so
+//! that a white furnace stays white to a hundredth.
+
+use std::sync::LazyLock;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use crate::math;
+
+/// Sides of the table: √⟨n, v⟩ and √α from 0 to 1.
+const COSINES: usize = 33;
+const ROUGHNESSES: usize = 33;
+
+/// A and B by √⟨n, v⟩ and √α.
+#[derive(Clone, Debug)]
+pub struct LobeAlbedo(Vec<[f32; 2]>);
+
+static TABLE: LazyLock<LobeAlbedo> = LazyLock::new(|| {
+    let entry = |i: usize| {
+        let x = (i % COSINES) as f32 / (COSINES - 1) as f32;
+        let r = (i / COSINES) as f32 / (ROUGHNESSES - 1) as f32;
+        integrate((x * x).max(1e-3), r * r)
+    };
+    LobeAlbedo((0..COSINES * ROUGHNESSES).into_par_iter().map(entry).collect())
+});
+
+/// The parts of ∫ f cos dω that f₀ and f₉₀ scale, by samples of visible facets (Heitz 2018).
+fn integrate(cosine: f32, alpha: f32) -> [f32; 2] {
+    const SAMPLES: u32 = 256;
+    let schlick = |vh: f32| {
+        let m = (1.0 - vh).clamp(0.0, 1.0);
+        m * m * (m * m) * m
+    };
+    if alpha < 1e-4 {
+        let fresnel = schlick(cosine);
+        return [1.0 - fresnel, fresnel];
+    }
+    let v = Vec3::new((1.0 - cosine * cosine).sqrt(), 0.0, cosine);
+    let stretched = Vec3::new(alpha * v.x, 0.0, v.z).normalize();
+    let lambda = |z: f32| 0.5 * ((1.0 + alpha * alpha * (1.0 / (z * z) - 1.0)).sqrt() - 1.0);
+    let out = lambda(cosine);
+    let (mut scale, mut bias) = (0.0, 0.0);
+    for i in 0..SAMPLES {
+        let u = (i as f32 + 0.5) / SAMPLES as f32;
+        let phi = std::f32::consts::TAU * (i.reverse_bits() as f32 / 4_294_967_296.0);
+        let r = u.sqrt();
+        let (px, py) = (r * math::cos(phi), r * math::sin(phi));
+        let s = 0.5 * (1.0 + stretched.z);
+        let py = (1.0 - s) * (1.0 - px * px).max(0.0).sqrt() + s * py;
+        // The frame around the stretched direction; its first axis is y.
+        let (t1, t2) = (Vec3::Y, stretched.cross(Vec3::Y));
+        let n = t1 * px + t2 * py + stretched * (1.0 - px * px - py * py).max(0.0).sqrt();
+        let h = Vec3::new(alpha * n.x, alpha * n.y, n.z.max(1e-6)).normalize();
+        let vh = v.dot(h).max(0.0);
+        let l = h * (2.0 * vh) - v;
+        if l.z <= 0.0 {
+            continue;
+        }
+        let weight = (1.0 + out) / (1.0 + out + lambda(l.z));
+        let fresnel = schlick(vh);
+        scale += (1.0 - fresnel) * weight;
+        bias += fresnel * weight;
+    }
+    [scale / SAMPLES as f32, bias / SAMPLES as f32]
+}
+
+impl LobeAlbedo {
+    /// The table, made once.
+    pub fn table() -> &'static Self {
+        &TABLE
+    }
+
+    /// (A, B) at a cosine and an α in [0, 1].
+    pub fn at(&self, cosine: f32, alpha: f32) -> [f32; 2] {
+        let position = |v: f32, n: usize| {
+            let p = v.clamp(0.0, 1.0).sqrt() * (n - 1) as f32;
+            let low = (p as usize).min(n - 2);
+            (low, p - low as f32)
+        };
+        let (x, fx) = position(cosine, COSINES);
+        let (y, fy) = position(alpha, ROUGHNESSES);
+        let entry = |x: usize, y: usize| self.0[y * COSINES + x];
+        std::array::from_fn(|i| {
+            let row = |y: usize| entry(x, y)[i] + (entry(x + 1, y)[i] - entry(x, y)[i]) * fx;
+            row(y) + (row(y + 1) - row(y)) * fy
+        })
+    }
+
+    /// What a lobe of reflectance 1 gains by scattering more than once, less 1: 1 / (A + B) − 1.
+    pub fn gain(&self, cosine: f32, alpha: f32) -> f32 {
+        let [a, b] = self.at(cosine, alpha);
+        (1.0 / (a + b).max(0.1) - 1.0).max(0.0)
+    }
+
+    /// Reflectance towards `cosine` of a layer with `f0` at normal and `f90` at grazing incidence.
+    pub fn layer(&self, f0: f32, f90: f32, cosine: f32, alpha: f32) -> f32 {
+        let [a, b] = self.at(cosine, alpha);
+        ((f0 * a + f90 * b) * (1.0 + f0 * self.gain(cosine, alpha))).clamp(0.0, 1.0)
+    }
+
+    /// The cosine-weighted mean of [`Self::layer`] over the hemisphere.
+    pub fn layer_mean(&self, f0: f32, f90: f32, alpha: f32) -> f32 {
+        const STEPS: usize = 96;
+        let mean: f32 = (0..STEPS)
+            .map(|i| {
+                let cosine = (i as f32 + 0.5) / STEPS as f32;
+                2.0 * cosine * self.layer(f0, f90, cosine, alpha)
+            })
+            .sum();
+        mean / STEPS as f32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_white_layer_reflects_all_and_a_dielectric_one_what_fresnel_says() {
+        let table = LobeAlbedo::table();
+        for alpha in [0.0, 0.04, 0.25, 0.5, 1.0] {
+            for cosine in [0.0, 0.05, 0.3, 0.7, 1.0] {
+                assert!((table.layer(1.0, 1.0, cosine, alpha) - 1.0).abs() < 1e-5, "{alpha} {cosine}");
+            }
+        }
+        // Schlick's mean is f₀ + (1 − f₀) / 21.
+        let mean = table.layer_mean(0.04, 1.0, 0.0);
+        assert!((mean - (0.04 + 0.96 / 21.0)).abs() < 0.003, "{mean}");
+        assert!(table.gain(1.0, 1.0) > 0.5 && table.gain(1.0, 0.0) < 1e-5);
+    }
+
+    #[test]
+    fn numbers_of_the_reference() {
+        let exact = [
+            (0.1, 0.1, 0.416, 0.578),
+            (0.1, 0.5, 0.968, 0.031),
+            (0.5, 0.5, 0.836, 0.022),
+            (0.5, 1.0, 0.916, 0.0),
+            (0.9, 0.5, 0.532, 0.005),
+            (0.9, 1.0, 0.420, 0.0),
+        ];
+        for (roughness, cosine, a, b) in exact {
+            let found = LobeAlbedo::table().at(cosine, roughness * roughness);
+            assert!(
+                (found[0] - a).abs() < 0.01 && (found[1] - b).abs() < 0.01,
+                "{roughness} {cosine} {found:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn any_numbers_give_some() {
+        for v in [f32::NAN, f32::INFINITY, -1.0, 0.0, 1.0, 2.0] {
+            for w in [f32::NAN, f32::INFINITY, -1.0, 0.0, 1.0, 2.0] {
+                let [a, b] = LobeAlbedo::table().at(v, w);
+                // NaN in is NaN out of a clamp; everything else is an albedo.
+                assert!(v.is_nan() || w.is_nan() || ((0.0..=1.001).contains(&a) && (0.0..=1.0).contains(&b)));
+            }
+        }
+    }
+}

@@ -1,0 +1,258 @@
+//! Surfaces with several lobes beside each other: glTF's, whose reflecting layer may be half there, let light through, and
+//! lie below fibres and a clear coat.
+//!
+//! From above: coat, fibres, layer, base. What each reflects is not there for what is below it; all factors are those towards
+//! the viewer, so that a lobe needs no second evaluation. What of a surface is not there passes in a straight line.
+
+use std::f32::consts::FRAC_1_PI;
+
+use glam::Vec3;
+
+use super::{Bsdf, BsdfSample, Coat, Facet, Lobe, cosine_hemisphere};
+use crate::image::luminance;
+use crate::math;
+use crate::scene::metal_rough;
+use crate::scene::microfacet::Microfacet;
+use crate::scene::{Distribution, LobeAlbedo, MetalRough, Roughness, Scene};
+use crate::transport::interaction::Interaction;
+use crate::transport::surface::SurfacePoint;
+
+/// Lobes beside the first: through, coat, fibres.
+pub(super) const MORE: usize = 3;
+
+fn isotropic(alpha: f32) -> Roughness {
+    Roughness { alpha_x: alpha, alpha_y: alpha, distribution: Distribution::Ggx }
+}
+
+/// f₀ and f₉₀ with what single scattering loses, for metal and dielectric apart, so that a mix is their mean.
+fn regained(m: &MetalRough, f0: Vec3, metallic: Option<f32>, gain: f32) -> [Vec3; 2] {
+    let Some(metallic) = metallic.map(|v| v.clamp(0.0, 1.0)).filter(|v| *v > 0.0 && *v < 1.0) else {
+        let gain = Vec3::ONE + f0 * gain;
+        let f90 = if metallic == Some(1.0) { 1.0 } else { m.layer.f90 };
+        return [f0 * gain, gain * f90];
+    };
+    // f₀ = (1 − m) f_d + m b; bands of f_d differ only where somebody tinted it.
+    let dielectric = f0.min(Vec3::splat(m.layer.f0));
+    let metal = ((f0 - dielectric * (1.0 - metallic)) / metallic).clamp(Vec3::ZERO, Vec3::ONE);
+    let (of_dielectric, of_metal) = (Vec3::ONE + dielectric * gain, Vec3::ONE + metal * gain);
+    let (d, m_share) = (of_dielectric * (1.0 - metallic), of_metal * metallic);
+    [dielectric * d + metal * m_share, d * m.layer.f90 + m_share]
+}
+
+impl Bsdf {
+    pub(super) fn set_metal_rough(
+        &mut self,
+        scene: &Scene,
+        m: &MetalRough,
+        at: &Interaction,
+        point: &SurfacePoint,
+    ) {
+        let (f0, r) = match m.specular.map {
+            None => (m.specular.color, m.roughness),
+            Some(map) => {
+                let [red, green, blue, alpha] = point.texel(scene, map);
+                let r = if m.roughness_in_alpha { alpha } else { m.roughness };
+                (m.specular.color * Vec3::new(red, green, blue), r)
+            }
+        };
+        let (f0, r) = (f0.clamp(Vec3::ZERO, Vec3::ONE), r.clamp(0.0, 1.0));
+        let alpha = MetalRough::alpha(r);
+        let cosine = at.wo.dot(self.normal).max(0.0);
+        let table = LobeAlbedo::table();
+        let mut kept = 1.0;
+        if !m.is_plain() {
+            kept = self.set_around(scene, m, point, cosine, r);
+        }
+        let [alpha_x, alpha_y] = m.grain.map_or([alpha; 2], |g| g.alphas(r));
+        if let Some(grain) = m.grain {
+            let (s, c) = math::sin_cos(grain.rotation);
+            let tangent = self.tangent * c + self.bitangent * s;
+            self.bitangent = self.bitangent * c - self.tangent * s;
+            self.tangent = tangent;
+        }
+        let rough = Roughness { alpha_x, alpha_y, distribution: Distribution::Ggx };
+        // As much as the mean of both loses.
+        let wide = (alpha_x * alpha_y).sqrt();
+        let gain = if rough.is_smooth() { 0.0 } else { table.gain(cosine, wide) };
+        let metallic = match m.diffuse.map.filter(|_| m.metallic_in_alpha) {
+            Some(map) => Some(point.texel(scene, map)[3]),
+            None => m.metallic,
+        };
+        let [f0, f90] = regained(m, f0, metallic, gain);
+        let facet = Facet::Between { f0: f0 * kept, f90: f90 * kept };
+        self.lobe = match Microfacet::of(&rough) {
+            None => Lobe::Smooth { facet },
+            Some(microfacet) => Lobe::Glossy { facet, microfacet },
+        };
+        if self.diffuse != Vec3::ZERO {
+            let (f0, f90, over) = (m.layer.f0, m.layer.f90, m.over);
+            self.coat = Coat::Layer { f0, f90, alpha, kept: 1.0 - m.layer.mean(r), over };
+        }
+    }
+
+    /// Sets what lies beside the layer; returns the share of light that is left for it.
+    fn set_around(
+        &mut self,
+        scene: &Scene,
+        m: &MetalRough,
+        point: &SurfacePoint,
+        cosine: f32,
+        r: f32,
+    ) -> f32 {
+        let there = match m.diffuse.map.filter(|_| m.coverage_in_alpha) {
+            Some(map) => m.coverage * point.texel(scene, map)[3],
+            None => m.coverage,
+        };
+        let there = there.clamp(0.0, 1.0);
+        let mut kept = there;
+        let mut push = |lobe: Lobe| {
+            self.more[usize::from(self.layers)] = lobe;
+            self.layers += 1;
+        };
+        if let Some(over) = m.over {
+            if let Some(coat) = over.coat {
+                let gain = coat.strength * there;
+                let f0 = Vec3::splat(metal_rough::Coat::F0 * gain);
+                let facet = Facet::Between { f0, f90: Vec3::splat(gain) };
+                push(match Microfacet::of(&isotropic(MetalRough::alpha(coat.roughness))) {
+                    None => Lobe::Smooth { facet },
+                    Some(microfacet) => Lobe::Glossy { facet, microfacet },
+                });
+            }
+            if let Some(sheen) = over.sheen {
+                let color = sheen.color * (there * over.below_coat(cosine));
+                push(Lobe::Fibres { color, alpha: sheen.alpha() });
+            }
+            kept *= over.kept(cosine);
+        }
+        let mut straight = Vec3::splat(1.0 - there);
+        if m.through.color.max_element() > 0.0 {
+            let alpha = MetalRough::alpha(r);
+            let reflected = LobeAlbedo::table().layer(m.layer.f0, m.layer.f90, cosine, alpha);
+            let weight = point.reflectance(scene, &m.through) * (kept * (1.0 - reflected));
+            match Microfacet::of(&isotropic(alpha)) {
+                None => straight += weight,
+                // One of both: the blurred one where it is more.
+                Some(microfacet) if luminance(weight) > luminance(straight) => {
+                    push(Lobe::Blurred { weight: weight + straight, microfacet });
+                    straight = Vec3::ZERO;
+                }
+                Some(_) => straight += weight,
+            }
+        }
+        if straight.max_element() > 0.0 {
+            push(Lobe::Straight { weight: straight });
+        }
+        kept
+    }
+
+    /// Whether there are several lobes beside each other.
+    pub fn is_layered(&self) -> bool {
+        self.layers > 0
+    }
+
+    pub(super) fn beside(&self) -> &[Lobe] {
+        &self.more[..usize::from(self.layers)]
+    }
+
+    /// Each lobe as if it were alone, the first one first.
+    pub fn parts(&self) -> impl Iterator<Item = Self> + '_ {
+        let alone = |lobe: Lobe| Self { lobe, layers: 0, ..*self };
+        std::iter::once(self.lobe).chain(self.beside().iter().copied()).map(alone)
+    }
+
+    /// What passes in a straight line.
+    pub fn straight(&self) -> Vec3 {
+        let weight = |lobe: &Lobe| if let Lobe::Straight { weight } = lobe { *weight } else { Vec3::ZERO };
+        self.beside().iter().map(weight).sum()
+    }
+
+    /// The lobe that a number in [0, 1) chooses by what each reflects: which one, how probable that was, and a number for
+    /// what it has to choose itself.
+    pub fn chosen(&self, wo: Vec3, u: f32) -> Option<(Self, f32, f32)> {
+        let mut shares = [0.0; MORE + 1];
+        for (share, part) in shares.iter_mut().zip(self.parts()) {
+            *share = luminance(part.view_dependent_albedo(wo)).max(0.0);
+        }
+        let sum: f32 = shares.iter().sum();
+        if !(sum > 0.0 && sum.is_finite()) {
+            return None;
+        }
+        let mut before = 0.0;
+        let last = shares.iter().rposition(|s| *s > 0.0)?;
+        for (k, part) in self.parts().enumerate() {
+            let p = shares[k] / sum;
+            if p > 0.0 && (u < before + p || k == last) {
+                return Some((part, p, ((u - before) / p).clamp(0.0, 1.0 - f32::EPSILON)));
+            }
+            before += p;
+        }
+        None
+    }
+
+    pub(super) fn sample_layered(&self, wo: Vec3, u: [f32; 2], u_lobe: f32) -> Option<BsdfSample> {
+        let (part, p, u_lobe) = self.chosen(wo, u_lobe)?;
+        let sample = part.sample(wo, u, u_lobe)?;
+        if sample.delta {
+            return Some(BsdfSample { weight: sample.weight / p, pdf: sample.pdf * p, ..sample });
+        }
+        let (f, pdf) = self.evaluate_layered(wo, sample.wi);
+        let weight = f * (sample.wi.dot(self.normal) / pdf);
+        (pdf > 0.0 && weight.is_finite()).then_some(BsdfSample { weight, pdf, ..sample })
+    }
+
+    pub(super) fn evaluate_layered(&self, wo: Vec3, wi: Vec3) -> (Vec3, f32) {
+        let (o, i) = (self.local(wo), self.local(wi));
+        let (mut value, mut density, mut all) = (Vec3::ZERO, 0.0, 0.0);
+        for part in self.parts() {
+            let share = luminance(part.view_dependent_albedo(wo)).max(0.0);
+            all += share;
+            if !part.is_delta() {
+                let (f, pdf) = part.glossy(o, i);
+                value += f;
+                density += share * pdf;
+            }
+        }
+        if all > 0.0 { (value, density / all) } else { (Vec3::ZERO, 0.0) }
+    }
+
+    /// What passes a rough surface without thickness: mirrored at a facet, then at the surface.
+    pub(super) fn sample_blurred(
+        &self,
+        wo: Vec3,
+        u: [f32; 2],
+        weight: Vec3,
+        m: &Microfacet,
+    ) -> Option<BsdfSample> {
+        let o = self.local(wo);
+        if o.z <= 0.0 {
+            return None;
+        }
+        let h = m.sample(o, u);
+        let i = h * (2.0 * o.dot(h)) - o;
+        let wi = self.world(Vec3::new(i.x, i.y, -i.z)).normalize_or_zero();
+        (i.z > 0.0 && wi.dot(self.geometric) < 0.0).then_some(BsdfSample {
+            wi,
+            // What single scattering loses is not lost here.
+            weight,
+            pdf: 1.0,
+            delta: true,
+            transmitted: true,
+            radiance_scale: 1.0,
+        })
+    }
+
+    pub(super) fn sample_fibres(&self, wo: Vec3, u: [f32; 2]) -> Option<BsdfSample> {
+        let wi = self.world(cosine_hemisphere(u)).normalize_or_zero();
+        let (f, pdf) = self.evaluate_and_pdf(wo, wi);
+        let weight = f * (wi.dot(self.normal) / pdf);
+        (pdf > 0.0 && weight.is_finite()).then_some(BsdfSample {
+            wi,
+            weight,
+            pdf: pdf.min(FRAC_1_PI),
+            delta: false,
+            transmitted: false,
+            radiance_scale: 1.0,
+        })
+    }
+}

@@ -138,7 +138,7 @@ const CORE: [&str; 14] = [
     "metrics",
 ];
 
-/// Uses against the order, each with its reason.
+/// Uses against the core's order, each with its reason.
 const BACKWARD: [(&str, &str); 3] = [
     // The interface by which the tracer is given its diffuse illumination.
     ("src/transport/", "illumination::Irradiance"),
@@ -179,23 +179,64 @@ fn imports_of_the_core_point_one_way() {
         crate_paths("use crate::a::B; use crate::{c, d::{E, F}};"),
         ["a::B", "c", "d::EF"].map(|p| p.replace("EF", "E,F"))
     );
-    let rank = |module: &str| CORE.iter().position(|m| *m == module);
+    imports_point_one_way("src/", &CORE, &BACKWARD);
+}
+
+/// The runtime's folders, each of which may use the ones before it.
+const RUNTIME: [&str; 11] = [
+    "sync",
+    "message",
+    "scheduler",
+    "mailbox",
+    "log",
+    "journal",
+    "actor",
+    "pool",
+    "runtime",
+    "replay",
+    "simulate",
+];
+
+#[test]
+fn imports_of_the_runtime_point_one_way() {
+    imports_point_one_way("actors/runtime/", &RUNTIME, &[]);
+}
+
+/// Fails where a module of the package whose sources begin with `package` uses one that comes later in `order`, except
+/// as `backward` allows.
+fn imports_point_one_way(package: &str, order: &[&str], backward: &[(&str, &str)]) {
+    let rank = |module: &str| order.iter().position(|m| *m == module);
+    let mut seen = BTreeSet::new();
     for (path, source) in sources("rs") {
-        let Some(own) = path.strip_prefix("src/") else { continue };
+        let Some(own) = path.strip_prefix(package) else { continue };
         let own = own.split('/').next().unwrap_or_default().trim_end_matches(".rs");
-        if own == "lib" || is_for_tests(&path) {
+        // Beside the library: what is built, derived, shown and modelled with it.
+        let is_beside = ["lib", "build", "derive", "examples", "model"].contains(&own);
+        if is_beside || is_for_tests(&path) {
             continue;
         }
         let own_rank =
-            rank(own).unwrap_or_else(|| panic!("{path}: where does {own} stand in the core's order?"));
+            rank(own).unwrap_or_else(|| panic!("{path}: where does {own} stand in {package}'s order?"));
+        seen.insert(own_rank);
         for used in crate_paths(&code_without_tests(&source)) {
             let module = used.split("::").next().unwrap_or_default();
             let Some(used_rank) = rank(module) else { panic!("{path} names crate::{used}") };
-            let allowed = BACKWARD.iter().any(|(from, to)| path.starts_with(from) && used.starts_with(to));
+            let allowed = backward.iter().any(|(from, to)| path.starts_with(from) && used.starts_with(to));
             assert!(used_rank <= own_rank || allowed, "{path} uses {used}, which comes later");
-            let knows_scenes =
-                own == "perception" && !["perception", "image", "math", "rng"].contains(&module);
-            assert!(!knows_scenes, "{path}: perception works on maps, but this uses {used}");
+        }
+    }
+    assert_eq!(seen.len(), order.len(), "{package} has not all of {order:?}");
+}
+
+/// Perception works on maps.
+#[test]
+fn perception_knows_no_scene() {
+    for (path, source) in sources("rs") {
+        if path.starts_with("src/perception") && !is_for_tests(&path) {
+            for used in crate_paths(&code_without_tests(&source)) {
+                let module = used.split("::").next().unwrap_or_default();
+                assert!(["perception", "image", "math", "rng"].contains(&module), "{path} uses {used}");
+            }
         }
     }
 }

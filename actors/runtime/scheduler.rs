@@ -9,9 +9,11 @@ pub(crate) mod activation;
 pub(crate) mod clock;
 pub(crate) mod eventcount;
 pub(crate) mod link;
+mod main_gate;
 pub(crate) mod priority;
 pub(crate) mod profile;
 pub(crate) mod signals;
+mod threads;
 pub(crate) mod timer;
 pub(crate) mod work;
 
@@ -21,18 +23,21 @@ use crossbeam_utils::{Backoff, CachePadded};
 use std::any::Any;
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, AtomicUsize, Ordering, fence};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread::Thread;
-use std::time::Duration;
 
-use crate::message::incident::{Incident, guarded, message_of};
+use crate::message::incident::{Incident, message_of};
 use crate::scheduler::clock::Clock;
 use crate::scheduler::eventcount::EventCount;
 use crate::scheduler::link::{Class, Link};
-use crate::scheduler::priority::give_way;
 use crate::scheduler::timer::Timers;
 use crate::sync::QueueOrder;
+
+use main_gate::MainGate;
+
+pub(crate) use main_gate::Waker;
+pub(crate) use threads::Threads;
 
 /// Something that takes turns: an actor, whatever its messages are.
 pub(crate) trait Runnable: Send + Sync {
@@ -75,18 +80,6 @@ impl ThreadCx {
 /// One running timer in the word that counts active actors.
 const TIMER: u64 = 1 << 32;
 
-const AWAY: u8 = 0;
-const PUMPING: u8 = 1;
-const PARKED: u8 = 2;
-
-/// The main thread's side of parking, and the hook that calls it back from an event loop of its own.
-struct MainGate {
-    state: AtomicU8,
-    thread: Thread,
-    called: AtomicBool,
-    waker: Option<Box<dyn Fn() + Send + Sync>>,
-}
-
 /// The run queues and everything needed to wake a thread for them.
 pub(crate) struct Scheduler {
     pub(crate) clock: Clock,
@@ -121,7 +114,7 @@ impl Scheduler {
         threads: usize,
         clock: Clock,
         budget: Budget,
-        waker: Option<Box<dyn Fn() + Send + Sync>>,
+        waker: Option<Waker>,
     ) -> (Self, Vec<Worker<u32>>) {
         let threads = threads.min(64);
         let cores = std::thread::available_parallelism().map_or(usize::MAX, usize::from);
@@ -139,12 +132,7 @@ impl Scheduler {
             stealers: locals.iter().map(Worker::stealer).collect(),
             handles: OnceLock::new(),
             sleepers: EventCount::new(),
-            main: MainGate {
-                state: AtomicU8::new(AWAY),
-                thread: std::thread::current(),
-                called: AtomicBool::new(false),
-                waker,
-            },
+            main: MainGate::new(waker),
             active: CachePadded::new(AtomicU64::new(0)),
             heavy_running: CachePadded::new(AtomicUsize::new(0)),
             // More than there are cores would only take time from the main thread.
@@ -222,69 +210,12 @@ impl Scheduler {
         }
     }
 
-    /// Wakes the main thread, or calls its event loop.
-    pub(crate) fn notify_main(&self) {
-        fence(Ordering::SeqCst);
-        match self.main.state.load(Ordering::Relaxed) {
-            PARKED => self.main.thread.unpark(),
-            AWAY => {
-                if let Some(waker) = &self.main.waker
-                    && !self.main.called.swap(true, Ordering::AcqRel)
-                {
-                    self.call(waker);
-                }
-            }
-            _ => {}
-        }
-    }
-
-    /// Calls the event loop: once for all that waits, so not where messages are counted in nanoseconds.
-    #[cold]
-    fn call(&self, waker: &(dyn Fn() + Send + Sync)) {
-        if let Err(message) = guarded(waker) {
-            self.note(Incident::Beside { what: "the waker".to_owned(), message });
-        }
-    }
-
     /// Wakes everyone, for a stop or a halt.
     pub(crate) fn notify_all(&self) {
         if let Some(handles) = self.handles.get() {
             handles.iter().for_each(Thread::unpark);
         }
         self.notify_main();
-    }
-
-    /// The main thread enters its pump.
-    pub(crate) fn enter_main(&self) {
-        self.main.state.store(PUMPING, Ordering::SeqCst);
-    }
-
-    /// The main thread leaves its pump; if work for it is left, its event loop is called at once.
-    pub(crate) fn leave_main(&self) {
-        self.main.called.store(false, Ordering::SeqCst);
-        self.main.state.store(AWAY, Ordering::SeqCst);
-        fence(Ordering::SeqCst);
-        if self.main_has_work() {
-            self.notify_main();
-        }
-    }
-
-    /// Parks the main thread unless `ready` holds, at most for `timeout`.
-    pub(crate) fn park_main(&self, timeout: Duration, ready: impl FnOnce() -> bool) {
-        self.main.state.store(PARKED, Ordering::SeqCst);
-        fence(Ordering::SeqCst);
-        if !self.main_has_work() && !ready() {
-            if timeout == Duration::MAX {
-                std::thread::park();
-            } else {
-                std::thread::park_timeout(timeout);
-            }
-        }
-        self.main.state.store(PUMPING, Ordering::SeqCst);
-    }
-
-    fn main_has_work(&self) -> bool {
-        !self.pinned.is_empty() || (self.threads == 0 && !(self.light.is_empty() && self.heavy.is_empty()))
     }
 
     /// The next pinned actor.
@@ -488,117 +419,4 @@ fn steal(mut attempt: impl FnMut() -> Steal<u32>) -> Option<u32> {
             Steal::Retry => backoff.snooze(),
         }
     }
-}
-
-/// The worker threads of a running system.
-pub(crate) struct Threads {
-    handles: Vec<std::thread::JoinHandle<()>>,
-}
-
-impl Threads {
-    /// Starts one thread for each run queue.
-    pub(crate) fn start<N: Runnable + ?Sized + 'static>(
-        scheduler: &Arc<Scheduler>,
-        nodes: &Arc<[Arc<N>]>,
-        locals: Vec<Worker<u32>>,
-        gives_way: bool,
-    ) -> std::io::Result<Self> {
-        let mut handles = Vec::with_capacity(locals.len());
-        for (index, local) in locals.into_iter().enumerate() {
-            let (scheduler, nodes) = (Arc::clone(scheduler), Arc::clone(nodes));
-            let body = move || {
-                if gives_way {
-                    give_way();
-                }
-                worker(&scheduler, &nodes, local, index);
-            };
-            handles.push(std::thread::Builder::new().name(format!("actors-{index}")).spawn(body)?);
-        }
-        let threads: Box<[Thread]> = handles.iter().map(|handle| handle.thread().clone()).collect();
-        let _ = scheduler.handles.set(threads);
-        scheduler.notify_all();
-        Ok(Self { handles })
-    }
-
-    /// Waits until all have ended; `Scheduler::stop` makes them.
-    pub(crate) fn join(self) {
-        for handle in self.handles {
-            let _ = handle.join();
-        }
-    }
-}
-
-fn worker<N: Runnable + ?Sized>(scheduler: &Scheduler, nodes: &[Arc<N>], local: Worker<u32>, index: usize) {
-    while scheduler.handles.get().is_none() && !scheduler.stopping.load(Ordering::SeqCst) {
-        std::thread::park();
-    }
-    let thread = ThreadCx { local: Some(local), lane: index as u16 + 1, last_end: Cell::new(0) };
-    while !scheduler.stopping.load(Ordering::Relaxed) {
-        if let Err(message) = guarded(|| work(scheduler, nodes, &thread, index)) {
-            scheduler.sleepers.cancel(index);
-            scheduler.note(Incident::Beside { what: format!("thread {}", thread.lane), message });
-        }
-    }
-}
-
-/// What a worker thread does until the system stops.
-fn work<N: Runnable + ?Sized>(scheduler: &Scheduler, nodes: &[Arc<N>], thread: &ThreadCx, index: usize) {
-    let mut tick = 0_u32;
-    // This thread ran a heavy actor and is the one to run the next, unless it finds something else to do. Were another
-    // one woken each time, many threads would take turns, each of them rested and so preferred to the main thread.
-    let (mut freed, mut light) = (false, 0);
-    while !scheduler.stopping.load(Ordering::Relaxed) {
-        tick = tick.wrapping_add(1);
-        if scheduler.halted() {
-            if std::mem::take(&mut freed) {
-                scheduler.offer_heavy();
-            }
-            scheduler.rest();
-        }
-        let next_timer = scheduler.timers.next();
-        if next_timer != u64::MAX {
-            scheduler.timers.serve(scheduler.clock.now(), scheduler, thread);
-        }
-        // Every so often a heavy actor goes first, so that a flood of light ones cannot starve it.
-        if tick.is_multiple_of(61) && run_heavy(scheduler, nodes, thread) {
-            (freed, light) = (true, 0);
-            continue;
-        }
-        if let Some(actor) = scheduler.find(thread, index, tick) {
-            scheduler.run(nodes, actor, thread);
-            light += 1;
-            if light >= LIGHT_IN_A_ROW && std::mem::take(&mut freed) {
-                scheduler.offer_heavy();
-            }
-            continue;
-        }
-        light = 0;
-        freed = run_heavy(scheduler, nodes, thread);
-        if freed {
-            continue;
-        }
-        thread.last_end.set(0);
-        scheduler.sleepers.prepare(index);
-        if !scheduler.has_work() && !scheduler.stopping.load(Ordering::SeqCst) {
-            match scheduler.timers.next() {
-                u64::MAX => std::thread::park(),
-                due => {
-                    let wait = due.saturating_sub(scheduler.clock.now());
-                    if wait > 0 {
-                        std::thread::park_timeout(Duration::from_nanos(wait));
-                    }
-                }
-            }
-        }
-        scheduler.sleepers.cancel(index);
-    }
-}
-
-fn run_heavy<N: Runnable + ?Sized>(scheduler: &Scheduler, nodes: &[Arc<N>], thread: &ThreadCx) -> bool {
-    let Some(actor) = scheduler.claim_heavy() else { return false };
-    let link = nodes[actor as usize].link();
-    link.in_slot.store(true, Ordering::Relaxed);
-    scheduler.run(nodes, actor, thread);
-    scheduler.release_slot_of(link);
-    true
 }

@@ -2,6 +2,7 @@
 //! back, and only then let others see that it is done.
 
 mod deliver;
+mod replayed;
 mod saved;
 
 use crossbeam_utils::atomic::AtomicCell;
@@ -10,11 +11,11 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use crate::actor::seat::{Popped, Seat};
+use crate::actor::seat::Seat;
 use crate::actor::supervise::{Circuit, OnPanic};
 use crate::actor::{Actor, OwnTimers};
 use crate::journal::env::Env;
-use crate::journal::script::{Next, Script, Stash};
+use crate::journal::script::Stash;
 use crate::journal::{Halted, Journal};
 use crate::log::format::{Hashing, Payload, lane};
 use crate::mailbox::{Address, Decoder, Inbound, Mailbox};
@@ -27,27 +28,40 @@ use crate::scheduler::{Runnable, ThreadCx};
 
 use saved::{load_messages, load_timers, save_messages, save_timers};
 
-/// An actor as its system sees it, whatever its messages are.
+/// An actor as its system sees it, whatever its messages are. What is not said otherwise is that of a port, whose number
+/// stands among the actors': nothing is there.
 pub(crate) trait AnyNode: Runnable {
     /// Shows the actor's state, unless it is in a turn.
-    fn look(&self, show: &mut dyn FnMut(&dyn Any));
+    fn look(&self, _show: &mut dyn FnMut(&dyn Any)) {}
     /// Deliveries and chained hash, unless it is in a turn.
-    fn position(&self) -> Option<(u64, u64)>;
+    fn position(&self) -> Option<(u64, u64)> {
+        None
+    }
     /// Replay: what the script still wants, unless the actor is in a turn.
-    fn script_state(&self) -> Option<ScriptState>;
+    fn script_state(&self) -> Option<ScriptState> {
+        None
+    }
     /// Writes everything that a snapshot of a replay needs, unless the actor is in a turn.
-    fn save(&self, saver: &mut Saver);
-    fn restore(&self, loader: &mut Loader<'_>) -> Option<()>;
+    fn save(&self, _saver: &mut Saver) {}
+    fn restore(&self, _loader: &mut Loader<'_>) -> Option<()> {
+        Some(())
+    }
     /// Hands over what is left of the log, and ends the journal.
-    fn end_log(&self);
+    fn end_log(&self) {}
     /// Throws away what waits, when nothing runs any more.
-    fn clear(&self);
+    fn clear(&self) {}
     /// Messages of all ways that wait in the mailbox.
-    fn waiting(&self) -> u64;
+    fn waiting(&self) -> u64 {
+        0
+    }
     /// Control messages that wait.
-    fn urgent(&self) -> usize;
+    fn urgent(&self) -> usize {
+        0
+    }
     /// Data messages that wait.
-    fn depth(&self) -> usize;
+    fn depth(&self) -> usize {
+        0
+    }
 }
 
 /// Where an actor stands in its recording.
@@ -272,92 +286,6 @@ impl<A: Actor> Node<A> {
             }
         }
         Ok(())
-    }
-
-    fn replay_turn(&self, core: &mut Core<A>, thread: &ThreadCx, turn: &mut Turn) -> Result<(), Halted> {
-        let scheduler = &*self.link.scheduler;
-        let bits = self.link.signals.take(u32::MAX);
-        turn.consumed += bits.count_ones() as usize;
-        turn.flush = bits & signal::FLUSH != 0;
-        while let Some(inbound) = self.mailbox().inbound.pop() {
-            turn.consumed += 1;
-            core.stash.put(inbound);
-        }
-        if bits & signal::START != 0 {
-            self.start(core, thread);
-        }
-        loop {
-            if scheduler.halted() {
-                return Err(Halted);
-            }
-            if core.stopping {
-                return Ok(());
-            }
-            if turn.messages >= scheduler.budget.messages {
-                turn.again = true;
-                return Ok(());
-            }
-            if core.journal.index >= self.link.limit.load(Ordering::Relaxed) {
-                return Ok(());
-            }
-            let Some(next) = core.journal.script().and_then(Script::next) else { return Ok(()) };
-            if !self.replay_next(core, thread, &next)? {
-                return Ok(());
-            }
-            turn.messages += 1;
-        }
-    }
-
-    /// Makes the next delivery of the script; false if what it delivers is not there yet.
-    fn replay_next(&self, core: &mut Core<A>, thread: &ThreadCx, next: &Next) -> Result<bool, Halted> {
-        let symbol = next.symbol;
-        let pass = |core: &mut Core<A>| {
-            if let Some(script) = core.journal.script() {
-                script.pass(next);
-            }
-        };
-        match (next.payload, &next.external) {
-            (_, Some(bytes)) => {
-                let decoder =
-                    core.decoders.iter().find(|(port, _)| *port == symbol.from).map(|(_, decode)| decode);
-                let decode = |decode: &Decoder<A::Msg>| guarded(|| decode(bytes)).ok().flatten();
-                let Some(message) = decoder.and_then(decode) else {
-                    let expected = format!("an input of {}", self.env.name(symbol.from));
-                    core.journal.diverge_here(expected, "a payload that cannot be decoded".into());
-                    return Err(Halted);
-                };
-                pass(core);
-                self.deliver(core, thread, symbol, Payload::External(bytes), message)?;
-            }
-            (Payload::Timer { timer, time }, None) => {
-                if !core.timers.contains(timer) {
-                    core.journal.diverge_here(format!("timer {timer}"), "no such timer runs".into());
-                    return Err(Halted);
-                }
-                pass(core);
-                self.timer(core, thread, timer, time)?;
-            }
-            (Payload::Order(bits), None) => {
-                pass(core);
-                self.order(core, thread, bits)?;
-            }
-            (Payload::Job { id, attempt }, None) => {
-                let Some(pushed_in) = core.seat.as_mut().and_then(|seat| seat.hold(id, attempt)) else {
-                    return Ok(false);
-                };
-                pass(core);
-                let stale = matches!(symbol.lane, lane::STALE | lane::STALE_AGAIN);
-                self.deliver_job(core, thread, Popped { id, attempt, pushed_in, stale })?;
-            }
-            (payload, None) => {
-                let skipped = if let Payload::Skipped(count) = payload { count } else { 0 };
-                let Some((sent_in, message)) = core.stash.take(symbol, skipped) else { return Ok(false) };
-                pass(core);
-                core.journal.comes_of(symbol.from, sent_in);
-                self.deliver(core, thread, symbol, payload, message)?;
-            }
-        }
-        Ok(true)
     }
 
     /// Ends the actor once, and throws away what still arrives.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use crate::actor::node::{AnyNode, Node, ScriptState};
+use crate::actor::node::{AnyNode, Node};
 use crate::actor::reserve::Reserve;
 use crate::actor::seat::Seat;
 use crate::actor::supervise::OnPanic;
@@ -16,7 +16,6 @@ use crate::journal::port::{External, Port};
 use crate::log::format::NodeInfo;
 use crate::mailbox::{Address, Bounds, Mailbox};
 use crate::message::incident::Incident;
-use crate::message::saved::{Loader, Saver};
 use crate::message::{ActorId, Message, Reason, Rejected};
 use crate::pool::{AnyPool, DeadJob, Job, JobPool, Worker};
 use crate::scheduler::link::{Class, Link};
@@ -200,36 +199,4 @@ impl Runnable for PortNode {
     }
 }
 
-impl AnyNode for PortNode {
-    fn look(&self, _show: &mut dyn FnMut(&dyn Any)) {}
-
-    fn position(&self) -> Option<(u64, u64)> {
-        None
-    }
-
-    fn script_state(&self) -> Option<ScriptState> {
-        None
-    }
-
-    fn end_log(&self) {}
-
-    fn save(&self, _saver: &mut Saver) {}
-
-    fn restore(&self, _loader: &mut Loader<'_>) -> Option<()> {
-        Some(())
-    }
-
-    fn clear(&self) {}
-
-    fn waiting(&self) -> u64 {
-        0
-    }
-
-    fn depth(&self) -> usize {
-        0
-    }
-
-    fn urgent(&self) -> usize {
-        0
-    }
-}
+impl AnyNode for PortNode {}

@@ -7,6 +7,7 @@
 pub mod camera;
 mod cutout;
 mod defaults;
+pub mod edit;
 pub mod environment;
 pub mod hierarchy;
 pub mod load;
@@ -128,6 +129,16 @@ pub enum Light {
         /// Irradiance at perpendicular incidence per band, W/m².
         irradiance: Vec3,
     },
+}
+
+impl Light {
+    /// What it emits: intensity, or irradiance where it is parallel.
+    pub fn power_mut(&mut self) -> &mut Vec3 {
+        match self {
+            Self::Point { intensity, .. } | Self::Spot { intensity, .. } => intensity,
+            Self::Directional { irradiance, .. } => irradiance,
+        }
+    }
 }
 
 /// How the picture is shown (sidecar `[display]`).

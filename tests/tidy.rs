@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
 use crate::support::{Foveal, root};
 
@@ -267,6 +268,22 @@ fn packages_depend_one_way() {
     }
 }
 
+/// Who takes the engine into a program of their own takes no window and no command line along.
+#[test]
+fn the_engine_brings_no_window_and_no_command_line() {
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let tree = "tree --offline --locked --package foveal-engine --edges normal --prefix none --format {p}";
+    let found =
+        Command::new(cargo).args(tree.split(' ')).current_dir(root()).output().expect("cargo can be run");
+    assert!(found.status.success(), "{}", String::from_utf8_lossy(&found.stderr));
+    let found = String::from_utf8_lossy(&found.stdout);
+    let names: BTreeSet<&str> = found.lines().filter_map(|line| line.split(' ').next()).collect();
+    assert!(names.contains("foveal-runtime") && names.contains("glam"), "{names:?}");
+    for name in ["wgpu", "winit", "egui", "softbuffer", "clap", "indicatif", "plotters"] {
+        assert!(!names.contains(name), "foveal-engine brings {name} along");
+    }
+}
+
 /// Actors share messages, never each other's types.
 #[test]
 fn actors_do_not_know_each_other() {
@@ -357,7 +374,13 @@ fn every_source_is_used() {
 /// Links of our texts lead to files; those of the book to files of the book, since nothing else goes with it.
 #[test]
 fn links_lead_somewhere() {
-    let mut texts = vec!["README.md".to_owned(), "ARCHITECTURE.md".into(), "scenes/README.md".into()];
+    let mut texts = vec![
+        "README.md".to_owned(),
+        "ARCHITECTURE.md".into(),
+        "actors/engine/README.md".into(),
+        "actors/runtime/README.md".into(),
+        "scenes/README.md".into(),
+    ];
     let book = fs::read_dir(root().join("docs/src")).expect("the book").flatten();
     let pages = book.map(|e| e.file_name().to_string_lossy().into_owned()).filter(|n| n.ends_with(".md"));
     texts.extend(pages.map(|n| format!("docs/src/{n}")));

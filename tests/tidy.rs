@@ -122,7 +122,7 @@ fn only_the_command_line_prints() {
 }
 
 /// The core's modules, each of which may use the ones before it.
-const CORE: [&str; 14] = [
+const CORE: [&str; 15] = [
     "rng",
     "math",
     "image",
@@ -130,6 +130,7 @@ const CORE: [&str; 14] = [
     "geometry",
     "transport",
     "illumination",
+    "radiosity",
     "world",
     "display",
     "perception",
@@ -140,12 +141,10 @@ const CORE: [&str; 14] = [
 ];
 
 /// Uses against the core's order, each with its reason.
-const BACKWARD: [(&str, &str); 3] = [
+const BACKWARD: [(&str, &str); 2] = [
     // The interface by which the tracer is given its diffuse illumination.
     ("src/transport/", "illumination::Irradiance"),
     ("src/transport/", "illumination::Unnamed"),
-    // Radiosity's quadtrees are what is simplified.
-    ("src/transport/radiosity/", "illumination::simplify"),
 ];
 
 /// Paths below `crate::` that a source names, lists unfolded one level.
@@ -268,19 +267,58 @@ fn packages_depend_one_way() {
     }
 }
 
+/// What cargo says to these arguments.
+fn cargo(arguments: &str) -> String {
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let run = Command::new(cargo).args(arguments.split(' ')).current_dir(root()).output();
+    let run = run.expect("cargo can be run");
+    assert!(run.status.success(), "cargo {arguments}: {}", String::from_utf8_lossy(&run.stderr));
+    String::from_utf8(run.stdout).expect("a text")
+}
+
 /// Who takes the engine into a program of their own takes no window and no command line along.
 #[test]
 fn the_engine_brings_no_window_and_no_command_line() {
-    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let tree = "tree --offline --locked --package foveal-engine --edges normal --prefix none --format {p}";
-    let found =
-        Command::new(cargo).args(tree.split(' ')).current_dir(root()).output().expect("cargo can be run");
-    assert!(found.status.success(), "{}", String::from_utf8_lossy(&found.stderr));
-    let found = String::from_utf8_lossy(&found.stdout);
+    let found = cargo(tree);
     let names: BTreeSet<&str> = found.lines().filter_map(|line| line.split(' ').next()).collect();
     assert!(names.contains("foveal-runtime") && names.contains("glam"), "{names:?}");
     for name in ["wgpu", "winit", "egui", "softbuffer", "clap", "indicatif", "plotters"] {
         assert!(!names.contains(name), "foveal-engine brings {name} along");
+    }
+}
+
+/// What goes to a registry is whole, and small.
+#[test]
+fn packages_hold_what_they_need() {
+    const BYTES_MAX: u64 = 1 << 18;
+    let licences = ["LICENSE-MIT", "LICENSE-APACHE"];
+    for (package, folder, needed) in [
+        ("foveal", ".", &["README.md", "src/lib.rs"][..]),
+        ("foveal-runtime-derive", "actors/runtime/derive", &["lib.rs"]),
+        ("foveal-runtime", "actors/runtime", &["README.md", "build.rs", "examples/jobs.rs"]),
+        ("foveal-actors", "actors", &["message/renderer.rs"]),
+        ("foveal-engine", "actors/engine", &["README.md", "examples/walk.rs"]),
+        ("foveal-scenes", "scenes", &["README.md", "generate/lib.rs"]),
+        ("foveal-terminal", "actors/terminal", &["lib.rs"]),
+        ("foveal-window", "actors/window", &["gpu/base.wgsl"]),
+        ("foveal-bench", "actors/bench", &["lib.rs"]),
+        ("foveal-program", "actors/program", &["main.rs"]),
+    ] {
+        let list = format!("package --list --allow-dirty --offline --package {package}");
+        let list = cargo(&list);
+        let files: BTreeSet<&str> = list.lines().collect();
+        for needed in needed.iter().chain(&licences) {
+            assert!(files.contains(needed), "{package} goes without {needed}");
+        }
+        for file in files {
+            // Some are made by cargo.
+            let size = fs::metadata(root().join(folder).join(file)).map_or(0, |file| file.len());
+            assert!(
+                size <= BYTES_MAX || file.starts_with("Cargo.lock"),
+                "{package}: {file} has {size} bytes"
+            );
+        }
     }
 }
 

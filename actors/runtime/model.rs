@@ -25,7 +25,7 @@ use crate::scheduler::signals::signal;
 use crate::scheduler::{Budget, ThreadCx};
 
 /// A linearisable queue.
-#[expect(clippy::disallowed_types, reason = "a stand-in for a lock-free queue inside the model checker")]
+#[expect(clippy::disallowed_types, reason = "a stand-in for another crate's queue inside the model checker")]
 struct Queue(loom::sync::Mutex<VecDeque<u32>>);
 
 impl Queue {

@@ -10,6 +10,7 @@ mod seat;
 use crossbeam_queue::SegQueue;
 use serde::{Deserialize, Serialize};
 use std::fmt;
+use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -132,13 +133,35 @@ struct Entry<J> {
     bucket: u32,
     /// Deliveries to its maker before it was pushed, the one at hand included.
     pushed_in: u64,
-    /// Shared with those who get it if this worker does not come to its end.
-    job: Arc<J>,
+    job: Carried<J>,
 }
 
-impl<J> Clone for Entry<J> {
-    fn clone(&self) -> Self {
-        Self { job: Arc::clone(&self.job), ..*self }
+impl<J> Entry<J> {
+    /// The same job for two: whoever has it, and those who get it if that one does not come to its end.
+    fn split(self) -> (Self, Self) {
+        let job = match self.job {
+            Carried::Alone(job) => Arc::new(job),
+            Carried::Shared(job) => job,
+        };
+        (Self { job: Carried::Shared(Arc::clone(&job)), ..self }, Self { job: Carried::Shared(job), ..self })
+    }
+}
+
+/// A job on its way. It lies in its entry as long as nobody else needs it: memory that one thread takes and another
+/// gives back costs more than the way through the pool.
+enum Carried<J> {
+    Alone(J),
+    Shared(Arc<J>),
+}
+
+impl<J> Deref for Carried<J> {
+    type Target = J;
+
+    fn deref(&self) -> &J {
+        match self {
+            Self::Alone(job) => job,
+            Self::Shared(job) => job,
+        }
     }
 }
 
@@ -203,11 +226,13 @@ impl<J: Job> Shared<J> {
     }
 
     /// Replay: a job goes straight to those who popped it when the recording was made, all of them at once.
-    fn route(&self, entry: &Entry<J>, thread: &ThreadCx) {
+    fn route(&self, mut entry: Entry<J>, thread: &ThreadCx) {
         for attempt in 0..=KILLS_MAX {
             let Some(worker) = self.env.popped_by(entry.id, attempt) else { return };
             if let Some(place) = self.places().iter().find(|place| place.link.id == worker) {
-                place.inbound.push(Entry { attempt, ..entry.clone() });
+                let (now, later) = entry.split();
+                entry = later;
+                place.inbound.push(Entry { attempt, ..now });
                 place.link.raise(signal::JOBS, thread);
             }
         }
@@ -399,9 +424,9 @@ impl<M: Message> Cx<'_, M> {
         let id = self.journal.next_job();
         let bucket = (u32::from(bucket.min(BUCKETS - 1)) + shared.base.load(Ordering::Relaxed)) % 64;
         let pushed_in = self.journal.index;
-        let entry = Entry { id, attempt: 0, epoch, bucket, pushed_in, job: Arc::new(job) };
+        let entry = Entry { id, attempt: 0, epoch, bucket, pushed_in, job: Carried::Alone(job) };
         if self.journal.replaying() {
-            shared.route(&entry, self.thread);
+            shared.route(entry, self.thread);
         } else {
             shared.put(entry, self.thread);
         }

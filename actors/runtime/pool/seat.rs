@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::lease::AtHand;
-use super::{Death, Entry, Job, JobPool, KILLS_MAX, Place, Worker};
+use super::{Carried, Death, Entry, Job, JobPool, KILLS_MAX, Place, Worker};
 use crate::actor::Cx;
 use crate::actor::seat::{Popped, Seat};
 use crate::journal::Journal;
@@ -35,17 +35,21 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
         }
         let stale = entry.epoch < shared.epoch.load(Ordering::Relaxed);
         let popped = Popped { id: entry.id, attempt: entry.attempt, pushed_in: entry.pushed_in, stale };
-        match shared.lease.get() {
+        self.current = Some(match shared.lease.get() {
             Some(time) if !stale && entry.attempt < KILLS_MAX => {
                 let until = shared.env.scheduler.clock.now().saturating_add(*time);
-                self.place.hold.lend(entry.clone(), until);
+                let (own, lent) = entry.split();
+                self.place.hold.lend(lent, until);
                 if !shared.env.simulated() {
                     shared.watch(until);
                 }
+                own
             }
-            _ => self.place.hold.own(),
-        }
-        self.current = Some(entry);
+            _ => {
+                self.place.hold.own();
+                entry
+            }
+        });
         Some(popped)
     }
 
@@ -181,7 +185,7 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
         let count: u64 = loader.take()?;
         for _ in 0..count {
             let (id, attempt, epoch, bucket, pushed_in) = loader.take()?;
-            let job = Arc::new(J::restore(loader)?);
+            let job = Carried::Alone(J::restore(loader)?);
             self.early.insert((id, attempt), Entry { id, attempt, epoch, bucket, pushed_in, job });
         }
         Some(())

@@ -116,6 +116,14 @@ pub fn add(edits: &mut Vec<SceneEdit>, edit: SceneEdit) {
     }
 }
 
+/// What a light emits: intensity, or irradiance where it is parallel.
+fn power(light: &mut Light) -> &mut Vec3 {
+    match light {
+        Light::Point { intensity, .. } | Light::Spot { intensity, .. } => intensity,
+        Light::Directional { irradiance, .. } => irradiance,
+    }
+}
+
 /// What of a scene edits change, as its files have it.
 #[derive(Clone, Debug)]
 pub struct AsRead {
@@ -165,7 +173,7 @@ impl AsRead {
                     let emits = |c: &&mut Vec3| c.max_element() > 0.0;
                     *match lamp {
                         Lamp::Material(i) => emissions.get_mut(i as usize).filter(emits),
-                        Lamp::Light(i) => lights.get_mut(i as usize).map(Light::power_mut),
+                        Lamp::Light(i) => lights.get_mut(i as usize).map(power),
                         Lamp::Surrounding => surrounding.as_mut(),
                     }
                     .ok_or(EditError::NoLamp(lamp))? *= gain;
@@ -205,14 +213,14 @@ mod tests {
     use crate::scene::test_scenes::{add_box, grey, scene};
     use crate::scene::{Mesh, Reflectance};
 
-    /// A lamp of material 1 and a point light.
+    /// A lamp of material 1 and parallel light.
     fn lit() -> Scene {
         let mut mesh = Mesh::default();
         add_box(&mut mesh, Vec3::ZERO, Vec3::ONE, 0, false);
         let mut lamp = grey();
         lamp.emission = Reflectance::constant(Vec3::new(4.0, 2.0, 1.0));
         let mut lit = scene(mesh, vec![grey(), lamp]);
-        lit.lights = vec![Light::Point { position: Vec3::ZERO, intensity: Vec3::ONE }];
+        lit.lights = vec![Light::Directional { direction: Vec3::Y, irradiance: Vec3::ONE }];
         lit.content_hash = [7; 32];
         lit
     }
@@ -238,14 +246,14 @@ mod tests {
 
     #[test]
     fn the_same_changes_are_the_same_scene() {
-        let moved = SceneEdit::LightMoved { light: 0, position: Vec3::X, direction: Vec3::ZERO };
+        let moved = SceneEdit::LightMoved { light: 0, position: Vec3::ZERO, direction: Vec3::X * 3.0 };
         let off = SceneEdit::LampDimmed { lamp: Lamp::Light(0), gain: Vec3::ZERO };
         let (mut there, mut back) = (vec![], vec![]);
         [moved, off].into_iter().for_each(|e| add(&mut there, e));
         [off, moved].into_iter().for_each(|e| add(&mut back, e));
         assert_eq!(there, back);
         let edited = AsRead::of(&lit()).edited(&lit(), &there).expect("a light");
-        assert_eq!(edited.lights, [Light::Point { position: Vec3::X, intensity: Vec3::ZERO }]);
+        assert_eq!(edited.lights, [Light::Directional { direction: Vec3::X, irradiance: Vec3::ZERO }]);
     }
 
     #[test]
@@ -260,7 +268,8 @@ mod tests {
             assert_eq!(refused(dim(Lamp::Light(0), gain)), Err(EditError::Gain(gain)));
         }
         assert!(refused(dim(Lamp::Light(0), Vec3::NAN)).is_err());
-        let moved = |position| SceneEdit::LightMoved { light: 0, position, direction: Vec3::ZERO };
-        assert!(refused(moved(Vec3::NAN)).is_err() && refused(moved(Vec3::ONE)).is_ok());
+        let moved = |direction| SceneEdit::LightMoved { light: 0, position: Vec3::NAN, direction };
+        assert!(refused(moved(Vec3::ZERO)).is_err() && refused(moved(Vec3::NAN)).is_err());
+        assert!(refused(moved(Vec3::ONE)).is_ok(), "what is far away has no position");
     }
 }

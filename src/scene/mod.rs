@@ -131,16 +131,6 @@ pub enum Light {
     },
 }
 
-impl Light {
-    /// What it emits: intensity, or irradiance where it is parallel.
-    pub fn power_mut(&mut self) -> &mut Vec3 {
-        match self {
-            Self::Point { intensity, .. } | Self::Spot { intensity, .. } => intensity,
-            Self::Directional { irradiance, .. } => irradiance,
-        }
-    }
-}
-
 /// How the picture is shown (sidecar `[display]`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Display {

@@ -2,7 +2,7 @@
 
 use foveal::allocation::policy::{Policy, RayPolicy};
 use foveal::display::tone::ToneMap;
-use foveal::perception::importance::Weights;
+use foveal::perception::importance::SALIENCY_WEIGHT;
 use foveal::sampling::Lattice;
 use foveal::scene::Display;
 use foveal::splatting::supersampling::Supersampling;
@@ -120,7 +120,7 @@ impl Settings {
             height,
             tracers,
             policy: RayPolicy::new(Policy::default(), 0),
-            saliency_weight: 0.5,
+            saliency_weight: SALIENCY_WEIGHT,
             seed: 0,
             samples_per_job: 256,
             k_max: 6,
@@ -143,10 +143,5 @@ impl Settings {
     /// enough that a new view or priority takes effect within milliseconds.
     pub fn jobs_in_flight(&self) -> u32 {
         2 * self.tracers + 2
-    }
-
-    /// The weights of the attention model.
-    pub fn weights(&self) -> Weights {
-        Weights { saliency: self.saliency_weight, ..Weights::default() }
     }
 }

@@ -6,7 +6,8 @@
 //! [`display`] (frame buffers, the CPU twin) → [`perception`] → [`sampling`] (√5 lattice) →
 //! [`splatting`] (footprints, sample cache, ageing, warp) → [`allocation`] → [`metrics`].
 //!
-//! [`math`] stands before them all: sines and powers with the same bits on every machine.
+//! [`math`] stands before them all: sines and powers with the same bits on every machine. [`radiosity`] stands aside: light on
+//! a mesh that is cut back to any number of elements.
 //!
 //! Nothing in here knows an actor, a channel, a clock or a GPU, and nothing prints.
 
@@ -18,6 +19,7 @@ pub mod image;
 pub mod math;
 pub mod metrics;
 pub mod perception;
+pub mod radiosity;
 pub mod rng;
 pub mod sampling;
 pub mod scene;

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
 use crate::support::{Foveal, root};
 
@@ -121,7 +122,7 @@ fn only_the_command_line_prints() {
 }
 
 /// The core's modules, each of which may use the ones before it.
-const CORE: [&str; 14] = [
+const CORE: [&str; 15] = [
     "rng",
     "math",
     "image",
@@ -129,6 +130,7 @@ const CORE: [&str; 14] = [
     "geometry",
     "transport",
     "illumination",
+    "radiosity",
     "world",
     "display",
     "perception",
@@ -138,13 +140,11 @@ const CORE: [&str; 14] = [
     "metrics",
 ];
 
-/// Uses against the order, each with its reason.
-const BACKWARD: [(&str, &str); 3] = [
+/// Uses against the core's order, each with its reason.
+const BACKWARD: [(&str, &str); 2] = [
     // The interface by which the tracer is given its diffuse illumination.
     ("src/transport/", "illumination::Irradiance"),
     ("src/transport/", "illumination::Unnamed"),
-    // Radiosity's quadtrees are what is simplified.
-    ("src/transport/radiosity/", "illumination::simplify"),
 ];
 
 /// Paths below `crate::` that a source names, lists unfolded one level.
@@ -179,23 +179,64 @@ fn imports_of_the_core_point_one_way() {
         crate_paths("use crate::a::B; use crate::{c, d::{E, F}};"),
         ["a::B", "c", "d::EF"].map(|p| p.replace("EF", "E,F"))
     );
-    let rank = |module: &str| CORE.iter().position(|m| *m == module);
+    imports_point_one_way("src/", &CORE, &BACKWARD);
+}
+
+/// The runtime's folders, each of which may use the ones before it.
+const RUNTIME: [&str; 11] = [
+    "sync",
+    "message",
+    "scheduler",
+    "mailbox",
+    "log",
+    "journal",
+    "actor",
+    "pool",
+    "runtime",
+    "replay",
+    "simulate",
+];
+
+#[test]
+fn imports_of_the_runtime_point_one_way() {
+    imports_point_one_way("actors/runtime/", &RUNTIME, &[]);
+}
+
+/// Fails where a module of the package whose sources begin with `package` uses one that comes later in `order`, except
+/// as `backward` allows.
+fn imports_point_one_way(package: &str, order: &[&str], backward: &[(&str, &str)]) {
+    let rank = |module: &str| order.iter().position(|m| *m == module);
+    let mut seen = BTreeSet::new();
     for (path, source) in sources("rs") {
-        let Some(own) = path.strip_prefix("src/") else { continue };
+        let Some(own) = path.strip_prefix(package) else { continue };
         let own = own.split('/').next().unwrap_or_default().trim_end_matches(".rs");
-        if own == "lib" || is_for_tests(&path) {
+        // Beside the library: what is built, derived, shown and modelled with it.
+        let is_beside = ["lib", "build", "derive", "examples", "model"].contains(&own);
+        if is_beside || is_for_tests(&path) {
             continue;
         }
         let own_rank =
-            rank(own).unwrap_or_else(|| panic!("{path}: where does {own} stand in the core's order?"));
+            rank(own).unwrap_or_else(|| panic!("{path}: where does {own} stand in {package}'s order?"));
+        seen.insert(own_rank);
         for used in crate_paths(&code_without_tests(&source)) {
             let module = used.split("::").next().unwrap_or_default();
             let Some(used_rank) = rank(module) else { panic!("{path} names crate::{used}") };
-            let allowed = BACKWARD.iter().any(|(from, to)| path.starts_with(from) && used.starts_with(to));
+            let allowed = backward.iter().any(|(from, to)| path.starts_with(from) && used.starts_with(to));
             assert!(used_rank <= own_rank || allowed, "{path} uses {used}, which comes later");
-            let knows_scenes =
-                own == "perception" && !["perception", "image", "math", "rng"].contains(&module);
-            assert!(!knows_scenes, "{path}: perception works on maps, but this uses {used}");
+        }
+    }
+    assert_eq!(seen.len(), order.len(), "{package} has not all of {order:?}");
+}
+
+/// Perception works on maps.
+#[test]
+fn perception_knows_no_scene() {
+    for (path, source) in sources("rs") {
+        if path.starts_with("src/perception") && !is_for_tests(&path) {
+            for used in crate_paths(&code_without_tests(&source)) {
+                let module = used.split("::").next().unwrap_or_default();
+                assert!(["perception", "image", "math", "rng"].contains(&module), "{path} uses {used}");
+            }
         }
     }
 }
@@ -222,6 +263,61 @@ fn packages_depend_one_way() {
             let wrong =
                 must_not.iter().any(|m| name == *m || *m == "crossbeam" && name.starts_with("crossbeam"));
             assert!(!wrong, "{manifest} depends on {name}");
+        }
+    }
+}
+
+/// What cargo says to these arguments.
+fn cargo(arguments: &str) -> String {
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let run = Command::new(cargo).args(arguments.split(' ')).current_dir(root()).output();
+    let run = run.expect("cargo can be run");
+    assert!(run.status.success(), "cargo {arguments}: {}", String::from_utf8_lossy(&run.stderr));
+    String::from_utf8(run.stdout).expect("a text")
+}
+
+/// Who takes the engine into a program of their own takes no window and no command line along.
+#[test]
+fn the_engine_brings_no_window_and_no_command_line() {
+    let tree = "tree --offline --locked --package foveal-engine --edges normal --prefix none --format {p}";
+    let found = cargo(tree);
+    let names: BTreeSet<&str> = found.lines().filter_map(|line| line.split(' ').next()).collect();
+    assert!(names.contains("foveal-runtime") && names.contains("glam"), "{names:?}");
+    for name in ["wgpu", "winit", "egui", "softbuffer", "clap", "indicatif", "plotters"] {
+        assert!(!names.contains(name), "foveal-engine brings {name} along");
+    }
+}
+
+/// What goes to a registry is whole, and small.
+#[test]
+fn packages_hold_what_they_need() {
+    const BYTES_MAX: u64 = 1 << 18;
+    let licences = ["LICENSE-MIT", "LICENSE-APACHE"];
+    for (package, folder, needed) in [
+        ("foveal", ".", &["README.md", "src/lib.rs"][..]),
+        ("foveal-runtime-derive", "actors/runtime/derive", &["lib.rs"]),
+        ("foveal-runtime", "actors/runtime", &["README.md", "build.rs", "examples/jobs.rs"]),
+        ("foveal-actors", "actors", &["message/renderer.rs"]),
+        ("foveal-engine", "actors/engine", &["README.md", "examples/walk.rs"]),
+        ("foveal-scenes", "scenes", &["README.md", "generate/lib.rs"]),
+        ("foveal-terminal", "actors/terminal", &["lib.rs"]),
+        ("foveal-window", "actors/window", &["gpu/base.wgsl"]),
+        ("foveal-bench", "actors/bench", &["lib.rs"]),
+        ("foveal-program", "actors/program", &["main.rs"]),
+    ] {
+        let list = format!("package --list --allow-dirty --offline --package {package}");
+        let list = cargo(&list);
+        let files: BTreeSet<&str> = list.lines().collect();
+        for needed in needed.iter().chain(&licences) {
+            assert!(files.contains(needed), "{package} goes without {needed}");
+        }
+        for file in files {
+            // Some are made by cargo.
+            let size = fs::metadata(root().join(folder).join(file)).map_or(0, |file| file.len());
+            assert!(
+                size <= BYTES_MAX || file.starts_with("Cargo.lock"),
+                "{package}: {file} has {size} bytes"
+            );
         }
     }
 }
@@ -316,7 +412,13 @@ fn every_source_is_used() {
 /// Links of our texts lead to files; those of the book to files of the book, since nothing else goes with it.
 #[test]
 fn links_lead_somewhere() {
-    let mut texts = vec!["README.md".to_owned(), "ARCHITECTURE.md".into(), "scenes/README.md".into()];
+    let mut texts = vec![
+        "README.md".to_owned(),
+        "ARCHITECTURE.md".into(),
+        "actors/engine/README.md".into(),
+        "actors/runtime/README.md".into(),
+        "scenes/README.md".into(),
+    ];
     let book = fs::read_dir(root().join("docs/src")).expect("the book").flatten();
     let pages = book.map(|e| e.file_name().to_string_lossy().into_owned()).filter(|n| n.ends_with(".md"));
     texts.extend(pages.map(|n| format!("docs/src/{n}")));

@@ -21,7 +21,6 @@ impl Allocator {
     /// What it thinks.
     pub fn insight(&self) -> Insight {
         let size = (self.settings.width as usize, self.settings.height as usize);
-        let weights = self.settings.weights();
         let mut objects: Vec<ObjectInsight> = self
             .statistics
             .iter()
@@ -29,7 +28,7 @@ impl Allocator {
             .map(|(id, s)| ObjectInsight {
                 pixels: s.pixels,
                 saliency: s.saliency,
-                importance: if id == 0 { 0.0 } else { importance(s, size.0, size.1, &weights) },
+                importance: if id == 0 { 0.0 } else { importance(s, size.0, size.1) },
                 attention: self.attention.get(id).copied().unwrap_or(0.0),
                 ..ObjectInsight::default()
             })

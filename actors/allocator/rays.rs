@@ -35,7 +35,7 @@ impl Allocator {
             s.saliency = self.saliency.get(id).copied().unwrap_or(0.0);
         }
         let (w, h) = (self.settings.width as usize, self.settings.height as usize);
-        priorities(&self.statistics, w, h, &self.settings.weights(), &mut self.attention);
+        priorities(&self.statistics, w, h, self.settings.saliency_weight, &mut self.attention);
     }
 
     pub(super) fn fill_pool(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {

@@ -12,7 +12,7 @@ use foveal::display::tone::{Encoder, ToneMap};
 use foveal::display::twin::{self, Passes};
 use foveal::geometry::{Accel, Ray};
 use foveal::image::Map2d;
-use foveal::perception::importance::{ObjectScan, Weights, priorities};
+use foveal::perception::importance::{ObjectScan, SALIENCY_WEIGHT, priorities};
 use foveal::perception::saliency::SaliencyModel;
 use foveal::rng::Stream;
 use foveal::splatting::{AgeingRules, Footprint, SampleCache, SplatLayer, warp};
@@ -278,7 +278,7 @@ fn objects(a: &ScalingArguments) -> Result<Vec<Curve>, Failure> {
         let ids = Map2d::from_fn(512, 512, |x, y| (x / 5 + 103 * (y / 5)) as u32 % count);
         let ms = measure(a.common.runs, || {
             scan.gather(&ids, None, count as usize, &mut statistics);
-            priorities(&statistics, 512, 512, &Weights::default(), &mut out);
+            priorities(&statistics, 512, 512, SALIENCY_WEIGHT, &mut out);
             black_box(&out);
         });
         ranking.points.push((f64::from(count), ms));

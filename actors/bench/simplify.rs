@@ -8,12 +8,12 @@ use foveal::allocation::mesh_elements::{ElementCriterion, simplify_mesh};
 use foveal::display::tone::{Encoder, ToneMap};
 use foveal::display::twin::{self, Passes};
 use foveal::display::{FrameBuffers, PrimaryHit};
-use foveal::illumination::from_radiosity::SceneRadiosity;
 use foveal::image::Map2d;
 use foveal::metrics::flip;
+use foveal::radiosity::mesh::RadiosityMesh;
+use foveal::radiosity::of_scene::SceneRadiosity;
 use foveal::scene::Scene;
 use foveal::scene::camera::Camera;
-use foveal::transport::radiosity::mesh::RadiosityMesh;
 use foveal::world::World;
 use glam::Vec3;
 

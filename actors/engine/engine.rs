@@ -4,7 +4,9 @@
 //! replayed. The walk belongs to the thread that began it, which runs the renderer between [`Engine::begin`] and
 //! [`Engine::end`].
 
+mod frame;
 mod shown;
+mod stalled;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -23,8 +25,8 @@ use foveal_actors::message::{FrameIndex, FrameSnapshot, RendererInput, View};
 use foveal_actors::renderer::overlay::Overlay;
 use foveal_actors::renderer::{FrameCounts, FrameSink, Renderer, Splats};
 use foveal_actors::settings::{Adjustment, Settings};
-use foveal_actors::stages::{Stage, StageTimes};
-use foveal_actors::textures::{TextureReport, TextureStore};
+use foveal_actors::stages::StageTimes;
+use foveal_actors::textures::TextureStore;
 use foveal_actors::wiring::{Actors, wire};
 use foveal_runtime::{BuildError, Control, Exit, Limit, Mode, RecordingStatus, Runtime, Shutdown};
 
@@ -45,114 +47,8 @@ const LEAVING: Duration = Duration::from_millis(200);
 /// Longest time for the picture of a frame, once its deadline is over.
 const SHOWING: Duration = Duration::from_secs(60);
 
-/// A frame as it was shown.
-#[derive(Clone, Debug)]
-pub struct Frame {
-    /// Its number.
-    pub index: FrameIndex,
-    /// The picture, tone-mapped, and the view that it is of.
-    pub snapshot: Arc<FrameSnapshot>,
-    /// How many samples it holds, by where they came from.
-    pub counts: FrameCounts,
-    /// Durations of its stages.
-    pub stages: Vec<(Stage, Duration)>,
-    /// How far its view has come.
-    pub standing: Standing,
-    /// Textures, where they are limited and something was decided of them.
-    pub textures: Option<TextureReport>,
-    /// What happened since the frame before.
-    pub events: Vec<Event>,
-}
-
-/// How far a view has come.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Standing {
-    /// Samples are still to come.
-    Growing,
-    /// Every pixel that is not diffuse shows its own ray.
-    Converged,
-    /// Refined as far as was asked for.
-    Refined,
-}
-
-impl Standing {
-    /// As screenshots say it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Growing => "growing",
-            Self::Converged => "converged",
-            Self::Refined => "refined",
-        }
-    }
-}
-
-/// What happened beside the frames.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Event {
-    /// The light is better than it was.
-    LightGrew,
-    /// The light is final.
-    LightFinal,
-    /// The view has converged.
-    Converged,
-    /// The view is refined as far as was asked for.
-    Refined,
-    /// The recording ends here, though the walk goes on.
-    RecordingStopped {
-        /// Why.
-        reason: String,
-    },
-    /// Something went wrong and the walk goes on: an actor began anew, a job was given up, an observer failed.
-    Incident {
-        /// What happened to whom.
-        what: String,
-    },
-}
-
-/// Who stops where it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stalled {
-    /// Nobody.
-    Nobody,
-    /// All who trace rays.
-    Tracers,
-    /// Who keeps samples.
-    CacheAger,
-    /// Who looks at frames.
-    Analyzer,
-    /// Who orders jobs.
-    Allocator,
-    /// Who makes light better.
-    Illuminator,
-    /// All but the renderer.
-    All,
-}
-
-impl Stalled {
-    /// Each of them.
-    pub const EACH: [Self; 7] = [
-        Self::Nobody,
-        Self::Tracers,
-        Self::CacheAger,
-        Self::Analyzer,
-        Self::Allocator,
-        Self::Illuminator,
-        Self::All,
-    ];
-
-    /// As it is written on a command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Nobody => "nobody",
-            Self::Tracers => "tracers",
-            Self::CacheAger => "cache-ager",
-            Self::Analyzer => "analyzer",
-            Self::Allocator => "allocator",
-            Self::Illuminator => "illuminator",
-            Self::All => "all",
-        }
-    }
-}
+pub use frame::{Event, Frame, Standing};
+pub use stalled::Stalled;
 
 /// Keeps the newest frame for whoever asked for it; and for a display that draws by itself, what was splatted.
 #[derive(Clone)]
@@ -492,9 +388,13 @@ impl Engine {
             opened.world = World { illumination, ..opened.world };
             opened.refinement = opened.refinement.filter(|_| !lit);
         }
-        let Again { fps, quality, texture_bytes, whole, gives_way } = self.again;
         let cache_capacity = Settings::new(width, height, 1).cache_capacity;
-        let settings = Settings { width, height, cache_capacity, ..self.settings };
+        self.go_on_in(opened, Settings { width, height, cache_capacity, ..self.settings })
+    }
+
+    /// Goes on with other actors, around another scene or picture.
+    pub(crate) fn go_on_in(&mut self, opened: Opened, settings: Settings) -> Result<(), Failure> {
+        let Again { fps, quality, texture_bytes, whole, gives_way } = self.again;
         let options = Options { fps, quality, texture_bytes, whole, gives_way, ..Options::new(settings) };
         // The next walk stands before the old one ends: where threads cannot be had, there is still one to show.
         let mut next = Self::start(opened, Options { facts: self.facts.clone(), ..options })?;
@@ -503,6 +403,11 @@ impl Engine {
         next.set(&self.controls)?;
         *self = next;
         Ok(())
+    }
+
+    /// Whether a recording of it goes on.
+    pub(crate) fn is_recorded(&self) -> bool {
+        matches!(self.recording(), RecordingStatus::On { .. })
     }
 
     /// Brings the actors to rest within `time`. They can be looked at afterwards; nothing else works.
@@ -595,29 +500,6 @@ impl Engine {
     pub fn insight(&mut self) -> Option<&Insight> {
         self.listen();
         self.insight.as_ref()
-    }
-
-    /// Somebody stops where it is, to see that the walk goes on.
-    pub fn stall(&self, who: Stalled) {
-        let (Some(runtime), actors) = (&self.runtime, &self.actors) else { return };
-        let is = |one: Stalled| who == one || who == Stalled::All;
-        for tracer in actors.tracers.iter().filter(|_| is(Stalled::Tracers)) {
-            runtime.control(*tracer, Control::Pause);
-        }
-        if let Some(others) = &actors.correction {
-            if is(Stalled::CacheAger) {
-                runtime.control(others.cache_ager, Control::Pause);
-            }
-            if is(Stalled::Analyzer) {
-                runtime.control(others.analyzer, Control::Pause);
-            }
-            if is(Stalled::Allocator) {
-                runtime.control(others.allocator, Control::Pause);
-            }
-        }
-        if let Some(illuminator) = actors.illuminator.filter(|_| is(Stalled::Illuminator)) {
-            runtime.control(illuminator, Control::Pause);
-        }
     }
 
     /// Better light is of no use to a walk that ends; who makes it would go on for minutes.

@@ -20,19 +20,25 @@
 //! | --- | --- |
 //! | [`opened`], [`light`], [`bake_clock`] | files → a scene with its illumination |
 //! | [`options`], [`machine`] | how a walk is started, and which actors that takes |
-//! | [`engine`] | frames at deadlines, controls, what happened meanwhile |
+//! | [`engine`], [`edit`] | frames at deadlines, controls, what happened meanwhile; changes of the scene |
 //! | [`source`], [`walk`], [`navigation`] | a walk by hand: input becomes cameras, cameras become frames |
 //! | [`look`], [`screenshot`] | overlays, pictures, other displays |
 //! | [`recording`], [`replay`] | what a recording says of its run; the same run again, from any moment |
 //! | [`reference`](mod@reference) | the gold standards |
 //! | [`failure`], [`interrupt`], [`files`], [`process`] | how things end, Ctrl-C, files, what the process takes |
 //!
-//! All that changes a running walk is an input of the renderer and so part of its recording; things that move will come in
-//! that way, too.
+//! All that changes a running walk is an input of the renderer and so part of its recording. Edits of the scene
+//! ([`Engine::edit`]: lamps dimmed, lights moved) begin another walk in the same engine, under light that is made anew; those
+//! that are there when a walk begins are part of its recording. Whatever moves geometry is not among them yet.
 
 #![expect(clippy::disallowed_methods, reason = "outside of the actors, which it drives")]
 
+#[cfg(doctest)]
+#[doc = include_str!("README.md")]
+struct Readme;
+
 pub mod bake_clock;
+pub mod edit;
 pub mod engine;
 pub mod failure;
 pub mod files;
@@ -54,6 +60,10 @@ pub mod source;
 mod test_scene;
 pub mod walk;
 
+// Their types stand in signatures here.
+pub use {foveal, foveal_actors, foveal_runtime, glam};
+
+pub use edit::{EditError, Lamp, SceneEdit};
 pub use engine::{Engine, Event, Frame, Stalled, Standing};
 pub use failure::Failure;
 pub use foveal_actors::settings::Settings;

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use foveal::illumination::bake::BakeSettings;
 use foveal::scene::Scene;
+use foveal::scene::edit::SceneEdit;
 use foveal::scene::load::LoadOptions;
 use serde::{Deserialize, Serialize};
 
@@ -29,6 +30,9 @@ pub struct Light {
     /// How the scene's files are read, which decides what is lit.
     #[serde(default, skip_serializing_if = "Reading::is_plain")]
     pub reading: Reading,
+    /// What is changed of what was read, before it is lit.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub edits: Vec<SceneEdit>,
 }
 
 /// What is chosen where a scene's files leave a choice.

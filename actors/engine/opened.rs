@@ -10,7 +10,8 @@ use foveal::illumination::Irradiance;
 use foveal::illumination::bake::{BakeSettings, Baked, Baker, cache_key};
 use foveal::illumination::cache::{load_illumination, save};
 use foveal::illumination::first::first_picture;
-use foveal::scene::{NamedCamera, Scene, load};
+use foveal::scene::edit::{AsRead, SceneEdit};
+use foveal::scene::{NamedCamera, Scene, edit, load};
 use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
 use foveal::world::{World, metered};
@@ -19,6 +20,7 @@ use foveal_actors::illuminator::Refinement;
 use foveal_actors::textures::TextureStore;
 
 use crate::bake_clock::{BakeClock, Watch};
+use crate::edit::EditError;
 use crate::failure::Failure;
 use crate::interrupt::interrupted;
 use crate::light::{Light, Reading};
@@ -36,6 +38,8 @@ pub struct Opened {
     pub textures: Option<Arc<TextureStore>>,
     /// What the illumination is to be refined towards, where it is a first estimate.
     pub refinement: Option<Refinement>,
+    /// What of the scene its edits ([`Light::edits`]) changed.
+    pub as_read: AsRead,
     /// What went wrong without stopping anything, each said once.
     pub warnings: Vec<String>,
 }
@@ -43,8 +47,35 @@ pub struct Opened {
 impl Opened {
     /// A world that was made, under the light it has.
     pub fn of_world(world: World) -> Self {
-        let light = Light::default();
-        Self { path: PathBuf::new(), light, world, textures: None, refinement: None, warnings: Vec::new() }
+        Self {
+            path: PathBuf::new(),
+            light: Light::default(),
+            as_read: AsRead::of(&world.scene),
+            world,
+            textures: None,
+            refinement: None,
+            warnings: Vec::new(),
+        }
+    }
+
+    /// The same scene after one more edit: with the light that is kept of it, or else with a first estimate, which is
+    /// refined while one walks unless [`Light::baked`].
+    ///
+    /// # Errors
+    /// If the edit cannot be made, or its light not.
+    pub fn edited(&self, edit: SceneEdit, watch: &dyn Watch) -> Result<Self, EditError> {
+        if self.textures.is_some() {
+            return Err(EditError::LimitedTextures);
+        }
+        // A file that was baked holds other light.
+        let mut light = Light { bake: None, ..self.light.clone() };
+        edit::add(&mut light.edits, edit);
+        let scene = self.as_read.edited(&self.world.scene, &light.edits)?;
+        let (mut warnings, accel) = (self.warnings.clone(), self.world.accel.clone());
+        let kept = kept(&scene, &light, &mut warnings)?;
+        let lights = Arc::new(Lights::build(&scene));
+        let (path, scene, as_read) = (self.path.clone(), Arc::new(scene), self.as_read.clone());
+        Ok(Unlit { path, scene, accel, lights, as_read, warnings }.lit(kept, &light, watch)?)
     }
 
     /// Keeps the textures within `limit` bytes, if they are more; their levels lie in the cache folder.
@@ -102,22 +133,60 @@ pub fn illuminated(
     light: &Light,
     watch: &dyn Watch,
 ) -> Result<Opened, Failure> {
-    // What is kept is read while the geometry index is built.
-    let (accel, kept) = rayon::join(|| Arc::new(Accel::build(&scene)), || kept(&scene, light, &mut warnings));
-    let lights = Arc::new(Lights::build(&scene));
-    let scene = metered(scene, &accel, &lights);
-    let (illumination, unmet): (Arc<dyn Irradiance>, Unmet) = match kept? {
-        Some(kept) => (kept, None),
-        None => illuminate(&scene, &accel, &lights, light, watch, &mut warnings)?,
+    let as_read = AsRead::of(&scene);
+    let edits = &light.edits;
+    let edited = |scene: &Arc<Scene>| match edits.is_empty() {
+        true => Ok(scene.clone()),
+        false => as_read.edited(scene, edits).map(Arc::new),
     };
-    let world = World { scene, accel, lights, illumination, unfound: Arc::default() };
-    let refinement = unmet.map(|(settings, keep)| Refinement { world: world.clone(), settings, keep });
-    Ok(Opened { path: path.to_owned(), light: light.clone(), world, textures: None, refinement, warnings })
+    let changed = edited(&scene).map_err(|e| Failure::Input(format!("{}: {e}", path.display())))?;
+    // What is kept is read while the geometry index is built.
+    let (accel, kept) =
+        rayon::join(|| Arc::new(Accel::build(&scene)), || kept(&changed, light, &mut warnings));
+    let mut lights = Arc::new(Lights::build(&scene));
+    // As it was read: an exposure that followed the lamps would undo what is done to them.
+    let mut scene = metered(scene, &accel, &lights);
+    if !edits.is_empty() {
+        let display = scene.display;
+        scene = changed;
+        Arc::make_mut(&mut scene).display = display;
+        lights = Arc::new(Lights::build(&scene));
+    }
+    Unlit { path: path.to_owned(), scene, accel, lights, as_read, warnings }.lit(kept?, light, watch)
+}
+
+/// A scene that is ready but for its illumination.
+struct Unlit {
+    path: PathBuf,
+    scene: Arc<Scene>,
+    accel: Arc<Accel>,
+    lights: Arc<Lights>,
+    as_read: AsRead,
+    warnings: Vec<String>,
+}
+
+impl Unlit {
+    /// With the illumination that is kept, or one that is made.
+    fn lit(
+        self,
+        kept: Option<Arc<dyn Irradiance>>,
+        light: &Light,
+        watch: &dyn Watch,
+    ) -> Result<Opened, Failure> {
+        let Self { path, scene, accel, lights, as_read, mut warnings } = self;
+        let (illumination, unmet): (Arc<dyn Irradiance>, Unmet) = match kept {
+            Some(kept) => (kept, None),
+            None => illuminate(&scene, &accel, &lights, light, watch, &mut warnings)?,
+        };
+        let world = World { scene, accel, lights, illumination, unfound: Arc::default() };
+        let refinement = unmet.map(|(settings, keep)| Refinement { world: world.clone(), settings, keep });
+        Ok(Opened { path, light: light.clone(), world, textures: None, refinement, warnings, as_read })
+    }
 }
 
 /// The illumination that was asked for, from a file or the cache. `None` where it has to be made.
 fn kept(
-    scene: &Arc<Scene>,
+    scene: &Scene,
     a: &Light,
     warnings: &mut Vec<String>,
 ) -> Result<Option<Arc<dyn Irradiance>>, Failure> {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use foveal::display::twin::Passes;
 use foveal::illumination::Irradiance;
 use foveal::illumination::cache::encode;
-use foveal::scene::Scene;
+use foveal::scene::edit::AsRead;
 use foveal_runtime::{Trace, TraceError};
 use serde::{Deserialize, Serialize};
 
@@ -57,7 +57,7 @@ impl RecordedRun {
             program: program(),
             command: command.to_owned(),
             scene: opened.path.clone(),
-            scene_hash: hex(&opened.world.scene),
+            scene_hash: hex(opened.world.scene.content_hash),
             settings: machine.settings,
             texture_ids: machine.passes.texture_ids,
             corrects: machine.corrects,
@@ -105,7 +105,7 @@ impl RecordedRun {
             })?,
         };
         let (scene, warnings) = opened::load_scene_as(&scene_file, &self.illumination.reading)?;
-        let here = hex(&scene);
+        let here = hex(AsRead::of(&scene).hash(&self.illumination.edits));
         if here != self.scene_hash {
             return Err(wrong(format!(
                 "recorded in another scene: {} had the content {} then, {} has {here}",
@@ -195,8 +195,8 @@ pub fn program() -> String {
     concat!("foveal ", env!("CARGO_PKG_VERSION")).to_owned()
 }
 
-fn hex(scene: &Scene) -> String {
-    blake3::Hash::from_bytes(scene.content_hash).to_hex().to_string()
+fn hex(hash: [u8; 32]) -> String {
+    blake3::Hash::from_bytes(hash).to_hex().to_string()
 }
 
 /// A hash of all stored values.

@@ -2,45 +2,26 @@
 
 pub(crate) mod node;
 pub(crate) mod reserve;
+pub(crate) mod seat;
 pub(crate) mod supervise;
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::marker::PhantomData;
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::env::Env;
+use crate::actor::seat::Lease;
 use crate::journal::Journal;
+use crate::journal::env::Env;
 use crate::log::format::{lane, quantise, unquantise, value};
 use crate::mailbox::{Address, Envelope, Inbound};
+use crate::message::saved::{Loader, Saver};
 use crate::message::{ActorId, LATEST_KEYS, Lane, Message, Reason, Rejected};
-use crate::pool::Lease;
-use crate::replay::snapshot::{Loader, Saver};
 use crate::scheduler::ThreadCx;
 use crate::scheduler::clock::{Time, nanoseconds};
+use crate::scheduler::link::{Class, Control};
 use crate::scheduler::timer::{Alarm, TIMERS_PER_ACTOR};
-
-/// How an actor is scheduled.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Class {
-    /// Short turns, on any thread.
-    Light,
-    /// Turns of milliseconds (jobs): on any thread, but at most `k − 1` at once on `k > 1` threads.
-    Heavy,
-    /// On the thread that built the system, inside [`crate::Runtime::pump`].
-    Pinned,
-}
-
-/// Orders to an actor that need no room in its mailbox.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Control {
-    /// Stop after the turn at hand; what still waits becomes dead letters. For a stop without loss, drain first.
-    Stop,
-    /// Deliver nothing until told to resume; the mailbox keeps filling.
-    Pause,
-    /// Go on where the pause began.
-    Resume,
-}
 
 /// A state machine that owns its state and changes it only by the messages it is given, in order.
 ///
@@ -78,6 +59,31 @@ pub trait Actor: Send + 'static {
     /// Puts a new actor into the state that was saved; `None` if it is not one.
     fn restore(&mut self, _loader: &mut Loader<'_>) -> Option<()> {
         None
+    }
+}
+
+/// Names an actor of a running system, to look at its state.
+pub struct Handle<A> {
+    pub(crate) id: ActorId,
+    kind: PhantomData<fn(A)>,
+}
+
+impl<A> Clone for Handle<A> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<A> Copy for Handle<A> {}
+
+impl<A> Handle<A> {
+    pub(crate) fn new(id: ActorId) -> Self {
+        Self { id, kind: PhantomData }
+    }
+
+    /// The actor's identity.
+    pub fn id(self) -> ActorId {
+        self.id
     }
 }
 
@@ -147,7 +153,7 @@ impl<M: Message> Cx<'_, M> {
         if let Some(replayed) = self.journal.replayed_value(value::NOW) {
             return Time(replayed);
         }
-        let now = self.env.clock.now() / 1000 * 1000;
+        let now = self.env.scheduler.clock.now() / 1000 * 1000;
         self.journal.record_now(now);
         Time(now)
     }
@@ -176,7 +182,7 @@ impl<M: Message> Cx<'_, M> {
     /// Runs `work` and measures it as [`Cx::measured`] does. In a simulation it takes what [`crate::simulate::Work`]
     /// says.
     pub fn measure<R>(&mut self, work: impl FnOnce() -> R) -> (R, Duration) {
-        let (result, elapsed) = self.env.clock.measure(work);
+        let (result, elapsed) = self.env.scheduler.clock.measure(work);
         (result, self.measured(Duration::from_nanos(elapsed)))
     }
 
@@ -197,10 +203,10 @@ impl<M: Message> Cx<'_, M> {
         let started_in = self.journal.index;
         self.timers.running.insert(timer, OwnTimer { message: Some(message), started_in });
         if !self.journal.replaying() {
-            let deadline = self.env.clock.now().saturating_add(nanoseconds(delay));
+            let deadline = self.env.scheduler.clock.now().saturating_add(nanoseconds(delay));
             let target: Arc<dyn Alarm> = Arc::clone(&self.address.mailbox) as Arc<dyn Alarm>;
             self.env.scheduler.timer_started();
-            if self.env.timers.start(deadline, timer, target) {
+            if self.env.scheduler.timers.start(deadline, timer, target) {
                 self.env.scheduler.notify();
             }
         }
@@ -348,23 +354,4 @@ pub(crate) fn lane_code(way: Lane) -> u8 {
         Lane::Control => lane::CONTROL,
         Lane::Latest(key) => lane::LATEST + key % LATEST_KEYS,
     }
-}
-
-/// A delivery as an observer sees it, before the actor handles it.
-pub struct Delivery<'a> {
-    /// Who receives.
-    pub actor: ActorId,
-    /// Its number among the receiver's deliveries, from 0.
-    pub index: u64,
-    /// Who sent it; the receiver itself for timers, orders and jobs.
-    pub from: ActorId,
-    /// The variant's name, or what else was delivered.
-    pub kind: &'static str,
-    /// In replay: the delivery during which it was sent, pushed or started, by its actor and number. None for what
-    /// comes from outside or was sent at the start.
-    pub cause: Option<(ActorId, u64)>,
-    /// The message (`Actor::Msg`) or job, for an observer that knows the type; a unit where there is neither.
-    pub content: &'a dyn std::any::Any,
-    /// The receiver's chained hash with this delivery in it; 0 where hashes are off.
-    pub chain: u64,
 }

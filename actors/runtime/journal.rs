@@ -2,50 +2,54 @@
 //!
 //! Here deliveries are counted, hashed, recorded, compared with a recording, shown to an observer, and faulted.
 
+pub(crate) mod divergence;
+pub(crate) mod env;
+pub(crate) mod faults;
+pub(crate) mod observe;
+pub(crate) mod port;
 mod recorder;
+pub(crate) mod script;
 
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use crate::actor::Delivery;
-use crate::env::Env;
-use crate::log::format::{CHUNK_DELIVERIES_MAX, Hashing, Symbol, lane, put, put_signed, reason, value};
+use crate::log::format::{
+    CHUNK_DELIVERIES_MAX, Hashing, Payload, Symbol, lane, put, put_signed, reason, value,
+};
+use crate::log::walk::Walk;
 use crate::log::writer::BACKLOG_BYTES_MAX;
-use crate::mailbox::Link;
 use crate::message::{ActorId, Digest, Reason};
-use crate::replay::snapshot::JournalState;
-use crate::replay::{Divergence, Script, Turn};
+use crate::scheduler::link::Link;
 
+use divergence::{Divergence, Turn};
+use env::Env;
+use observe::Delivery;
 use recorder::Recorder;
+use script::Script;
 
 /// Deliveries kept for a report of a divergence.
 const HISTORY: usize = 20;
 /// Bytes after which an actor hands its log over at the end of a turn.
 const CHUNK_BYTES: usize = 4096;
 
-/// What a delivery carries into the recording beside its sender.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Payload<'a> {
-    None,
-    /// From a port, encoded.
-    External(&'a [u8]),
-    /// Newest-only: how many older ones of this sender were replaced.
-    Skipped(u32),
-    Timer {
-        timer: u32,
-        time: u64,
-    },
-    Order(u32),
-    Job {
-        id: u64,
-        attempt: u32,
-    },
-}
-
 /// Why a turn cannot go on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Halted;
+
+/// What of an actor's journal goes into a snapshot.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct JournalState {
+    pub(crate) index: u64,
+    pub(crate) chain: u64,
+    pub(crate) sends: u64,
+    pub(crate) jobs_made: u64,
+    pub(crate) randoms: u64,
+    pub(crate) sent: Vec<(ActorId, u8, u32)>,
+    pub(crate) seen: Vec<(ActorId, u8, u32)>,
+    pub(crate) walk: Walk,
+}
 
 /// One actor's side of counting, hashing, recording and replay.
 pub(crate) struct Journal {
@@ -77,8 +81,7 @@ pub(crate) struct Journal {
 }
 
 impl Journal {
-    pub(crate) fn new(link: &Arc<Link>, script: Option<Script>) -> Self {
-        let env = &link.env;
+    pub(crate) fn new(link: &Arc<Link>, env: &Arc<Env>) -> Self {
         let [panics, fulls, hangs] = env.faults_of(link.id);
         Self {
             id: link.id,
@@ -94,7 +97,7 @@ impl Journal {
             declared: 0,
             held_back: None,
             period: 0,
-            script: script.map(Box::new),
+            script: env.trace.as_ref().and_then(|trace| Script::new(trace, link.id)).map(Box::new),
             history: VecDeque::new(),
             sent: Vec::new(),
             seen: Vec::new(),
@@ -227,7 +230,7 @@ impl Journal {
     fn divergence(&self, index: u64, expected: String, found: String) -> Divergence {
         Divergence {
             actor: self.id,
-            name: self.env.name(self.id),
+            name: self.link.name.clone(),
             index,
             mark: self.env.last_mark(),
             kind: self.history.front().map_or("start", |turn| turn.kind),
@@ -342,7 +345,7 @@ impl Journal {
             && let Some(expected) = self.replayed_value(value::MARK)
             && let Some(recorded_kind) = self.script.as_ref().map(|script| script.mark_kind)
             && (expected, recorded_kind) != (mark, kind)
-            && !self.env.halted()
+            && !self.env.scheduler.halted()
         {
             let name = |kind: u32, mark: u64| format!("mark {kind} with {mark:016x}");
             let _ =
@@ -512,7 +515,7 @@ impl Journal {
             self.held_back = log.push(chunk).err();
         }
         if recorder.len() > BACKLOG_BYTES_MAX {
-            log.stop(format!("the disk is too slow for what {} does", self.env.name(self.id)));
+            log.stop(format!("the disk is too slow for what {} does", self.link.name));
         }
         let unflushed = self.held_back.is_some() || recorder.first != self.index || recorder.len() > 0;
         self.link.unflushed.store(unflushed, Ordering::Relaxed);

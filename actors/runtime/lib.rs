@@ -170,23 +170,23 @@
 //! `crossbeam_deque`s, parking is an eventcount over `std::thread::park`. A queue's push or pop may have to wait for
 //! another thread that is in the middle of one: it spins, then gives its core away.
 
-// Where things are, each knowing those above it, and all of them `env`, which is what one system shares:
-// sync, message    what is told, hashed and saved
-// log              the format of recordings, reading and writing them
-// scheduler        threads, run queues, timers, the clock, what turns took
-// mailbox          how a message comes to an actor, and wakes it
-// journal          the one place through which deliveries pass
-// pool             jobs, their priorities and leases
-// actor            what an actor is and can do, how a delivery is made, what becomes of a panic
-// replay           scripts and snapshots
-// runtime          wiring, running, looking at and ending a system
-// simulate         schedules and faults by a seed
+// Where things are; each may use those above it (`tests/tidy.rs` keeps that):
+// sync        the atomics that are model-checked
+// message     what is told, hashed, saved, and what goes wrong
+// scheduler   threads, run queues, timers, the clock, how an actor is woken, what turns took
+// mailbox     how a message comes to an actor
+// log         the format of recordings, reading and writing them
+// journal     the one place through which deliveries pass, live and by the script of a replay
+// actor       what an actor is and can do, how a delivery is made, what becomes of a panic
+// pool        jobs, their priorities and leases
+// runtime     wiring, running, looking at, saving and ending a system
+// replay      going through a recording
+// simulate    schedules and faults by a seed
 #[cfg(doctest)]
 #[doc = include_str!("README.md")]
 struct Readme;
 
 mod actor;
-mod env;
 mod journal;
 mod log;
 mod mailbox;
@@ -200,28 +200,34 @@ mod scheduler;
 pub mod simulate;
 mod sync;
 
-pub use actor::{Actor, Class, Control, Cx, Delivery, Ticket, TimerId};
 pub use foveal_runtime_derive::Message;
-pub use scheduler::clock::Time;
 
 pub use actor::reserve::Reserve;
-pub use actor::supervise::{Incident, OnPanic};
+pub use actor::supervise::OnPanic;
+pub use actor::{Actor, Cx, Handle, Ticket, TimerId};
+pub use journal::divergence::{Divergence, Turn, Until};
+pub use journal::observe::{Delivery, Observer};
+pub use journal::port::{External, Port};
 pub use log::events::Event;
 pub use log::fingerprint::Fingerprint;
 pub use log::format::{Hashing, Header, NodeInfo};
 pub use log::reader::{Cut, Trace, TraceError, TraceStat};
 pub use log::writer::RecordingStatus;
-pub use mailbox::port::{External, Port};
 pub use mailbox::{Address, Bounds};
+pub use message::incident::Incident;
+pub use message::saved::{Loader, Saver};
 pub use message::{ActorId, Credits, Digest, LATEST_KEYS, Lane, Message, Reason, Rejected};
 pub use pool::{DeadJob, Death, Job, JobPool, PoolStats, Worker};
-pub use replay::snapshot::{Loader, Saver, Snapshot};
-pub use replay::{Divergence, ReplayReport, Turn, Until};
-pub use runtime::config::{Budget, BuildError, Config, Mode, Observer, Record};
+pub use replay::ReplayReport;
+pub use runtime::config::{BuildError, Config, Mode, Record, Steering};
 pub use runtime::shutdown::{Ending, Shutdown};
+pub use runtime::snapshot::Snapshot;
 pub use runtime::timeline::{Slice, Timeline};
-pub use runtime::wiring::{Declared, Handle, Wiring};
+pub use runtime::wiring::{Declared, Wiring};
 pub use runtime::{Exit, Limit, Runtime};
+pub use scheduler::Budget;
+pub use scheduler::clock::Time;
+pub use scheduler::link::{Class, Control};
 pub use scheduler::priority::give_way;
 pub use scheduler::profile::{ActorCounters, TurnTime, ring_cost};
 pub use scheduler::timer::TIMERS_PER_ACTOR;

@@ -1,24 +1,17 @@
 //! A mailbox: one bounded queue for data, a small one for control messages, newest-only slots, timers, and a
 //! word of signals that can never overflow.
 
-pub(crate) mod activation;
-pub(crate) mod port;
-pub(crate) mod signals;
-
 use crossbeam_queue::{ArrayQueue, SegQueue};
 use crossbeam_utils::CachePadded;
 use serde::{Serialize, Serializer};
 use std::fmt;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
-use crate::actor::{Class, Control};
-use crate::env::Env;
-use crate::mailbox::activation::Activation;
-use crate::mailbox::signals::{Signals, signal};
 use crate::message::{ActorId, LATEST_KEYS, Lane, Message, Reason, Rejected};
 use crate::scheduler::ThreadCx;
-use crate::scheduler::profile::Counters;
+use crate::scheduler::link::Link;
+use crate::scheduler::signals::signal;
 use crate::scheduler::timer::{Alarm, TIMERS_PER_ACTOR};
 
 /// Bounds of a mailbox.
@@ -69,53 +62,6 @@ pub(crate) struct Inbound<M> {
 
 /// Turns a recorded payload of a port back into a message.
 pub(crate) type Decoder<M> = fn(&[u8]) -> Option<M>;
-
-/// What the scheduler needs to know of an actor, whatever its messages are.
-pub(crate) struct Link {
-    pub(crate) id: ActorId,
-    pub(crate) class: Class,
-    pub(crate) activation: CachePadded<Activation>,
-    pub(crate) signals: Signals,
-    /// Stopped: accepts nothing more.
-    pub(crate) closed: AtomicBool,
-    /// Has log bytes that are not yet with the writer.
-    pub(crate) unflushed: AtomicBool,
-    /// A turn of it takes one of the places for heavy ones.
-    pub(crate) in_slot: AtomicBool,
-    /// Replay: nothing is delivered beyond so many deliveries.
-    pub(crate) limit: AtomicU64,
-    pub(crate) counters: Arc<Counters>,
-    pub(crate) env: Arc<Env>,
-}
-
-impl Link {
-    /// One more unit of work is in place.
-    #[inline]
-    pub(crate) fn wake(&self, thread: &ThreadCx) {
-        if self.activation.add() {
-            self.env.scheduler.activate(self.class, self.id.0, thread);
-        }
-    }
-
-    /// Sets a signal; a signal that is already up says it all.
-    pub(crate) fn raise(&self, bit: u32, thread: &ThreadCx) {
-        if self.signals.raise(bit) {
-            self.wake(thread);
-            if bit & signal::WHILE_PAUSED != 0 && self.signals.unpark() {
-                self.env.scheduler.activate(self.class, self.id.0, thread);
-            }
-        }
-    }
-
-    pub(crate) fn control(&self, control: Control, thread: &ThreadCx) {
-        let bit = match control {
-            Control::Stop => signal::STOP,
-            Control::Pause => signal::PAUSE,
-            Control::Resume => signal::RESUME,
-        };
-        self.raise(bit, thread);
-    }
-}
 
 pub(crate) struct Mailbox<M> {
     pub(crate) link: Arc<Link>,

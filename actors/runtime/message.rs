@@ -1,10 +1,13 @@
 //! What actors say to each other: messages, their digests, and the values that come back when a mailbox is full.
 
+pub(crate) mod incident;
+pub(crate) mod saved;
+
 use postcard::ser_flavors::Flavor;
 use serde::Serialize;
 use std::fmt;
 
-use crate::replay::snapshot::{Loader, Saver};
+use saved::{Loader, Saver};
 
 /// Identity of an actor or a port: the order in which the wiring made it, never an address in memory.
 ///

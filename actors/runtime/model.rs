@@ -11,20 +11,21 @@ use loom::sync::atomic::{AtomicUsize, Ordering};
 use loom::thread;
 use std::collections::VecDeque;
 
-use crate::actor::node::Runnable;
+use crate::actor::node::AnyNode;
 use crate::actor::supervise::OnPanic;
-use crate::actor::{Actor, Control, Cx};
-use crate::mailbox::signals::signal;
-use crate::mailbox::{Address, Bounds, Envelope, Link};
+use crate::actor::{Actor, Cx};
+use crate::mailbox::{Address, Bounds, Envelope};
 use crate::message::{ActorId, Digest, Lane, Message};
 use crate::pool::Bitmap;
 use crate::runtime::Runtime;
-use crate::runtime::config::{Budget, Config};
-use crate::scheduler::ThreadCx;
+use crate::runtime::config::Config;
 use crate::scheduler::eventcount::EventCount;
+use crate::scheduler::link::{Control, Link};
+use crate::scheduler::signals::signal;
+use crate::scheduler::{Budget, ThreadCx};
 
 /// A linearisable queue.
-#[expect(clippy::disallowed_types, reason = "a stand-in for a lock-free queue inside the model checker")]
+#[expect(clippy::disallowed_types, reason = "a stand-in for another crate's queue inside the model checker")]
 struct Queue(loom::sync::Mutex<VecDeque<u32>>);
 
 impl Queue {
@@ -217,7 +218,7 @@ impl Actor for Tally {
 #[derive(Clone)]
 struct System {
     address: Address<Word>,
-    nodes: std::sync::Arc<[std::sync::Arc<dyn Runnable>]>,
+    nodes: std::sync::Arc<[std::sync::Arc<dyn AnyNode>]>,
 }
 
 impl System {
@@ -244,7 +245,7 @@ impl System {
             assert_eq!(link.activation.pending(), 0, "a unit of work is left");
             assert!(!link.signals.any(u32::MAX), "a signal is left");
             assert!(!link.signals.is_parked(), "nobody is paused");
-            assert!(link.env.scheduler.settled(), "the system never comes to rest");
+            assert!(link.scheduler.settled(), "the system never comes to rest");
         });
     }
 
@@ -254,7 +255,7 @@ impl System {
 
     /// What a worker thread does: runs whatever is on a run queue.
     fn work(&self, thread: &ThreadCx) {
-        let scheduler = &self.link().env.scheduler;
+        let scheduler = &self.link().scheduler;
         while let Some(actor) = scheduler.next_light() {
             scheduler.run(&self.nodes, actor, thread);
         }

@@ -15,28 +15,27 @@ use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering}
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
-use crate::actor::supervise::{Incident, guarded};
+use crate::actor::seat::Seat;
 use crate::actor::{Actor, Cx};
-use crate::env::Env;
 use crate::journal::Journal;
-use crate::mailbox::Link;
-use crate::mailbox::signals::signal;
+use crate::journal::env::Env;
+use crate::message::incident::{Incident, guarded};
+use crate::message::saved::{Loader, Saver};
 use crate::message::{ActorId, Digest, Message, Reason, Rejected};
-use crate::replay::snapshot::{Loader, Saver};
 use crate::scheduler::ThreadCx;
 use crate::scheduler::clock::nanoseconds;
 use crate::scheduler::eventcount::EventCount;
+use crate::scheduler::link::Link;
+use crate::scheduler::signals::signal;
+
+pub use crate::actor::seat::KILLS_MAX;
 
 pub(crate) use bitmap::Bitmap;
 use lease::Hold;
-pub(crate) use lease::Lease;
 use seat::SeatOf;
-pub(crate) use seat::{Popped, Seat, job_symbol};
 
 /// Priority buckets of a pool.
 pub const BUCKETS: u8 = 64;
-/// A job that so many workers did not survive, or did not come to the end of, is given up.
-pub const KILLS_MAX: u32 = 3;
 
 /// A job that is given up, as whoever [`crate::Wiring::gives_up`] names is told of it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

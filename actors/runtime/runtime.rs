@@ -1,8 +1,10 @@
 //! Building a system, running it from the main thread, and ending it.
 
 pub(crate) mod config;
+pub(crate) mod driver;
 pub(crate) mod look;
 pub(crate) mod shutdown;
+pub(crate) mod snapshot;
 pub(crate) mod timeline;
 pub(crate) mod wiring;
 
@@ -11,22 +13,21 @@ use std::marker::PhantomData;
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::actor::Class;
-use crate::actor::node::Runnable;
-use crate::env::Env;
+use crate::actor::node::AnyNode;
+use crate::journal::env::Env;
 use crate::log::fingerprint::Fingerprint;
 use crate::log::format::{Header, NODES_MAX, NodeInfo};
 use crate::log::writer::Writer;
-use crate::mailbox::Link;
-use crate::mailbox::signals::signal;
 use crate::message::ActorId;
 use crate::pool::AnyPool;
 use crate::runtime::config::{BuildError, Config, Record};
+use crate::runtime::driver::Driver;
 use crate::runtime::shutdown::clear;
 use crate::runtime::wiring::{PortNode, Wiring};
 use crate::scheduler::clock::nanoseconds;
+use crate::scheduler::link::{Class, Link};
+use crate::scheduler::signals::signal;
 use crate::scheduler::{ThreadCx, Threads};
-use crate::simulate::{Driver, Failure};
 
 /// How long [`Runtime::pump`] works.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,12 +72,11 @@ pub enum Exit {
 /// A running system. It belongs to the thread that built it, which runs the pinned actors.
 pub struct Runtime {
     pub(crate) env: Arc<Env>,
-    pub(crate) nodes: Arc<[Arc<dyn Runnable>]>,
+    pub(crate) nodes: Arc<[Arc<dyn AnyNode>]>,
     pub(crate) pools: Vec<Box<dyn AnyPool>>,
     pub(crate) threads: Option<Threads>,
     pub(crate) writer: Option<Writer>,
-    pub(crate) driver: Option<Box<Driver>>,
-    pub(crate) failure: Option<Failure>,
+    pub(crate) driver: Option<Box<dyn Driver>>,
     pub(crate) thread: ThreadCx,
     pub(crate) heavy_ns: u64,
     pub(crate) heavy_passed: u32,
@@ -92,8 +92,7 @@ const HEAVY_PASSED_MAX: u32 = 8;
 impl Runtime {
     /// Wires a system and starts it.
     pub fn build<T>(config: Config, wire: impl FnOnce(&mut Wiring) -> T) -> Result<(Self, T), BuildError> {
-        let (env, parts) = Env::new(config);
-        let env = Arc::new(env);
+        let (env, mut parts) = config.begin();
         let mut wiring = Wiring::new(&env, parts.ring_turns);
         let wired = wire(&mut wiring);
         let Wiring { infos, links, nodes, pools, context, .. } = wiring;
@@ -101,7 +100,7 @@ impl Runtime {
             same_system(&trace.header().nodes, &infos)?;
         }
         env.set_nodes(infos.clone());
-        let nodes: Arc<[Arc<dyn Runnable>]> = nodes
+        let nodes: Arc<[Arc<dyn AnyNode>]> = nodes
             .into_iter()
             .zip(&infos)
             .map(|(node, info)| {
@@ -123,12 +122,13 @@ impl Runtime {
                 }
                 let (application, seed, hashing) = (parts.application, env.seed, env.hashing);
                 let fingerprint = Fingerprint::here(&parts.program);
+                let asks = parts.driver.is_none();
                 let header = Header { application, fingerprint, seed, hashing, nodes: infos.clone() };
                 let sink: Box<dyn Write + Send> = match record {
                     Record::File(path) => Box::new(std::fs::File::create(path).map_err(BuildError::Record)?),
                     Record::Sink(sink) => sink,
                 };
-                Some(Writer::start(sink, &header, log, links.clone()).map_err(BuildError::Record)?)
+                Some(Writer::start(sink, &header, log, links.clone(), asks).map_err(BuildError::Record)?)
             }
             _ => None,
         };
@@ -136,15 +136,16 @@ impl Runtime {
         let thread = ThreadCx::outside();
         links.iter().for_each(|link| link.raise(signal::START, &thread));
         let restored = parts.from;
-        let driver = parts.simulation.map(|simulation| Box::new(Driver::new(simulation, &classes)));
+        if let Some(driver) = &mut parts.driver {
+            driver.meet(&classes);
+        }
         let mut runtime = Self {
             env,
             nodes,
             pools,
             threads: None,
             writer,
-            driver,
-            failure: None,
+            driver: parts.driver,
             thread,
             heavy_ns: 0,
             heavy_passed: 0,
@@ -154,7 +155,7 @@ impl Runtime {
         if let Some(snapshot) = restored {
             runtime.restore(&snapshot, context).ok_or(BuildError::OtherSnapshot)?;
         }
-        let threads = Threads::start(&runtime.env, &runtime.nodes, parts.locals, parts.gives_way);
+        let threads = Threads::start(&runtime.env.scheduler, &runtime.nodes, parts.locals, parts.gives_way);
         runtime.threads = Some(threads.map_err(BuildError::Threads)?);
         Ok((runtime, wired))
     }
@@ -170,11 +171,14 @@ impl Runtime {
     pub fn pump_until(&mut self, limit: Limit, mut condition: impl FnMut(&Self) -> bool) -> Exit {
         let env = Arc::clone(&self.env);
         env.scheduler.enter_main();
-        let end = limit.time.map(|time| env.clock.now().saturating_add(nanoseconds(time)));
-        let exit = if self.driver.is_some() {
-            self.simulate(limit, end, &mut condition)
-        } else {
-            self.work(limit, end, &mut condition)
+        let end = limit.time.map(|time| env.scheduler.clock.now().saturating_add(nanoseconds(time)));
+        let exit = match self.driver.take() {
+            Some(mut driver) => {
+                let exit = driver.drive(self, limit, end, &mut condition);
+                self.driver = Some(driver);
+                exit
+            }
+            None => self.work(limit, end, &mut condition),
         };
         self.thread.last_end.set(0);
         env.scheduler.leave_main();
@@ -187,7 +191,7 @@ impl Runtime {
         // The only other thread may be in a long turn.
         let serves = env.scheduler.threads() <= 1;
         loop {
-            if env.halted() {
+            if env.scheduler.halted() {
                 return Exit::Halted;
             }
             if env.ends() {
@@ -196,10 +200,13 @@ impl Runtime {
             if condition(self) {
                 return Exit::Until;
             }
-            let now =
-                if end.is_some() || (serves && env.timers.next() != u64::MAX) { env.clock.now() } else { 0 };
+            let now = if end.is_some() || (serves && env.scheduler.timers.next() != u64::MAX) {
+                env.scheduler.clock.now()
+            } else {
+                0
+            };
             if serves {
-                env.timers.serve(now, &env.scheduler, &self.thread);
+                env.scheduler.timers.serve(now, &env.scheduler, &self.thread);
             }
             if end.is_some_and(|end| now >= end) {
                 return Exit::Time;
@@ -215,9 +222,9 @@ impl Runtime {
                 let fits = end.is_none_or(|end| now + self.heavy_ns <= end);
                 if fits || self.heavy_passed >= HEAVY_PASSED_MAX {
                     if let Some(actor) = env.scheduler.next_heavy() {
-                        let start = env.clock.now();
+                        let start = env.scheduler.clock.now();
                         env.scheduler.run(&self.nodes, actor, &self.thread);
-                        self.heavy_ns = (self.heavy_ns * 3 + (env.clock.now() - start)) / 4;
+                        self.heavy_ns = (self.heavy_ns * 3 + (env.scheduler.clock.now() - start)) / 4;
                         self.heavy_passed = 0;
                     }
                     continue;
@@ -228,14 +235,15 @@ impl Runtime {
             self.thread.last_end.set(0);
             let idle = || limit.idle && env.scheduler.settled();
             if idle() {
-                return if env.halted() { Exit::Halted } else { Exit::Idle };
+                return if env.scheduler.halted() { Exit::Halted } else { Exit::Idle };
             }
-            let wake = end.unwrap_or(u64::MAX).min(if serves { env.timers.next() } else { u64::MAX });
+            let wake =
+                end.unwrap_or(u64::MAX).min(if serves { env.scheduler.timers.next() } else { u64::MAX });
             let timeout = match wake {
                 u64::MAX => Duration::MAX,
-                wake => Duration::from_nanos(wake.saturating_sub(env.clock.now())),
+                wake => Duration::from_nanos(wake.saturating_sub(env.scheduler.clock.now())),
             };
-            env.scheduler.park_main(timeout, || idle() || env.halted() || env.ends());
+            env.scheduler.park_main(timeout, || idle() || env.scheduler.halted() || env.ends());
         }
     }
 }

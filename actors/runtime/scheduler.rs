@@ -4,12 +4,18 @@
 //! actors. Light actors go to the deque of the thread that woke them; heavy ones (jobs of milliseconds) to a queue of
 //! their own, of which at most `k − 1` run at once when `k > 1`; pinned ones to the main thread.
 
+pub(crate) mod activation;
 #[expect(clippy::disallowed_methods, reason = "the one clock, which actors reach by their `Cx`")]
 pub(crate) mod clock;
 pub(crate) mod eventcount;
+pub(crate) mod link;
+mod main_gate;
 pub(crate) mod priority;
 pub(crate) mod profile;
+pub(crate) mod signals;
+mod threads;
 pub(crate) mod timer;
+pub(crate) mod work;
 
 use crossbeam_deque::{Injector, Steal, Stealer, Worker};
 use crossbeam_queue::{ArrayQueue, SegQueue};
@@ -17,19 +23,43 @@ use crossbeam_utils::{Backoff, CachePadded};
 use std::any::Any;
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, AtomicUsize, Ordering, fence};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread::Thread;
-use std::time::Duration;
 
-use crate::actor::Class;
-use crate::actor::node::Runnable;
-use crate::actor::supervise::{Incident, guarded, message_of};
-use crate::env::Env;
-use crate::mailbox::Link;
+use crate::message::incident::{Incident, message_of};
+use crate::scheduler::clock::Clock;
 use crate::scheduler::eventcount::EventCount;
-use crate::scheduler::priority::give_way;
+use crate::scheduler::link::{Class, Link};
+use crate::scheduler::timer::Timers;
 use crate::sync::QueueOrder;
+
+use main_gate::MainGate;
+
+pub(crate) use main_gate::Waker;
+pub(crate) use threads::Threads;
+
+/// Something that takes turns: an actor, whatever its messages are.
+pub(crate) trait Runnable: Send + Sync {
+    /// Runs one turn; true if it must be queued again.
+    fn turn(&self, thread: &ThreadCx) -> bool;
+    fn link(&self) -> &Arc<Link>;
+}
+
+/// How a turn is bounded: the actor goes to the back of the queue after either.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Budget {
+    /// Messages.
+    pub messages: u64,
+    /// Nanoseconds.
+    pub nanoseconds: u64,
+}
+
+impl Default for Budget {
+    fn default() -> Self {
+        Self { messages: 128, nanoseconds: 200_000 }
+    }
+}
 
 /// What code on one thread of the system knows about its thread.
 pub(crate) struct ThreadCx {
@@ -50,20 +80,13 @@ impl ThreadCx {
 /// One running timer in the word that counts active actors.
 const TIMER: u64 = 1 << 32;
 
-const AWAY: u8 = 0;
-const PUMPING: u8 = 1;
-const PARKED: u8 = 2;
-
-/// The main thread's side of parking, and the hook that calls it back from an event loop of its own.
-struct MainGate {
-    state: AtomicU8,
-    thread: Thread,
-    called: AtomicBool,
-    waker: Option<Box<dyn Fn() + Send + Sync>>,
-}
-
 /// The run queues and everything needed to wake a thread for them.
 pub(crate) struct Scheduler {
+    pub(crate) clock: Clock,
+    pub(crate) timers: Timers,
+    pub(crate) budget: Budget,
+    /// Nobody is to begin or go on with a turn.
+    halted: AtomicBool,
     threads: usize,
     light: Injector<u32>,
     heavy: Injector<u32>,
@@ -89,12 +112,18 @@ impl Scheduler {
     /// For `threads` worker threads (at most 64); the caller's thread becomes the main thread.
     pub(crate) fn new(
         threads: usize,
-        waker: Option<Box<dyn Fn() + Send + Sync>>,
+        clock: Clock,
+        budget: Budget,
+        waker: Option<Waker>,
     ) -> (Self, Vec<Worker<u32>>) {
         let threads = threads.min(64);
         let cores = std::thread::available_parallelism().map_or(usize::MAX, usize::from);
         let locals: Vec<Worker<u32>> = (0..threads).map(|_| Worker::new_fifo()).collect();
         let scheduler = Self {
+            clock,
+            timers: Timers::new(),
+            budget,
+            halted: AtomicBool::new(false),
             threads,
             light: Injector::new(),
             heavy: Injector::new(),
@@ -103,12 +132,7 @@ impl Scheduler {
             stealers: locals.iter().map(Worker::stealer).collect(),
             handles: OnceLock::new(),
             sleepers: EventCount::new(),
-            main: MainGate {
-                state: AtomicU8::new(AWAY),
-                thread: std::thread::current(),
-                called: AtomicBool::new(false),
-                waker,
-            },
+            main: MainGate::new(waker),
             active: CachePadded::new(AtomicU64::new(0)),
             heavy_running: CachePadded::new(AtomicUsize::new(0)),
             // More than there are cores would only take time from the main thread.
@@ -186,69 +210,12 @@ impl Scheduler {
         }
     }
 
-    /// Wakes the main thread, or calls its event loop.
-    pub(crate) fn notify_main(&self) {
-        fence(Ordering::SeqCst);
-        match self.main.state.load(Ordering::Relaxed) {
-            PARKED => self.main.thread.unpark(),
-            AWAY => {
-                if let Some(waker) = &self.main.waker
-                    && !self.main.called.swap(true, Ordering::AcqRel)
-                {
-                    self.call(waker);
-                }
-            }
-            _ => {}
-        }
-    }
-
-    /// Calls the event loop: once for all that waits, so not where messages are counted in nanoseconds.
-    #[cold]
-    fn call(&self, waker: &(dyn Fn() + Send + Sync)) {
-        if let Err(message) = guarded(waker) {
-            self.note(Incident::Beside { what: "the waker".to_owned(), message });
-        }
-    }
-
     /// Wakes everyone, for a stop or a halt.
     pub(crate) fn notify_all(&self) {
         if let Some(handles) = self.handles.get() {
             handles.iter().for_each(Thread::unpark);
         }
         self.notify_main();
-    }
-
-    /// The main thread enters its pump.
-    pub(crate) fn enter_main(&self) {
-        self.main.state.store(PUMPING, Ordering::SeqCst);
-    }
-
-    /// The main thread leaves its pump; if work for it is left, its event loop is called at once.
-    pub(crate) fn leave_main(&self) {
-        self.main.called.store(false, Ordering::SeqCst);
-        self.main.state.store(AWAY, Ordering::SeqCst);
-        fence(Ordering::SeqCst);
-        if self.main_has_work() {
-            self.notify_main();
-        }
-    }
-
-    /// Parks the main thread unless `ready` holds, at most for `timeout`.
-    pub(crate) fn park_main(&self, timeout: Duration, ready: impl FnOnce() -> bool) {
-        self.main.state.store(PARKED, Ordering::SeqCst);
-        fence(Ordering::SeqCst);
-        if !self.main_has_work() && !ready() {
-            if timeout == Duration::MAX {
-                std::thread::park();
-            } else {
-                std::thread::park_timeout(timeout);
-            }
-        }
-        self.main.state.store(PUMPING, Ordering::SeqCst);
-    }
-
-    fn main_has_work(&self) -> bool {
-        !self.pinned.is_empty() || (self.threads == 0 && !(self.light.is_empty() && self.heavy.is_empty()))
     }
 
     /// The next pinned actor.
@@ -293,9 +260,25 @@ impl Scheduler {
         }
     }
 
+    #[inline]
+    pub(crate) fn halted(&self) -> bool {
+        self.halted.load(Ordering::Relaxed)
+    }
+
+    /// Ends all turns at their next delivery, until [`Self::go_on`].
+    pub(crate) fn halt(&self) {
+        self.halted.store(true, Ordering::SeqCst);
+        self.notify_all();
+    }
+
+    pub(crate) fn go_on(&self) {
+        self.halted.store(false, Ordering::SeqCst);
+        self.notify_all();
+    }
+
     /// A turn may be running or about to run on a worker thread. What waits for the main thread is not.
-    pub(crate) fn busy(&self, halted: bool) -> bool {
-        if halted {
+    pub(crate) fn busy(&self) -> bool {
+        if self.halted() {
             return self.resting.load(Ordering::SeqCst) < self.threads;
         }
         let pinned = self.pinned.len() as u64;
@@ -303,9 +286,9 @@ impl Scheduler {
     }
 
     /// Keeps a worker thread still while the system is halted.
-    fn rest(&self, env: &Env) {
+    fn rest(&self) {
         self.resting.fetch_add(1, Ordering::SeqCst);
-        while env.halted() && !self.stopping.load(Ordering::SeqCst) {
+        while self.halted() && !self.stopping.load(Ordering::SeqCst) {
             std::thread::park();
         }
         self.resting.fetch_sub(1, Ordering::SeqCst);
@@ -329,7 +312,7 @@ impl Scheduler {
 
     /// Runs one turn of `actor` on this thread and puts it back on a queue if it is not done.
     #[inline]
-    pub(crate) fn run(&self, nodes: &[Arc<dyn Runnable>], actor: u32, thread: &ThreadCx) {
+    pub(crate) fn run<N: Runnable + ?Sized>(&self, nodes: &[Arc<N>], actor: u32, thread: &ThreadCx) {
         let node = &nodes[actor as usize];
         let goes_on = match catch_unwind(AssertUnwindSafe(|| node.turn(thread))) {
             Ok(goes_on) => goes_on,
@@ -346,7 +329,7 @@ impl Scheduler {
     #[cold]
     fn broke_off(&self, link: &Link, panic: &(dyn Any + Send)) -> bool {
         let message = message_of(panic);
-        self.note(Incident::TurnBroke { actor: link.id, name: link.env.name(link.id), message });
+        self.note(Incident::TurnBroke { actor: link.id, name: link.name.clone(), message });
         true
     }
 
@@ -436,119 +419,4 @@ fn steal(mut attempt: impl FnMut() -> Steal<u32>) -> Option<u32> {
             Steal::Retry => backoff.snooze(),
         }
     }
-}
-
-/// The worker threads of a running system.
-pub(crate) struct Threads {
-    handles: Vec<std::thread::JoinHandle<()>>,
-}
-
-impl Threads {
-    /// Starts one thread for each run queue.
-    pub(crate) fn start(
-        env: &Arc<Env>,
-        nodes: &Arc<[Arc<dyn Runnable>]>,
-        locals: Vec<Worker<u32>>,
-        gives_way: bool,
-    ) -> std::io::Result<Self> {
-        let mut handles = Vec::with_capacity(locals.len());
-        for (index, local) in locals.into_iter().enumerate() {
-            let (env, nodes) = (Arc::clone(env), Arc::clone(nodes));
-            let body = move || {
-                if gives_way {
-                    give_way();
-                }
-                worker(&env, &nodes, local, index);
-            };
-            handles.push(std::thread::Builder::new().name(format!("actors-{index}")).spawn(body)?);
-        }
-        let threads: Box<[Thread]> = handles.iter().map(|handle| handle.thread().clone()).collect();
-        let _ = env.scheduler.handles.set(threads);
-        env.scheduler.notify_all();
-        Ok(Self { handles })
-    }
-
-    /// Waits until all have ended; `Scheduler::stop` makes them.
-    pub(crate) fn join(self) {
-        for handle in self.handles {
-            let _ = handle.join();
-        }
-    }
-}
-
-fn worker(env: &Env, nodes: &[Arc<dyn Runnable>], local: Worker<u32>, index: usize) {
-    let scheduler = &env.scheduler;
-    while scheduler.handles.get().is_none() && !scheduler.stopping.load(Ordering::SeqCst) {
-        std::thread::park();
-    }
-    let thread = ThreadCx { local: Some(local), lane: index as u16 + 1, last_end: Cell::new(0) };
-    while !scheduler.stopping.load(Ordering::Relaxed) {
-        if let Err(message) = guarded(|| work(env, nodes, &thread, index)) {
-            scheduler.sleepers.cancel(index);
-            scheduler.note(Incident::Beside { what: format!("thread {}", thread.lane), message });
-        }
-    }
-}
-
-/// What a worker thread does until the system stops.
-fn work(env: &Env, nodes: &[Arc<dyn Runnable>], thread: &ThreadCx, index: usize) {
-    let scheduler = &env.scheduler;
-    let mut tick = 0_u32;
-    // This thread ran a heavy actor and is the one to run the next, unless it finds something else to do. Were another
-    // one woken each time, many threads would take turns, each of them rested and so preferred to the main thread.
-    let (mut freed, mut light) = (false, 0);
-    while !scheduler.stopping.load(Ordering::Relaxed) {
-        tick = tick.wrapping_add(1);
-        if env.halted() {
-            if std::mem::take(&mut freed) {
-                scheduler.offer_heavy();
-            }
-            scheduler.rest(env);
-        }
-        let next_timer = env.timers.next();
-        if next_timer != u64::MAX {
-            env.timers.serve(env.clock.now(), scheduler, thread);
-        }
-        // Every so often a heavy actor goes first, so that a flood of light ones cannot starve it.
-        if tick.is_multiple_of(61) && run_heavy(env, nodes, thread) {
-            (freed, light) = (true, 0);
-            continue;
-        }
-        if let Some(actor) = scheduler.find(thread, index, tick) {
-            scheduler.run(nodes, actor, thread);
-            light += 1;
-            if light >= LIGHT_IN_A_ROW && std::mem::take(&mut freed) {
-                scheduler.offer_heavy();
-            }
-            continue;
-        }
-        light = 0;
-        freed = run_heavy(env, nodes, thread);
-        if freed {
-            continue;
-        }
-        thread.last_end.set(0);
-        scheduler.sleepers.prepare(index);
-        if !scheduler.has_work() && !scheduler.stopping.load(Ordering::SeqCst) {
-            match env.timers.next() {
-                u64::MAX => std::thread::park(),
-                due => {
-                    let wait = due.saturating_sub(env.clock.now());
-                    if wait > 0 {
-                        std::thread::park_timeout(Duration::from_nanos(wait));
-                    }
-                }
-            }
-        }
-        scheduler.sleepers.cancel(index);
-    }
-}
-
-fn run_heavy(env: &Env, nodes: &[Arc<dyn Runnable>], thread: &ThreadCx) -> bool {
-    let Some(actor) = env.scheduler.claim_heavy() else { return false };
-    let link = nodes[actor as usize].link();
-    link.in_slot.store(true, Ordering::Relaxed);
-    env.scheduler.run(nodes, actor, thread);
-    env.scheduler.release_slot_of(link);
-    true
 }

@@ -1,14 +1,21 @@
 //! Simulation: the same actors on one thread under a virtual clock, scheduled and faulted by a seed.
 
+use std::any::Any;
 use std::collections::VecDeque;
 use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use crate::actor::Class;
-use crate::message::{ActorId, Digest};
+use crate::message::ActorId;
 use crate::pool::PoolStats;
-use crate::runtime::{Exit, Limit, Runtime};
+use crate::runtime::config::{Config, Mode, Steering};
+use crate::runtime::{Exit, Limit, Runtime, driver};
+use crate::scheduler::clock::Clock;
+use crate::scheduler::link::Class;
+use crate::scheduler::work::{HEAVY_NS, Random};
+
+pub use crate::journal::faults::{Fault, FaultKind, Faults};
+pub use crate::scheduler::work::Work;
 
 /// Who runs next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,99 +37,6 @@ pub enum Strategy {
     /// The seed's digits are the choices, the first step's first: seeds from 0 on are all schedules, those that deviate
     /// early before the others. See [`exhaust`].
     Exhaustive,
-}
-
-/// What can go wrong.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum FaultKind {
-    /// A delivery panics before the actor sees it.
-    Panic,
-    /// A send or push comes back as if there was no room.
-    Full,
-    /// One turn comes a millisecond late.
-    Delay,
-    /// The actor hangs for 100 ms.
-    Stall,
-    /// Ten turns take 100 times as long.
-    Slow,
-    /// The recording's file ends at this byte. Of no actor: whoever gives the sink makes it so.
-    TornLog,
-    /// The disk that is recorded to has room for so many bytes. Of no actor, as above.
-    DiskFull,
-    /// A worker hangs at its next job from this delivery on, so that it loses its lease. Nothing where jobs have none.
-    Hang,
-}
-
-/// One thing that goes wrong: at this delivery (panic, hang), send (full) or turn (delay, stall, slow) of this actor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Fault {
-    /// Where.
-    pub actor: ActorId,
-    /// What.
-    pub kind: FaultKind,
-    /// When, from 0.
-    pub at: u64,
-}
-
-/// Which faults a run has.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Faults {
-    /// Exactly these.
-    Listed(Vec<Fault>),
-    /// Drawn by the seed: up to `each` of every kind for every actor, among its first `horizon` deliveries, sends or
-    /// turns.
-    Seeded {
-        /// Kinds to draw.
-        kinds: Vec<FaultKind>,
-        /// At most so many of a kind for an actor.
-        each: u64,
-        /// None come later than this.
-        horizon: u64,
-    },
-}
-
-impl Faults {
-    /// A run without faults.
-    pub const NONE: Self = Self::Listed(Vec::new());
-
-    /// The faults of one actor.
-    pub fn of(&self, seed: u64, actor: ActorId) -> Vec<Fault> {
-        match self {
-            Self::Listed(faults) => faults.iter().filter(|fault| fault.actor == actor).copied().collect(),
-            Self::Seeded { kinds, each, horizon } => {
-                let mut faults = Vec::new();
-                for kind in kinds {
-                    let mut random = Random::new(&[seed, u64::from(actor.0), *kind as u64, 0xfa17]);
-                    for _ in 0..random.below(each + 1) {
-                        faults.push(Fault { actor, kind: *kind, at: random.below((*horizon).max(1)) });
-                    }
-                }
-                faults
-            }
-        }
-    }
-}
-
-/// How much virtual time work takes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Work {
-    /// Each turn takes a constant by its actor's class, and [`crate::Cx::measure`] finds nothing.
-    #[default]
-    Constant,
-    /// Turns and what is measured in them take what the seed says, each another time.
-    Seeded,
-    /// Heavy turns and what is measured take the processor time that this thread really spends on them; light turns a
-    /// constant. Such a run is never the same twice; its recording replays like any other.
-    Measured,
-}
-
-impl Work {
-    /// Duration number `count` under a seed, an eighth to sixteen times `nominal`.
-    pub(crate) fn draw(seed: u64, count: u64, nominal: u64) -> u64 {
-        let mut random = Random::new(&[seed, count, 0x71e5]);
-        let least = (nominal / 8).max(1) << random.below(7);
-        least + random.below(least)
-    }
 }
 
 /// Checks the whole system between two steps.
@@ -229,36 +143,8 @@ pub fn exhaust(runs: u64, mut run: impl FnMut(u64) -> Schedule) -> Exhausted {
     Exhausted { schedules, complete: seed >= end }
 }
 
-/// A stream of random numbers: hashes of a key and a counter.
-pub(crate) struct Random {
-    key: Digest,
-    count: u64,
-}
-
-impl Random {
-    pub(crate) fn new(key: &[u64]) -> Self {
-        let mut digest = Digest::new();
-        key.iter().for_each(|word| digest.u64(*word));
-        Self { key: digest, count: 0 }
-    }
-
-    pub(crate) fn next(&mut self) -> u64 {
-        self.count += 1;
-        let mut hash = self.key;
-        hash.u64(self.count);
-        hash.u64(self.count ^ 0x5555);
-        hash.finish()
-    }
-
-    /// A number below `end` (> 0).
-    pub(crate) fn below(&mut self, end: u64) -> u64 {
-        ((u128::from(self.next()) * u128::from(end)) >> 64) as u64
-    }
-}
-
-/// Virtual time of one turn, in nanoseconds.
+/// Virtual time of one light turn, in nanoseconds.
 const LIGHT_NS: u64 = 1_000;
-pub(crate) const HEAVY_NS: u64 = 500_000;
 const DELAY_NS: u64 = 1_000_000;
 const STALL_NS: u64 = 100_000_000;
 const SLOW_TURNS: u64 = 10;
@@ -276,8 +162,8 @@ struct Simulated {
 }
 
 /// The scheduler's seat in a simulation.
-pub(crate) struct Driver {
-    pub(crate) simulation: Simulation,
+struct Simulator {
+    simulation: Simulation,
     random: Random,
     actors: Vec<Simulated>,
     runnable: Vec<u32>,
@@ -286,62 +172,51 @@ pub(crate) struct Driver {
     change_points: Vec<u64>,
     victim: u32,
     next: u32,
-    pub(crate) step: u64,
+    step: u64,
     /// What is left of an exhaustive seed, and the product of the numbers of choices so far.
     digits: u64,
     ways: u64,
     /// Turns that each actor made while a control message waited.
     unheard: Vec<u32>,
+    failure: Option<Failure>,
 }
 
-impl Driver {
-    pub(crate) fn new(simulation: Simulation, classes: &[Option<Class>]) -> Self {
-        let mut random = Random::new(&[simulation.seed, 0x5eed]);
-        let mut actors = Vec::new();
-        for (number, class) in classes.iter().enumerate() {
-            let mut faults = simulation.faults.of(simulation.seed, ActorId(number as u32));
-            faults
-                .retain(|fault| matches!(fault.kind, FaultKind::Delay | FaultKind::Stall | FaultKind::Slow));
-            faults.sort_by_key(|fault| fault.at);
-            let class = class.unwrap_or(Class::Light);
-            let priority = random.next() | 1 << 63;
-            actors.push(Simulated { class, turns: 0, slow_turns: 0, priority, faults: faults.into() });
-        }
-        let change_points = match simulation.strategy {
-            Strategy::Pct { depth, horizon } => (0..depth).map(|_| random.below(horizon.max(1))).collect(),
-            _ => Vec::new(),
-        };
-        let victim = random.below(actors.len().max(1) as u64) as u32;
-        let (runnable, asleep) = (Vec::new(), Vec::new());
-        let (digits, unheard) = (simulation.seed, vec![0; actors.len()]);
+impl Simulator {
+    fn new(simulation: Simulation) -> Self {
         Self {
+            random: Random::new(&[simulation.seed, 0x5eed]),
+            digits: simulation.seed,
             simulation,
-            random,
-            actors,
-            runnable,
-            asleep,
-            change_points,
-            victim,
+            actors: Vec::new(),
+            runnable: Vec::new(),
+            asleep: Vec::new(),
+            change_points: Vec::new(),
+            victim: 0,
             next: 0,
             step: 0,
-            digits,
             ways: 1,
-            unheard,
+            unheard: Vec::new(),
+            failure: None,
         }
     }
 
+    fn of(runtime: &Runtime) -> Option<&Self> {
+        let driver: &dyn Any = &**runtime.driver.as_ref()?;
+        driver.downcast_ref()
+    }
+
     /// Takes over what became runnable.
-    pub(crate) fn arrive(&mut self, actor: u32) {
+    fn arrive(&mut self, actor: u32) {
         self.runnable.push(actor);
     }
 
     /// The earliest time at which a sleeper can run.
-    pub(crate) fn next_wake(&self) -> Option<u64> {
+    fn next_wake(&self) -> Option<u64> {
         self.asleep.iter().map(|(time, _)| *time).min()
     }
 
     /// Chooses the actor of the next step at time `now`; none if nothing is runnable.
-    pub(crate) fn choose(&mut self, now: u64) -> Option<u32> {
+    fn choose(&mut self, now: u64) -> Option<u32> {
         let mut index = 0;
         while index < self.asleep.len() {
             if self.asleep[index].0 <= now {
@@ -419,7 +294,7 @@ impl Driver {
 
     /// A turn of `actor` was made, in which so much was `measured`, with so much processor time `spent`; returns the
     /// virtual time it took.
-    pub(crate) fn turned(&mut self, actor: u32, measured: u64, spent: u64) -> u64 {
+    fn turned(&mut self, actor: u32, measured: u64, spent: u64) -> u64 {
         self.step += 1;
         let state = &mut self.actors[actor as usize];
         state.turns += 1;
@@ -438,91 +313,23 @@ impl Driver {
         state.slow_turns -= 1;
         time * SLOW_FACTOR
     }
-}
-
-impl Runtime {
-    pub(crate) fn simulate(
-        &mut self,
-        limit: Limit,
-        end: Option<u64>,
-        condition: &mut dyn FnMut(&Self) -> bool,
-    ) -> Exit {
-        let env = Arc::clone(&self.env);
-        let Some(mut driver) = self.driver.take() else { return Exit::Idle };
-        let exit = loop {
-            if self.failure.is_some() {
-                break Exit::Halted;
-            }
-            if env.ends() {
-                break Exit::Ended;
-            }
-            if condition(self) {
-                break Exit::Until;
-            }
-            let now = env.clock.now();
-            if end.is_some_and(|end| now >= end) {
-                break Exit::Time;
-            }
-            env.timers.serve(now, &env.scheduler, &self.thread);
-            let queues = &env.scheduler;
-            while let Some(actor) =
-                queues.next_pinned().or_else(|| queues.next_light()).or_else(|| queues.next_heavy())
-            {
-                driver.arrive(actor);
-            }
-            let Some(actor) = driver.choose(now) else {
-                let next = driver.next_wake().unwrap_or(u64::MAX).min(env.timers.next());
-                if next == u64::MAX && limit.idle {
-                    break Exit::Idle;
-                }
-                match (next.min(end.unwrap_or(u64::MAX)), next) {
-                    // Nothing will ever happen, and the caller does not want to hear of idleness: time is over.
-                    (u64::MAX, _) => break Exit::Idle,
-                    (time, _) => env.clock.advance_to(time),
-                }
-                continue;
-            };
-            self.thread.last_end.set(0);
-            let before = env.clock.spent();
-            env.scheduler.run(&self.nodes, actor, &self.thread);
-            let (measured, spent) = (env.clock.now() - now, env.clock.spent() - before);
-            env.clock.advance_to(now + driver.turned(actor, measured, spent));
-            let heard = self.hears(&mut driver, actor);
-            if let Err(reason) = heard.and_then(|()| self.check(&mut driver)) {
-                self.failure = Some(Failure { seed: driver.simulation.seed, step: driver.step, reason });
-            }
-        };
-        self.driver = Some(driver);
-        exit
-    }
 
     /// The control lane is served before all else.
-    fn hears(&self, driver: &mut Driver, actor: u32) -> Result<(), String> {
-        let node = &self.nodes[actor as usize];
+    fn hears(&mut self, runtime: &Runtime, actor: u32) -> Result<(), String> {
+        let node = &runtime.nodes[actor as usize];
         let link = node.link();
         let deaf = link.closed.load(Ordering::Relaxed) || link.signals.is_parked();
-        let turns = &mut driver.unheard[actor as usize];
+        let turns = &mut self.unheard[actor as usize];
         // One that came in the turn itself waits for the next.
         *turns = if node.urgent() > 0 && !deaf { *turns + 1 } else { 0 };
         if *turns > CONTROL_TURNS_MAX {
-            return Err(format!(
-                "{} made {turns} turns while a control message waited",
-                self.env.name(link.id)
-            ));
+            return Err(format!("{} made {turns} turns while a control message waited", link.name));
         }
         Ok(())
     }
 
-    /// What an exhaustive seed was worth, once its run is over.
-    pub fn schedule(&self) -> Schedule {
-        self.driver.as_ref().map_or(Schedule { ways: 1, left: 0 }, |driver| Schedule {
-            ways: driver.ways,
-            left: driver.digits,
-        })
-    }
-
-    fn check(&self, driver: &mut Driver) -> Result<(), String> {
-        for pool in &self.pools {
+    fn check(&mut self, runtime: &Runtime) -> Result<(), String> {
+        for pool in &runtime.pools {
             let PoolStats { pushed, completed, stale, dead, waiting, disorder, .. } = pool.stats();
             if disorder > 0 {
                 return Err("a job was popped while a better one waited".to_owned());
@@ -534,13 +341,115 @@ impl Runtime {
                 ));
             }
         }
-        if driver.step >= driver.simulation.steps_max {
-            return Err(format!("the system is not at rest after {} steps", driver.step));
+        if self.step >= self.simulation.steps_max {
+            return Err(format!("the system is not at rest after {} steps", self.step));
         }
-        match &mut driver.simulation.invariant {
-            Some(invariant) => invariant(self),
+        match &mut self.simulation.invariant {
+            Some(invariant) => invariant(runtime),
             None => Ok(()),
         }
+    }
+}
+
+impl driver::Driver for Simulator {
+    fn clock(&self) -> Clock {
+        Clock::starting_at_zero(self.simulation.work, self.simulation.seed)
+    }
+
+    fn faults(&self) -> Faults {
+        self.simulation.faults.clone()
+    }
+
+    fn meet(&mut self, classes: &[Option<Class>]) {
+        for (number, class) in classes.iter().enumerate() {
+            let mut faults = self.simulation.faults.of(self.simulation.seed, ActorId(number as u32));
+            faults
+                .retain(|fault| matches!(fault.kind, FaultKind::Delay | FaultKind::Stall | FaultKind::Slow));
+            faults.sort_by_key(|fault| fault.at);
+            let class = class.unwrap_or(Class::Light);
+            let priority = self.random.next() | 1 << 63;
+            self.actors.push(Simulated { class, turns: 0, slow_turns: 0, priority, faults: faults.into() });
+        }
+        if let Strategy::Pct { depth, horizon } = self.simulation.strategy {
+            self.change_points = (0..depth).map(|_| self.random.below(horizon.max(1))).collect();
+        }
+        self.victim = self.random.below(self.actors.len().max(1) as u64) as u32;
+        self.unheard = vec![0; self.actors.len()];
+    }
+
+    fn drive(
+        &mut self,
+        runtime: &mut Runtime,
+        limit: Limit,
+        end: Option<u64>,
+        condition: &mut dyn FnMut(&Runtime) -> bool,
+    ) -> Exit {
+        let env = Arc::clone(&runtime.env);
+        let queues = &*env.scheduler;
+        loop {
+            if self.failure.is_some() {
+                return Exit::Halted;
+            }
+            if env.ends() {
+                return Exit::Ended;
+            }
+            if condition(runtime) {
+                return Exit::Until;
+            }
+            let now = queues.clock.now();
+            if end.is_some_and(|end| now >= end) {
+                return Exit::Time;
+            }
+            queues.timers.serve(now, queues, &runtime.thread);
+            while let Some(actor) =
+                queues.next_pinned().or_else(|| queues.next_light()).or_else(|| queues.next_heavy())
+            {
+                self.arrive(actor);
+            }
+            let Some(actor) = self.choose(now) else {
+                let next = self.next_wake().unwrap_or(u64::MAX).min(queues.timers.next());
+                if next == u64::MAX && limit.idle {
+                    return Exit::Idle;
+                }
+                match (next.min(end.unwrap_or(u64::MAX)), next) {
+                    // Nothing will ever happen, and the caller does not want to hear of idleness: time is over.
+                    (u64::MAX, _) => return Exit::Idle,
+                    (time, _) => queues.clock.advance_to(time),
+                }
+                continue;
+            };
+            runtime.thread.last_end.set(0);
+            let before = queues.clock.spent();
+            queues.run(&runtime.nodes, actor, &runtime.thread);
+            let (measured, spent) = (queues.clock.now() - now, queues.clock.spent() - before);
+            queues.clock.advance_to(now + self.turned(actor, measured, spent));
+            let heard = self.hears(runtime, actor);
+            if let Err(reason) = heard.and_then(|()| self.check(runtime)) {
+                self.failure = Some(Failure { seed: self.simulation.seed, step: self.step, reason });
+            }
+        }
+    }
+}
+
+impl Config {
+    /// A simulation.
+    pub fn simulate(simulation: Simulation) -> Self {
+        let seed = simulation.seed;
+        let mode = Mode::Simulate(Steering(Box::new(Simulator::new(simulation))));
+        Self { mode, seed, ..Self::live(0) }
+    }
+}
+
+impl Runtime {
+    /// The broken invariant that ended a simulation.
+    pub fn failure(&self) -> Option<&Failure> {
+        Simulator::of(self)?.failure.as_ref()
+    }
+
+    /// What an exhaustive seed was worth, once its run is over.
+    pub fn schedule(&self) -> Schedule {
+        Simulator::of(self)
+            .map_or(Schedule { ways: 1, left: 0 }, |run| Schedule { ways: run.ways, left: run.digits })
     }
 }
 

@@ -61,6 +61,7 @@ impl IlluminationArguments {
             cache: self.cache.clone(),
             settings: self.settings.options(),
             reading: self.reading.reading(),
+            edits: Vec::new(),
         }
     }
 }

@@ -3,13 +3,13 @@
 
 use glam::Vec3;
 
-use crate::illumination::from_radiosity::SceneRadiosity;
-use crate::illumination::simplify::{Criterion, Eye, Rung, Simplified};
 use crate::image::{Map2d, luminance};
 use crate::math;
 use crate::perception::csf::barten;
 use crate::perception::elevation::{ElevationSettings, elevation};
 use crate::perception::tvi::tvi;
+use crate::radiosity::of_scene::SceneRadiosity;
+use crate::radiosity::simplify::{Criterion, Eye, Rung, Simplified};
 use crate::rng::Stream;
 use crate::scene::{Scene, Texture};
 
@@ -170,7 +170,7 @@ fn mean_elevation(scene: &Scene, maps: &[Vec<Map2d<f32>>], triangle: u32, piece:
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::illumination::simplify::{Forest, QuadNode, cut_below, simplify};
+    use crate::radiosity::simplify::{Forest, QuadNode, cut_below, simplify};
     use crate::rng;
 
     /// Full quadtrees of three levels, each rougher than the one before.

@@ -103,7 +103,6 @@ impl Wide {
 
     /// From now on with other instructions.
     #[cfg(test)]
-    #[cfg(test)]
     pub fn set_level(&mut self, level: Level) {
         self.level = level;
     }

@@ -22,8 +22,6 @@ pub struct ObjectStatistics {
     pub x1: u32,
     /// Largest row + 1.
     pub y1: u32,
-    /// Mean of its pixel centres, pixels.
-    pub centroid: Vec2,
     /// Mean of the interpolated saliency map over its pixels (mean, not sum: coverage is part of importance).
     pub saliency: f32,
 }
@@ -43,8 +41,6 @@ struct Sums {
     y0: u32,
     x1: u32,
     y1: u32,
-    x_sum: u64,
-    y_sum: u64,
     saliency: f64,
 }
 
@@ -140,8 +136,6 @@ impl Sums {
         self.x1 = self.x1.max(x1);
         self.y1 = y + 1;
         self.pixels += n;
-        self.x_sum += u64::from(n) * u64::from(x0 + x1 - 1);
-        self.y_sum += u64::from(n) * u64::from(y);
         self.saliency += saliency;
     }
 
@@ -150,16 +144,12 @@ impl Sums {
             return ObjectStatistics::default();
         }
         let n = f64::from(self.pixels);
-        // x_sum holds twice the sum of the columns; pixel centres lie half a pixel further.
-        let centroid =
-            Vec2::new((self.x_sum as f64 / (2.0 * n) + 0.5) as f32, (self.y_sum as f64 / n + 0.5) as f32);
         ObjectStatistics {
             pixels: self.pixels,
             x0: self.x0,
             y0: self.y0,
             x1: self.x1,
             y1: self.y1,
-            centroid,
             saliency: (self.saliency / n).max(0.0) as f32,
         }
     }
@@ -177,67 +167,25 @@ pub(crate) fn object_statistics(
     statistics
 }
 
-/// Which point of an object its distance to the screen's centre is measured at.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Anchor {
-    /// The centre of its bounds (Haber 2001).
-    #[default]
-    Bounds,
-    /// The mean of its pixels: for objects in several parts, whose bounds may be centred where nothing is.
-    Centroid,
-}
+/// Weight of closeness to the centre against coverage; the paper does not say.
+const CENTRE: f32 = 0.5;
 
-/// How closeness to the centre and coverage become one number; the paper does not say.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Importance {
-    /// w_d (1 − d) + (1 − w_d) √a.
-    Sum {
-        /// Weight w_d of closeness to the centre, in [0, 1].
-        centre: f32,
-    },
-    /// (1 − d) a: coverage dominates.
-    Product,
-}
-
-/// The sliders of Haber 2001 §3.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Weights {
-    /// Weight w_s of saliency against importance, in [0, 1].
-    pub saliency: f32,
-    /// How importance is put together.
-    pub importance: Importance,
-    /// Where an object is.
-    pub anchor: Anchor,
-}
-
-impl Default for Weights {
-    fn default() -> Self {
-        // "Roughly balanced" worked best (Haber 2001 §3).
-        Self { saliency: 0.5, importance: Importance::Sum { centre: 0.5 }, anchor: Anchor::Bounds }
-    }
-}
+/// Weight w_s of saliency against importance: "roughly balanced" worked best (Haber 2001 §3).
+pub const SALIENCY_WEIGHT: f32 = 0.5;
 
 /// Top-down importance of an object in a picture of `width × height` pixels, in [0, 1]; 0 if it is not visible.
 ///
-/// d: distance to the centre over half the diagonal. a: share of the pixels.
-pub fn importance(object: &ObjectStatistics, width: usize, height: usize, weights: &Weights) -> f32 {
+/// (1 − d)/2 + √a/2. d: distance of the centre of its bounds to that of the picture, over half the diagonal. a: share of
+/// the pixels.
+pub fn importance(object: &ObjectStatistics, width: usize, height: usize) -> f32 {
     if object.pixels == 0 || width == 0 || height == 0 {
         return 0.0;
     }
     let size = Vec2::new(width as f32, height as f32);
-    let at = match weights.anchor {
-        Anchor::Bounds => {
-            Vec2::new((object.x0 + object.x1) as f32 * 0.5, (object.y0 + object.y1) as f32 * 0.5)
-        }
-        Anchor::Centroid => object.centroid,
-    };
+    let at = Vec2::new((object.x0 + object.x1) as f32 * 0.5, (object.y0 + object.y1) as f32 * 0.5);
     let closeness = 1.0 - (at - size * 0.5).length() / (0.5 * size.length());
     let coverage = object.pixels as f32 / (size.x * size.y);
-    match weights.importance {
-        Importance::Sum { centre } => centre * closeness + (1.0 - centre) * coverage.sqrt(),
-        Importance::Product => closeness * coverage,
-    }
-    .clamp(0.0, 1.0)
+    (CENTRE * closeness + (1.0 - CENTRE) * coverage.sqrt()).clamp(0.0, 1.0)
 }
 
 /// Priorities of all objects: w_s S/max S + (1 − w_s) imp/max imp, in [0, 1] (REFERENCE §2). Object 0 and invisible
@@ -247,11 +195,11 @@ pub fn priorities(
     objects: &[ObjectStatistics],
     width: usize,
     height: usize,
-    weights: &Weights,
+    saliency_weight: f32,
     out: &mut Vec<f32>,
 ) {
     out.clear();
-    out.extend(objects.iter().map(|object| importance(object, width, height, weights)));
+    out.extend(objects.iter().map(|object| importance(object, width, height)));
     if let Some(diffuse) = out.first_mut() {
         *diffuse = 0.0;
     }
@@ -261,7 +209,7 @@ pub fn priorities(
     }
     let most_salient = objects.iter().skip(1).map(|object| object.saliency).fold(0.0, f32::max);
     let too_small = width.min(height) < super::saliency::MIN_SIDE;
-    let share = if most_salient > 0.0 && !too_small { weights.saliency.clamp(0.0, 1.0) } else { 0.0 };
+    let share = if most_salient > 0.0 && !too_small { saliency_weight.clamp(0.0, 1.0) } else { 0.0 };
     for (priority, object) in out.iter_mut().zip(objects).skip(1) {
         let salient = if share > 0.0 { share * object.saliency / most_salient } else { 0.0 };
         *priority = salient + (1.0 - share) * *priority / most_important;
@@ -277,35 +225,20 @@ mod tests {
         Map2d::from_fn(512, 512, |x, y| u32::from((x0..x1).contains(&x) && (y0..y1).contains(&y)))
     }
 
-    fn importance_of(ids: &Map2d<u32>, weights: &Weights) -> f32 {
-        importance(&object_statistics(ids, None, 2)[1], 512, 512, weights)
+    fn importance_of(ids: &Map2d<u32>) -> f32 {
+        importance(&object_statistics(ids, None, 2)[1], 512, 512)
     }
 
     #[test]
     fn numbers_of_the_reference() {
-        let sum = Weights::default();
-        let product = Weights { importance: Importance::Product, ..sum };
-        for (ids, by_sum, by_product) in [
-            (rectangle(206, 206, 306, 306), 0.597_656, 0.038_147),
-            (rectangle(0, 0, 100, 100), 0.195_312, 0.007_451),
-            (rectangle(0, 0, 512, 512), 1.0, 1.0),
-            (rectangle(0, 0, 1, 1), 0.001_953, 0.0),
+        for (ids, expected) in [
+            (rectangle(206, 206, 306, 306), 0.597_656),
+            (rectangle(0, 0, 100, 100), 0.195_312),
+            (rectangle(0, 0, 512, 512), 1.0),
+            (rectangle(0, 0, 1, 1), 0.001_953),
         ] {
-            assert!((importance_of(&ids, &sum) - by_sum).abs() < 2e-6);
-            assert!((importance_of(&ids, &product) - by_product).abs() < 2e-6);
+            assert!((importance_of(&ids) - expected).abs() < 2e-6);
         }
-    }
-
-    #[test]
-    fn the_centroid_knows_where_a_split_object_is() {
-        // Two far parts: bounds centred on the screen, pixels are not.
-        let ids = Map2d::from_fn(512, 512, |x, y| u32::from(y < 10 && x < 100 || y >= 502 && x >= 502));
-        let statistics = object_statistics(&ids, None, 2)[1];
-        assert_eq!((statistics.x0, statistics.y0, statistics.x1, statistics.y1), (0, 0, 512, 512));
-        let bounds = importance(&statistics, 512, 512, &Weights::default());
-        let anchor = Anchor::Centroid;
-        let centroid = importance(&statistics, 512, 512, &Weights { anchor, ..Weights::default() });
-        assert!(bounds > 0.5 && centroid < 0.3, "{bounds} {centroid}");
     }
 
     #[test]
@@ -332,8 +265,6 @@ mod tests {
                 let n = pixels.len() as f64;
                 let mean =
                     |f: &dyn Fn(usize, usize) -> f64| pixels.iter().map(|&(x, y)| f(x, y)).sum::<f64>() / n;
-                assert!((f64::from(found.centroid.x) - mean(&|x, _| x as f64 + 0.5)).abs() < 1e-4);
-                assert!((f64::from(found.centroid.y) - mean(&|_, y| y as f64 + 0.5)).abs() < 1e-4);
                 assert!((f64::from(found.saliency) - mean(&|x, y| f64::from(fine.at(x, y)))).abs() < 1e-6);
                 assert_eq!(found.x0 as usize, pixels.iter().map(|p| p.0).min().unwrap());
                 assert_eq!(found.x1 as usize, pixels.iter().map(|p| p.0).max().unwrap() + 1);
@@ -345,7 +276,7 @@ mod tests {
 
     fn object(pixels: u32, x0: u32, saliency: f32) -> ObjectStatistics {
         let (y0, x1, y1) = (40, x0 + 10, 50);
-        ObjectStatistics { pixels, x0, y0, x1, y1, centroid: Vec2::new(x0 as f32 + 5.0, 45.0), saliency }
+        ObjectStatistics { pixels, x0, y0, x1, y1, saliency }
     }
 
     #[test]
@@ -354,7 +285,7 @@ mod tests {
             [object(5000, 0, 0.9), object(100, 45, 0.1), object(60, 0, 0.4), ObjectStatistics::default()];
         let mut out = Vec::new();
         let mut run = |saliency, size| {
-            priorities(&objects, size, size, &Weights { saliency, ..Weights::default() }, &mut out);
+            priorities(&objects, size, size, saliency, &mut out);
             out.clone()
         };
         assert_eq!(run(1.0, 100), [0.0, 0.25, 1.0, 0.0]);
@@ -368,11 +299,11 @@ mod tests {
     #[test]
     fn nothing_salient_and_nothing_visible() {
         let mut out = Vec::new();
-        priorities(&[object(10, 0, 0.0), object(10, 45, 0.0)], 100, 100, &Weights::default(), &mut out);
+        priorities(&[object(10, 0, 0.0), object(10, 45, 0.0)], 100, 100, SALIENCY_WEIGHT, &mut out);
         assert_eq!(out, [0.0, 1.0]);
-        priorities(&[ObjectStatistics::default(); 3], 100, 100, &Weights::default(), &mut out);
+        priorities(&[ObjectStatistics::default(); 3], 100, 100, SALIENCY_WEIGHT, &mut out);
         assert_eq!(out, [0.0; 3]);
-        priorities(&[], 0, 0, &Weights::default(), &mut out);
+        priorities(&[], 0, 0, SALIENCY_WEIGHT, &mut out);
         assert!(out.is_empty());
     }
 

@@ -8,6 +8,7 @@ pub mod camera;
 pub mod coat;
 mod cutout;
 mod defaults;
+pub mod edit;
 pub mod environment;
 pub mod fresnel;
 pub mod hierarchy;

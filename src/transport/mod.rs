@@ -2,7 +2,7 @@
 //!
 //! In: a scene, its geometry index and (for the tracer) stored illumination. Out: radiance along rays, in
 //! W·sr⁻¹·m⁻² per band; [`tracer`] for corrections, [`gather`] and [`caustic`] for stored light, references and refinement,
-//! [`bidirectional`] for the truth, [`radiosity`] for what its command asks for.
+//! [`bidirectional`] for the truth.
 
 pub mod bidirectional;
 pub mod bsdf;
@@ -13,7 +13,6 @@ pub mod interaction;
 pub mod light;
 pub mod lit;
 pub mod medium;
-pub mod radiosity;
 pub mod surface;
 #[cfg(test)]
 pub(crate) mod test_boxes;

@@ -22,7 +22,7 @@ use foveal::display::twin::{self, Passes};
 use foveal::geometry::Accel;
 use foveal::illumination::bake::{BakeSettings, bake};
 use foveal::image::Map2d;
-use foveal::perception::importance::{ObjectScan, Weights, priorities};
+use foveal::perception::importance::{ObjectScan, SALIENCY_WEIGHT, priorities};
 use foveal::perception::saliency::SaliencyModel;
 use foveal::scene::Scene;
 use foveal::scene::load::load;
@@ -295,7 +295,7 @@ fn attend(world: &World, buffers: &FrameBuffers, what: &str) {
     assert!(map.data().iter().all(|s| s.is_finite()), "{what}: saliency");
     let (mut statistics, mut found) = (Vec::new(), Vec::new());
     ObjectScan::default().gather(&buffers.object, Some(map), world.scene.objects.len(), &mut statistics);
-    priorities(&statistics, width, height, &Weights::default(), &mut found);
+    priorities(&statistics, width, height, SALIENCY_WEIGHT, &mut found);
     assert!(found.iter().all(|p| (0.0..=1.0).contains(p)), "{what}: priorities {found:?}");
 }
 

@@ -125,7 +125,11 @@ impl Timeline for Player {
             facts: self.facts(),
             ..Options::interactive(settings)
         };
-        let source = Engine::start(Opened::of_world(world), options).map_err(|e| e.to_string())?;
+        // Edits are against what the files say, here as before.
+        let recorded = self.source.opened();
+        let (light, as_read) = (recorded.light.clone(), recorded.as_read.clone());
+        let opened = Opened { light, as_read, ..Opened::of_world(world) };
+        let source = Engine::start(opened, options).map_err(|e| e.to_string())?;
         Ok(Branch { source: Box::new(source), camera })
     }
 }

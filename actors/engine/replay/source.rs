@@ -101,7 +101,12 @@ impl Source {
         Ok(Self { trace, path: path.to_owned(), recorded, shown_in, opened, index })
     }
 
-    /// The world it was recorded in, as it began.
+    /// The scene it was recorded in, as it began.
+    pub fn opened(&self) -> &Opened {
+        &self.opened
+    }
+
+    /// Its world.
     pub fn world(&self) -> &World {
         &self.opened.world
     }

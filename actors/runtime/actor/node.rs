@@ -2,6 +2,8 @@
 //! back, and only then let others see that it is done.
 
 mod deliver;
+mod replayed;
+mod saved;
 
 use crossbeam_utils::atomic::AtomicCell;
 use std::any::Any;
@@ -9,42 +11,57 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use crate::actor::supervise::{Circuit, OnPanic, guarded};
+use crate::actor::seat::Seat;
+use crate::actor::supervise::{Circuit, OnPanic};
 use crate::actor::{Actor, OwnTimers};
-use crate::journal::{Halted, Journal, Payload};
-use crate::log::format::lane;
-use crate::mailbox::signals::signal;
-use crate::mailbox::{Address, Decoder, Inbound, Link, Mailbox};
+use crate::journal::env::Env;
+use crate::journal::script::Stash;
+use crate::journal::{Halted, Journal};
+use crate::log::format::{Hashing, Payload, lane};
+use crate::mailbox::{Address, Decoder, Inbound, Mailbox};
+use crate::message::incident::guarded;
+use crate::message::saved::{Loader, Saver};
 use crate::message::{ActorId, LATEST_KEYS, Message};
-use crate::pool::{Popped, Seat};
-use crate::replay::snapshot::{Loader, Saver, load_messages, load_timers, save_messages, save_timers};
-use crate::replay::{Next, Script, Stash};
-use crate::scheduler::ThreadCx;
+use crate::scheduler::link::Link;
+use crate::scheduler::signals::signal;
+use crate::scheduler::{Runnable, ThreadCx};
 
-/// An actor as the scheduler sees it.
-pub(crate) trait Runnable: Send + Sync {
-    /// Runs one turn; true if the actor must be queued again.
-    fn turn(&self, thread: &ThreadCx) -> bool;
-    fn link(&self) -> &Arc<Link>;
+use saved::{load_messages, load_timers, save_messages, save_timers};
+
+/// An actor as its system sees it, whatever its messages are. What is not said otherwise is that of a port, whose number
+/// stands among the actors': nothing is there.
+pub(crate) trait AnyNode: Runnable {
     /// Shows the actor's state, unless it is in a turn.
-    fn look(&self, show: &mut dyn FnMut(&dyn Any));
+    fn look(&self, _show: &mut dyn FnMut(&dyn Any)) {}
     /// Deliveries and chained hash, unless it is in a turn.
-    fn position(&self) -> Option<(u64, u64)>;
+    fn position(&self) -> Option<(u64, u64)> {
+        None
+    }
     /// Replay: what the script still wants, unless the actor is in a turn.
-    fn script_state(&self) -> Option<ScriptState>;
+    fn script_state(&self) -> Option<ScriptState> {
+        None
+    }
     /// Writes everything that a snapshot of a replay needs, unless the actor is in a turn.
-    fn save(&self, saver: &mut Saver);
-    fn restore(&self, loader: &mut Loader<'_>) -> Option<()>;
+    fn save(&self, _saver: &mut Saver) {}
+    fn restore(&self, _loader: &mut Loader<'_>) -> Option<()> {
+        Some(())
+    }
     /// Hands over what is left of the log, and ends the journal.
-    fn end_log(&self);
+    fn end_log(&self) {}
     /// Throws away what waits, when nothing runs any more.
-    fn clear(&self);
+    fn clear(&self) {}
     /// Messages of all ways that wait in the mailbox.
-    fn waiting(&self) -> u64;
+    fn waiting(&self) -> u64 {
+        0
+    }
     /// Control messages that wait.
-    fn urgent(&self) -> usize;
+    fn urgent(&self) -> usize {
+        0
+    }
     /// Data messages that wait.
-    fn depth(&self) -> usize;
+    fn depth(&self) -> usize {
+        0
+    }
 }
 
 /// Where an actor stands in its recording.
@@ -82,6 +99,7 @@ struct Core<A: Actor> {
 
 pub(crate) struct Node<A: Actor> {
     link: Arc<Link>,
+    env: Arc<Env>,
     address: Address<A::Msg>,
     /// Empty only while a turn runs, or while the main thread looks.
     core: AtomicCell<Option<Box<Core<A>>>>,
@@ -127,13 +145,13 @@ impl<A: Actor> Node<A> {
         actor: Option<A>,
         on_panic: OnPanic<A>,
         seat: Option<Box<dyn Seat<A>>>,
-        script: Option<Script>,
+        env: &Arc<Env>,
     ) -> Self {
         let link = Arc::clone(&address.mailbox.link);
         let core = Core {
             actor,
             came: false,
-            journal: Journal::new(&link, script),
+            journal: Journal::new(&link, env),
             timers: OwnTimers::new(),
             seat,
             on_panic,
@@ -148,6 +166,7 @@ impl<A: Actor> Node<A> {
         };
         Self {
             link,
+            env: Arc::clone(env),
             address: address.clone(),
             core: AtomicCell::new(Some(Box::new(core))),
             newcomer: AtomicCell::new(None),
@@ -198,7 +217,7 @@ impl<A: Actor> Node<A> {
                 && let Some(timer) = mailbox.fired.pop()
             {
                 turn.messages += 1;
-                self.timer(core, thread, timer, self.link.env.clock.now())?;
+                self.timer(core, thread, timer, self.link.scheduler.clock.now())?;
             }
         }
         for key in 0..LATEST_KEYS {
@@ -220,12 +239,12 @@ impl<A: Actor> Node<A> {
         start: u64,
         turn: &mut Turn,
     ) -> Result<(), Halted> {
-        let env = &self.link.env;
+        let scheduler = &*self.link.scheduler;
         let mailbox = self.mailbox();
         // The clock is read after 1, 2, 4, … messages as long as they are short.
         let (mut next_look, mut look_step) = (1, 1);
         loop {
-            if env.halted() {
+            if scheduler.halted() {
                 return Err(Halted);
             }
             let mask = if core.paused { signal::WHILE_PAUSED } else { u32::MAX };
@@ -237,13 +256,13 @@ impl<A: Actor> Node<A> {
             if core.stopping || core.paused {
                 return Ok(());
             }
-            if turn.messages >= env.budget.messages {
+            if turn.messages >= scheduler.budget.messages {
                 turn.again = true;
                 return Ok(());
             }
             if turn.messages >= next_look {
-                let elapsed = env.clock.turn_time().saturating_sub(start);
-                if elapsed >= env.budget.nanoseconds {
+                let elapsed = scheduler.clock.turn_time().saturating_sub(start);
+                if elapsed >= scheduler.budget.nanoseconds {
                     turn.again = true;
                     return Ok(());
                 }
@@ -267,92 +286,6 @@ impl<A: Actor> Node<A> {
             }
         }
         Ok(())
-    }
-
-    fn replay_turn(&self, core: &mut Core<A>, thread: &ThreadCx, turn: &mut Turn) -> Result<(), Halted> {
-        let env = &self.link.env;
-        let bits = self.link.signals.take(u32::MAX);
-        turn.consumed += bits.count_ones() as usize;
-        turn.flush = bits & signal::FLUSH != 0;
-        while let Some(inbound) = self.mailbox().inbound.pop() {
-            turn.consumed += 1;
-            core.stash.put(inbound);
-        }
-        if bits & signal::START != 0 {
-            self.start(core, thread);
-        }
-        loop {
-            if env.halted() {
-                return Err(Halted);
-            }
-            if core.stopping {
-                return Ok(());
-            }
-            if turn.messages >= env.budget.messages {
-                turn.again = true;
-                return Ok(());
-            }
-            if core.journal.index >= self.link.limit.load(Ordering::Relaxed) {
-                return Ok(());
-            }
-            let Some(next) = core.journal.script().and_then(Script::next) else { return Ok(()) };
-            if !self.replay_next(core, thread, &next)? {
-                return Ok(());
-            }
-            turn.messages += 1;
-        }
-    }
-
-    /// Makes the next delivery of the script; false if what it delivers is not there yet.
-    fn replay_next(&self, core: &mut Core<A>, thread: &ThreadCx, next: &Next) -> Result<bool, Halted> {
-        let symbol = next.symbol;
-        let pass = |core: &mut Core<A>| {
-            if let Some(script) = core.journal.script() {
-                script.pass(next);
-            }
-        };
-        match (next.payload, &next.external) {
-            (_, Some(bytes)) => {
-                let decoder =
-                    core.decoders.iter().find(|(port, _)| *port == symbol.from).map(|(_, decode)| decode);
-                let decode = |decode: &Decoder<A::Msg>| guarded(|| decode(bytes)).ok().flatten();
-                let Some(message) = decoder.and_then(decode) else {
-                    let expected = format!("an input of {}", self.link.env.name(symbol.from));
-                    core.journal.diverge_here(expected, "a payload that cannot be decoded".into());
-                    return Err(Halted);
-                };
-                pass(core);
-                self.deliver(core, thread, symbol, Payload::External(bytes), message)?;
-            }
-            (Payload::Timer { timer, time }, None) => {
-                if !core.timers.contains(timer) {
-                    core.journal.diverge_here(format!("timer {timer}"), "no such timer runs".into());
-                    return Err(Halted);
-                }
-                pass(core);
-                self.timer(core, thread, timer, time)?;
-            }
-            (Payload::Order(bits), None) => {
-                pass(core);
-                self.order(core, thread, bits)?;
-            }
-            (Payload::Job { id, attempt }, None) => {
-                let Some(pushed_in) = core.seat.as_mut().and_then(|seat| seat.hold(id, attempt)) else {
-                    return Ok(false);
-                };
-                pass(core);
-                let stale = matches!(symbol.lane, lane::STALE | lane::STALE_AGAIN);
-                self.deliver_job(core, thread, Popped { id, attempt, pushed_in, stale })?;
-            }
-            (payload, None) => {
-                let skipped = if let Payload::Skipped(count) = payload { count } else { 0 };
-                let Some((sent_in, message)) = core.stash.take(symbol, skipped) else { return Ok(false) };
-                pass(core);
-                core.journal.comes_of(symbol.from, sent_in);
-                self.deliver(core, thread, symbol, payload, message)?;
-            }
-        }
-        Ok(true)
     }
 
     /// Ends the actor once, and throws away what still arrives.
@@ -401,14 +334,14 @@ impl<A: Actor> Node<A> {
 impl<A: Actor> Runnable for Node<A> {
     fn turn(&self, thread: &ThreadCx) -> bool {
         let link = &self.link;
-        let env = &link.env;
-        if env.halted() {
+        let scheduler = &*link.scheduler;
+        if scheduler.halted() {
             return true;
         }
         let Some(core) = self.core.take() else { unreachable!("two turns of {} at once", link.id) };
         let _span = tracing::trace_span!("turn", actor = A::NAME, id = link.id.0).entered();
         let start = match thread.last_end.get() {
-            0 => env.clock.turn_time(),
+            0 => scheduler.clock.turn_time(),
             end => end,
         };
         let depth = link.activation.pending() as u64;
@@ -431,7 +364,7 @@ impl<A: Actor> Runnable for Node<A> {
             self.close(core, thread, turn);
         }
         core.journal.end_turn(turn.flush);
-        let end = env.clock.turn_time();
+        let end = scheduler.clock.turn_time();
         thread.last_end.set(end);
         link.counters.turn(start, end, turn.messages, depth, thread.lane);
         let paused = core.paused && !core.stopped;
@@ -454,7 +387,9 @@ impl<A: Actor> Runnable for Node<A> {
     fn link(&self) -> &Arc<Link> {
         &self.link
     }
+}
 
+impl<A: Actor> AnyNode for Node<A> {
     fn look(&self, show: &mut dyn FnMut(&dyn Any)) {
         self.with_core(|core| {
             if let Some(actor) = &core.actor {
@@ -469,10 +404,10 @@ impl<A: Actor> Runnable for Node<A> {
 
     fn script_state(&self) -> Option<ScriptState> {
         self.with_core(|core| {
-            let (made, chain, hashing) = (core.journal.index, core.journal.chain, self.link.env.hashing);
+            let (made, chain, hashing) = (core.journal.index, core.journal.chain, self.env.hashing);
             let script = core.journal.script()?;
             let (recorded, expected) = script.recorded();
-            let hashed = script.hashing == hashing && hashing != crate::Hashing::Off;
+            let hashed = script.hashing == hashing && hashing != Hashing::Off;
             let wrong_end =
                 (made > 0 && made == recorded && hashed && chain != expected).then_some((expected, chain));
             let waits_for = script.next().map(|next| {

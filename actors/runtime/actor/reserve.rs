@@ -8,10 +8,9 @@ use std::sync::Arc;
 
 use crate::actor::node::Node;
 use crate::actor::supervise::OnPanic;
-use crate::actor::{Actor, Cx};
+use crate::actor::{Actor, Cx, Handle};
 use crate::mailbox::Address;
 use crate::message::Message;
-use crate::runtime::wiring::Handle;
 
 /// Places for actors of one kind; belongs to the actor that will spawn them. Made by [`crate::Wiring::reserve`].
 pub struct Reserve<A: Actor> {

@@ -2,8 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::Payload;
-use crate::log::format::{Symbol, put, put_bytes, put_run, put_signed, value};
+use crate::log::format::{Payload, Symbol, put, put_bytes, put_run, put_signed, value};
 use crate::message::ActorId;
 
 /// Senders of an actor among which a sender is searched one by one.

@@ -1,9 +1,8 @@
 //! What happened, read off a recording without running anything.
 
-use super::format::{Hashing, Header, lane, unquantise, value};
+use super::format::{Hashing, Header, Payload, lane, unquantise, value};
 use super::reader::Trace;
 use super::walk::{ActorLog, Stride, Value, Walk};
-use crate::journal::Payload;
 use crate::message::ActorId;
 
 /// Something that happened to one actor.

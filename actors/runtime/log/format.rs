@@ -23,8 +23,8 @@ use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::fingerprint::Fingerprint;
-use crate::actor::Class;
 use crate::message::ActorId;
+use crate::scheduler::link::Class;
 
 /// First bytes of every recording.
 pub const MAGIC: [u8; 6] = *b"FVLOG\0";
@@ -43,6 +43,25 @@ pub(crate) const NODES_MAX: usize = 1 << 16;
 pub(crate) const KIND_HEADER: u8 = 0;
 pub(crate) const KIND_CHUNKS: u8 = 1;
 pub(crate) const KIND_END: u8 = 2;
+
+/// What a delivery carries into the recording beside its sender.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Payload<'a> {
+    None,
+    /// From a port, encoded.
+    External(&'a [u8]),
+    /// Newest-only: how many older ones of this sender were replaced.
+    Skipped(u32),
+    Timer {
+        timer: u32,
+        time: u64,
+    },
+    Order(u32),
+    Job {
+        id: u64,
+        attempt: u32,
+    },
+}
 
 /// How densely the chained hashes are recorded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

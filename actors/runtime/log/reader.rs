@@ -7,11 +7,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::format::{
-    CHUNK_DELIVERIES_MAX, Cursor, End, Header, KIND_CHUNKS, KIND_END, KIND_HEADER, MAGIC, SEGMENT_BYTES_MAX,
-    SEGMENT_HEAD, Symbol, VERSION, lane,
+    CHUNK_DELIVERIES_MAX, Cursor, End, Header, KIND_CHUNKS, KIND_END, KIND_HEADER, MAGIC, Payload,
+    SEGMENT_BYTES_MAX, SEGMENT_HEAD, Symbol, VERSION, lane,
 };
 use super::walk::{ActorLog, Walk};
-use crate::journal::Payload;
 use crate::message::ActorId;
 
 /// Decompressed bytes a recording may hold.

@@ -2,8 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::format::{Cursor, Hashing, Header, Symbol, lane, reason, value};
-use crate::journal::Payload;
+use super::format::{Cursor, Hashing, Header, Payload, Symbol, lane, reason, value};
 use crate::message::Reason;
 
 /// What was delivered to one actor, as recorded.

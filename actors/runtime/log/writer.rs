@@ -13,9 +13,9 @@ use super::format::{
     End, Header, KIND_CHUNKS, KIND_END, KIND_HEADER, MAGIC, SEGMENT_BYTES_MAX, SEGMENT_HEAD, VERSION,
     put_bytes,
 };
-use crate::mailbox::Link;
-use crate::mailbox::signals::signal;
 use crate::scheduler::ThreadCx;
+use crate::scheduler::link::Link;
+use crate::scheduler::signals::signal;
 
 /// Chunks that may wait for the writer.
 const CHUNKS_MAX: usize = 4096;
@@ -101,12 +101,14 @@ pub(crate) struct Writer {
 }
 
 impl Writer {
-    /// Writes the header at once, then starts the thread.
+    /// Writes the header at once, then starts the thread. Where it `asks`, it wakes actors that have something for it; a
+    /// simulation's schedule must not depend on that thread, so there they hand over at the end of their turns alone.
     pub(crate) fn start(
         mut sink: Box<dyn Write + Send>,
         header: &Header,
         queue: &Arc<LogQueue>,
         links: Vec<Arc<Link>>,
+        asks: bool,
     ) -> std::io::Result<Self> {
         let mut head = MAGIC.to_vec();
         head.extend_from_slice(&VERSION.to_le_bytes());
@@ -116,7 +118,7 @@ impl Writer {
         let shared = Arc::clone(queue);
         let thread = std::thread::Builder::new()
             .name("recorder".into())
-            .spawn(move || write(sink, &shared, &links))?;
+            .spawn(move || write(sink, &shared, if asks { &links } else { &[] }))?;
         Ok(Self { queue: Arc::clone(queue), thread })
     }
 
@@ -166,8 +168,7 @@ fn write(mut sink: Box<dyn Write + Send>, queue: &LogQueue, links: &[Arc<Link>])
     loop {
         let closing = queue.closing.load(Ordering::SeqCst);
         queue.period.fetch_add(1, Ordering::Relaxed);
-        // A simulation's schedule must not depend on this thread: there actors hand over at the end of their turns alone.
-        let waiting = |link: &&Arc<Link>| link.unflushed.load(Ordering::Relaxed) && !link.env.simulated();
+        let waiting = |link: &&Arc<Link>| link.unflushed.load(Ordering::Relaxed);
         if !closing {
             links.iter().filter(waiting).for_each(|link| link.raise(signal::FLUSH, &thread));
         }

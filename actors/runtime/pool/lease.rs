@@ -9,8 +9,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 
 use super::{Entry, Job, Place, Shared};
-use crate::actor::supervise::Incident;
+use crate::actor::seat::Lease;
 use crate::journal::Journal;
+use crate::message::incident::Incident;
 use crate::scheduler::ThreadCx;
 use crate::scheduler::timer::Alarm;
 
@@ -47,14 +48,6 @@ impl<J> Hold<J> {
         self.until.store(until, Ordering::SeqCst);
         self.lent.store(Some(Box::new(entry)));
     }
-}
-
-/// What a worker's code can ask of its job, whatever kind it is.
-pub(crate) trait Lease: Send + Sync {
-    /// Whether the job at hand is still this worker's; the first answer holds for the whole delivery.
-    fn claim(&self, journal: &mut Journal) -> bool;
-    /// Whether its epoch has not passed, by now.
-    fn is_wanted(&self) -> bool;
 }
 
 /// The job that a worker is at.
@@ -96,7 +89,7 @@ struct Watch<J: Job>(Arc<Shared<J>>);
 impl<J: Job> Alarm for Watch<J> {
     fn fire(&self, _timer: u32, thread: &ThreadCx) {
         let Self(shared) = self;
-        let now = shared.env.clock.now();
+        let now = shared.env.scheduler.clock.now();
         // A lease that begins from here on sees to being watched, or is seen below.
         shared.watched.store(false, Ordering::SeqCst);
         let mut next = u64::MAX;
@@ -121,7 +114,7 @@ impl<J: Job> Shared<J> {
     /// Looks after the leases at this time, unless that is seen to.
     pub(super) fn watch(self: &Arc<Self>, time: u64) {
         if !self.watched.swap(true, Ordering::SeqCst)
-            && self.env.timers.start(time, 0, Arc::new(Watch(Arc::clone(self))))
+            && self.env.scheduler.timers.start(time, 0, Arc::new(Watch(Arc::clone(self))))
         {
             self.env.scheduler.notify();
         }
@@ -134,7 +127,8 @@ impl<J: Job> Shared<J> {
         let Some(entry) = place.hold.lent.take() else { return };
         let _ = place.hold.until.compare_exchange(until, 0, Ordering::SeqCst, Ordering::SeqCst);
         let (env, id) = (&self.env, place.link.id);
-        env.note(Incident::LeaseLost { actor: id, name: env.name(id), job: entry.id });
+        let name = place.link.name.clone();
+        env.scheduler.note(Incident::LeaseLost { actor: id, name, job: entry.id });
         env.scheduler.free_slot_of(&place.link);
         self.requeued.fetch_add(1, Ordering::Relaxed);
         self.waiting.fetch_add(1, Ordering::Relaxed);

@@ -1,36 +1,24 @@
 //! How a system is to be built.
 
+use crossbeam_deque::Worker;
 use std::fmt;
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use crate::actor::Delivery;
+use crate::journal::divergence::Until;
+use crate::journal::env::{Driven, Env, Terms};
+use crate::journal::faults::Faults;
+use crate::journal::observe::Observer;
+use crate::log::fingerprint::Fingerprint;
 use crate::log::format::Hashing;
 use crate::log::reader::Trace;
 use crate::message::ActorId;
-use crate::replay::Until;
-use crate::replay::snapshot::Snapshot;
+use crate::runtime::driver::Driver;
+use crate::runtime::snapshot::Snapshot;
+use crate::scheduler::clock::Clock;
 use crate::scheduler::profile::RING_TURNS;
-use crate::simulate::Simulation;
-
-/// How a turn is bounded: the actor goes to the back of the queue after either.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Budget {
-    /// Messages.
-    pub messages: u64,
-    /// Nanoseconds.
-    pub nanoseconds: u64,
-}
-
-impl Default for Budget {
-    fn default() -> Self {
-        Self { messages: 128, nanoseconds: 200_000 }
-    }
-}
-
-/// Sees every delivery, on the thread that makes it.
-pub type Observer = Arc<dyn Fn(&Delivery<'_>) + Send + Sync>;
+use crate::scheduler::{Budget, Scheduler};
 
 /// Where a recording goes.
 pub enum Record {
@@ -51,9 +39,12 @@ pub enum Mode {
         /// Where to stop before its end.
         until: Option<Until>,
     },
-    /// One thread and a virtual clock.
-    Simulate(Simulation),
+    /// One thread and a virtual clock: see [`Config::simulate`].
+    Simulate(Steering),
 }
+
+/// Says whose turn it is, in place of threads.
+pub struct Steering(pub(crate) Box<dyn Driver>);
 
 /// How to build a system.
 pub struct Config {
@@ -112,15 +103,60 @@ impl Config {
         Self { mode: Mode::Replay { trace, until: None }, ..Self::live(threads) }
     }
 
-    /// A simulation.
-    pub fn simulate(simulation: Simulation) -> Self {
-        let seed = simulation.seed;
-        Self { mode: Mode::Simulate(simulation), seed, ..Self::live(0) }
-    }
-
     /// The same, recorded into a file.
     pub fn record(self, path: impl Into<PathBuf>) -> Self {
         Self { record: Some(Record::File(path.into())), ..self }
+    }
+}
+
+/// The parts of a configuration that are used up while a system is built.
+pub(super) struct Parts {
+    pub(super) locals: Vec<Worker<u32>>,
+    pub(super) gives_way: bool,
+    pub(super) record: Option<Record>,
+    pub(super) program: String,
+    pub(super) application: Vec<u8>,
+    pub(super) ring_turns: usize,
+    pub(super) driver: Option<Box<dyn Driver>>,
+    pub(super) from: Option<Arc<Snapshot>>,
+}
+
+impl Config {
+    /// What actors share, and what is left to do.
+    pub(super) fn begin(self) -> (Arc<Env>, Parts) {
+        let Self {
+            threads,
+            gives_way,
+            mode,
+            record,
+            hashing,
+            program,
+            application,
+            seed,
+            budget,
+            ring_turns,
+            observer,
+            from,
+            waker,
+        } = self;
+        let (driven, trace, until, driver) = match mode {
+            Mode::Live => (Driven::Live, None, None, None),
+            Mode::Replay { trace, until } => (Driven::Replay, Some(trace), until, None),
+            Mode::Simulate(Steering(driver)) => (Driven::Simulated, None, None, Some(driver)),
+        };
+        let (scheduler, locals) = match &driver {
+            None => Scheduler::new(threads, Clock::real(), budget, waker),
+            // One message a turn: whose turn is next is the driver's to say.
+            Some(driver) => {
+                let budget = Budget { messages: 1, nanoseconds: u64::MAX };
+                Scheduler::new(0, driver.clock(), budget, waker)
+            }
+        };
+        let faults = driver.as_ref().map_or(Faults::NONE, |driver| driver.faults());
+        let (records, here) = (record.is_some(), Fingerprint::here(&program));
+        let terms = Terms { driven, seed, hashing, observer, records, trace, until, faults, here };
+        let env = Arc::new(Env::new(terms, scheduler));
+        (env, Parts { locals, gives_way, record, program, application, ring_turns, driver, from })
     }
 }
 

@@ -3,17 +3,16 @@
 use std::any::Any;
 use std::time::Duration;
 
-use crate::actor::supervise::Incident;
-use crate::actor::{Actor, Class, Control};
+use crate::actor::{Actor, Handle};
 use crate::log::format::NodeInfo;
 use crate::log::writer::RecordingStatus;
 use crate::message::Digest;
+use crate::message::incident::Incident;
 use crate::runtime::Runtime;
-use crate::runtime::timeline::Timeline;
-use crate::runtime::wiring::Handle;
-use crate::scheduler::clock::Time;
-use crate::scheduler::profile::{ActorCounters, TurnTime, timeline};
-use crate::simulate::Failure;
+use crate::runtime::timeline::{Timeline, of_turns};
+use crate::scheduler::clock::{Time, nanoseconds};
+use crate::scheduler::link::{Class, Control};
+use crate::scheduler::profile::{ActorCounters, TurnTime};
 
 /// A live system need never come to rest.
 const LIVE_SETTLE_MAX: Duration = Duration::from_secs(10);
@@ -45,12 +44,12 @@ impl Runtime {
 
     /// Time since the system was built, virtual in a simulation.
     pub fn now(&self) -> Time {
-        Time(self.env.clock.now())
+        Time(self.env.scheduler.clock.now())
     }
 
     /// When the next timer is due: an event loop of one's own that works alone must pump again by then.
     pub fn next_timer(&self) -> Option<Time> {
-        let next = self.env.timers.next();
+        let next = self.env.scheduler.timers.next();
         (next != u64::MAX).then_some(Time(next))
     }
 
@@ -88,7 +87,7 @@ impl Runtime {
 
     /// The same on a line of time.
     pub fn timeline(&self) -> Timeline {
-        timeline(&self.turn_times())
+        of_turns(&self.turn_times())
     }
 
     /// How the recording is doing.
@@ -130,13 +129,24 @@ impl Runtime {
         self.env.scheduler.incidents()
     }
 
-    /// The broken invariant that ended a simulation.
-    pub fn failure(&self) -> Option<&Failure> {
-        self.failure.as_ref()
-    }
-
     /// Whether a replay has diverged; [`Runtime::replay_report`] says where.
     pub fn diverged(&self) -> bool {
         self.env.has_diverged()
+    }
+
+    /// Waits until no turn runs: they end soon after a halt.
+    pub(crate) fn settle(&self) {
+        self.settle_within(Duration::MAX);
+    }
+
+    /// The same, at most for so long.
+    pub(crate) fn settle_within(&self, time: Duration) {
+        // A main thread that works alone is the only one to run turns, and it is here.
+        let others = self.threads.is_some() && self.threads() > 0;
+        let scheduler = &self.env.scheduler;
+        let end = scheduler.clock.now().saturating_add(nanoseconds(time));
+        while others && scheduler.busy() && scheduler.clock.now() < end {
+            std::thread::park_timeout(Duration::from_micros(100));
+        }
     }
 }

@@ -4,15 +4,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use crate::actor::Control;
-use crate::actor::node::Runnable;
-use crate::actor::supervise::Incident;
-use crate::env::Env;
+use crate::actor::node::AnyNode;
+use crate::journal::env::Env;
 use crate::log::writer::{RecordingStatus, Writer};
-use crate::mailbox::Link;
+use crate::message::incident::Incident;
 use crate::runtime::{Exit, Limit, Runtime};
 use crate::scheduler::Threads;
 use crate::scheduler::clock::{Deadline, nanoseconds};
+use crate::scheduler::link::{Control, Link};
 use crate::scheduler::profile::ActorCounters;
 
 /// What a shutdown left.
@@ -60,7 +59,7 @@ const SHUTDOWN_LEAST: Duration = Duration::from_secs(1);
 /// What of a system waits for its threads. Ends when it is dropped, on whichever thread that is.
 pub(crate) struct Rest {
     pub(crate) env: Arc<Env>,
-    pub(crate) nodes: Arc<[Arc<dyn Runnable>]>,
+    pub(crate) nodes: Arc<[Arc<dyn AnyNode>]>,
     pub(crate) threads: Option<Threads>,
     pub(crate) writer: Option<Writer>,
     /// The recording has all that was accepted.
@@ -139,9 +138,9 @@ impl Runtime {
     /// actor stopped.
     fn drain(&mut self, time: Duration) -> bool {
         self.env.close();
-        let end = self.env.clock.now().saturating_add(nanoseconds(time));
+        let end = self.env.scheduler.clock.now().saturating_add(nanoseconds(time));
         let mut drained = true;
-        if !self.env.replaying() && !self.env.halted() {
+        if !self.env.replaying() && !self.env.scheduler.halted() {
             let quiet = |runtime: &Self| {
                 // What waits for a paused actor is handled now or never.
                 let rests = |link: &Link| link.signals.is_parked() && !link.closed.load(Ordering::SeqCst);
@@ -163,7 +162,7 @@ impl Runtime {
     /// Pumps until `condition` or a deadline; idleness of the other threads wakes the main one to look again.
     fn within(&mut self, end: u64, condition: impl Fn(&Self) -> bool) -> bool {
         loop {
-            let now = self.env.clock.now();
+            let now = self.env.scheduler.clock.now();
             if condition(self) {
                 return true;
             }
@@ -221,7 +220,7 @@ impl Runtime {
 }
 
 /// What is left in mailboxes and timers may hold addresses, and with them itself. When nothing runs any more.
-pub(crate) fn clear(env: &Env, nodes: &[Arc<dyn Runnable>]) {
+pub(crate) fn clear(env: &Env, nodes: &[Arc<dyn AnyNode>]) {
     nodes.iter().for_each(|node| node.clear());
-    env.timers.clear();
+    env.scheduler.timers.clear();
 }

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use crate::log::format::{put, put_bytes};
+use crate::scheduler::profile::TurnTime;
 
 /// Something that took some time.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -195,6 +196,30 @@ impl Proto {
         packet.bytes(field, &content.0);
         self.bytes(1, &packet.0);
     }
+}
+
+/// Turn times on one track for each thread that ran turns.
+pub(crate) fn of_turns(actors: &[(String, Vec<TurnTime>)]) -> Timeline {
+    let mut threads: Vec<u16> =
+        actors.iter().flat_map(|(_, turns)| turns.iter().map(|turn| turn.thread)).collect();
+    threads.sort_unstable();
+    threads.dedup();
+    let name = |thread: &u16| if *thread == 0 { "main".to_owned() } else { format!("worker {thread}") };
+    let tracks = threads.iter().map(name).collect();
+    let mut slices: Vec<Slice> = actors
+        .iter()
+        .flat_map(|(name, turns)| {
+            turns.iter().map(|turn| Slice {
+                track: threads.binary_search(&turn.thread).unwrap_or(0) as u32,
+                name: name.clone(),
+                start_ns: turn.start_ns,
+                duration_ns: u64::from(turn.duration_ns),
+                notes: vec![("messages", turn.messages.to_string())],
+            })
+        })
+        .collect();
+    slices.sort_by_key(|slice| (slice.track, slice.start_ns));
+    Timeline { tracks, slices, arrows: Vec::new() }
 }
 
 #[cfg(test)]

@@ -1,28 +1,25 @@
 //! Making the actors of a system and their connections.
 
 use std::any::Any;
-use std::marker::PhantomData;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use crate::actor::node::{Node, Runnable, ScriptState};
+use crate::actor::node::{AnyNode, Node};
 use crate::actor::reserve::Reserve;
-use crate::actor::supervise::{Incident, OnPanic};
-use crate::actor::{Actor, Class, post};
-use crate::env::Env;
+use crate::actor::seat::Seat;
+use crate::actor::supervise::OnPanic;
+use crate::actor::{Actor, Handle, post};
 use crate::journal::Journal;
+use crate::journal::env::Env;
+use crate::journal::port::{External, Port};
 use crate::log::format::NodeInfo;
-use crate::mailbox::activation::Activation;
-use crate::mailbox::port::{External, Port};
-use crate::mailbox::signals::Signals;
-use crate::mailbox::{Address, Bounds, Link, Mailbox};
+use crate::mailbox::{Address, Bounds, Mailbox};
+use crate::message::incident::Incident;
 use crate::message::{ActorId, Message, Reason, Rejected};
-use crate::pool::{AnyPool, DeadJob, Job, JobPool, Seat, Worker};
-use crate::replay::Script;
-use crate::replay::snapshot::{Loader, Saver};
-use crate::scheduler::ThreadCx;
-use crate::scheduler::profile::Counters;
+use crate::pool::{AnyPool, DeadJob, Job, JobPool, Worker};
+use crate::scheduler::link::{Class, Link};
+use crate::scheduler::{Runnable, ThreadCx};
 
 /// An address whose actor is still to come.
 pub struct Declared<A: Actor> {
@@ -36,38 +33,13 @@ impl<A: Actor> Declared<A> {
     }
 }
 
-/// Names an actor of a running system, to look at its state.
-pub struct Handle<A> {
-    pub(crate) id: ActorId,
-    kind: PhantomData<fn(A)>,
-}
-
-impl<A> Clone for Handle<A> {
-    fn clone(&self) -> Self {
-        *self
-    }
-}
-
-impl<A> Copy for Handle<A> {}
-
-impl<A> Handle<A> {
-    pub(crate) fn new(id: ActorId) -> Self {
-        Self { id, kind: PhantomData }
-    }
-
-    /// The actor's identity.
-    pub fn id(self) -> ActorId {
-        self.id
-    }
-}
-
 /// Makes the actors of a system and their connections. The order of the calls is the actors' identity, so the same
 /// wiring must run for a recording and its replay.
 pub struct Wiring {
     env: Arc<Env>,
     pub(crate) infos: Vec<NodeInfo>,
     pub(crate) links: Vec<Option<Arc<Link>>>,
-    pub(crate) nodes: Vec<Option<Arc<dyn Runnable>>>,
+    pub(crate) nodes: Vec<Option<Arc<dyn AnyNode>>>,
     pub(crate) pools: Vec<Box<dyn AnyPool>>,
     pub(crate) context: Option<Arc<dyn Any + Send + Sync>>,
     ring_turns: usize,
@@ -91,18 +63,8 @@ impl Wiring {
     /// Makes the mailbox of an actor, so that others can be given its address; [`Wiring::spawn`] gives it the actor.
     pub fn declare<A: Actor>(&mut self, bounds: Bounds) -> Declared<A> {
         let id = self.node(A::NAME, Some(A::CLASS));
-        let link = Arc::new(Link {
-            id,
-            class: A::CLASS,
-            activation: crossbeam_utils::CachePadded::new(Activation::new()),
-            signals: Signals::new(),
-            closed: AtomicBool::new(false),
-            unflushed: AtomicBool::new(false),
-            in_slot: AtomicBool::new(false),
-            limit: AtomicU64::new(u64::MAX),
-            counters: Arc::new(Counters::new(self.ring_turns)),
-            env: Arc::clone(&self.env),
-        });
+        let name = self.infos[id.0 as usize].name.clone();
+        let link = Arc::new(Link::new(id, name, A::CLASS, self.ring_turns, &self.env.scheduler));
         self.links[id.0 as usize] = Some(Arc::clone(&link));
         Declared { address: Address { mailbox: Arc::new(Mailbox::new(link, bounds)) } }
     }
@@ -132,9 +94,8 @@ impl Wiring {
         seat: Option<Box<dyn Seat<A>>>,
     ) -> Handle<A> {
         let id = declared.address.id();
-        let script = self.env.trace.as_ref().and_then(|trace| Script::new(trace, id));
         self.nodes[id.0 as usize] =
-            Some(Arc::new(Node::new(&declared.address, Some(actor), on_panic, seat, script)));
+            Some(Arc::new(Node::new(&declared.address, Some(actor), on_panic, seat, &self.env)));
         Handle::new(id)
     }
 
@@ -142,9 +103,8 @@ impl Wiring {
     pub fn reserve<A: Actor>(&mut self, count: usize, bounds: Bounds) -> Reserve<A> {
         let places = (0..count).map(|_| {
             let address = self.declare::<A>(bounds).address;
-            let script = self.env.trace.as_ref().and_then(|trace| Script::new(trace, address.id()));
-            let node = Arc::new(Node::new(&address, None, OnPanic::Stop, None, script));
-            self.nodes[address.id().0 as usize] = Some(Arc::clone(&node) as Arc<dyn Runnable>);
+            let node = Arc::new(Node::new(&address, None, OnPanic::Stop, None, &self.env));
+            self.nodes[address.id().0 as usize] = Some(Arc::clone(&node) as Arc<dyn AnyNode>);
             node
         });
         Reserve::new(places.collect())
@@ -153,7 +113,7 @@ impl Wiring {
     /// Makes an ingress from outside to an actor.
     pub fn port<E: External<M>, M: Message>(&mut self, name: &str, to: &Address<M>) -> Port<E, M> {
         let id = self.node(name, None);
-        Port::new(id, to)
+        Port::new(id, to, &self.env)
     }
 
     /// What actors and messages need to be read back from a snapshot beside what was saved: see
@@ -223,19 +183,9 @@ pub(crate) struct PortNode {
 
 impl PortNode {
     pub(crate) fn new(env: &Arc<Env>) -> Self {
-        let link = Arc::new(Link {
-            id: ActorId(u32::MAX),
-            class: Class::Light,
-            activation: crossbeam_utils::CachePadded::new(Activation::new()),
-            signals: Signals::new(),
-            closed: AtomicBool::new(true),
-            unflushed: AtomicBool::new(false),
-            in_slot: AtomicBool::new(false),
-            limit: AtomicU64::new(u64::MAX),
-            counters: Arc::new(Counters::new(1)),
-            env: Arc::clone(env),
-        });
-        Self { link }
+        let link = Link::new(ActorId(u32::MAX), String::new(), Class::Light, 1, &env.scheduler);
+        link.closed.store(true, Ordering::Relaxed);
+        Self { link: Arc::new(link) }
     }
 }
 
@@ -247,36 +197,6 @@ impl Runnable for PortNode {
     fn link(&self) -> &Arc<Link> {
         &self.link
     }
-
-    fn look(&self, _show: &mut dyn FnMut(&dyn Any)) {}
-
-    fn position(&self) -> Option<(u64, u64)> {
-        None
-    }
-
-    fn script_state(&self) -> Option<ScriptState> {
-        None
-    }
-
-    fn end_log(&self) {}
-
-    fn save(&self, _saver: &mut Saver) {}
-
-    fn restore(&self, _loader: &mut Loader<'_>) -> Option<()> {
-        Some(())
-    }
-
-    fn clear(&self) {}
-
-    fn waiting(&self) -> u64 {
-        0
-    }
-
-    fn depth(&self) -> usize {
-        0
-    }
-
-    fn urgent(&self) -> usize {
-        0
-    }
 }
+
+impl AnyNode for PortNode {}

@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::simulate::{HEAVY_NS, Work};
+use crate::scheduler::work::{HEAVY_NS, Work};
 
 /// A moment, in nanoseconds since the system was built.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]

@@ -3,8 +3,6 @@
 use crossbeam_utils::CachePadded;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::runtime::timeline::{Slice, Timeline};
-
 /// Turns an actor's ring holds unless the configuration says otherwise.
 pub const RING_TURNS: usize = 256;
 
@@ -178,30 +176,6 @@ pub fn ring_cost(turns: u32, reads_clock: bool) -> std::time::Duration {
     std::time::Duration::from_nanos(clock.now())
 }
 
-/// Turn times on one track for each thread that ran turns.
-pub fn timeline(actors: &[(String, Vec<TurnTime>)]) -> Timeline {
-    let mut threads: Vec<u16> =
-        actors.iter().flat_map(|(_, turns)| turns.iter().map(|turn| turn.thread)).collect();
-    threads.sort_unstable();
-    threads.dedup();
-    let name = |thread: &u16| if *thread == 0 { "main".to_owned() } else { format!("worker {thread}") };
-    let tracks = threads.iter().map(name).collect();
-    let mut slices: Vec<Slice> = actors
-        .iter()
-        .flat_map(|(name, turns)| {
-            turns.iter().map(|turn| Slice {
-                track: threads.binary_search(&turn.thread).unwrap_or(0) as u32,
-                name: name.clone(),
-                start_ns: turn.start_ns,
-                duration_ns: u64::from(turn.duration_ns),
-                notes: vec![("messages", turn.messages.to_string())],
-            })
-        })
-        .collect();
-    slices.sort_by_key(|slice| (slice.track, slice.start_ns));
-    Timeline { tracks, slices, arrows: Vec::new() }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -215,8 +189,5 @@ mod tests {
         assert_eq!(turns[3], TurnTime { start_ns: 900, duration_ns: 7, messages: 9, thread: 3 });
         let read = counters.read("a");
         assert_eq!((read.turns, read.busy_ns, read.depth_max), (10, 70, 9));
-        let timeline = timeline(&[("a".to_owned(), turns)]);
-        assert_eq!(timeline.tracks, ["worker 3"]);
-        assert!(timeline.chrome().contains("\"name\":\"a\",\"ts\":0.900,\"dur\":0.007"));
     }
 }

@@ -214,6 +214,21 @@ impl Gpu {
         })
     }
 
+    /// The layout of a bind group: who sees each entry, and what it is.
+    pub(super) fn layout(
+        &self,
+        label: &str,
+        entries: &[(wgpu::ShaderStages, wgpu::BindingType)],
+    ) -> wgpu::BindGroupLayout {
+        let numbered = entries.iter().zip(0..).map(|((visibility, ty), binding)| {
+            wgpu::BindGroupLayoutEntry { binding, visibility: *visibility, ty: *ty, count: None }
+        });
+        self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some(label),
+            entries: &numbered.collect::<Vec<_>>(),
+        })
+    }
+
     /// A texture to draw into, to read from in later passes and to copy from.
     pub(super) fn target(&self, label: &str, size: [u32; 2], format: wgpu::TextureFormat) -> wgpu::Texture {
         self.target_with(label, size, format, wgpu::TextureUsages::empty())
@@ -241,6 +256,12 @@ impl Gpu {
             view_formats: &[],
         })
     }
+}
+
+/// A flat texture with one sample a texel, as it is bound.
+pub(super) fn flat_texture(sample_type: wgpu::TextureSampleType) -> wgpu::BindingType {
+    let view_dimension = wgpu::TextureViewDimension::D2;
+    wgpu::BindingType::Texture { sample_type, view_dimension, multisampled: false }
 }
 
 #[cfg(test)]

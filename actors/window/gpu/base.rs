@@ -1,17 +1,20 @@
 //! The pass that draws the base layer and its buffers. Twin of `foveal::display`.
 
+mod view;
+
 use std::sync::Arc;
 
-use bytemuck::{Pod, Zeroable};
+use bytemuck::Zeroable;
 use foveal::illumination::Irradiance;
+use foveal::scene::Scene;
 use foveal::scene::camera::CameraFrame;
-use foveal::scene::{Environment, Scene};
-use glam::{Vec3, Vec4};
 
-use super::adapter::Gpu;
+use super::adapter::{Gpu, flat_texture};
 use super::geometry::{self, BaseGeometry, BaseLight, Run};
 use super::rows::{RECORDS, Rows};
 use super::textures::{self, Textures};
+
+use view::ViewRecord;
 
 /// Linear radiance of both layers.
 pub const COLOR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
@@ -56,22 +59,6 @@ impl BaseTargets {
             inverse_depth: gpu.target("inverse depth", size, INVERSE_DEPTH),
         }
     }
-}
-
-/// The `View` of `base.wgsl`.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Pod, Zeroable)]
-struct ViewRecord {
-    clip_from_world: [[f32; 4]; 4],
-    eye: [f32; 4],
-    forward: [f32; 4],
-    right: [f32; 4],
-    up: [f32; 4],
-    sizes: [u32; 4],
-    flags: [u32; 4],
-    environment_radiance: [f32; 4],
-    environment_rows: [[f32; 4]; 3],
-    pixel: [f32; 4],
 }
 
 /// A scene on the adapter.
@@ -148,9 +135,9 @@ impl BasePass {
     pub fn new(gpu: &Gpu) -> Self {
         let device = &gpu.device;
         let module = device.create_shader_module(wgpu::include_wgsl!("base.wgsl"));
-        let scene_layout = scene_layout(device);
+        let scene_layout = scene_layout(gpu);
         let textures_layout = Textures::layout(gpu);
-        let visible_layout = visible_layout(device);
+        let visible_layout = visible_layout(gpu);
         let layout_of = |groups: &[Option<&wgpu::BindGroupLayout>]| {
             device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
                 label: Some("base"),
@@ -355,7 +342,11 @@ impl BasePass {
         targets: &BaseTargets,
         frame: &CameraFrame,
     ) -> u32 {
-        gpu.queue.write_buffer(&base.view, 0, bytemuck::bytes_of(&view_record(base, targets.size, frame)));
+        gpu.queue.write_buffer(
+            &base.view,
+            0,
+            bytemuck::bytes_of(&ViewRecord::new(base, targets.size, frame)),
+        );
         let visible = targets.visible.create_view(&Default::default());
         let (drawn, runs) = self.draw_visible(encoder, base, targets, &visible, frame);
         let visible = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
@@ -461,22 +452,6 @@ fn color_pass<'e>(
     })
 }
 
-fn visible_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("visible triangles"),
-        entries: &[wgpu::BindGroupLayoutEntry {
-            binding: 0,
-            visibility: wgpu::ShaderStages::FRAGMENT,
-            ty: wgpu::BindingType::Texture {
-                sample_type: wgpu::TextureSampleType::Uint,
-                view_dimension: wgpu::TextureViewDimension::D2,
-                multisampled: false,
-            },
-            count: None,
-        }],
-    })
-}
-
 /// Irradiance of fronts and backs as halves, and what it was divided by to fit.
 fn light_texels(light: &BaseLight) -> (Vec<[u16; 4]>, f32) {
     let all = || light.front.iter().chain(&light.back);
@@ -486,74 +461,28 @@ fn light_texels(light: &BaseLight) -> (Vec<[u16; 4]>, f32) {
     (all().map(half).collect(), unit)
 }
 
-fn scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let texture = |sample_type| wgpu::BindingType::Texture {
-        sample_type,
-        view_dimension: wgpu::TextureViewDimension::D2,
-        multisampled: false,
-    };
-    let buffer = wgpu::BindingType::Buffer {
+/// What the last pass reads of the first: the triangles seen.
+fn visible_layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
+    let seen = flat_texture(wgpu::TextureSampleType::Uint);
+    gpu.layout("visible triangles", &[(wgpu::ShaderStages::FRAGMENT, seen)])
+}
+
+/// The view, triangles, materials, light and the environment.
+fn scene_layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
+    let view = wgpu::BindingType::Buffer {
         ty: wgpu::BufferBindingType::Uniform,
         has_dynamic_offset: false,
         min_binding_size: None,
     };
-    let (words, floats) = (
-        texture(wgpu::TextureSampleType::Uint),
-        texture(wgpu::TextureSampleType::Float { filterable: false }),
-    );
+    let words = flat_texture(wgpu::TextureSampleType::Uint);
+    let floats = flat_texture(wgpu::TextureSampleType::Float { filterable: false });
     let fragment = wgpu::ShaderStages::FRAGMENT;
-    let kinds = [
-        (wgpu::ShaderStages::VERTEX_FRAGMENT, buffer),
+    let entries = [
+        (wgpu::ShaderStages::VERTEX_FRAGMENT, view),
         (fragment, words),
         (fragment, words),
         (fragment, floats),
         (fragment, floats),
     ];
-    let entries: Vec<_> = kinds
-        .into_iter()
-        .enumerate()
-        .map(|(i, (visibility, ty))| wgpu::BindGroupLayoutEntry {
-            binding: i as u32,
-            visibility,
-            ty,
-            count: None,
-        })
-        .collect();
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("scene"),
-        entries: &entries,
-    })
-}
-
-fn view_record(base: &BaseScene, size: [u32; 2], frame: &CameraFrame) -> ViewRecord {
-    let wide = |v: Vec3| v.extend(0.0).to_array();
-    // Inverse depth: near / depth keeps its relative precision at any distance, so near can be tiny.
-    let near = base.scene.diagonal() * 1e-5;
-    let mut clip_from_world = frame.clip_from_world(near);
-    for column in 0..4 {
-        clip_from_world.col_mut(column).z = 0.0;
-    }
-    clip_from_world.w_axis.z = near;
-    let environment = base.scene.environment.as_ref();
-    ViewRecord {
-        clip_from_world: clip_from_world.to_cols_array_2d(),
-        eye: wide(frame.eye),
-        forward: wide(frame.forward),
-        right: wide(frame.right),
-        up: wide(frame.up),
-        sizes: [size[0], size[1], base.lightmap[0], base.lightmap[1]],
-        flags: [u32::from(base.back_is_lit) | (u32::from(base.has_map) << 1), base.elements, 0, 0],
-        environment_radiance: environment
-            .map_or(Vec4::ZERO, |e| e.radiance.extend(e.rotate_up / std::f32::consts::TAU))
-            .to_array(),
-        environment_rows: environment.map_or([Vec3::ZERO; 3], environment_axes).map(wide),
-        pixel: [frame.pixel_angle(), base.light_unit, 0.0, 0.0],
-    }
-}
-
-/// The axes of the environment's frame, in which +y is up, in the world.
-fn environment_axes(environment: &Environment) -> [Vec3; 3] {
-    let unturned = Environment { rotate_up: 0.0, ..Environment::constant(Vec3::ONE) };
-    let unturned = Environment { up: environment.up, ..unturned };
-    [unturned.direction([0.25, 0.5]), unturned.direction([0.0, 0.0]), -unturned.direction([0.0, 0.5])]
+    gpu.layout("scene", &entries)
 }

@@ -8,7 +8,7 @@ use foveal::scene::texture::MipChain;
 use foveal::scene::{Texture, TextureId};
 use half::f16;
 
-use super::adapter::Gpu;
+use super::adapter::{Gpu, flat_texture};
 use super::geometry::TextureSet;
 
 /// One texture on the adapter.
@@ -122,23 +122,10 @@ impl Textures {
 
     /// Layout of [`Self::bind_group`].
     pub fn layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
-        let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
-            binding,
-            visibility: wgpu::ShaderStages::FRAGMENT,
-            ty,
-            count: None,
-        };
-        let texture = wgpu::BindingType::Texture {
-            sample_type: wgpu::TextureSampleType::Float { filterable: true },
-            view_dimension: wgpu::TextureViewDimension::D2,
-            multisampled: false,
-        };
+        let texture = flat_texture(wgpu::TextureSampleType::Float { filterable: true });
         let sampler = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
-        let entries: Vec<_> = (0..6).map(|b| entry(b, if b % 2 == 0 { texture } else { sampler })).collect();
-        gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("textures of a run"),
-            entries: &entries,
-        })
+        let pair = [texture, sampler].map(|ty| (wgpu::ShaderStages::FRAGMENT, ty));
+        gpu.layout("textures of a run", &pair.repeat(3))
     }
 }
 

@@ -4,15 +4,16 @@ use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
 use super::{Core, Newcomer, Node};
-use crate::actor::supervise::{Incident, Injected, OnPanic, guarded, message_of, verdict};
+use crate::actor::seat::{KILLS_MAX, Popped, job_symbol};
+use crate::actor::supervise::{OnPanic, verdict};
 use crate::actor::{Actor, Cx, OwnTimer};
-use crate::journal::{Halted, Payload};
-use crate::log::format::{Symbol, lane};
+use crate::journal::Halted;
+use crate::log::format::{Payload, Symbol, lane};
 use crate::mailbox::Envelope;
-use crate::mailbox::signals::signal;
+use crate::message::incident::{Incident, Injected, guarded, message_of};
 use crate::message::{ActorId, Message};
-use crate::pool::{KILLS_MAX, Popped, job_symbol};
 use crate::scheduler::ThreadCx;
+use crate::scheduler::signals::signal;
 
 /// How far a delivery came.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -53,7 +54,7 @@ impl<A: Actor> Node<A> {
             if journal.panics_by_fault() {
                 resume_unwind(Box::new(Injected));
             }
-            let env = &self.link.env;
+            let env = &self.env;
             let mut cx =
                 Cx { address: &self.address, journal, timers, thread, env, stop: stopping, lease: None };
             if let Some(message) = message.take() {
@@ -91,7 +92,7 @@ impl<A: Actor> Node<A> {
             if journal.panics_by_fault() {
                 resume_unwind(Box::new(Injected));
             }
-            let env = &self.link.env;
+            let env = &self.env;
             if popped.attempt >= KILLS_MAX {
                 seat.give_up(journal, thread);
             } else {
@@ -146,8 +147,8 @@ impl<A: Actor> Node<A> {
     }
 
     fn panicked(&self, core: &mut Core<A>, thread: &ThreadCx, kind: &'static str, panic: Panic) {
-        let env = &self.link.env;
-        let (actor, name) = (self.link.id, env.name(self.link.id));
+        let env = &self.env;
+        let (actor, name) = (self.link.id, self.link.name.clone());
         self.link.counters.panicked();
         let message = message_of(panic.as_ref());
         // Whatever it is dropped with must not take the thread along.
@@ -184,7 +185,7 @@ impl<A: Actor> Node<A> {
                 let _ = guarded(|| drop(before));
             }
             Some(Err(message)) => {
-                env.note(Incident::Beside { what: format!("starting {name} anew"), message });
+                env.scheduler.note(Incident::Beside { what: format!("starting {name} anew"), message });
             }
             _ => {}
         }
@@ -213,7 +214,7 @@ impl<A: Actor> Node<A> {
             if journal.panics_by_fault() {
                 resume_unwind(Box::new(Injected));
             }
-            let env = &self.link.env;
+            let env = &self.env;
             actor.started(&mut Cx {
                 address: &self.address,
                 journal,

@@ -1,6 +1,6 @@
 //! What an actor is told beside messages: a word of bits that can never overflow, and whether it is parked.
 //!
-//! A signal is one unit of work, as a message is ([`crate::activation`]); raised again before it was taken, it says
+//! A signal is one unit of work, as a message is ([`crate::scheduler::activation`]); raised again before it was taken, it says
 //! nothing new. Pausing and resuming share one unit, since the newer of the two takes the older one's place.
 //!
 //! A paused actor is parked: work waits, it counts as active, and nobody runs it until something comes that gets

@@ -1,26 +1,21 @@
-//! What all parts of one system share.
+//! What the journals of one system share: how it is driven and recorded, where replay stops, and what ends it.
 
-use crossbeam_deque::Worker;
 use crossbeam_queue::ArrayQueue;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 
-use crate::actor::Delivery;
-use crate::actor::supervise::{Incident, guarded};
 use crate::journal::Journal;
+use crate::journal::divergence::{Divergence, Until};
+use crate::journal::faults::{FaultKind, Faults};
+use crate::journal::observe::{Delivery, Observer};
 use crate::log::fingerprint::Fingerprint;
 use crate::log::format::{Hashing, NodeInfo};
 use crate::log::reader::Trace;
 use crate::log::writer::LogQueue;
 use crate::message::ActorId;
-use crate::replay::snapshot::Snapshot;
-use crate::replay::{Divergence, Until};
-use crate::runtime::config::{Budget, Config, Mode, Observer, Record};
-use crate::scheduler::clock::Clock;
-use crate::scheduler::timer::Timers;
+use crate::message::incident::{Incident, guarded};
 use crate::scheduler::{Scheduler, ThreadCx};
-use crate::simulate::{FaultKind, Faults, Simulation};
 
 /// Tells the supervisor; false if it has no room.
 type Supervisor = Box<dyn Fn(&mut Journal, &ThreadCx, Incident) -> bool + Send + Sync>;
@@ -32,14 +27,11 @@ pub(crate) enum Driven {
     Simulated,
 }
 
-/// What all parts of one system share.
+/// What the journals of one system share.
 pub(crate) struct Env {
-    pub(crate) clock: Clock,
-    pub(crate) scheduler: Scheduler,
-    pub(crate) timers: Timers,
+    pub(crate) scheduler: Arc<Scheduler>,
     pub(crate) seed: u64,
     pub(crate) hashing: Hashing,
-    pub(crate) budget: Budget,
     pub(crate) observer: Option<Observer>,
     pub(crate) log: Option<Arc<LogQueue>>,
     driven: Driven,
@@ -57,88 +49,60 @@ pub(crate) struct Env {
     ended: OnceLock<Incident>,
     observer_broke: AtomicBool,
     closed: AtomicBool,
-    halted: AtomicBool,
     divergences: ArrayQueue<(Divergence, bool)>,
     mark_kind: AtomicU32,
     mark_value: AtomicU64,
     marks_made: AtomicU64,
 }
 
-/// The parts of a configuration that are used up while a system is built.
-pub(crate) struct Parts {
-    pub(crate) locals: Vec<Worker<u32>>,
-    pub(crate) gives_way: bool,
-    pub(crate) record: Option<Record>,
-    pub(crate) program: String,
-    pub(crate) application: Vec<u8>,
-    pub(crate) ring_turns: usize,
-    pub(crate) simulation: Option<Simulation>,
-    pub(crate) from: Option<Arc<Snapshot>>,
+/// How a system's journals are to be kept.
+pub(crate) struct Terms {
+    pub(crate) driven: Driven,
+    pub(crate) seed: u64,
+    pub(crate) hashing: Hashing,
+    pub(crate) observer: Option<Observer>,
+    pub(crate) records: bool,
+    pub(crate) trace: Option<Arc<Trace>>,
+    pub(crate) until: Option<Until>,
+    pub(crate) faults: Faults,
+    /// What recorded here would say of program and machine.
+    pub(crate) here: Fingerprint,
 }
 
 impl Env {
-    pub(crate) fn new(config: Config) -> (Self, Parts) {
-        let Config {
-            threads,
-            gives_way,
-            mode,
-            record,
-            hashing,
-            program,
-            application,
-            seed,
-            budget,
-            ring_turns,
-            observer,
-            from,
-            waker,
-        } = config;
-        let log = record.as_ref().map(|_| Arc::new(LogQueue::new()));
-        let (driven, trace, until, simulation) = match mode {
-            Mode::Live => (Driven::Live, None, None, None),
-            Mode::Replay { trace, until } => (Driven::Replay, Some(trace), until, None),
-            Mode::Simulate(simulation) => (Driven::Simulated, None, None, Some(simulation)),
+    pub(crate) fn new(terms: Terms, scheduler: Scheduler) -> Self {
+        let Terms { driven, seed, hashing, observer, records, trace, until, faults, here } = terms;
+        let hashing = match &trace {
+            Some(trace) => trace.header().hashing,
+            None if driven == Driven::Live && !records => Hashing::Off,
+            None => hashing,
         };
-        let simulated = driven == Driven::Simulated;
-        let hashing = match (&trace, driven) {
-            (Some(trace), _) => trace.header().hashing,
-            (None, Driven::Live) if log.is_none() => Hashing::Off,
-            _ => hashing,
-        };
-        let (scheduler, locals) = Scheduler::new(if simulated { 0 } else { threads }, waker);
-        let budget = if simulated { Budget { messages: 1, nanoseconds: u64::MAX } } else { budget };
         let env = Self {
-            clock: simulation.as_ref().map_or_else(Clock::real, |s| Clock::starting_at_zero(s.work, s.seed)),
-            scheduler,
-            timers: Timers::new(),
+            divergences: ArrayQueue::new(2 * (scheduler.threads() + 1)),
+            scheduler: Arc::new(scheduler),
             seed: trace.as_ref().map_or(seed, |trace| trace.header().seed),
             hashing,
-            budget,
             observer,
-            log,
+            log: records.then(|| Arc::new(LogQueue::new())),
             driven,
-            foreign: trace
-                .as_ref()
-                .and_then(|trace| trace.header().fingerprint.difference(&Fingerprint::here(&program))),
+            foreign: trace.as_ref().and_then(|trace| trace.header().fingerprint.difference(&here)),
             pops: trace.as_ref().map(|trace| trace.pops()).unwrap_or_default(),
             trace,
             until_tag: AtomicU32::new(0),
             until_who: AtomicU32::new(0),
             until_count: AtomicU64::new(0),
-            faults: simulation.as_ref().map_or(Faults::NONE, |simulation| simulation.faults.clone()),
+            faults,
             supervisor: OnceLock::new(),
             nodes: OnceLock::new(),
             ended: OnceLock::new(),
             observer_broke: AtomicBool::new(false),
             closed: AtomicBool::new(false),
-            halted: AtomicBool::new(false),
-            divergences: ArrayQueue::new(2 * (threads + 1)),
             mark_kind: AtomicU32::new(u32::MAX),
             mark_value: AtomicU64::new(0),
             marks_made: AtomicU64::new(0),
         };
         env.set_until(until);
-        (env, Parts { locals, gives_way, record, program, application, ring_turns, simulation, from })
+        env
     }
 
     /// Says where replay stops; only while nothing runs.
@@ -163,11 +127,6 @@ impl Env {
 
     pub(crate) fn close(&self) {
         self.closed.store(true, Ordering::SeqCst);
-    }
-
-    pub(crate) fn go_on(&self) {
-        self.halted.store(false, Ordering::SeqCst);
-        self.scheduler.notify_all();
     }
 
     pub(crate) fn name(&self, id: ActorId) -> String {
@@ -204,20 +163,10 @@ impl Env {
         self.closed.load(Ordering::Acquire)
     }
 
-    #[inline]
-    pub(crate) fn halted(&self) -> bool {
-        self.halted.load(Ordering::Relaxed)
-    }
-
-    pub(crate) fn halt(&self) {
-        self.halted.store(true, Ordering::SeqCst);
-        self.scheduler.notify_all();
-    }
-
     /// Replay went wrong: in what reached an actor, or `of_state`, in what it made of it.
     pub(crate) fn diverged(&self, divergence: Divergence, of_state: bool) {
         let _ = self.divergences.push((divergence, of_state));
-        self.halt();
+        self.scheduler.halt();
     }
 
     pub(crate) fn has_diverged(&self) -> bool {
@@ -253,7 +202,7 @@ impl Env {
             && self.until_who.load(Ordering::Relaxed) == kind
             && self.marks_made.fetch_add(1, Ordering::Relaxed) + 1 == self.until_count.load(Ordering::Relaxed)
         {
-            self.halt();
+            self.scheduler.halt();
         }
     }
 
@@ -262,7 +211,7 @@ impl Env {
             && self.until_who.load(Ordering::Relaxed) == actor.0
             && self.until_count.load(Ordering::Relaxed) == index
         {
-            self.halt();
+            self.scheduler.halt();
         }
     }
 
@@ -297,15 +246,10 @@ impl Env {
             // Who is never told of it may wait for ever.
             Ok(false) => self.end(incident),
             Err(message) => {
-                self.note(Incident::Beside { what: "the supervisor's hook".to_owned(), message });
+                self.scheduler.note(Incident::Beside { what: "the supervisor's hook".to_owned(), message });
                 self.end(incident);
             }
         }
-    }
-
-    /// Keeps what no actor did, for whoever asks.
-    pub(crate) fn note(&self, incident: Incident) {
-        self.scheduler.note(incident);
     }
 
     /// Ends the system in order because of this; the first one counts.
@@ -332,7 +276,7 @@ impl Env {
         }
         if let Err(message) = guarded(|| observer(delivery)) {
             self.observer_broke.store(true, Ordering::Relaxed);
-            self.note(Incident::Beside { what: "the observer".to_owned(), message });
+            self.scheduler.note(Incident::Beside { what: "the observer".to_owned(), message });
         }
     }
 }

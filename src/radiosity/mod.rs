@@ -7,14 +7,16 @@
 
 pub mod form_factor;
 pub mod mesh;
+pub mod of_scene;
+pub mod simplify;
 
 use glam::Vec3;
 use rayon::prelude::*;
 
 pub use form_factor::{Facet, Visible};
 use form_factor::{form_factor, subdivide};
+use simplify::{Forest, QuadNode};
 
-use crate::illumination::simplify::{Forest, QuadNode};
 use crate::rng::Stream;
 
 /// Roots at most: initial links are quadratic in their number.
@@ -308,7 +310,7 @@ impl<const BANDS: usize> Radiosity<BANDS> {
         }
     }
 
-    /// The quadtrees for [`crate::illumination::simplify`], in the order of `nodes`; `luminance` weights the
+    /// The quadtrees for [`crate::radiosity::simplify`], in the order of `nodes`; `luminance` weights the
     /// bands. Elevations are 1: the caller knows the textures.
     pub fn forest(&self, luminance: [f32; BANDS]) -> Forest {
         let value = |radiosity: &[f32; BANDS]| {
@@ -501,7 +503,7 @@ mod tests {
 
     #[test]
     fn a_solution_can_be_simplified_to_any_number_of_elements() {
-        use crate::illumination::simplify::{Criterion, simplify};
+        use crate::radiosity::simplify::{Criterion, simplify};
         let solution = solved(room([0.5, 0.5, 0.5], |n| [if n.y < -0.5 { 1.0 } else { 0.0 }; 3]));
         let forest = solution.forest([0.2, 0.7, 0.1]);
         assert_eq!(forest.leaf_count(), solution.leaf_count());

@@ -3,17 +3,17 @@
 
 use glam::Vec3;
 
-use super::Irradiance;
-use super::atlas::Atlas;
+use super::mesh::RadiosityMesh;
 use super::simplify::{Criterion, Rung, Simplified, cut_below, simplify};
-use super::stored::{Illumination, Summary};
+use super::{Patch, Radiosity, Refinement};
 use crate::geometry::{Accel, Ray};
+use crate::illumination::Irradiance;
+use crate::illumination::atlas::Atlas;
+use crate::illumination::stored::{Illumination, Summary};
 use crate::image::luminance;
 use crate::rng::Stream;
 use crate::scene::{Light, Material, Model, Reflectance, Scene};
 use crate::transport::bsdf::cosine_hemisphere;
-use crate::transport::radiosity::mesh::RadiosityMesh;
-use crate::transport::radiosity::{Patch, Radiosity, Refinement};
 
 /// Reflectances are clamped to this: at 1 light would never end.
 const REFLECTANCE_MAX: f32 = 0.99;

@@ -4,7 +4,7 @@ use serde::{Serialize, de::DeserializeOwned};
 use std::marker::PhantomData;
 use std::sync::Arc;
 
-use crate::env::Env;
+use crate::journal::env::Env;
 use crate::mailbox::{Address, Encoded, Envelope};
 use crate::message::{ActorId, Message, Reason, Rejected};
 use crate::scheduler::ThreadCx;
@@ -21,14 +21,15 @@ impl<M, E: Serialize + DeserializeOwned + Into<M>> External<M> for E {}
 pub struct Port<E, M> {
     id: ActorId,
     to: Address<M>,
+    env: Arc<Env>,
     thread: ThreadCx,
     kind: PhantomData<fn(E)>,
 }
 
 impl<E: External<M>, M: Message> Port<E, M> {
-    pub(crate) fn new(id: ActorId, to: &Address<M>) -> Self {
+    pub(crate) fn new(id: ActorId, to: &Address<M>, env: &Arc<Env>) -> Self {
         to.mailbox.decoders.push((id, |bytes| postcard::from_bytes::<E>(bytes).ok().map(Into::into)));
-        Self { id, to: to.clone(), thread: ThreadCx::outside(), kind: PhantomData }
+        Self { id, to: to.clone(), env: Arc::clone(env), thread: ThreadCx::outside(), kind: PhantomData }
     }
 
     /// The port's identity as a sender.
@@ -38,7 +39,7 @@ impl<E: External<M>, M: Message> Port<E, M> {
 
     /// Hands `input` in. The message made from it comes back if the mailbox is full or the system shuts down.
     pub fn send(&self, input: E) -> Result<(), Rejected<M>> {
-        let env: &Arc<Env> = &self.to.mailbox.link.env;
+        let env = &*self.env;
         if env.replaying() {
             return Ok(());
         }

@@ -1,0 +1,115 @@
+//! Snapshots of a replay: all actors' states with what is on its way between them, so that a replay can begin there.
+//!
+//! Any moment at which no turn runs is a consistent cut: what was sent and not yet delivered waits with its receiver and
+//! is part of the snapshot. Restoring is checked like everything else: the chained hashes go on where they stood, so a
+//! state that was not saved whole is named as a divergence at its first delivery.
+
+use serde::{Deserialize, Serialize};
+use std::any::Any;
+use std::sync::Arc;
+
+use crate::message::saved::{Loader, Saver};
+use crate::runtime::Runtime;
+
+/// A replay at some moment.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Snapshot {
+    /// Deliveries made to each actor by then.
+    positions: Vec<u64>,
+    content: Vec<u8>,
+}
+
+impl Snapshot {
+    /// Deliveries made to each actor by then, by identity; zeros for ports.
+    pub fn positions(&self) -> &[u64] {
+        &self.positions
+    }
+
+    /// Bytes of the states.
+    pub fn size_bytes(&self) -> usize {
+        self.content.len()
+    }
+
+    /// As it can be kept in a file: compressed, with a checksum.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        // A snapshot may be larger than a segment of a recording.
+        let raw = postcard::to_stdvec(self).unwrap_or_default();
+        let mut bytes = lz4_flex::block::compress_prepend_size(&raw);
+        bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
+        bytes
+    }
+
+    /// Reads what [`Snapshot::to_bytes`] made; `None` if it is damaged.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let (content, checksum) = bytes.split_last_chunk::<4>()?;
+        if crc32fast::hash(content) != u32::from_le_bytes(*checksum) {
+            return None;
+        }
+        let (size, block) = content.split_first_chunk::<4>()?;
+        // A block is at most 255 times shorter than what it holds.
+        let size = u32::from_le_bytes(*size) as usize;
+        let raw = (size / 255 <= block.len()).then(|| lz4_flex::block::decompress(block, size).ok())??;
+        postcard::from_bytes(&raw).ok()
+    }
+
+    /// Whether a replay that begins here has everything still before it that `cut` has behind it at most.
+    pub fn is_before(&self, cut: &[u64]) -> bool {
+        self.positions.iter().zip(cut).all(|(position, end)| position <= end)
+    }
+
+    fn loader(&self, context: Option<Arc<dyn Any + Send + Sync>>) -> Loader<'_> {
+        Loader::new(&self.content, context)
+    }
+}
+
+impl Runtime {
+    /// Takes a snapshot of a replay, between two calls of [`Runtime::pump`]. None if an actor, or something on its way,
+    /// cannot be saved as it is now: try again a little later.
+    pub fn snapshot(&mut self) -> Option<Snapshot> {
+        if !self.env.replaying() || self.diverged() {
+            return None;
+        }
+        let stands = self.env.scheduler.halted();
+        if !stands {
+            self.env.scheduler.halt();
+        }
+        self.settle();
+        let mut saver = Saver::default();
+        let (kind, value) = self.env.last_mark().unwrap_or((u32::MAX, 0));
+        saver.put(&(kind, value));
+        for pool in &self.pools {
+            pool.save(&mut saver);
+        }
+        for node in self.nodes.iter() {
+            if !saver.refused() {
+                node.save(&mut saver);
+            }
+        }
+        let positions = self.positions().into_iter().map(|(deliveries, _)| deliveries).collect();
+        if !stands {
+            self.env.scheduler.go_on();
+        }
+        saver.finish().map(|content| Snapshot { positions, content })
+    }
+
+    /// Puts a system that was just built where the snapshot was taken.
+    pub(crate) fn restore(
+        &self,
+        snapshot: &Snapshot,
+        context: Option<Arc<dyn Any + Send + Sync>>,
+    ) -> Option<()> {
+        let mut loader = snapshot.loader(context);
+        let (kind, value): (u32, u64) = loader.take()?;
+        if kind != u32::MAX {
+            self.env.set_last_mark(kind, value);
+        }
+        for pool in &self.pools {
+            pool.restore(&mut loader)?;
+        }
+        for node in self.nodes.iter() {
+            node.restore(&mut loader)?;
+        }
+        let found = self.positions().into_iter().map(|(deliveries, _)| deliveries);
+        (loader.is_empty() && found.eq(snapshot.positions.iter().copied())).then_some(())
+    }
+}

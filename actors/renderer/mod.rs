@@ -27,7 +27,7 @@ use foveal::scene::{Camera, Scene};
 use foveal::splatting::settled::Settled;
 use foveal::splatting::supersampling::Tiles;
 use foveal::splatting::tile_sums::TileSums;
-use foveal::splatting::{SampleBatch, SplatLayer, WarpedSample};
+use foveal::splatting::{Reconstruction, SampleBatch, SplatLayer, WarpedSample};
 use foveal::world::World;
 use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver};
 use glam::Vec3;
@@ -292,12 +292,19 @@ impl Renderer {
     /// The picture as it stands, linear radiance: base layer + splat layer, and what that is refined to. `None` before
     /// the first frame.
     pub fn picture(&self) -> Option<Map2d<Vec3>> {
-        let base = &self.drawn.as_ref()?.buffers.color;
-        let first = |x, y| base.at(x, y) + self.layer.color(x, y);
+        let drawn = self.drawn.as_ref()?;
+        let base = &drawn.buffers.color;
+        let between = self.between(drawn);
+        let first = |x, y| base.at(x, y) + between.pixel(x, y);
         Some(Map2d::from_fn(base.width(), base.height(), |x, y| match &self.settled {
             Some(settled) => settled.pixel(x, y, base.at(x, y), first(x, y)),
             None => first(x, y),
         }))
+    }
+
+    /// What the splat layer shows of a view, between samples too.
+    fn between<'a>(&'a self, drawn: &'a DrawnView) -> Reconstruction<'a> {
+        Reconstruction::new(&self.layer, &drawn.buffers, &drawn.frame, self.tone.white())
     }
 
     /// What the converged view has been refined to, over its base layer and its first samples.
@@ -523,12 +530,13 @@ impl Renderer {
     fn measure_residuals(&self, batch: &SampleBatch, drawn: &DrawnView, cx: &mut Cx<'_, RendererMessage>) {
         let Some(neighbours) = &self.neighbours else { return };
         let base = &drawn.buffers.color;
+        let between = self.between(drawn);
         let residual = self.stages.time(Stage::Allocate, || {
             let would_show = |x, y| match &self.approximation {
                 Some(first) if self.layer.is_bare(x, y) => {
                     first.pixel(&self.world, &drawn.frame, &drawn.buffers, x, y)
                 }
-                _ => self.layer.color(x, y),
+                _ => between.pixel(x, y),
             };
             residual_of_batch(batch, base, would_show, &self.tone, &self.viewing, &self.thresholds)
         });

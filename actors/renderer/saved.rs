@@ -100,8 +100,8 @@ impl Renderer {
         }
         self.drawn = if is_drawn { Some(Saved::restore(loader)?) } else { None };
         self.shown = if is_shown { Some(Saved::restore(loader)?) } else { None };
-        let (color, rank, source) = loader.take()?;
-        self.layer.restore(color, rank, source)?;
+        let (color, rank, source, place) = loader.take()?;
+        self.layer.restore(color, rank, source, place)?;
         let count: u64 = loader.take()?;
         for object in 0..u32::try_from(count).ok()? {
             let map = if loader.take()? { Some(loader.shared(|loader| loader.take())?) } else { None };

@@ -53,6 +53,8 @@ pub struct SplatTargets {
     pub colors: wgpu::Buffer,
     /// Rank per pixel of what is shown, as in [`foveal::splatting::SplatLayer`].
     pub ranks: wgpu::Buffer,
+    /// The pixel of the sample that each pixel shows, as in [`foveal::splatting::SplatLayer`].
+    pub places: wgpu::Buffer,
     owners: wgpu::Buffer,
     size: [u32; 2],
     k_max: u32,
@@ -88,6 +90,7 @@ impl SplatTargets {
         Self {
             colors: per_pixel("splat colors", 8),
             ranks: per_pixel("splat ranks", 4),
+            places: per_pixel("splat places", 4),
             owners: per_pixel("splat owners", 4),
             size,
             k_max,
@@ -191,7 +194,7 @@ fn tile_table(k_max: u32, footprint: Footprint) -> Vec<u32> {
     for k in 0..=k_max {
         let tile = Lattice::tile(k);
         let half = match footprint {
-            Footprint::Tile => tile.iter().map(|&(x, y)| i32::from(x).abs().max(i32::from(y).abs())).max(),
+            Footprint::Tile | Footprint::Linear => tile.iter().map(|&(x, y)| i32::from(x).abs().max(i32::from(y).abs())).max(),
             Footprint::Square => None,
         }
         .unwrap_or(Lattice::square_side(k) / 2);
@@ -204,7 +207,7 @@ fn tile_table(k_max: u32, footprint: Footprint) -> Vec<u32> {
             bits[bit / 32] |= 1 << (bit % 32);
         };
         match footprint {
-            Footprint::Tile => tile.iter().for_each(|&(x, y)| set(i32::from(x), i32::from(y))),
+            Footprint::Tile | Footprint::Linear => tile.iter().for_each(|&(x, y)| set(i32::from(x), i32::from(y))),
             Footprint::Square => (-half..=half).for_each(|y| (-half..=half).for_each(|x| set(x, y))),
         }
         bit_count += area;
@@ -305,6 +308,7 @@ impl SplatPass {
                 entry(5, splats.ranks.as_entire_binding()),
                 entry(6, splats.owners.as_entire_binding()),
                 entry(7, splats.colors.as_entire_binding()),
+                entry(8, splats.places.as_entire_binding()),
             ],
         });
         let group =
@@ -332,6 +336,7 @@ fn splat_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
         texture(wgpu::TextureSampleType::Uint),
         texture(wgpu::TextureSampleType::Float { filterable: false }),
         storage(true),
+        storage(false),
         storage(false),
         storage(false),
         storage(false),

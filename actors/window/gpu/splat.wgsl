@@ -2,7 +2,7 @@
 // foveal::splatting::layer; names as there.
 //
 // Three passes over the new splats, each for all of them: the highest rank of each pixel, the last splat of that rank, its
-// colour. So the outcome is that of one splat after the other, in the order of their numbers.
+// colour and place. So the outcome is that of one splat after the other, in the order of their numbers.
 
 struct Layer {
     // Picture width and height; largest k of the tile table.
@@ -49,6 +49,8 @@ const CHUNK: u32 = 64u;
 @group(0) @binding(5) var<storage, read_write> ranks: array<atomic<u32>>;
 @group(0) @binding(6) var<storage, read_write> owners: array<atomic<u32>>;
 @group(0) @binding(7) var<storage, read_write> colors: array<vec2u>;
+// The pixel of the sample that is shown: column in the low, row in the high half.
+@group(0) @binding(8) var<storage, read_write> places: array<u32>;
 @group(1) @binding(0) var<uniform> group: Group;
 
 fn matches(object: u32, depth: vec2f, p: vec2i) -> bool {
@@ -174,6 +176,7 @@ fn color(@builtin(global_invocation_id) id: vec3u) {
         let at = pixel(p, i);
         if at >= 0 && atomicLoad(&owners[at]) == splats[splat].number && is_of_object(p, at) {
             colors[at] = splats[splat].color;
+            places[at] = splats[splat].place;
         }
     }
 }

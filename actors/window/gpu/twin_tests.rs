@@ -12,7 +12,7 @@ use foveal::scene::camera::CameraFrame;
 use foveal::scene::load::load;
 use foveal::scene::texture::MipChain;
 use foveal::scene::{Camera, Scene};
-use foveal::splatting::{Footprint, Sample, SampleBatch, SplatLayer, WarpedSample};
+use foveal::splatting::{Footprint, Reconstruction, Sample, SampleBatch, SplatLayer, WarpedSample};
 use foveal::world::World;
 use glam::Vec3;
 
@@ -331,7 +331,7 @@ fn assert_layers_equal(display: &GpuDisplay, layer: &SplatLayer) {
 
 #[test]
 fn splat_layer_matches_its_twin() {
-    for footprint in [Footprint::Tile, Footprint::Square] {
+    for footprint in [Footprint::Linear, Footprint::Tile, Footprint::Square] {
         let Some(gpu) = gpu("splat_layer_matches_its_twin") else { return };
         let (mut display, buffers) = splat_view(gpu, footprint);
         let lattice = Lattice::new(4, [60, 45]);
@@ -341,6 +341,7 @@ fn splat_layer_matches_its_twin() {
         display.splat_warped(&old);
         assert_eq!(display.draw(&ToneMap::default(), Overlay::None).samples, 3000);
         assert_layers_equal(&display, &layer);
+        assert_reconstructions_equal(&display, &layer, &buffers);
         // Levels arrive in any order and in several frames; nothing of before is sent again.
         for (step, level) in [3, 1, 5, 2, 4].into_iter().enumerate() {
             for object in [1, 2] {
@@ -350,16 +351,43 @@ fn splat_layer_matches_its_twin() {
             }
             display.draw(&ToneMap::default(), Overlay::None);
             assert_layers_equal(&display, &layer);
+            assert_reconstructions_equal(&display, &layer, &buffers);
         }
         assert_eq!(display.draw(&ToneMap::default(), Overlay::None).samples, 0);
         assert_layers_equal(&display, &layer);
     }
 }
 
+fn white(display: &GpuDisplay) -> f32 {
+    ToneMap::from(&display.scene().display).white()
+}
+
+/// What lies between samples, pixel by pixel.
+fn assert_reconstructions_equal(display: &GpuDisplay, layer: &SplatLayer, buffers: &FrameBuffers) {
+    let shown = halves(&readback::read_buffer(display.gpu(), display.between()).unwrap());
+    let frame = views()[0].frame(120, 90);
+    let between = Reconstruction::new(layer, buffers, &frame, white(display));
+    let (mut interpolated, mut wrong) = (0, 0);
+    for (i, found) in shown.chunks_exact(4).enumerate() {
+        let (x, y) = (i % 120, i / 120);
+        let expected = between.pixel(x, y);
+        // A depth at the very limit of a surface may fall to either side of it.
+        wrong += usize::from((Vec3::from_slice(found) - expected).abs().max_element() > 2e-3);
+        interpolated += usize::from(expected != layer.color(x, y));
+    }
+    assert!(wrong * 1000 <= 120 * 90, "{wrong} pixels differ");
+    let is_linear = layer.footprint() == Footprint::Linear;
+    let is_converged = (0..120 * 90).all(|i| {
+        let (x, y) = (i % 120, i / 120);
+        !layer.is_covered(x, y) || layer.shown_level(x, y) == Some((0, true))
+    });
+    assert_eq!(interpolated > 200, is_linear && !is_converged, "{interpolated}");
+}
+
 #[test]
 fn composition_and_overlays_match_their_twins() {
     let Some(gpu) = gpu("composition_and_overlays_match_their_twins") else { return };
-    let (mut display, mut buffers) = splat_view(gpu, Footprint::Tile);
+    let (mut display, mut buffers) = splat_view(gpu, Footprint::Linear);
     let colors = halves(&readback::read(display.gpu(), &display.targets().color).unwrap());
     let textures = words(&readback::read(display.gpu(), &display.targets().texture).unwrap());
     for (i, pixel) in colors.chunks_exact(4).enumerate() {
@@ -371,7 +399,7 @@ fn composition_and_overlays_match_their_twins() {
         };
     }
     let lattice = Lattice::new(4, [60, 45]);
-    let mut layer = SplatLayer::new(120, 90, 4, Footprint::Tile);
+    let mut layer = SplatLayer::new(120, 90, 4, Footprint::Linear);
     let old = warped(&buffers, 500, 3);
     layer.splat_warped(&old, &buffers.object, &buffers.depth);
     display.splat_warped(&old);
@@ -379,10 +407,12 @@ fn composition_and_overlays_match_their_twins() {
     layer.splat_fresh(&batch, &buffers.object, 3);
     display.splat_fresh(&batch, 3);
     let values = [0.1, 0.9, 0.4];
+    let frame = views()[0].frame(120, 90);
     display.set_values(&values);
     for curve in [ToneCurve::Clamp, ToneCurve::Reinhard { white: 2.0 }] {
         let tone = ToneMap { exposure: 1.3, curve };
-        let rgb8 = Map2d::from_fn(120, 90, |x, y| tone.to_rgb8(buffers.color.at(x, y) + layer.color(x, y)));
+        let between = Reconstruction::new(&layer, &buffers, &frame, white(&display));
+        let rgb8 = Map2d::from_fn(120, 90, |x, y| tone.to_rgb8(buffers.color.at(x, y) + between.pixel(x, y)));
         for overlay in Overlay::ALL {
             display.draw(&tone, overlay);
             let picture = display.read_picture().unwrap();

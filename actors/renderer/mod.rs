@@ -27,7 +27,7 @@ use foveal::scene::{Camera, Scene};
 use foveal::splatting::settled::Settled;
 use foveal::splatting::supersampling::Tiles;
 use foveal::splatting::tile_sums::TileSums;
-use foveal::splatting::{Reconstruction, SampleBatch, SplatLayer, WarpedSample};
+use foveal::splatting::{Guides, Reconstruction, SampleBatch, SplatLayer, WarpedSample};
 use foveal::world::World;
 use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver};
 use glam::Vec3;
@@ -103,6 +103,8 @@ pub enum Splats {
         /// Who traced them: [`SplatLayer::source`].
         source: u8,
     },
+    /// What guides show in the view, which lies between samples.
+    Guides(Arc<Guides>),
 }
 
 /// The renderer's state.
@@ -516,6 +518,18 @@ impl Renderer {
         }
     }
 
+    fn on_guides_traced(&mut self, guides: Arc<Guides>, cx: &Cx<'_, RendererMessage>) {
+        if guides.view != self.view.0 {
+            return;
+        }
+        self.changed = true;
+        let layer = &mut self.layer;
+        self.stages.time(Stage::WarpSplat, || layer.guide(&guides));
+        if !cx.replays() {
+            self.sink.splatted(self.view, Splats::Guides(guides));
+        }
+    }
+
     /// Pixels that no sample has reached yet show the new map in the next frame.
     fn on_environment_changed(&mut self, object: u32, map: Option<Arc<EnvironmentMap>>) {
         let Some(approximation) = &mut self.approximation else { return };
@@ -605,6 +619,7 @@ impl Actor for Renderer {
             RendererMessage::SamplesTraced { batch, tracer, hash: _ } => {
                 self.on_samples_traced(batch, tracer, cx)
             }
+            RendererMessage::GuidesTraced { guides, hash: _ } => self.on_guides_traced(guides, cx),
             RendererMessage::EnvironmentChanged { object, map, hash: _ } => {
                 self.on_environment_changed(object, map);
             }

@@ -12,7 +12,7 @@ use crate::sampling::Lattice;
 use crate::splatting::SampleBatch;
 use glam::Vec3;
 
-use super::jobs::{Part, SampleJob, SampleJobs};
+use super::jobs::{GUIDES, Part, SampleJob, SampleJobs};
 use super::policy::{Demand, Policy, RayPolicy};
 use super::rays::{LEVELS_MAX, RayDemand, RayLedger, RaySettings, Residual};
 
@@ -164,6 +164,11 @@ impl RayOrder {
         self.jobs.is_exhausted()
     }
 
+    /// Which objects are looked at through guides from the next view on, by id.
+    pub fn set_guided(&mut self, guided: Vec<bool>) {
+        self.jobs.set_guided(guided);
+    }
+
     /// Starts a view of these objects (by id), which matter by `attention`.
     pub fn start_view(&mut self, view: u64, statistics: &[ObjectStatistics], attention: &[f32]) {
         self.view = view;
@@ -210,9 +215,11 @@ impl RayOrder {
         }
     }
 
-    /// How long `samples` of an object took on one core, whatever the view.
-    pub fn record_time(&mut self, object: u32, samples: u32, seconds: f32) {
-        if self.learns() {
+    /// How long `samples` of a level of an object, or guides, took on one core, whatever the view.
+    pub fn record_time(&mut self, object: u32, level: u32, samples: u32, seconds: f32) {
+        if self.learns() && level == GUIDES {
+            self.ledger.record_guides(object, samples, seconds);
+        } else if self.learns() {
             self.ledger.record(object, 1, &Residual::default(), samples, seconds);
         }
     }
@@ -318,6 +325,7 @@ impl RayOrder {
             weight: 0.5 + 0.5 * attention / self.mean_attention,
             level: part.level,
             left: &left[..count],
+            guides: if part.wants_guides() { part.pixels } else { 0 },
             life_frames: self.life_frames,
         };
         let utility = self.ledger.utility(&demand);
@@ -404,8 +412,8 @@ mod tests {
         let statistics = object_statistics(&ids, None, 3);
         let mut order = order(Policy::Utility);
         order.start_view(1, &statistics, &[0.0, 1.0, 1.0]);
-        order.record_time(1, 100, 100e-6);
-        order.record_time(2, 100, 1000e-6);
+        order.record_time(1, 1, 100, 100e-6);
+        order.record_time(2, 1, 100, 1000e-6);
         assert_eq!([0; 2].map(|_| order.next(&ids).unwrap().0.object), [1, 2]);
         order.record(1, 1, 1, [10, 10], &differing(5.0, 20));
         order.record(1, 2, 1, [60, 10], &differing(6.0, 20));

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{SampleBatch, WarpedSample};
+use super::{Guides, SampleBatch, WarpedSample};
 use crate::image::Map2d;
 use crate::sampling::Lattice;
 
@@ -35,6 +35,10 @@ pub struct SplatLayer {
     source: Map2d<u8>,
     /// The pixel that the sample shown lies on: column in the low half, row in the high one.
     place: Map2d<u32>,
+    /// What the guide of the sample shown showed on its own pixel in its own view; not a number where it has none.
+    carried: Map2d<Vec3>,
+    /// What the pixel's own guide shows in this view; not a number where none was followed.
+    guide: Map2d<Vec3>,
     footprint: Footprint,
     tiles: Vec<Vec<(i16, i16)>>,
 }
@@ -87,6 +91,8 @@ impl SplatLayer {
             rank: Map2d::new(width, height, 0),
             source: Map2d::new(width, height, 0),
             place: Map2d::new(width, height, 0),
+            carried: Map2d::new(width, height, Vec3::NAN),
+            guide: Map2d::new(width, height, Vec3::NAN),
             footprint,
             tiles,
         }
@@ -97,21 +103,19 @@ impl SplatLayer {
         (&self.color, &self.rank, &self.source, &self.place)
     }
 
-    /// Puts back what [`SplatLayer::maps`] gave; `None` if it is of another size.
+    /// Puts back what [`SplatLayer::maps`] and [`SplatLayer::guides`] gave; `None` if it is of another size.
     pub fn restore(
         &mut self,
-        color: Map2d<Vec3>,
-        rank: Map2d<u32>,
-        source: Map2d<u8>,
-        place: Map2d<u32>,
+        (color, rank, source, place): (Map2d<Vec3>, Map2d<u32>, Map2d<u8>, Map2d<u32>),
+        [carried, guide]: [Map2d<Vec3>; 2],
     ) -> Option<()> {
         let (width, height) = (self.color.width(), self.color.height());
         let fits = |(w, h, len): (usize, usize, usize)| (w, h, len) == (width, height, width * height);
-        let fit = fits((color.width(), color.height(), color.data().len()))
-            && fits((rank.width(), rank.height(), rank.data().len()))
-            && fits((source.width(), source.height(), source.data().len()))
-            && fits((place.width(), place.height(), place.data().len()));
+        let fit = [&color, &carried, &guide].iter().all(|m| fits((m.width(), m.height(), m.data().len())))
+            && [&rank, &place].iter().all(|m| fits((m.width(), m.height(), m.data().len())))
+            && fits((source.width(), source.height(), source.data().len()));
         (self.color, self.rank, self.source, self.place) = (color, rank, source, place);
+        (self.carried, self.guide) = (carried, guide);
         fit.then_some(())
     }
 
@@ -125,6 +129,7 @@ impl SplatLayer {
         self.rank.data_mut().fill(0);
         self.color.data_mut().fill(Vec3::ZERO);
         self.source.data_mut().fill(0);
+        self.guide.data_mut().fill(Vec3::NAN);
     }
 
     /// Forgets all splats. Until others come, pixels show what `first` fills in: a first approximation of the
@@ -132,6 +137,7 @@ impl SplatLayer {
     pub fn restart(&mut self, first: impl FnOnce(&mut Map2d<Vec3>)) {
         self.rank.data_mut().fill(0);
         self.source.data_mut().fill(0);
+        self.guide.data_mut().fill(Vec3::NAN);
         first(&mut self.color);
     }
 
@@ -204,6 +210,21 @@ impl SplatLayer {
         }
     }
 
+    /// Takes what guides show in this view.
+    pub fn guide(&mut self, guides: &Guides) {
+        let width = self.guide.width();
+        for ([x, y], guide) in guides.iter() {
+            if let Some(of) = self.guide.data_mut().get_mut(usize::from(y) * width + usize::from(x)) {
+                *of = guide;
+            }
+        }
+    }
+
+    /// What the guides of the samples shown showed, and what the pixels' own show; not numbers where there are none.
+    pub fn guides(&self) -> [&Map2d<Vec3>; 2] {
+        [&self.carried, &self.guide]
+    }
+
     /// Splats fresh samples onto the pixels of their object. Returns the sum over the samples of
     /// |new − shown before| on their own pixels, the first approximation where no splat was: the residual of
     /// REFERENCE §13.1 in radiance, and the number of such pixels.
@@ -213,9 +234,11 @@ impl SplatLayer {
         let tile = &self.tiles[(batch.k as usize).min(self.tiles.len() - 1)];
         let (ids, sources, places) = (objects.data(), self.source.data_mut(), self.place.data_mut());
         let (ranks, colors) = (self.rank.data_mut(), self.color.data_mut());
+        let carried = self.carried.data_mut();
         let (mut residual, mut compared) = (0.0, 0);
-        for (pixel, &color) in batch.pixels.iter().zip(&batch.colors) {
+        for (sample, (pixel, &color)) in batch.pixels.iter().zip(&batch.colors).enumerate() {
             let (px, py) = (i32::from(pixel[0]), i32::from(pixel[1]));
+            let guide = batch.guide(sample);
             let place = place_of(pixel[0], pixel[1]);
             for &(dx, dy) in tile {
                 let (x, y) = (px + i32::from(dx), py + i32::from(dy));
@@ -233,11 +256,13 @@ impl SplatLayer {
                     colors[i] = color;
                     sources[i] = source;
                     places[i] = place;
+                    carried[i] = guide;
                 } else if ranks[i] <= own {
                     ranks[i] = own;
                     colors[i] = color;
                     sources[i] = source;
                     places[i] = place;
+                    carried[i] = guide;
                 }
             }
         }
@@ -258,7 +283,7 @@ impl SplatLayer {
         let (width, height) = (self.color.width() as i32, self.color.height() as i32);
         let (ids, depths) = (objects.data(), depths.data());
         let (ranks, colors, sources) = (self.rank.data_mut(), self.color.data_mut(), self.source.data_mut());
-        let places = self.place.data_mut();
+        let (places, carried) = (self.place.data_mut(), self.carried.data_mut());
         let mut painted = 0;
         for s in samples.iter().rev() {
             let (cx, cy) = (i32::from(s.x), i32::from(s.y));
@@ -283,12 +308,14 @@ impl SplatLayer {
                 let row = start + columns.start..start + columns.end;
                 let pixels = ids[row.clone()].iter().zip(&mut ranks[row.clone()]);
                 let shown = colors[row.clone()].iter_mut().zip(&mut sources[row.clone()]);
-                for (((&id, rank), (color, source)), place) in pixels.zip(shown).zip(&mut places[row]) {
+                let sample = places[row.clone()].iter_mut().zip(&mut carried[row]);
+                for (((&id, rank), (color, source)), (place, guide)) in pixels.zip(shown).zip(sample) {
                     if id == s.object && *rank < own {
                         *rank = own;
                         *color = s.color;
                         *source = 0;
                         *place = at;
+                        *guide = s.guide;
                         any = true;
                     }
                 }
@@ -408,6 +435,7 @@ mod tests {
             depth: 2.0,
             depth_tolerance: 0.02,
             color: Vec3::ONE,
+            guide: Vec3::NAN,
             object: 1,
             age: 1,
             half_side: 1,
@@ -438,6 +466,7 @@ mod tests {
                 depth: 1.0,
                 depth_tolerance: 0.1,
                 color: Vec3::splat(i as f32),
+                guide: Vec3::NAN,
                 object: 1,
                 age: 1 + (random(i, 2) % 3) as u16,
                 half_side: (random(i, 3) % 4) as u8,

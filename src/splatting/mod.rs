@@ -19,5 +19,5 @@ pub mod warp;
 pub use cache::{AgeingRules, SampleCache};
 pub use layer::{Footprint, SplatLayer};
 pub use reconstruction::Reconstruction;
-pub use sample::{Sample, SampleBatch};
+pub use sample::{Guides, Sample, SampleBatch};
 pub use warp::{WarpedSample, warp};

@@ -9,6 +9,10 @@
 //! there, else the sample's own. A corner does not count where it is on another object, at another depth or shows a
 //! coarser sample that is not its own; the weights of the others are made to sum to one. What is above a display's white
 //! counts as white: a lamp's reflection, many times as bright, would grow by a cell's width all around.
+//!
+//! Where a pixel's guide is known ([`crate::transport::tracer::guide`]) the corners' values are the differences of samples
+//! from their guides, in the views they were traced for, and the pixel adds its own; where no sample lies, it is shown
+//! alone.
 
 use glam::Vec3;
 
@@ -19,8 +23,8 @@ use crate::image::Map2d;
 use crate::sampling::Lattice;
 use crate::scene::camera::CameraFrame;
 
-/// Depths of one surface differ by this share at most, whatever lies between the pixels.
-pub const DEPTH_SHARE: f32 = 0.02;
+/// Depths of one surface may differ by the first share however near two pixels are, by the second however far.
+pub const DEPTH_SHARES: [f32; 2] = [0.02, 0.25];
 /// Steepest slope of one surface: depth per width, the tangent of 76°.
 pub const SLOPE_MAX: f32 = 4.0;
 
@@ -54,17 +58,44 @@ impl<'a> Reconstruction<'a> {
     #[inline]
     pub fn pixel(&self, x: usize, y: usize) -> Vec3 {
         let (colors, ranks, _, places) = self.layer.maps();
-        let own = colors.at(x, y);
-        match level_of(ranks.at(x, y)) {
-            Some((k @ 1.., _)) if self.is_linear => {
-                self.between([x as i32, y as i32], places.at(x, y), k).unwrap_or(own)
+        let (own, level) = (colors.at(x, y), level_of(ranks.at(x, y)));
+        if !self.is_linear || level == Some((0, true)) {
+            return own;
+        }
+        let [carried, guides] = self.layer.guides();
+        let guide = guides.at(x, y);
+        match level {
+            // What is known of a pixel that no sample has reached.
+            None => if guide.is_nan() { own } else { guide },
+            Some((0, _)) if guide.is_nan() => own,
+            Some((0, _)) => self.value(own, carried.at(x, y), guide).map_or(own, |v| self.led(v, guide)),
+            Some((k, _)) => {
+                let between = self.between([x as i32, y as i32], places.at(x, y), k, guide);
+                between.map_or(own, |value| self.led(value, guide))
             }
-            _ => own,
         }
     }
 
+    /// What a sample is carried to a pixel as: its difference from its guide where the pixel has a guide. None where the
+    /// pixel has one and the sample has not.
+    #[inline]
+    fn value(&self, color: Vec3, carried: Vec3, guide: Vec3) -> Option<Vec3> {
+        let white = Vec3::splat(self.white);
+        match (guide.is_nan(), carried.is_nan()) {
+            (true, _) => Some(color.min(white)),
+            (false, false) => Some(color.min(white) - carried.min(white)),
+            (false, true) => None,
+        }
+    }
+
+    /// What a pixel shows of such a value.
+    #[inline]
+    fn led(&self, value: Vec3, guide: Vec3) -> Vec3 {
+        if guide.is_nan() { value } else { (value + guide.min(Vec3::splat(self.white))).max(Vec3::ZERO) }
+    }
+
     /// The value of a pixel that shows the sample of level set `own` at `place`; none where no corner counts.
-    fn between(&self, [x, y]: [i32; 2], place: u32, own: u32) -> Option<Vec3> {
+    fn between(&self, [x, y]: [i32; 2], place: u32, own: u32, guide: Vec3) -> Option<Vec3> {
         let (sx, sy) = ((place & 0xffff) as i32, (place >> 16) as i32);
         let (dx, dy) = (x - sx, y - sy);
         for k in 1..=own {
@@ -84,7 +115,7 @@ impl<'a> Reconstruction<'a> {
                 (sx + vx, sy + vy, (1.0 - along) * across),
                 (sx + ux + vx, sy + uy + vy, along * across),
             ];
-            let (sum, weight, is_whole) = self.sum(x, y, k, corners);
+            let (sum, weight, is_whole) = self.sum([x, y], k, guide, corners);
             if is_whole || k == own {
                 return (weight > 0.0).then(|| sum / weight);
             }
@@ -95,8 +126,15 @@ impl<'a> Reconstruction<'a> {
     /// Weighted sum over the corners that count for a pixel, the sum of their weights, and whether none is missing that
     /// is on the pixel's surface.
     #[inline]
-    fn sum(&self, x: i32, y: i32, k: u32, corners: [(i32, i32, f32); 4]) -> (Vec3, f32, bool) {
+    fn sum(
+        &self,
+        [x, y]: [i32; 2],
+        k: u32,
+        guide: Vec3,
+        corners: [(i32, i32, f32); 4],
+    ) -> (Vec3, f32, bool) {
         let (colors, ranks, _, places) = self.layer.maps();
+        let [carried, _] = self.layer.guides();
         let (width, height) = (colors.width() as i32, colors.height() as i32);
         let at = |x: i32, y: i32| (y * width + x) as usize;
         let (object, depth) = (self.objects.data()[at(x, y)], self.depths.data()[at(x, y)]);
@@ -107,18 +145,19 @@ impl<'a> Reconstruction<'a> {
             }
             let i = at(cx, cy);
             let distance = ((cx - x).abs() + (cy - y).abs()) as f32;
-            let tolerance = depth * (self.slope * distance).max(DEPTH_SHARE);
+            let tolerance = depth * (self.slope * distance).clamp(DEPTH_SHARES[0], DEPTH_SHARES[1]);
             // Also refuses NaN.
             if self.objects.data()[i] != object || !((self.depths.data()[i] - depth).abs() <= tolerance) {
                 continue;
             }
             let is_own = places.data()[i] == cx as u32 | ((cy as u32) << 16);
-            match level_of(ranks.data()[i]) {
-                Some((of, _)) if of <= k || is_own => {
-                    sum += colors.data()[i].min(Vec3::splat(self.white)) * weight;
+            let counts = level_of(ranks.data()[i]).is_some_and(|(of, _)| of <= k || is_own);
+            match self.value(colors.data()[i], carried.data()[i], guide).filter(|_| counts) {
+                Some(value) => {
+                    sum += value * weight;
                     weights += weight;
                 }
-                _ => is_whole = false,
+                None => is_whole = false,
             }
         }
         (sum, weights, is_whole)
@@ -136,7 +175,7 @@ mod tests {
     use crate::rng;
     use crate::sampling::Rect;
     use crate::scene::Camera;
-    use crate::splatting::{Footprint, Sample, SampleBatch, WarpedSample};
+    use crate::splatting::{Footprint, Guides, Sample, SampleBatch, WarpedSample};
 
     const SIZE: usize = 90;
 
@@ -191,6 +230,29 @@ mod tests {
         layer.splat_fresh(&batch, &buffers.object, 1);
     }
 
+    /// The same, with what their guides show.
+    fn splat_guided(
+        layer: &mut SplatLayer,
+        buffers: &FrameBuffers,
+        level: u32,
+        color: impl Fn(f32, f32) -> Vec3,
+        guide: impl Fn(f32, f32) -> Vec3,
+    ) {
+        let mut batch = SampleBatch::new(1, 1, lattice().k_of(level), 0);
+        for (x, y) in lattice().all_samples(level, Rect::of_size(SIZE as u32, SIZE as u32)) {
+            batch.push(Sample {
+                pixel: [x as u16, y as u16],
+                position: Vec3::ZERO,
+                normal: Vec3::Z,
+                view: Vec3::Z,
+                color: color(x as f32, y as f32),
+                pixel_width: 1.0,
+            });
+            batch.guides.push(guide(x as f32, y as f32));
+        }
+        layer.splat_fresh(&batch, &buffers.object, 1);
+    }
+
     /// The sample that each pixel of level set `k` moved by `offset` has become.
     fn warped(k: u32, offset: [i32; 2], object: u32, color: impl Fn(f32, f32) -> Vec3) -> Vec<WarpedSample> {
         let moved = Rect { x0: -offset[0], y0: -offset[1], x1: SIZE as i32 - offset[0], y1: SIZE as i32 - offset[1] };
@@ -204,6 +266,7 @@ mod tests {
                 depth: 4.0,
                 depth_tolerance: 0.1,
                 color: color(x as f32, y as f32),
+                guide: Vec3::NAN,
                 object,
                 age: 1,
                 half_side: (Lattice::square_side(k) / 2) as u8,
@@ -313,6 +376,56 @@ mod tests {
             assert_eq!(between.pixel(x, y), layer.color(x, y), "{x}, {y}");
         }
         assert!(pixels().any(|(x, y)| !layer.is_covered(x, y)));
+    }
+
+    fn texture(x: f32, y: f32) -> Vec3 {
+        Vec3::new((7.0 * x + 3.0 * y) % 11.0, (x * y) % 5.0, (x - y).abs() % 3.0)
+    }
+
+    /// What guides show is shown in each pixel, and only what samples know beside it is carried.
+    #[test]
+    fn guides_take_the_place_of_what_they_know() {
+        let buffers = view(|_, _| (1, 4.0));
+        let beside = Vec3::new(0.5, -0.1, 0.25);
+        let sampled = |x: f32, y: f32| texture(x, y) + Vec3::splat(1.0) + beside;
+        let guides = |keep: fn(usize) -> bool| {
+            let some: Vec<(usize, usize)> = pixels().filter(|(x, _)| keep(*x)).collect();
+            Guides {
+                view: 1,
+                pixels: some.iter().map(|&(x, y)| [x as u16, y as u16]).collect(),
+                colors: some.iter().map(|&(x, y)| texture(x as f32, y as f32) + Vec3::splat(1.0)).collect(),
+            }
+        };
+        let mut fresh = empty();
+        for level in 1..=3 {
+            splat_guided(&mut fresh, &buffers, level, sampled, |x, y| texture(x, y) + Vec3::splat(1.0));
+        }
+        // In the view before all was brighter by 3: what the samples knew beside is the same.
+        let mut old = empty();
+        let mut samples = warped(2, [2, 1], 1, |x, y| sampled(x, y) + Vec3::splat(3.0));
+        for s in &mut samples {
+            s.guide = texture(f32::from(s.x), f32::from(s.y)) + Vec3::splat(4.0);
+        }
+        old.splat_warped(&samples, &buffers.object, &buffers.depth);
+        for layer in [&mut fresh, &mut old] {
+            let before = layer.clone();
+            layer.guide(&guides(|x| x < 60));
+            let between = |layer| Reconstruction::new(layer, &buffers, &frame(), f32::INFINITY);
+            for (x, y) in pixels() {
+                let found = between(&*layer).pixel(x, y);
+                if x >= 60 {
+                    assert_eq!(found, between(&before).pixel(x, y), "a pixel without guide");
+                } else if layer.is_covered(x, y) {
+                    let expected = sampled(x as f32, y as f32);
+                    assert!((found - expected).abs().max_element() < 1e-4, "{found}, not {expected} at {x}, {y}");
+                } else {
+                    assert_eq!(found, texture(x as f32, y as f32) + Vec3::splat(1.0), "only the guide");
+                }
+            }
+        }
+        let exact = pixels().filter(|&(x, y)| fresh.shown_level(x, y) == Some((0, true)));
+        let own = Reconstruction::new(&fresh, &buffers, &frame(), f32::INFINITY);
+        assert!(exact.inspect(|&(x, y)| assert_eq!(own.pixel(x, y), fresh.color(x, y))).count() > 300);
     }
 
     /// A highlight many times as bright as white is not seen further away than a white one.

@@ -7,7 +7,7 @@ use foveal::illumination::Irradiance;
 use foveal::sampling::Rect;
 use foveal::scene::Scene;
 use foveal::scene::camera::CameraFrame;
-use foveal::splatting::{Footprint, SampleBatch, WarpedSample};
+use foveal::splatting::{Footprint, Guides, SampleBatch, WarpedSample};
 use glam::Vec3;
 
 use super::adapter::Gpu;
@@ -216,6 +216,11 @@ impl GpuDisplay {
         self.splats.splat_fresh(batch, source);
     }
 
+    /// What guides show in this view.
+    pub fn guide(&mut self, guides: &Guides) {
+        self.splats.guide(guides);
+    }
+
     /// Draws what is new and the picture.
     pub fn draw(&mut self, tone: &ToneMap, overlay: Overlay) -> Drawn {
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
@@ -226,7 +231,8 @@ impl GpuDisplay {
             drawn.triangles = passes.base.draw(gpu, &mut encoder, &self.base, &self.targets, frame);
         }
         drawn.samples = passes.splat.draw(gpu, &mut encoder, &mut self.splats, &self.targets);
-        if begun.is_some() || drawn.samples > 0 {
+        let is_guided_anew = self.splats.send_guides(gpu);
+        if begun.is_some() || drawn.samples > 0 || is_guided_anew {
             passes.reconstruction.draw(gpu, &mut encoder, &self.between, &self.splats, &self.targets);
         }
         let layers = (&self.targets, &self.splats, self.between.shown(&self.splats));

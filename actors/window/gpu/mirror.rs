@@ -75,6 +75,7 @@ impl Mirror {
                 match splats {
                     Splats::Warped(samples) => scene.display.splat_warped(samples),
                     Splats::Fresh { batch, source } => scene.display.splat_fresh(batch, *source),
+                    Splats::Guides(guides) => scene.display.guide(guides),
                 }
             }
             scene.splats = splats.len();

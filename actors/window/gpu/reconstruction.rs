@@ -3,7 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 use foveal::scene::camera::CameraFrame;
 use foveal::splatting::Footprint;
-use foveal::splatting::reconstruction::{DEPTH_SHARE, slope};
+use foveal::splatting::reconstruction::{DEPTH_SHARES, slope};
 
 use super::adapter::Gpu;
 use super::base::BaseTargets;
@@ -17,9 +17,9 @@ const WORKGROUP: u32 = 64;
 struct ViewRecord {
     size: [u32; 2],
     slope: f32,
-    depth_share: f32,
     white: f32,
-    padding: [f32; 3],
+    depth_shares: [f32; 2],
+    padding: [f32; 2],
 }
 
 /// The pipeline.
@@ -60,8 +60,8 @@ impl ReconstructionTargets {
         let record = ViewRecord {
             size: self.size,
             slope: slope(frame),
-            depth_share: DEPTH_SHARE,
             white,
+            depth_shares: DEPTH_SHARES,
             ..ViewRecord::zeroed()
         };
         gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&record));
@@ -116,9 +116,10 @@ impl ReconstructionPass {
                 entry(1, wgpu::BindingResource::TextureView(&objects)),
                 entry(2, wgpu::BindingResource::TextureView(&depths)),
                 entry(3, splats.ranks.as_entire_binding()),
-                entry(4, splats.places.as_entire_binding()),
+                entry(4, splats.details.as_entire_binding()),
                 entry(5, splats.colors.as_entire_binding()),
-                entry(6, shown.as_entire_binding()),
+                entry(6, splats.guides.as_entire_binding()),
+                entry(7, shown.as_entire_binding()),
             ],
         });
         let mut pass = encoder.begin_compute_pass(&Default::default());
@@ -140,6 +141,7 @@ fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
         buffer(wgpu::BufferBindingType::Uniform),
         texture(wgpu::TextureSampleType::Uint),
         texture(wgpu::TextureSampleType::Float { filterable: false }),
+        storage(true),
         storage(true),
         storage(true),
         storage(true),

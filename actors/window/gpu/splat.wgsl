@@ -29,6 +29,8 @@ struct Splat {
     depth: vec2f,
     // Radiance as three halves; the fourth is source + 1.
     color: vec2u,
+    // What its guide showed as three halves; the fourth is 1 where it has one.
+    guide: vec2u,
     // Splats are numbered from 1 in a view.
     number: u32,
     padding: u32,
@@ -49,8 +51,8 @@ const CHUNK: u32 = 64u;
 @group(0) @binding(5) var<storage, read_write> ranks: array<atomic<u32>>;
 @group(0) @binding(6) var<storage, read_write> owners: array<atomic<u32>>;
 @group(0) @binding(7) var<storage, read_write> colors: array<vec2u>;
-// The pixel of the sample that is shown: column in the low, row in the high half.
-@group(0) @binding(8) var<storage, read_write> places: array<u32>;
+// Of the sample that is shown: its place, and its guide.
+@group(0) @binding(8) var<storage, read_write> details: array<vec4u>;
 @group(1) @binding(0) var<uniform> group: Group;
 
 fn matches(object: u32, depth: vec2f, p: vec2i) -> bool {
@@ -176,7 +178,7 @@ fn color(@builtin(global_invocation_id) id: vec3u) {
         let at = pixel(p, i);
         if at >= 0 && atomicLoad(&owners[at]) == splats[splat].number && is_of_object(p, at) {
             colors[at] = splats[splat].color;
-            places[at] = splats[splat].place;
+            details[at] = vec4u(splats[splat].place, splats[splat].guide, 0u);
         }
     }
 }

@@ -12,7 +12,7 @@ use foveal::scene::camera::CameraFrame;
 use foveal::scene::load::load;
 use foveal::scene::texture::MipChain;
 use foveal::scene::{Camera, Scene};
-use foveal::splatting::{Footprint, Reconstruction, Sample, SampleBatch, SplatLayer, WarpedSample};
+use foveal::splatting::{Footprint, Guides, Reconstruction, Sample, SampleBatch, SplatLayer, WarpedSample};
 use foveal::world::World;
 use glam::Vec3;
 
@@ -282,6 +282,11 @@ fn warped(buffers: &FrameBuffers, count: usize, seed: u64) -> Vec<WarpedSample> 
                 depth: depth * if up_to(8) == 0 { 1.1 } else { 1.0 },
                 depth_tolerance: 0.01 * depth,
                 color: Vec3::new(up_to(100) as f32 / 100.0, up_to(100) as f32 / 100.0, 0.5),
+                guide: if buffers.object.at(sx, sy) == 1 {
+                    Vec3::new(up_to(50) as f32 / 100.0, 0.1, 0.3)
+                } else {
+                    Vec3::NAN
+                },
                 object: buffers.object.at(sx, sy),
                 age: 1 + up_to(40) as u16,
                 half_side: up_to(6) as u8,
@@ -307,9 +312,26 @@ fn fresh(lattice: &Lattice, level: u32, object: u32, buffers: &FrameBuffers, see
                 color: Vec3::new(stream.next_f32(), stream.next_f32(), level as f32 * 0.1),
                 pixel_width: 1.0,
             });
+            if object == 1 {
+                batch.guides.push(Vec3::new(stream.next_f32(), 0.2, 0.1));
+            }
         }
     }
     batch
+}
+
+/// Guides of some pixels of object 1.
+fn guides(buffers: &FrameBuffers, seed: u64) -> Guides {
+    let mut stream = Stream::new(seed, 2, 1);
+    let mut guides = Guides { view: 1, ..Guides::default() };
+    for (i, object) in buffers.object.data().iter().enumerate() {
+        let color = Vec3::new(stream.next_f32(), stream.next_f32(), 0.4);
+        if *object == 1 && !stream.next_u64().is_multiple_of(4) {
+            guides.pixels.push([(i % 120) as u16, (i / 120) as u16]);
+            guides.colors.push(color);
+        }
+    }
+    guides
 }
 
 /// Both layers pixel by pixel.
@@ -352,6 +374,14 @@ fn splat_layer_matches_its_twin() {
             display.draw(&ToneMap::default(), Overlay::None);
             assert_layers_equal(&display, &layer);
             assert_reconstructions_equal(&display, &layer, &buffers);
+            if step == 1 {
+                let guides = guides(&buffers, 5);
+                assert!(guides.pixels.len() > 500, "{}", guides.pixels.len());
+                layer.guide(&guides);
+                display.guide(&guides);
+                display.draw(&ToneMap::default(), Overlay::None);
+                assert_reconstructions_equal(&display, &layer, &buffers);
+            }
         }
         assert_eq!(display.draw(&ToneMap::default(), Overlay::None).samples, 0);
         assert_layers_equal(&display, &layer);

@@ -23,8 +23,8 @@ use xxhash_rust::xxh3::Xxh3;
 
 use crate::message::tracer::EnvironmentWork;
 use crate::message::{
-    AllocatorMessage, CacheAgerMessage, DrawnView, EnvironmentOrder, LevelOrder, PredictionOrder, RendererMessage,
-    RunWork, SampleOrder, SettleWork, TileWork, TraceJob, TracerMessage, View,
+    AllocatorMessage, CacheAgerMessage, DrawnView, EnvironmentOrder, LevelOrder, PredictionOrder,
+    RendererMessage, RunWork, SampleOrder, SettleWork, TileWork, TraceJob, TracerMessage, View,
 };
 use crate::outbox::Outbox;
 

@@ -176,8 +176,8 @@ impl Actor for Allocator {
                 self.on_run_traced(view, splats.as_deref(), cx);
             }
             AllocatorMessage::Settled { view, stated } => self.on_settled(view, stated, cx),
-            AllocatorMessage::ResidualsMeasured { view, object, level, pixel, residual } => {
-                self.order.record(u64::from(view.0), object, level, pixel, &residual);
+            AllocatorMessage::ResidualsMeasured { view, object, level, pixel, residual, guided } => {
+                self.order.record(u64::from(view.0), object, level, pixel, &residual, &guided);
             }
             AllocatorMessage::EnvironmentCaptured { object, seen, hash: _, seconds } => {
                 self.on_environment_captured(object, &seen, seconds, cx);

@@ -9,10 +9,10 @@ use foveal::display::twin::{self, Passes};
 use foveal::image::Map2d;
 use foveal::scene::camera::CameraFrame;
 use foveal::scene::texture::LevelTexels;
-use foveal::splatting::{Guides, SampleBatch};
 use foveal::splatting::light_tracing::{LightSums, Splats};
 use foveal::splatting::settled::Settled;
 use foveal::splatting::tile_sums::TileSums;
+use foveal::splatting::{Guides, SampleBatch};
 use foveal::world::World;
 use foveal_runtime::{Digest, Loader, Saver};
 

@@ -545,14 +545,26 @@ impl Renderer {
         let Some(neighbours) = &self.neighbours else { return };
         let base = &drawn.buffers.color;
         let between = self.between(drawn);
-        let residual = self.stages.time(Stage::Allocate, || {
-            let would_show = |x, y| match &self.approximation {
-                Some(first) if self.layer.is_bare(x, y) => {
-                    first.pixel(&self.world, &drawn.frame, &drawn.buffers, x, y)
-                }
-                _ => between.pixel(x, y),
-            };
-            residual_of_batch(batch, base, would_show, &self.tone, &self.viewing, &self.thresholds)
+        let first = |x, y| match &self.approximation {
+            Some(first) if self.layer.is_bare(x, y) => {
+                Some(first.pixel(&self.world, &drawn.frame, &drawn.buffers, x, y))
+            }
+            _ => None,
+        };
+        let of = |shown: &dyn Fn(usize, usize, usize) -> Vec3| {
+            residual_of_batch(batch, base, shown, &self.tone, &self.viewing, &self.thresholds)
+        };
+        let (residual, guided) = self.stages.time(Stage::Allocate, || {
+            let residual = of(&|_, x, y| match self.layer.guide_at(x, y) {
+                Some(guide) => between.pixel_led_by(x, y, guide),
+                None => first(x, y).unwrap_or_else(|| between.pixel(x, y)),
+            });
+            if batch.guides.is_empty() {
+                return (residual, Default::default());
+            }
+            let with = of(&|i, x, y| between.pixel_led_by(x, y, batch.guide(i)));
+            let without = of(&|_, x, y| first(x, y).unwrap_or_else(|| between.pixel_led_by(x, y, Vec3::NAN)));
+            (residual, [with, without])
         });
         let measured = AllocatorMessage::ResidualsMeasured {
             view: self.view,
@@ -560,6 +572,7 @@ impl Renderer {
             level: self.settings.k_max + 1 - batch.k.min(self.settings.k_max),
             pixel: batch.pixels.first().copied().unwrap_or_default(),
             residual,
+            guided,
         };
         // Where the allocator is that far behind, it learns from the next batch as well.
         let _ = cx.tell(&neighbours.allocator, measured);

@@ -8,7 +8,7 @@
 //! whole objects alone).
 //!
 //! Objects that are looked at through guides ([`crate::transport::tracer::guide`]) have jobs of another kind beside: the
-//! guides of all of their pixels, which belong to no level and come before the first fine one.
+//! guides of all of their pixels, which belong to no level and may come between the fine ones.
 
 use crate::image::Map2d;
 use crate::perception::importance::ObjectStatistics;
@@ -33,7 +33,7 @@ pub struct SampleJob {
 
 /// The level of jobs of guides, which belong to none.
 pub const GUIDES: u32 = 0;
-/// Guides are followed before samples of this level set, and of finer ones but the last.
+/// Guides may be followed before samples of this level set and finer ones: where an object goes on in parts.
 const GUIDED_K: u32 = 2;
 /// Guides of one job: as long as a job of samples lasts, about.
 const GUIDES_PER_JOB: u32 = 1024;
@@ -72,9 +72,9 @@ impl Part {
         self.id == other.id || (self.object == other.object && lies_within && other.is_split)
     }
 
-    /// Whether guides are still to be handed out.
-    pub fn wants_guides(&self) -> bool {
-        self.guides.is_some()
+    /// Whether some of its guides are handed out, and others are not.
+    pub fn is_being_guided(&self) -> bool {
+        self.guides.is_some_and(|next| next != beginning(self.rect))
     }
 
     /// Whether every sample of it is handed out, or it goes on in parts.
@@ -98,7 +98,13 @@ pub struct SampleJobs {
 impl SampleJobs {
     /// No object yet. `samples_per_job` is the paper's n_job, at least 1.
     pub fn new(lattice: Lattice, samples_per_job: u32) -> Self {
-        Self { lattice, samples_per_job: samples_per_job.max(1), parts: Vec::new(), next_id: 0, guided: Vec::new() }
+        Self {
+            lattice,
+            samples_per_job: samples_per_job.max(1),
+            parts: Vec::new(),
+            next_id: 0,
+            guided: Vec::new(),
+        }
     }
 
     /// Which objects are looked at through guides from the next view on, by id.
@@ -217,6 +223,33 @@ impl SampleJobs {
         }
     }
 
+    /// Whether a level comes before those between which guides may be followed.
+    pub fn is_coarse(lattice: &Lattice, level: u32) -> bool {
+        lattice.k_of(level) > GUIDED_K
+    }
+
+    /// Whether the next job of a part may be one of guides: some are left, and it is about to begin a fine level.
+    pub fn may_guide(lattice: &Lattice, part: &Part) -> bool {
+        part.guides.is_some() && part.handed == 0 && lattice.k_of(part.level) <= GUIDED_K
+    }
+
+    /// The next job of guides of one part; none where no pixel is left.
+    pub fn cut_guides(
+        &mut self,
+        index: usize,
+        ids: &Map2d<u32>,
+        priority: impl Fn(&Part) -> f32,
+    ) -> Option<(SampleJob, f32)> {
+        let o = &mut self.parts[index];
+        let start = o.guides?;
+        let (count, end) = guides_from(o.object, o.rect, start, ids);
+        let job = SampleJob { object: o.object, level: GUIDES, guided: true, rect: o.rect, start, count };
+        let job_priority = o.priority;
+        o.guides = end;
+        o.priority = priority(o);
+        (count > 0).then_some((job, job_priority))
+    }
+
     /// The next job of one part, of at most so many samples; none where its level has no pixel left, and it is at the next
     /// one then.
     pub fn cut(
@@ -227,17 +260,8 @@ impl SampleJobs {
         priority: impl Fn(&Part) -> f32,
     ) -> Option<(SampleJob, f32)> {
         let guided = self.guided.get(self.parts[index].object as usize).is_some_and(|guided| *guided);
-        let k = self.lattice.k_of(self.parts[index].level);
         let o = &mut self.parts[index];
         let start = o.cursor?;
-        if let (Some(start), 1..=GUIDED_K) = (o.guides, k) {
-            let (count, end) = guides_from(o.object, o.rect, start, ids);
-            let job = SampleJob { object: o.object, level: GUIDES, guided, rect: o.rect, start, count };
-            let job_priority = o.priority;
-            o.guides = end;
-            o.priority = priority(o);
-            return (count > 0).then_some((job, job_priority));
-        }
         let mut samples = self.lattice.samples(o.level, o.rect, start);
         let mut count = 0;
         while count < at_most {
@@ -391,9 +415,9 @@ mod tests {
         }
     }
 
-    /// Guides of all pixels of the objects that have some come once, before their first sample of a fine level.
+    /// Guides are handed out once for all pixels of the objects that have some, whatever is split.
     #[test]
-    fn guides_come_once_and_before_fine_samples() {
+    fn guides_come_once() {
         let ids = ids(240, 180);
         let lattice = Lattice::new(5, [120, 90]);
         let mut jobs = SampleJobs::new(lattice, 64);
@@ -406,7 +430,11 @@ mod tests {
                 jobs.split(best, 64, &ids);
                 continue;
             }
-            let Some((job, _)) = jobs.cut(best, 64, &ids, |_| 1.0) else { continue };
+            let next = match SampleJobs::may_guide(&lattice, &whole) {
+                true => jobs.cut_guides(best, &ids, |_| 1.0),
+                false => jobs.cut(best, 64, &ids, |_| 1.0),
+            };
+            let Some((job, _)) = next else { continue };
             assert_eq!(job.guided, job.object != 2);
             if job.level == GUIDES {
                 assert!(guide_pixels(&job, &ids).count() as u32 == job.count && job.count <= GUIDES_PER_JOB);

@@ -311,16 +311,19 @@ fn utilities(ledger: &RayLedger, demands: &[RayDemand]) -> Vec<f32> {
 fn guides_count_by_their_own_time() {
     let mut ledger = RayLedger::new(RaySettings::default());
     ledger.start_view(3);
-    let mut residual = Residual::default();
-    (0..100).for_each(|_| residual.add_difference(4.0));
     for object in [1, 2] {
-        ledger.record(object, 3, &residual, 100, 100.0 * 40e-6);
+        ledger.record(object, 3, &residual(4.0, 100), 100, 100.0 * 40e-6);
     }
     assert_eq!(ledger.seconds_per_guide(1), 0.15 * ledger.seconds_per_ray(1));
     ledger.record_guides(1, 100, 100.0 * 1e-6);
     ledger.record_guides(2, 100, 100.0 * 400e-6);
     assert!((ledger.seconds_per_guide(1) - 1e-6).abs() < 1e-9);
-    // Of a level that leaves most of the error, and then one that is exact.
+    // Guides that leave a third of the error.
+    assert_eq!(ledger.guide_ratio(1), RaySettings::default().guide_ratio_prior);
+    for object in [1, 2] {
+        ledger.record_guided(object, [&residual(1.0, 1000), &residual(3.0, 1000)]);
+    }
+    assert!((ledger.guide_ratio(1) - 1.0 / 3.0).abs() < 0.01);
     let left = [200, 800];
     let plain = demand(1, 4, &left);
     let guided = |object| ledger.utility(&RayDemand { guides: 1000, ..demand(object, 4, &left) });

@@ -220,6 +220,11 @@ impl SplatLayer {
         }
     }
 
+    /// What a pixel's guide shows, where one was followed.
+    pub fn guide_at(&self, x: usize, y: usize) -> Option<Vec3> {
+        Some(self.guide.at(x, y)).filter(|guide| !guide.is_nan())
+    }
+
     /// What the guides of the samples shown showed, and what the pixels' own show; not numbers where there are none.
     pub fn guides(&self) -> [&Map2d<Vec3>; 2] {
         [&self.carried, &self.guide]

@@ -57,16 +57,28 @@ impl<'a> Reconstruction<'a> {
     /// View-dependent radiance of a pixel.
     #[inline]
     pub fn pixel(&self, x: usize, y: usize) -> Vec3 {
+        let [_, guides] = self.layer.guides();
+        self.pixel_led_by(x, y, guides.at(x, y))
+    }
+
+    /// What a pixel would show if this were its guide; not a number: if it had none.
+    #[inline]
+    pub fn pixel_led_by(&self, x: usize, y: usize, guide: Vec3) -> Vec3 {
         let (colors, ranks, _, places) = self.layer.maps();
         let (own, level) = (colors.at(x, y), level_of(ranks.at(x, y)));
         if !self.is_linear || level == Some((0, true)) {
             return own;
         }
-        let [carried, guides] = self.layer.guides();
-        let guide = guides.at(x, y);
+        let [carried, _] = self.layer.guides();
         match level {
             // What is known of a pixel that no sample has reached.
-            None => if guide.is_nan() { own } else { guide },
+            None => {
+                if guide.is_nan() {
+                    own
+                } else {
+                    guide
+                }
+            }
             Some((0, _)) if guide.is_nan() => own,
             Some((0, _)) => self.value(own, carried.at(x, y), guide).map_or(own, |v| self.led(v, guide)),
             Some((k, _)) => {
@@ -126,13 +138,7 @@ impl<'a> Reconstruction<'a> {
     /// Weighted sum over the corners that count for a pixel, the sum of their weights, and whether none is missing that
     /// is on the pixel's surface.
     #[inline]
-    fn sum(
-        &self,
-        [x, y]: [i32; 2],
-        k: u32,
-        guide: Vec3,
-        corners: [(i32, i32, f32); 4],
-    ) -> (Vec3, f32, bool) {
+    fn sum(&self, [x, y]: [i32; 2], k: u32, guide: Vec3, corners: [(i32, i32, f32); 4]) -> (Vec3, f32, bool) {
         let (colors, ranks, _, places) = self.layer.maps();
         let [carried, _] = self.layer.guides();
         let (width, height) = (colors.width() as i32, colors.height() as i32);
@@ -255,7 +261,8 @@ mod tests {
 
     /// The sample that each pixel of level set `k` moved by `offset` has become.
     fn warped(k: u32, offset: [i32; 2], object: u32, color: impl Fn(f32, f32) -> Vec3) -> Vec<WarpedSample> {
-        let moved = Rect { x0: -offset[0], y0: -offset[1], x1: SIZE as i32 - offset[0], y1: SIZE as i32 - offset[1] };
+        let moved =
+            Rect { x0: -offset[0], y0: -offset[1], x1: SIZE as i32 - offset[0], y1: SIZE as i32 - offset[1] };
         let levels = 1..=lattice().levels() - k;
         let all = levels.flat_map(|level| lattice().all_samples(level, moved));
         all.map(|(x, y)| {
@@ -417,7 +424,10 @@ mod tests {
                     assert_eq!(found, between(&before).pixel(x, y), "a pixel without guide");
                 } else if layer.is_covered(x, y) {
                     let expected = sampled(x as f32, y as f32);
-                    assert!((found - expected).abs().max_element() < 1e-4, "{found}, not {expected} at {x}, {y}");
+                    assert!(
+                        (found - expected).abs().max_element() < 1e-4,
+                        "{found}, not {expected} at {x}, {y}"
+                    );
                 } else {
                     assert_eq!(found, texture(x as f32, y as f32) + Vec3::splat(1.0), "only the guide");
                 }
@@ -465,7 +475,8 @@ mod tests {
         let mut layer = empty();
         splat(&mut layer, &buffers, 1, 1, |_, _| Vec3::ONE, |_, _| true);
         let mut fine = SplatLayer::clone(&layer);
-        (2..=4).for_each(|level| splat(&mut fine, &buffers, 1, level, |_, _| Vec3::splat(5.0), |x, _| x < 45));
+        (2..=4)
+            .for_each(|level| splat(&mut fine, &buffers, 1, level, |_, _| Vec3::splat(5.0), |x, _| x < 45));
         let between = Reconstruction::new(&fine, &buffers, &frame(), f32::INFINITY);
         let is_of_level = |x, y| fine.shown_level(x, y).is_some_and(|(k, _)| k == 1);
         let all = pixels().filter(|&(x, y)| is_of_level(x, y) && is_inner(x, y, 4));

@@ -94,10 +94,10 @@ fn sum(p: vec2i, k: u32, guide: vec4f, corners: array<vec2i, 4>, weights: array<
             continue;
         }
         let at = u32(q.y * size.x + q.x);
-        let of = level_of(ranks[at]);
+        let level = level_of(ranks[at]);
         let is_own = details[at].x == (u32(q.x) | (u32(q.y) << 16u));
         let carried = value(at, guide);
-        if of != NONE && (of <= k || is_own) && carried.w > 0.5 {
+        if level != NONE && (level <= k || is_own) && carried.w > 0.5 {
             out.weighted += carried * w[i];
         } else {
             out.is_whole = false;

@@ -235,7 +235,9 @@ fn tile_table(k_max: u32, footprint: Footprint) -> Vec<u32> {
     for k in 0..=k_max {
         let tile = Lattice::tile(k);
         let half = match footprint {
-            Footprint::Tile | Footprint::Linear => tile.iter().map(|&(x, y)| i32::from(x).abs().max(i32::from(y).abs())).max(),
+            Footprint::Tile | Footprint::Linear => {
+                tile.iter().map(|&(x, y)| i32::from(x).abs().max(i32::from(y).abs())).max()
+            }
             Footprint::Square => None,
         }
         .unwrap_or(Lattice::square_side(k) / 2);
@@ -248,7 +250,9 @@ fn tile_table(k_max: u32, footprint: Footprint) -> Vec<u32> {
             bits[bit / 32] |= 1 << (bit % 32);
         };
         match footprint {
-            Footprint::Tile | Footprint::Linear => tile.iter().for_each(|&(x, y)| set(i32::from(x), i32::from(y))),
+            Footprint::Tile | Footprint::Linear => {
+                tile.iter().for_each(|&(x, y)| set(i32::from(x), i32::from(y)))
+            }
             Footprint::Square => (-half..=half).for_each(|y| (-half..=half).for_each(|x| set(x, y))),
         }
         bit_count += area;

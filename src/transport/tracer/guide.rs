@@ -39,7 +39,8 @@ impl Tracer<'_> {
         let mut bsdf = Bsdf::at(self.scene, &at);
         for _ in 0..GUIDE_DEPTH {
             let [a, b] = bsdf.delta_lobes(at.wo);
-            let share = |lobe: &Option<_>| lobe.as_ref().map_or(-1.0, |l: &super::BsdfSample| luminance(l.weight));
+            let share =
+                |lobe: &Option<_>| lobe.as_ref().map_or(-1.0, |l: &super::BsdfSample| luminance(l.weight));
             let Some(lobe) = (if share(&b) > share(&a) { b } else { a }) else { return Vec3::ZERO };
             if lobe.transmitted {
                 branch.media = branch.media.crossed(self.scene, &at);
@@ -53,7 +54,8 @@ impl Tracer<'_> {
             at = Interaction::at(self.scene, &ray, &hit).with_footprint(branch.width);
             bsdf = Bsdf::at(self.scene, &at);
             weight *= branch.media.transmittance_to(self.scene, &at, hit.t);
-            let ends = bsdf.diffuse_albedo() != Vec3::ZERO || bsdf.delta_lobes(at.wo).iter().all(Option::is_none);
+            let ends =
+                bsdf.diffuse_albedo() != Vec3::ZERO || bsdf.delta_lobes(at.wo).iter().all(Option::is_none);
             if ends {
                 let diffuse = bsdf.diffuse_albedo() * self.diffuse_light(&at, &bsdf, branch.media);
                 let radiance = at.point().emission(self.scene) + diffuse * bsdf.coat_factor(at.wo);

@@ -103,7 +103,7 @@ pub fn angle_limit(world: &World, material: foveal::scene::MaterialId) -> f32 {
 fn digest(samples: &[WarpedSample]) -> u64 {
     let mut h = Xxh3::new();
     for s in samples {
-        let words: [u32; 8] = [
+        let words: [u32; 11] = [
             u32::from(s.x) | u32::from(s.y) << 16,
             s.depth.to_bits(),
             s.color.x.to_bits(),
@@ -112,6 +112,9 @@ fn digest(samples: &[WarpedSample]) -> u64 {
             s.object,
             u32::from(s.age) | u32::from(s.half_side) << 16 | u32::from(s.k) << 24,
             s.depth_tolerance.to_bits(),
+            s.guide.x.to_bits(),
+            s.guide.y.to_bits(),
+            s.guide.z.to_bits(),
         ];
         h.update(bytes_of(&words));
     }

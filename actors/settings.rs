@@ -124,7 +124,7 @@ impl Settings {
             seed: 0,
             samples_per_job: 256,
             k_max: 6,
-            footprint: Footprint::Tile,
+            footprint: Footprint::default(),
             ageing: AgeingRules::default(),
             cache_capacity: (1 << 18).max(width as usize * height as usize),
             environment_bytes: 64 << 20,

@@ -6,24 +6,25 @@
 use std::sync::Arc;
 
 use foveal::allocation::environment::MapContrast;
-use foveal::allocation::jobs::job_pixels;
+use foveal::allocation::jobs::{GUIDES, guide_pixels, job_pixels};
 use foveal::allocation::texture_demand::predicted_uses;
 use foveal::display::environment_map::{self, EnvironmentMap, capture, direction, solid_angle};
 use foveal::image::luminance;
 use foveal::sampling::Lattice;
 use foveal::scene::mip_cache;
+use foveal::splatting::Guides;
 use foveal::splatting::light_tracing::{Splats, trace_run};
 use foveal::splatting::settled::settled;
 use foveal::splatting::supersampling::supersample;
-use foveal::splatting::trace::{Owner, trace_samples};
+use foveal::splatting::trace::{Owner, trace_guides, trace_samples};
 use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver, Worker};
 
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::message::tracer::EnvironmentWork;
 use crate::message::{
-    AllocatorMessage, CacheAgerMessage, EnvironmentOrder, LevelOrder, PredictionOrder, RendererMessage,
-    RunWork, SampleOrder, SettleWork, TileWork, TraceJob, TracerMessage, View,
+    AllocatorMessage, CacheAgerMessage, DrawnView, EnvironmentOrder, LevelOrder, PredictionOrder,
+    RendererMessage, RunWork, SampleOrder, SettleWork, TileWork, TraceJob, TracerMessage, View,
 };
 use crate::outbox::Outbox;
 
@@ -57,12 +58,22 @@ impl Tracer {
     }
 
     fn trace_samples(&mut self, job: &SampleOrder, cx: &mut Cx<'_, TracerMessage>) {
+        if job.order.level == GUIDES {
+            return self.trace_guides(job, cx);
+        }
         let drawn = &job.drawn;
         let owner =
             Owner { view: drawn.view.0, object: job.order.object, k: self.lattice.k_of(job.order.level) };
         let pixels = job_pixels(&self.lattice, &job.order, &drawn.buffers.object);
-        let (batch, duration) =
-            cx.measure(|| trace_samples(&drawn.world, &drawn.frame, &drawn.buffers, owner, pixels, job.seed));
+        let (batch, duration) = cx.measure(|| {
+            let DrawnView { world, frame, buffers, .. } = &**drawn;
+            let mut batch = trace_samples(world, frame, buffers, owner, pixels, job.seed);
+            if job.order.guided {
+                let pixels = batch.pixels.iter().map(|&[x, y]| (i32::from(x), i32::from(y)));
+                batch.guides = trace_guides(world, frame, buffers, pixels);
+            }
+            batch
+        });
         if !cx.claim() {
             return;
         }
@@ -73,6 +84,21 @@ impl Tracer {
         self.outbox.tell(cx, &self.renderer, to_renderer);
         self.outbox.tell(cx, &self.cache_ager, CacheAgerMessage::SamplesTraced { batch, hash });
         self.job_done(job, samples, duration.as_secs_f32(), cx);
+    }
+
+    fn trace_guides(&mut self, job: &SampleOrder, cx: &mut Cx<'_, TracerMessage>) {
+        let DrawnView { view, world, frame, buffers, .. } = &*job.drawn;
+        let pixels = || guide_pixels(&job.order, &buffers.object);
+        let (colors, duration) = cx.measure(|| trace_guides(world, frame, buffers, pixels()));
+        if !cx.claim() {
+            return;
+        }
+        let pixels = pixels().map(|(x, y)| [x as u16, y as u16]).collect();
+        let guides = Guides { view: view.0, pixels, colors };
+        let (count, hash) = (guides.colors.len() as u32, guides.digest());
+        let traced = RendererMessage::GuidesTraced { guides: Arc::new(guides), hash };
+        self.outbox.tell(cx, &self.renderer, traced);
+        self.job_done(job, count, duration.as_secs_f32(), cx);
     }
 
     fn supersample(&mut self, work: &TileWork, cx: &mut Cx<'_, TracerMessage>) {

@@ -27,6 +27,8 @@ use std::sync::Arc;
 use foveal::allocation::ray_order::RayOrder;
 use foveal::allocation::supersampling::Supersampler;
 use foveal::perception::importance::{ObjectScan, ObjectStatistics};
+use foveal::splatting::Footprint;
+use foveal::transport::tracer::guide::is_guided;
 use foveal_runtime::{Actor, ActorId, Address, Cx, DeadJob, Incident, JobPool, Loader, Saver};
 
 use crate::insight::InsightSlot;
@@ -165,8 +167,8 @@ impl Actor for Allocator {
             AllocatorMessage::ViewBegun { view } => self.on_view_begun(view, cx),
             AllocatorMessage::ViewDrawn { drawn } => self.on_view_drawn(drawn, cx),
             AllocatorMessage::ObjectsRanked { view: _, saliency } => self.on_objects_ranked(saliency),
-            AllocatorMessage::JobDone { view: _, object, level: _, samples, seconds } => {
-                self.order.record_time(object, samples, seconds);
+            AllocatorMessage::JobDone { view: _, object, level, samples, seconds } => {
+                self.order.record_time(object, level, samples, seconds);
                 self.on_job_done(cx);
             }
             AllocatorMessage::TileSampled { view, sums, hash: _ } => self.on_tile_sampled(view, sums, cx),
@@ -174,8 +176,8 @@ impl Actor for Allocator {
                 self.on_run_traced(view, splats.as_deref(), cx);
             }
             AllocatorMessage::Settled { view, stated } => self.on_settled(view, stated, cx),
-            AllocatorMessage::ResidualsMeasured { view, object, level, pixel, residual } => {
-                self.order.record(u64::from(view.0), object, level, pixel, &residual);
+            AllocatorMessage::ResidualsMeasured { view, object, level, pixel, residual, guided } => {
+                self.order.record(u64::from(view.0), object, level, pixel, &residual, &guided);
             }
             AllocatorMessage::EnvironmentCaptured { object, seen, hash: _, seconds } => {
                 self.on_environment_captured(object, &seen, seconds, cx);
@@ -224,6 +226,7 @@ impl Allocator {
         let stages = self.stages.clone();
         stages.time(Stage::Allocate, || {
             self.scan.gather(&drawn.buffers.object, None, drawn.object_count, &mut self.statistics);
+            self.order.set_guided(self.guided_objects(&drawn));
             self.drawn = Some(drawn);
             self.told_converged = false;
             self.told_refined = false;
@@ -238,6 +241,13 @@ impl Allocator {
         self.decide(cx);
         self.fill_pool(cx);
         self.tell_insight();
+    }
+
+    /// Which objects are looked at through guides: those of smooth glass, where there is anything between samples.
+    fn guided_objects(&self, drawn: &DrawnView) -> Vec<bool> {
+        let scene = &drawn.world.scene;
+        let is_linear = self.settings.footprint == Footprint::Linear;
+        scene.objects.iter().map(|object| is_linear && is_guided(scene, object.material)).collect()
     }
 
     fn on_incident(&mut self, incident: Incident, cx: &mut Cx<'_, AllocatorMessage>) {

@@ -17,10 +17,14 @@ use foveal::perception::importance::ObjectScan;
 use foveal::perception::saliency::SaliencyModel;
 use foveal::sampling::{Lattice, Rect};
 use foveal::scene::{Camera, Scene};
-use foveal::splatting::{AgeingRules, Footprint, SampleBatch, SampleCache, SplatLayer, trace, warp};
+use foveal::splatting::{
+    AgeingRules, Footprint, Reconstruction, SampleBatch, SampleCache, SplatLayer, trace, warp,
+};
 use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
 use foveal::world::World;
+use glam::Vec3;
+use rayon::prelude::*;
 
 use super::made::MadeScene;
 use super::timed;
@@ -196,8 +200,11 @@ fn samples(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
     let frame = second.frame(a.size.width, a.size.height);
     let mut buffers = FrameBuffers::new(a.size.width as usize, a.size.height as usize);
     twin::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
-    let mut layer = SplatLayer::new(a.size.width as usize, a.size.height as usize, 6, Footprint::Tile);
-    let (mut age_ms, mut splat_ms, mut fresh_ms) = (Vec::new(), Vec::new(), Vec::new());
+    let (width, height) = (a.size.width as usize, a.size.height as usize);
+    let mut layer = SplatLayer::new(width, height, 6, Footprint::Linear);
+    let mut shown = Map2d::new(width, height, Vec3::ZERO);
+    let (mut age_ms, mut splat_ms, mut fresh_ms, mut between_ms) =
+        (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     let (_, fresh) = traced(world, &second, a.size, 2, SAMPLES);
     for _ in 0..a.common.runs {
         let mut aged = cache.clone();
@@ -210,6 +217,13 @@ fn samples(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
         splat_ms.push(timed(warp_and_splat).0);
         let splat = || fresh.iter().map(|b| layer.splat_fresh(b, &buffers.object, 1).1).sum::<u32>();
         fresh_ms.push(timed(splat).0);
+        let between = Reconstruction::new(&layer, &buffers, &frame, 1.0);
+        let reconstruct = || {
+            shown.data_mut().par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+                row.iter_mut().enumerate().for_each(|(x, light)| *light = between.pixel(x, y));
+            });
+        };
+        between_ms.push(timed(reconstruct).0);
     }
     let fresh_count: usize = fresh.iter().map(SampleBatch::len).sum();
     Ok(vec![
@@ -220,6 +234,8 @@ fn samples(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
             .against("paper", Some(25.0))
             .aim(Aim::AtMost(2.5)),
         Row::new(format!("splat of {fresh_count} fresh samples"), "ms", &fresh_ms),
+        Row::new(format!("what is shown between them, {width} × {height} pixels"), "ms", &between_ms)
+            .aim(Aim::AtMost(6.0)),
     ])
 }
 

@@ -118,6 +118,7 @@ fn splats(world: &World, camera: &Camera, size: Size) -> Vec<WarpedSample> {
         depth: buffers.depth.data()[i],
         depth_tolerance: 0.02 * buffers.depth.data()[i],
         color: glam::Vec3::splat(0.2),
+        guide: glam::Vec3::NAN,
         object: buffers.object.data()[i],
         age: 1,
         half_side: 1,

@@ -64,6 +64,8 @@ pub enum AllocatorMessage {
         pixel: [u16; 2],
         /// The differences.
         residual: Residual,
+        /// The same if the pixels had guides, and if they had none; nothing where samples bring no guides.
+        guided: [Residual; 2],
     },
     /// From a tracer: a tile of a converged view has more samples, which are with the renderer.
     TileSampled {

@@ -89,18 +89,23 @@ mod tests {
     #[test]
     fn what_the_receiver_uses_is_hashed() {
         // As many differences with the same mean: the allocator learns from how they spread, too.
-        let measured = |differences: [f32; 2]| {
+        let residual = |differences: [f32; 2]| {
             let mut residual = Residual::default();
             differences.into_iter().for_each(|difference| residual.add_difference(difference));
-            AllocatorMessage::ResidualsMeasured {
-                view: View(1),
-                object: 2,
-                level: 3,
-                pixel: [4, 5],
-                residual,
-            }
+            residual
         };
-        assert_ne!(hash(&measured([1.0, 3.0])), hash(&measured([2.0, 2.0])));
+        let measured = |residual, guided| AllocatorMessage::ResidualsMeasured {
+            view: View(1),
+            object: 2,
+            level: 3,
+            pixel: [4, 5],
+            residual,
+            guided,
+        };
+        let nothing = [Residual::default(); 2];
+        let even = residual([2.0, 2.0]);
+        assert_ne!(hash(&measured(residual([1.0, 3.0]), nothing)), hash(&measured(even, nothing)));
+        assert_ne!(hash(&measured(even, nothing)), hash(&measured(even, [nothing[0], even])));
         // The picture's size is in a frame of a camera, and the tracers' views depend on it.
         let moved = |size| {
             let frame = CameraFrame {

@@ -8,7 +8,7 @@ use foveal::scene::Camera;
 use foveal::scene::texture::LevelTexels;
 use foveal::splatting::settled::Settled;
 use foveal::splatting::tile_sums::TileSums;
-use foveal::splatting::{SampleBatch, WarpedSample};
+use foveal::splatting::{Guides, SampleBatch, WarpedSample};
 use foveal_runtime::Message;
 
 use super::{FrameIndex, View, saved};
@@ -60,6 +60,15 @@ pub enum RendererMessage {
         batch: Arc<SampleBatch>,
         /// Which tracer, counted from 0.
         tracer: u32,
+        /// Their hash.
+        hash: u64,
+    },
+    /// From a tracer: what guides show.
+    #[message(size = guides.size_bytes())]
+    GuidesTraced {
+        /// By pixel.
+        #[message(skip = "`hash` tells it", with = saved)]
+        guides: Arc<Guides>,
         /// Their hash.
         hash: u64,
     },

@@ -9,10 +9,10 @@ use foveal::display::twin::{self, Passes};
 use foveal::image::Map2d;
 use foveal::scene::camera::CameraFrame;
 use foveal::scene::texture::LevelTexels;
-use foveal::splatting::SampleBatch;
 use foveal::splatting::light_tracing::{LightSums, Splats};
 use foveal::splatting::settled::Settled;
 use foveal::splatting::tile_sums::TileSums;
+use foveal::splatting::{Guides, SampleBatch};
 use foveal::world::World;
 use foveal_runtime::{Digest, Loader, Saver};
 
@@ -156,9 +156,24 @@ impl Saved for Arc<SampleBatch> {
                 views,
                 colors,
                 pixel_widths,
+                guides,
             } = &batch;
             let lengths = [positions.len(), normals.len(), views.len(), colors.len(), pixel_widths.len()];
-            lengths.iter().all(|length| *length == pixels.len()).then_some(batch)
+            let is_guided = guides.is_empty() || guides.len() == pixels.len();
+            (is_guided && lengths.iter().all(|length| *length == pixels.len())).then_some(batch)
+        })
+    }
+}
+
+impl Saved for Arc<Guides> {
+    fn save(&self, saver: &mut Saver) {
+        saver.shared(self, |guides, saver| saver.put(guides));
+    }
+
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        loader.shared(|loader| {
+            let guides: Guides = loader.take()?;
+            (guides.pixels.len() == guides.colors.len()).then_some(guides)
         })
     }
 }

@@ -13,7 +13,7 @@ use foveal::perception::saliency::CELL;
 use foveal::sampling::{Lattice, Rect};
 use foveal::scene::Camera;
 use foveal::splatting::trace::{Owner, trace_samples};
-use foveal::splatting::{SampleBatch, SampleCache, SplatLayer, warp};
+use foveal::splatting::{Reconstruction, SampleBatch, SampleCache, SplatLayer, warp};
 use foveal::world::World;
 
 use super::walk_report::{Walked, percentiles};
@@ -146,9 +146,9 @@ impl<'w> Still<'w> {
 
     fn shown(&self, layer: &SplatLayer) -> Rgb8 {
         let tone = ToneMap::from(&self.world.scene.display);
-        let colors = layer.colors();
+        let between = Reconstruction::new(layer, &self.buffers, &self.frame, tone.white());
         Map2d::from_fn(self.buffers.width(), self.buffers.height(), |x, y| {
-            tone.to_rgb8(self.buffers.color.at(x, y) + colors.at(x, y))
+            tone.to_rgb8(self.buffers.color.at(x, y) + between.pixel(x, y))
         })
     }
 }

@@ -101,7 +101,7 @@ pub struct WalkArguments {
     #[arg(long, value_name = "K", default_value_t = 6, value_parser = clap::value_parser!(u32).range(0..=7))]
     levels: u32,
     /// What a fresh sample paints
-    #[arg(long, value_enum, default_value_t = FootprintName::Tile)]
+    #[arg(long, value_enum, default_value_t = FootprintName::Linear)]
     footprint: FootprintName,
     /// Ageing: largest change of ⟨normal, view⟩ (the paper's δ)
     #[arg(long, default_value = "0.1", value_parser = unit)]
@@ -155,6 +155,8 @@ impl From<PolicyName> for Policy {
 /// Names of footprints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum FootprintName {
+    /// Exact tiles of the lattice, and between the samples what is linear between them
+    Linear,
     /// Exact tiles of the lattice
     Tile,
     /// Squares, the paper's look
@@ -209,6 +211,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         samples_per_job: a.n_job,
         k_max: a.levels,
         footprint: match a.footprint {
+            FootprintName::Linear => Footprint::Linear,
             FootprintName::Tile => Footprint::Tile,
             FootprintName::Square => Footprint::Square,
         },

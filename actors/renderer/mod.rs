@@ -27,7 +27,7 @@ use foveal::scene::{Camera, Scene};
 use foveal::splatting::settled::Settled;
 use foveal::splatting::supersampling::Tiles;
 use foveal::splatting::tile_sums::TileSums;
-use foveal::splatting::{SampleBatch, SplatLayer, WarpedSample};
+use foveal::splatting::{Guides, Reconstruction, SampleBatch, SplatLayer, WarpedSample};
 use foveal::world::World;
 use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver};
 use glam::Vec3;
@@ -103,6 +103,8 @@ pub enum Splats {
         /// Who traced them: [`SplatLayer::source`].
         source: u8,
     },
+    /// What guides show in the view, which lies between samples.
+    Guides(Arc<Guides>),
 }
 
 /// The renderer's state.
@@ -292,12 +294,19 @@ impl Renderer {
     /// The picture as it stands, linear radiance: base layer + splat layer, and what that is refined to. `None` before
     /// the first frame.
     pub fn picture(&self) -> Option<Map2d<Vec3>> {
-        let base = &self.drawn.as_ref()?.buffers.color;
-        let first = |x, y| base.at(x, y) + self.layer.color(x, y);
+        let drawn = self.drawn.as_ref()?;
+        let base = &drawn.buffers.color;
+        let between = self.between(drawn);
+        let first = |x, y| base.at(x, y) + between.pixel(x, y);
         Some(Map2d::from_fn(base.width(), base.height(), |x, y| match &self.settled {
             Some(settled) => settled.pixel(x, y, base.at(x, y), first(x, y)),
             None => first(x, y),
         }))
+    }
+
+    /// What the splat layer shows of a view, between samples too.
+    fn between<'a>(&'a self, drawn: &'a DrawnView) -> Reconstruction<'a> {
+        Reconstruction::new(&self.layer, &drawn.buffers, &drawn.frame, self.tone.white())
     }
 
     /// What the converged view has been refined to, over its base layer and its first samples.
@@ -509,6 +518,18 @@ impl Renderer {
         }
     }
 
+    fn on_guides_traced(&mut self, guides: Arc<Guides>, cx: &Cx<'_, RendererMessage>) {
+        if guides.view != self.view.0 {
+            return;
+        }
+        self.changed = true;
+        let layer = &mut self.layer;
+        self.stages.time(Stage::WarpSplat, || layer.guide(&guides));
+        if !cx.replays() {
+            self.sink.splatted(self.view, Splats::Guides(guides));
+        }
+    }
+
     /// Pixels that no sample has reached yet show the new map in the next frame.
     fn on_environment_changed(&mut self, object: u32, map: Option<Arc<EnvironmentMap>>) {
         let Some(approximation) = &mut self.approximation else { return };
@@ -523,14 +544,27 @@ impl Renderer {
     fn measure_residuals(&self, batch: &SampleBatch, drawn: &DrawnView, cx: &mut Cx<'_, RendererMessage>) {
         let Some(neighbours) = &self.neighbours else { return };
         let base = &drawn.buffers.color;
-        let residual = self.stages.time(Stage::Allocate, || {
-            let would_show = |x, y| match &self.approximation {
-                Some(first) if self.layer.is_bare(x, y) => {
-                    first.pixel(&self.world, &drawn.frame, &drawn.buffers, x, y)
-                }
-                _ => self.layer.color(x, y),
-            };
-            residual_of_batch(batch, base, would_show, &self.tone, &self.viewing, &self.thresholds)
+        let between = self.between(drawn);
+        let first = |x, y| match &self.approximation {
+            Some(first) if self.layer.is_bare(x, y) => {
+                Some(first.pixel(&self.world, &drawn.frame, &drawn.buffers, x, y))
+            }
+            _ => None,
+        };
+        let of = |shown: &dyn Fn(usize, usize, usize) -> Vec3| {
+            residual_of_batch(batch, base, shown, &self.tone, &self.viewing, &self.thresholds)
+        };
+        let (residual, guided) = self.stages.time(Stage::Allocate, || {
+            let residual = of(&|_, x, y| match self.layer.guide_at(x, y) {
+                Some(guide) => between.pixel_led_by(x, y, guide),
+                None => first(x, y).unwrap_or_else(|| between.pixel(x, y)),
+            });
+            if batch.guides.is_empty() {
+                return (residual, Default::default());
+            }
+            let with = of(&|i, x, y| between.pixel_led_by(x, y, batch.guide(i)));
+            let without = of(&|_, x, y| first(x, y).unwrap_or_else(|| between.pixel_led_by(x, y, Vec3::NAN)));
+            (residual, [with, without])
         });
         let measured = AllocatorMessage::ResidualsMeasured {
             view: self.view,
@@ -538,6 +572,7 @@ impl Renderer {
             level: self.settings.k_max + 1 - batch.k.min(self.settings.k_max),
             pixel: batch.pixels.first().copied().unwrap_or_default(),
             residual,
+            guided,
         };
         // Where the allocator is that far behind, it learns from the next batch as well.
         let _ = cx.tell(&neighbours.allocator, measured);
@@ -597,6 +632,7 @@ impl Actor for Renderer {
             RendererMessage::SamplesTraced { batch, tracer, hash: _ } => {
                 self.on_samples_traced(batch, tracer, cx)
             }
+            RendererMessage::GuidesTraced { guides, hash: _ } => self.on_guides_traced(guides, cx),
             RendererMessage::EnvironmentChanged { object, map, hash: _ } => {
                 self.on_environment_changed(object, map);
             }

@@ -69,6 +69,7 @@ impl Renderer {
             shown.save(saver);
         }
         saver.put(&layer.maps());
+        saver.put(&layer.guides());
         let maps = approximation.as_ref().map_or(&[][..], FirstApproximation::maps);
         saver.put(&(maps.len() as u64));
         for map in maps {
@@ -100,8 +101,8 @@ impl Renderer {
         }
         self.drawn = if is_drawn { Some(Saved::restore(loader)?) } else { None };
         self.shown = if is_shown { Some(Saved::restore(loader)?) } else { None };
-        let (color, rank, source) = loader.take()?;
-        self.layer.restore(color, rank, source)?;
+        let maps = loader.take()?;
+        self.layer.restore(maps, loader.take()?)?;
         let count: u64 = loader.take()?;
         for object in 0..u32::try_from(count).ok()? {
             let map = if loader.take()? { Some(loader.shared(|loader| loader.take())?) } else { None };

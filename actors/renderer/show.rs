@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use foveal::display::FrameBuffers;
 use foveal::image::Map2d;
 use foveal_runtime::Cx;
 use rayon::prelude::*;
@@ -22,7 +21,7 @@ impl Renderer {
             (Some(shown), false) => (None, shown.hash),
             _ => {
                 self.approximate_the_rest(&drawn);
-                let picture = self.stages.clone().time(Stage::Compose, || self.compose(&drawn.buffers));
+                let picture = self.stages.clone().time(Stage::Compose, || self.compose(&drawn));
                 let hash = xxhash_rust::xxh3::xxh3_64(picture.data().as_flattened());
                 (Some(picture), hash)
             }
@@ -66,29 +65,22 @@ impl Renderer {
         });
     }
 
-    fn compose(&self, buffers: &FrameBuffers) -> Map2d<[u8; 3]> {
+    fn compose(&self, drawn: &DrawnView) -> Map2d<[u8; 3]> {
+        let buffers = &drawn.buffers;
         let (width, height) = (buffers.width(), buffers.height());
         let mut rgb8 = Map2d::new(width, height, [0u8; 3]);
         let (encoder, tone) = (&self.encoder, &self.tone);
-        rgb8.data_mut()
-            .par_chunks_mut(width.max(1) * 16)
-            .zip(buffers.color.data().par_chunks(width.max(1) * 16))
-            .zip(self.layer.colors().data().par_chunks(width.max(1) * 16))
-            .for_each(|((out, base), splats)| {
-                for ((out, &base), &splat) in out.iter_mut().zip(base).zip(splats) {
-                    *out = encoder.rgb8(tone, base + splat);
-                }
-            });
-        if let Some(settled) = &self.settled {
-            let (base, splats) = (&buffers.color, self.layer.colors());
-            let rows = rgb8.data_mut().par_chunks_mut(width.max(1)).enumerate();
-            rows.for_each(|(y, row)| {
-                for (x, out) in row.iter_mut().enumerate() {
-                    let base = base.at(x, y);
-                    *out = encoder.rgb8(tone, settled.pixel(x, y, base, base + splats.at(x, y)));
-                }
-            });
-        }
+        let between = self.between(drawn);
+        let settled = self.settled.as_ref();
+        let rows = rgb8.data_mut().par_chunks_mut(width.max(1)).enumerate();
+        rows.for_each(|(y, row)| {
+            for (x, out) in row.iter_mut().enumerate() {
+                let base = buffers.color.at(x, y);
+                let first = base + between.pixel(x, y);
+                let light = settled.map_or(first, |settled| settled.pixel(x, y, base, first));
+                *out = encoder.rgb8(tone, light);
+            }
+        });
         rgb8
     }
 }

@@ -6,6 +6,9 @@
 //! with the object. A finished level goes back one level finer, at the priority the policy gives that.
 //! From some level on an object may go on in parts, tiles of the picture, each with a priority of its own (the papers know
 //! whole objects alone).
+//!
+//! Objects that are looked at through guides ([`crate::transport::tracer::guide`]) have jobs of another kind beside: the
+//! guides of all of their pixels, which belong to no level and may come between the fine ones.
 
 use crate::image::Map2d;
 use crate::perception::importance::ObjectStatistics;
@@ -16,15 +19,24 @@ use crate::sampling::{Cursor, Lattice, Rect};
 pub struct SampleJob {
     /// Object id.
     pub object: u32,
-    /// Level, 1 … l_max.
+    /// Level, 1 … l_max; [`GUIDES`] for guides.
     pub level: u32,
+    /// Whether samples bring what their guides show.
+    pub guided: bool,
     /// The object's bounds in the picture, or those of a part of it.
     pub rect: Rect,
     /// Where in the level to begin.
     pub start: Cursor,
-    /// Samples to trace: pixels of the level, from `start`, that show the object.
+    /// Samples to trace: pixels of the level, from `start`, that show the object; of guides, of all pixels.
     pub count: u32,
 }
+
+/// The level of jobs of guides, which belong to none.
+pub const GUIDES: u32 = 0;
+/// Guides may be followed before samples of this level set and finer ones: where an object goes on in parts.
+const GUIDED_K: u32 = 2;
+/// Guides of one job: as long as a job of samples lasts, about.
+const GUIDES_PER_JOB: u32 = 1024;
 
 /// An object or a part of one, and how far it has come.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -49,6 +61,8 @@ pub struct Part {
     pub priority: f32,
     /// Where in the level the next job begins; `None` once every level is handed out.
     cursor: Option<Cursor>,
+    /// Where the next job of guides begins; `None` without guides, and once all are handed out.
+    guides: Option<Cursor>,
 }
 
 impl Part {
@@ -56,6 +70,11 @@ impl Part {
     pub fn is_of(&self, other: &Self) -> bool {
         let lies_within = self.rect.intersection(other.rect) == self.rect;
         self.id == other.id || (self.object == other.object && lies_within && other.is_split)
+    }
+
+    /// Whether some of its guides are handed out, and others are not.
+    pub fn is_being_guided(&self) -> bool {
+        self.guides.is_some_and(|next| next != beginning(self.rect))
     }
 
     /// Whether every sample of it is handed out, or it goes on in parts.
@@ -72,12 +91,25 @@ pub struct SampleJobs {
     parts: Vec<Part>,
     /// Number of the next part.
     next_id: u32,
+    /// By object id, which are looked at through guides.
+    guided: Vec<bool>,
 }
 
 impl SampleJobs {
     /// No object yet. `samples_per_job` is the paper's n_job, at least 1.
     pub fn new(lattice: Lattice, samples_per_job: u32) -> Self {
-        Self { lattice, samples_per_job: samples_per_job.max(1), parts: Vec::new(), next_id: 0 }
+        Self {
+            lattice,
+            samples_per_job: samples_per_job.max(1),
+            parts: Vec::new(),
+            next_id: 0,
+            guided: Vec::new(),
+        }
+    }
+
+    /// Which objects are looked at through guides from the next view on, by id.
+    pub fn set_guided(&mut self, guided: Vec<bool>) {
+        self.guided = guided;
     }
 
     /// Jobs of so many samples from now on.
@@ -103,6 +135,7 @@ impl SampleJobs {
         for (id, s) in statistics.iter().enumerate().skip(1).filter(|(_, s)| s.pixels > 0) {
             let rect = Rect { x0: s.x0 as i32, y0: s.y0 as i32, x1: s.x1 as i32, y1: s.y1 as i32 };
             let mut whole = part(id as u32, id as u32, rect, s.pixels, 1);
+            whole.guides = self.guided.get(id).is_some_and(|guided| *guided).then(|| beginning(rect));
             whole.priority = priority(&whole);
             self.parts.push(whole);
         }
@@ -171,7 +204,9 @@ impl SampleJobs {
             };
             let pixels: u32 = (rect.y0..rect.y1).map(of_row).sum();
             if pixels > 0 {
-                self.parts.push(part(self.next_id, whole.object, rect, pixels, whole.level));
+                let mut part = part(self.next_id, whole.object, rect, pixels, whole.level);
+                part.guides = whole.guides.map(|_| beginning(rect));
+                self.parts.push(part);
                 self.next_id += 1;
             }
         }
@@ -188,6 +223,33 @@ impl SampleJobs {
         }
     }
 
+    /// Whether a level comes before those between which guides may be followed.
+    pub fn is_coarse(lattice: &Lattice, level: u32) -> bool {
+        lattice.k_of(level) > GUIDED_K
+    }
+
+    /// Whether the next job of a part may be one of guides: some are left, and it is about to begin a fine level.
+    pub fn may_guide(lattice: &Lattice, part: &Part) -> bool {
+        part.guides.is_some() && part.handed == 0 && lattice.k_of(part.level) <= GUIDED_K
+    }
+
+    /// The next job of guides of one part; none where no pixel is left.
+    pub fn cut_guides(
+        &mut self,
+        index: usize,
+        ids: &Map2d<u32>,
+        priority: impl Fn(&Part) -> f32,
+    ) -> Option<(SampleJob, f32)> {
+        let o = &mut self.parts[index];
+        let start = o.guides?;
+        let (count, end) = guides_from(o.object, o.rect, start, ids);
+        let job = SampleJob { object: o.object, level: GUIDES, guided: true, rect: o.rect, start, count };
+        let job_priority = o.priority;
+        o.guides = end;
+        o.priority = priority(o);
+        (count > 0).then_some((job, job_priority))
+    }
+
     /// The next job of one part, of at most so many samples; none where its level has no pixel left, and it is at the next
     /// one then.
     pub fn cut(
@@ -197,6 +259,7 @@ impl SampleJobs {
         ids: &Map2d<u32>,
         priority: impl Fn(&Part) -> f32,
     ) -> Option<(SampleJob, f32)> {
+        let guided = self.guided.get(self.parts[index].object as usize).is_some_and(|guided| *guided);
         let o = &mut self.parts[index];
         let start = o.cursor?;
         let mut samples = self.lattice.samples(o.level, o.rect, start);
@@ -205,7 +268,7 @@ impl SampleJobs {
             let Some((x, y)) = samples.next() else { break };
             count += u32::from(ids.at(x as usize, y as usize) == o.object);
         }
-        let job = SampleJob { object: o.object, level: o.level, rect: o.rect, start, count };
+        let job = SampleJob { object: o.object, level: o.level, guided, rect: o.rect, start, count };
         let job_priority = o.priority;
         o.cursor = samples.cursor();
         o.handed += count;
@@ -220,7 +283,6 @@ impl SampleJobs {
 }
 
 fn part(id: u32, object: u32, rect: Rect, pixels: u32, level: u32) -> Part {
-    let cursor = Some(Cursor { x: rect.x0, y: rect.y0 });
     Part {
         id,
         object,
@@ -231,8 +293,39 @@ fn part(id: u32, object: u32, rect: Rect, pixels: u32, level: u32) -> Part {
         first_level: level,
         is_split: false,
         priority: 0.0,
-        cursor,
+        cursor: Some(beginning(rect)),
+        guides: None,
     }
+}
+
+fn beginning(rect: Rect) -> Cursor {
+    Cursor { x: rect.x0, y: rect.y0 }
+}
+
+/// Pixels of an object in a rectangle from a place on, in rows.
+fn object_pixels<'a>(
+    object: u32,
+    rect: Rect,
+    start: Cursor,
+    ids: &'a Map2d<u32>,
+) -> impl Iterator<Item = (i32, i32)> + use<'a> {
+    let row = move |y: i32| {
+        let x0 = if y == start.y { start.x } else { rect.x0 };
+        (x0..rect.x1).map(move |x| (x, y))
+    };
+    (start.y..rect.y1).flat_map(row).filter(move |&(x, y)| ids.at(x as usize, y as usize) == object)
+}
+
+/// How many guides a job from `start` on has, and where the next one begins.
+fn guides_from(object: u32, rect: Rect, start: Cursor, ids: &Map2d<u32>) -> (u32, Option<Cursor>) {
+    let mut pixels = object_pixels(object, rect, start, ids);
+    let count = pixels.by_ref().take(GUIDES_PER_JOB as usize).count() as u32;
+    (count, pixels.next().map(|(x, y)| Cursor { x, y }))
+}
+
+/// The pixels of a job of guides.
+pub fn guide_pixels<'a>(job: &SampleJob, ids: &'a Map2d<u32>) -> impl Iterator<Item = (i32, i32)> + use<'a> {
+    object_pixels(job.object, job.rect, job.start, ids).take(job.count as usize)
 }
 
 /// The pixels of a job.
@@ -319,6 +412,42 @@ mod tests {
             for (t, id) in traced.data().iter().zip(ids.data()) {
                 prop_assert_eq!(*t, u32::from(*id > 0));
             }
+        }
+    }
+
+    /// Guides are handed out once for all pixels of the objects that have some, whatever is split.
+    #[test]
+    fn guides_come_once() {
+        let ids = ids(240, 180);
+        let lattice = Lattice::new(5, [120, 90]);
+        let mut jobs = SampleJobs::new(lattice, 64);
+        jobs.set_guided(vec![false, true, false, true]);
+        jobs.start_view(&object_statistics(&ids, None, 4), |_| 1.0);
+        let mut guides = Map2d::new(240, 180, 0u32);
+        while let Some(best) = jobs.best() {
+            let whole = jobs.parts()[best];
+            if whole.object == 1 && lattice.k_of(whole.level) == 2 && whole.id == 1 {
+                jobs.split(best, 64, &ids);
+                continue;
+            }
+            let next = match SampleJobs::may_guide(&lattice, &whole) {
+                true => jobs.cut_guides(best, &ids, |_| 1.0),
+                false => jobs.cut(best, 64, &ids, |_| 1.0),
+            };
+            let Some((job, _)) = next else { continue };
+            assert_eq!(job.guided, job.object != 2);
+            if job.level == GUIDES {
+                assert!(guide_pixels(&job, &ids).count() as u32 == job.count && job.count <= GUIDES_PER_JOB);
+                guide_pixels(&job, &ids).for_each(|(x, y)| *guides.at_mut(x as usize, y as usize) += 1);
+                continue;
+            }
+            for (x, y) in job_pixels(&lattice, &job, &ids) {
+                let has_guide = guides.at(x as usize, y as usize) == 1;
+                assert_eq!(has_guide, job.guided && lattice.k_of(job.level) <= GUIDED_K, "{job:?}");
+            }
+        }
+        for (guides, id) in guides.data().iter().zip(ids.data()) {
+            assert_eq!(*guides, u32::from(*id == 1 || *id == 3));
         }
     }
 

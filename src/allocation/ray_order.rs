@@ -12,7 +12,7 @@ use crate::sampling::Lattice;
 use crate::splatting::SampleBatch;
 use glam::Vec3;
 
-use super::jobs::{Part, SampleJob, SampleJobs};
+use super::jobs::{GUIDES, Part, SampleJob, SampleJobs};
 use super::policy::{Demand, Policy, RayPolicy};
 use super::rays::{LEVELS_MAX, RayDemand, RayLedger, RaySettings, Residual};
 
@@ -23,6 +23,9 @@ const INVISIBLE: f32 = 1e-6;
 const LEVELS_IN_PARTS: u32 = 3;
 /// Parts of the finest level along an edge of a square picture, about.
 const PARTS_ALONG: f32 = 16.0;
+
+/// Views in which samples bring what their guides show after the last guide was followed.
+const GUIDING_VIEWS: u8 = 4;
 
 /// Tiles hold at least one of so many parts of a job. Smaller ones let rays go more precisely to where they are wanted, and
 /// cost more messages.
@@ -67,6 +70,8 @@ pub struct RayOrder {
     view: u64,
     /// Frames that samples hold, about; infinite while the view stands still.
     life_frames: f32,
+    /// By object id, for how many views on samples of fine levels bring what their guides show: while guides are followed.
+    guiding: Vec<u8>,
     /// Largest finite utility of the view so far: what priorities are relative to.
     largest: f32,
 }
@@ -92,6 +97,7 @@ impl RayOrder {
             mean_attention: 1.0,
             view: 0,
             life_frames: f32::INFINITY,
+            guiding: Vec::new(),
             largest: 0.0,
         }
     }
@@ -164,12 +170,19 @@ impl RayOrder {
         self.jobs.is_exhausted()
     }
 
+    /// Which objects are looked at through guides from the next view on, by id.
+    pub fn set_guided(&mut self, guided: Vec<bool>) {
+        self.jobs.set_guided(guided);
+    }
+
     /// Starts a view of these objects (by id), which matter by `attention`.
     pub fn start_view(&mut self, view: u64, statistics: &[ObjectStatistics], attention: &[f32]) {
         self.view = view;
         self.statistics.clear();
         self.statistics.extend_from_slice(statistics);
         self.ledger.start_view(statistics.len());
+        self.guiding.resize(statistics.len(), 0);
+        self.guiding.iter_mut().for_each(|views| *views = views.saturating_sub(1));
         self.largest = 0.0;
         self.set_attention(attention);
         let mut jobs = std::mem::replace(&mut self.jobs, SampleJobs::new(self.lattice, 1));
@@ -197,8 +210,19 @@ impl RayOrder {
     }
 
     /// A batch of samples of `level` is shown, the first of them at `pixel`; its residual.
-    pub fn record(&mut self, view: u64, object: u32, level: u32, pixel: [u16; 2], residual: &Residual) {
+    /// `guided`: the same with guides, and without, where it has some.
+    pub fn record(
+        &mut self,
+        view: u64,
+        object: u32,
+        level: u32,
+        pixel: [u16; 2],
+        residual: &Residual,
+        guided: &[Residual; 2],
+    ) {
         if view == self.view && self.learns() {
+            let [with, without] = guided;
+            self.ledger.record_guided(object, [with, without]);
             let part = self.jobs.part_at(object, level, pixel).unwrap_or(object);
             self.ledger.record(part, level, residual, 0, 0.0);
             let mut jobs = std::mem::replace(&mut self.jobs, SampleJobs::new(self.lattice, 1));
@@ -210,9 +234,11 @@ impl RayOrder {
         }
     }
 
-    /// How long `samples` of an object took on one core, whatever the view.
-    pub fn record_time(&mut self, object: u32, samples: u32, seconds: f32) {
-        if self.learns() {
+    /// How long `samples` of a level of an object, or guides, took on one core, whatever the view.
+    pub fn record_time(&mut self, object: u32, level: u32, samples: u32, seconds: f32) {
+        if self.learns() && level == GUIDES {
+            self.ledger.record_guides(object, samples, seconds);
+        } else if self.learns() {
             self.ledger.record(object, 1, &Residual::default(), samples, seconds);
         }
     }
@@ -265,12 +291,24 @@ impl RayOrder {
                 true => self.ledger.job_size(part.object, JOB_SECONDS).min(samples_per_job),
                 false => samples_per_job,
             };
-            if let Some(job) = jobs.cut(best, at_most, ids, |part| self.priority(part)) {
+            let job = match self.guides_first(&part) {
+                true => jobs.cut_guides(best, ids, |part| self.priority(part)),
+                false => jobs.cut(best, at_most, ids, |part| self.priority(part)),
+            };
+            if let Some(job) = job {
                 break Some(job);
             }
         };
         self.jobs = jobs;
-        let (job, priority) = next?;
+        let (mut job, priority) = next?;
+        if let Some(views) = self.guiding.get_mut(job.object as usize) {
+            // Coarse samples always do: they tell whether guides are worth it.
+            job.guided &=
+                job.level == GUIDES || SampleJobs::is_coarse(&self.lattice, job.level) || *views > 0;
+            if job.level == GUIDES {
+                *views = GUIDING_VIEWS;
+            }
+        }
         if !self.learns() {
             return Some((job, priority));
         }
@@ -302,7 +340,24 @@ impl RayOrder {
         (*best.1 > 0.0).then_some(best.0 as u32)
     }
 
+    /// Whether guides are the better next job of a part.
+    fn guides_first(&self, part: &Part) -> bool {
+        let may = self.learns() && SampleJobs::may_guide(&self.lattice, part);
+        may && (part.is_being_guided()
+            || self.utility_of(part, 1.0, part.pixels) > self.utility_of(part, 1.0, 0))
+    }
+
     fn utility(&self, part: &Part, attention: f32) -> f32 {
+        let samples = self.utility_of(part, attention, 0);
+        if SampleJobs::may_guide(&self.lattice, part) {
+            samples.max(self.utility_of(part, attention, part.pixels))
+        } else {
+            samples
+        }
+    }
+
+    /// What a part's next jobs are worth: `guides` of them first, then samples.
+    fn utility_of(&self, part: &Part, attention: f32, guides: u32) -> f32 {
         let mut left = [0; LEVELS_MAX];
         let levels = self.lattice.levels();
         let (first, last) = (part.level.max(1), levels.max(1));
@@ -318,6 +373,7 @@ impl RayOrder {
             weight: 0.5 + 0.5 * attention / self.mean_attention,
             level: part.level,
             left: &left[..count],
+            guides,
             life_frames: self.life_frames,
         };
         let utility = self.ledger.utility(&demand);
@@ -331,13 +387,14 @@ fn samples_of_level(pixels: u32, k: u32, k_max: u32) -> u32 {
     (pixels as f32 * share).ceil() as u32
 }
 
-/// How far the samples of a batch are from what their pixels show (`shown_on_it` on the `base`), in just noticeable
+/// How far the samples of a batch are from what their pixels show (`shown_on_it` on the `base`, of sample number, column
+/// and row), in just noticeable
 /// differences of the displayed, tone-mapped light, seen by an eye adapted to the brighter of the two. To be asked
 /// before the batch is splatted.
 pub fn residual_of_batch(
     batch: &SampleBatch,
     base: &Map2d<Vec3>,
-    shown_on_it: impl Fn(usize, usize) -> Vec3,
+    shown_on_it: impl Fn(usize, usize, usize) -> Vec3,
     tone: &ToneMap,
     viewing: &Viewing,
     thresholds: &TviTable,
@@ -345,10 +402,10 @@ pub fn residual_of_batch(
     let mut residual = Residual::default();
     let range = viewing.white_cd_m2 - viewing.black_cd_m2;
     let step = if batch.k == 0 { batch.len().div_ceil(MEASURED_LAST).max(1) } else { 1 };
-    for (pixel, &color) in batch.pixels.iter().zip(&batch.colors).step_by(step) {
+    for (i, (pixel, &color)) in batch.pixels.iter().zip(&batch.colors).enumerate().step_by(step) {
         let (x, y) = (usize::from(pixel[0]), usize::from(pixel[1]));
         let base = base.at(x, y);
-        let (shown, sampled) = (tone.to_linear(base + shown_on_it(x, y)), tone.to_linear(base + color));
+        let (shown, sampled) = (tone.to_linear(base + shown_on_it(i, x, y)), tone.to_linear(base + color));
         let adapted = viewing.luminance(shown).max(viewing.luminance(sampled));
         // Channel by channel, so that a wrong hue of the right luminance counts too.
         let difference = luminance((shown - sampled).abs()) * range;
@@ -386,8 +443,8 @@ mod tests {
         // Both objects get their first level before anything is known.
         let first: Vec<u32> = (0..2).map(|_| order.next(&ids).unwrap().0.object).collect();
         assert_eq!(first, [1, 2]);
-        order.record(1, 1, 1, [10, 10], &differing(0.01, 20));
-        order.record(1, 2, 1, [60, 10], &differing(9.0, 20));
+        order.record(1, 1, 1, [10, 10], &differing(0.01, 20), &Default::default());
+        order.record(1, 2, 1, [60, 10], &differing(9.0, 20), &Default::default());
         let mut visited = Vec::new();
         while let Some((job, priority)) = order.next(&ids) {
             assert!((0.0..=1.0).contains(&priority));
@@ -404,14 +461,14 @@ mod tests {
         let statistics = object_statistics(&ids, None, 3);
         let mut order = order(Policy::Utility);
         order.start_view(1, &statistics, &[0.0, 1.0, 1.0]);
-        order.record_time(1, 100, 100e-6);
-        order.record_time(2, 100, 1000e-6);
+        order.record_time(1, 1, 100, 100e-6);
+        order.record_time(2, 1, 100, 1000e-6);
         assert_eq!([0; 2].map(|_| order.next(&ids).unwrap().0.object), [1, 2]);
-        order.record(1, 1, 1, [10, 10], &differing(5.0, 20));
-        order.record(1, 2, 1, [60, 10], &differing(6.0, 20));
+        order.record(1, 1, 1, [10, 10], &differing(5.0, 20), &Default::default());
+        order.record(1, 2, 1, [60, 10], &differing(6.0, 20), &Default::default());
         assert_eq!(order.next(&ids).unwrap().0.object, 1);
         // A residual of another view says nothing.
-        order.record(7, 1, 2, [10, 10], &differing(0.0, 100));
+        order.record(7, 1, 2, [10, 10], &differing(0.0, 100), &Default::default());
         assert_eq!(order.next(&ids).unwrap().0.object, 1);
     }
 
@@ -421,7 +478,7 @@ mod tests {
         let statistics = object_statistics(&ids, None, 3);
         let mut order = order(Policy::Attention);
         order.start_view(1, &statistics, &[0.0, 0.2, 1.0]);
-        order.record(1, 2, 1, [60, 10], &differing(0.0, 100));
+        order.record(1, 2, 1, [60, 10], &differing(0.0, 100), &Default::default());
         assert_eq!(order.next(&ids).unwrap().0.object, 2);
         order.attend(&[0.0, 1.0, 0.2]);
         assert_eq!(order.next(&ids).unwrap().0.object, 1);

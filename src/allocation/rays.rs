@@ -91,6 +91,12 @@ pub struct RaySettings {
     pub seconds_per_ray_prior: f32,
     /// Share of a new measurement in the moving average of seconds per ray.
     pub seconds_share: f32,
+    /// By how much guides reduce an object's error before any was compared.
+    pub guide_ratio_prior: f32,
+    /// As how much error that counts, just noticeable differences.
+    pub guide_ratio_prior_weight: f32,
+    /// Share of a sample's time that a guide takes before any was measured.
+    pub guide_share_prior: f32,
     /// Error of an object of which a level is handed out but no sample has come back, just noticeable differences.
     pub error_prior: f32,
     /// As how many samples an expectation counts.
@@ -114,6 +120,9 @@ impl Default for RaySettings {
             ratio_samples_min: 4,
             seconds_per_ray_prior: 2e-6,
             seconds_share: 0.2,
+            guide_ratio_prior: 0.8,
+            guide_ratio_prior_weight: 16.0,
+            guide_share_prior: 0.15,
             error_prior: 3.0,
             prior_samples: 4.0,
             visible_jnd: 0.5,
@@ -127,6 +136,11 @@ struct ObjectRays {
     residuals: [Residual; LEVELS_MAX],
     /// Moving average; 0 before any measurement. Of whole objects only.
     seconds_per_ray: f32,
+    /// The same of guides.
+    seconds_per_guide: f32,
+    /// Differences of samples from what their pixels would have shown with guides, and without; those of former views
+    /// count the less the older they are.
+    guided: [f32; 2],
     /// What a part is a part of; none of a whole object.
     parent: Option<u32>,
 }
@@ -144,6 +158,8 @@ pub struct RayDemand<'a> {
     pub level: u32,
     /// Samples left in that level and in each finer one, in this order; the last is the finest there is.
     pub left: &'a [u32],
+    /// Pixels whose guides come before all that.
+    pub guides: u32,
     /// How long samples hold, in frames: under camera motion what does not last is worth less. Infinite for a still view.
     pub life_frames: f32,
 }
@@ -180,6 +196,12 @@ impl Resource for RayChoices<'_> {
         let (seconds, ratio) = (self.ledger.seconds_per_ray(demand.object), self.ledger.ratio(demand.object));
         out.push(Approximation { cost: 0, error });
         let (mut remaining, mut cost) = (1.0f32, 0u64);
+        if demand.guides > 0 {
+            let seconds = self.ledger.seconds_per_guide(demand.object) * demand.guides as f32;
+            cost = ((1e9 * seconds) as u64).max(1);
+            remaining = self.ledger.guide_ratio(demand.object);
+            out.push(Approximation { cost, error: error * f64::from(remaining) });
+        }
         for (step, &samples) in demand.left.iter().enumerate() {
             // Nanoseconds; the cast saturates and sends NaN to 0.
             cost = cost.saturating_add(((1e9 * seconds * samples as f32) as u64).max(1));
@@ -209,6 +231,7 @@ impl RayLedger {
         self.objects.resize(count, ObjectRays::default());
         self.objects.iter_mut().for_each(|object| {
             object.residuals = Default::default();
+            object.guided = object.guided.map(|sum| 0.5 * sum);
             object.parent = None;
         });
     }
@@ -241,6 +264,39 @@ impl RayLedger {
             let share = self.settings.seconds_share;
             entry.seconds_per_ray = if old > 0.0 { old + share * (measured - old) } else { measured };
         }
+    }
+
+    /// `guides` of an object took `seconds` of one core.
+    pub fn record_guides(&mut self, object: u32, guides: u32, seconds: f32) {
+        let Some(entry) = self.objects.get_mut(object as usize) else { return };
+        if guides > 0 && seconds > 0.0 && seconds.is_finite() {
+            let (measured, old) = (seconds / guides as f32, entry.seconds_per_guide);
+            let share = self.settings.seconds_share;
+            entry.seconds_per_guide = if old > 0.0 { old + share * (measured - old) } else { measured };
+        }
+    }
+
+    /// How far samples of an object were from what their pixels would have shown with guides, and without.
+    pub fn record_guided(&mut self, object: u32, [with, without]: [&Residual; 2]) {
+        let whole = self.whole(object) as usize;
+        if let Some(entry) = self.objects.get_mut(whole) {
+            entry.guided[0] += with.sum as f32;
+            entry.guided[1] += without.sum as f32;
+        }
+    }
+
+    /// By how much guides reduce the object's error, at most to nothing.
+    pub fn guide_ratio(&self, object: u32) -> f32 {
+        let [with, without] =
+            self.objects.get(self.whole(object) as usize).map_or([0.0; 2], |entry| entry.guided);
+        let weight = self.settings.guide_ratio_prior_weight;
+        ((with + weight * self.settings.guide_ratio_prior) / (without + weight)).clamp(0.0, 1.0)
+    }
+
+    /// The moving average of the object's seconds per guide; where it has none, a share of what its rays take.
+    pub fn seconds_per_guide(&self, object: u32) -> f32 {
+        let own = self.objects.get(self.whole(object) as usize).map_or(0.0, |entry| entry.seconds_per_guide);
+        if own > 0.0 { own } else { self.settings.guide_share_prior * self.seconds_per_ray(object) }
     }
 
     /// c_o: the moving average of the object's seconds per ray; the mean over measured objects where it has none.

@@ -21,7 +21,7 @@ fn ledger() -> RayLedger {
 }
 
 fn demand(object: u32, level: u32, left: &[u32]) -> RayDemand<'_> {
-    RayDemand { object, pixels: 1000, weight: 1.0, level, left, life_frames: f32::INFINITY }
+    RayDemand { object, pixels: 1000, weight: 1.0, level, left, guides: 0, life_frames: f32::INFINITY }
 }
 
 #[test]
@@ -304,4 +304,29 @@ fn utilities(ledger: &RayLedger, demands: &[RayDemand]) -> Vec<f32> {
     let largest = raw.iter().copied().filter(|utility| utility.is_finite()).fold(0.0, f32::max);
     let relative = |utility: f32| if largest > 0.0 { 0.99 * (utility / largest) } else { 0.0 };
     raw.iter().map(|&utility| if utility.is_finite() { relative(utility) } else { 1.0 }).collect()
+}
+
+/// What guides take is weighed like any other step: cheap ones raise what a part is worth, dear ones do not.
+#[test]
+fn guides_count_by_their_own_time() {
+    let mut ledger = RayLedger::new(RaySettings::default());
+    ledger.start_view(3);
+    for object in [1, 2] {
+        ledger.record(object, 3, &residual(4.0, 100), 100, 100.0 * 40e-6);
+    }
+    assert_eq!(ledger.seconds_per_guide(1), 0.15 * ledger.seconds_per_ray(1));
+    ledger.record_guides(1, 100, 100.0 * 1e-6);
+    ledger.record_guides(2, 100, 100.0 * 400e-6);
+    assert!((ledger.seconds_per_guide(1) - 1e-6).abs() < 1e-9);
+    // Guides that leave a third of the error.
+    assert_eq!(ledger.guide_ratio(1), RaySettings::default().guide_ratio_prior);
+    for object in [1, 2] {
+        ledger.record_guided(object, [&residual(1.0, 1000), &residual(3.0, 1000)]);
+    }
+    assert!((ledger.guide_ratio(1) - 1.0 / 3.0).abs() < 0.01);
+    let left = [200, 800];
+    let plain = demand(1, 4, &left);
+    let guided = |object| ledger.utility(&RayDemand { guides: 1000, ..demand(object, 4, &left) });
+    assert!(guided(1) > 2.0 * ledger.utility(&plain), "{} {}", guided(1), ledger.utility(&plain));
+    assert!(guided(2) < ledger.utility(&plain), "{} {}", guided(2), ledger.utility(&plain));
 }

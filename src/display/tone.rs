@@ -53,6 +53,15 @@ fn unit(v: f32) -> f32 {
 }
 
 impl ToneMap {
+    /// Radiance from which on grey is displayed as white.
+    pub fn white(&self) -> f32 {
+        let exposed = match self.curve {
+            ToneCurve::Clamp => 1.0,
+            ToneCurve::Reinhard { white } => white,
+        };
+        exposed / self.exposure.max(f32::MIN_POSITIVE)
+    }
+
     /// Displayed light in [0, 1] per channel, linear. NaN becomes 0, infinity 1.
     #[inline]
     pub fn to_linear(&self, radiance: Vec3) -> Vec3 {

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{SampleBatch, WarpedSample};
+use super::{Guides, SampleBatch, WarpedSample};
 use crate::image::Map2d;
 use crate::sampling::Lattice;
 
@@ -11,10 +11,12 @@ use crate::sampling::Lattice;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub enum Footprint {
     /// The exact tile of 5ᵏ pixels: no overlap, so no dependence on order.
-    #[default]
     Tile,
     /// The square of side Lₖ: the paper's look.
     Square,
+    /// The exact tile, and what is shown goes over linearly into the next samples ([`super::Reconstruction`]).
+    #[default]
+    Linear,
 }
 
 /// Colour and rank per pixel. A splat replaces what has a lower or equal rank.
@@ -31,6 +33,13 @@ pub struct SplatLayer {
     rank: Map2d<u32>,
     /// Who traced the sample shown, as told to `splat_fresh`; 0 for warped ones.
     source: Map2d<u8>,
+    /// The pixel that the sample shown lies on: column in the low half, row in the high one.
+    place: Map2d<u32>,
+    /// What the guide of the sample shown showed on its own pixel in its own view; not a number where it has none.
+    carried: Map2d<Vec3>,
+    /// What the pixel's own guide shows in this view; not a number where none was followed.
+    guide: Map2d<Vec3>,
+    footprint: Footprint,
     tiles: Vec<Vec<(i16, i16)>>,
 }
 
@@ -47,12 +56,30 @@ pub fn rank(k: u32, age: u32) -> u32 {
     ((fineness + 1) << 16) + (0xffff - age.min(0xffff))
 }
 
+/// Level set and whether it is fresh, of the sample that has a rank; `None` where that is none.
+#[inline]
+pub(super) fn level_of(rank: u32) -> Option<(u32, bool)> {
+    match rank {
+        0 | APPROXIMATED => None,
+        EXACT => Some((0, true)),
+        _ => {
+            let fresh = rank & 0xffff == 0xffff;
+            let fineness = (rank >> 16) - 1 - if fresh { FRESH_BONUS } else { 0 };
+            Some((Lattice::K_LIMIT - fineness, fresh))
+        }
+    }
+}
+
+fn place_of(x: u16, y: u16) -> u32 {
+    u32::from(x) | (u32::from(y) << 16)
+}
+
 impl SplatLayer {
     /// An empty layer for pictures of `width × height` and level sets up to `k_max`.
     pub fn new(width: usize, height: usize, k_max: u32, footprint: Footprint) -> Self {
         let tiles = (0..=k_max)
             .map(|k| match footprint {
-                Footprint::Tile => Lattice::tile(k),
+                Footprint::Tile | Footprint::Linear => Lattice::tile(k),
                 Footprint::Square => {
                     let r = (Lattice::square_side(k) / 2) as i16;
                     (-r..=r).flat_map(|y| (-r..=r).map(move |x| (x, y))).collect()
@@ -63,25 +90,38 @@ impl SplatLayer {
             color: Map2d::new(width, height, Vec3::ZERO),
             rank: Map2d::new(width, height, 0),
             source: Map2d::new(width, height, 0),
+            place: Map2d::new(width, height, 0),
+            carried: Map2d::new(width, height, Vec3::NAN),
+            guide: Map2d::new(width, height, Vec3::NAN),
+            footprint,
             tiles,
         }
     }
 
-    /// Everything that splats left: colours, ranks and sources.
-    pub fn maps(&self) -> (&Map2d<Vec3>, &Map2d<u32>, &Map2d<u8>) {
-        (&self.color, &self.rank, &self.source)
+    /// Everything that splats left: colours, ranks, sources and places.
+    pub fn maps(&self) -> (&Map2d<Vec3>, &Map2d<u32>, &Map2d<u8>, &Map2d<u32>) {
+        (&self.color, &self.rank, &self.source, &self.place)
     }
 
-    /// Puts back what [`SplatLayer::maps`] gave; `None` if it is of another size.
-    pub fn restore(&mut self, color: Map2d<Vec3>, rank: Map2d<u32>, source: Map2d<u8>) -> Option<()> {
-        let size = (self.color.width(), self.color.height());
-        let fits = (color.width(), color.height()) == size
-            && (rank.width(), rank.height()) == size
-            && (source.width(), source.height()) == size
-            && color.data().len() == rank.data().len()
-            && color.data().len() == source.data().len();
-        (self.color, self.rank, self.source) = (color, rank, source);
-        fits.then_some(())
+    /// Puts back what [`SplatLayer::maps`] and [`SplatLayer::guides`] gave; `None` if it is of another size.
+    pub fn restore(
+        &mut self,
+        (color, rank, source, place): (Map2d<Vec3>, Map2d<u32>, Map2d<u8>, Map2d<u32>),
+        [carried, guide]: [Map2d<Vec3>; 2],
+    ) -> Option<()> {
+        let (width, height) = (self.color.width(), self.color.height());
+        let fits = |(w, h, len): (usize, usize, usize)| (w, h, len) == (width, height, width * height);
+        let fit = [&color, &carried, &guide].iter().all(|m| fits((m.width(), m.height(), m.data().len())))
+            && [&rank, &place].iter().all(|m| fits((m.width(), m.height(), m.data().len())))
+            && fits((source.width(), source.height(), source.data().len()));
+        (self.color, self.rank, self.source, self.place) = (color, rank, source, place);
+        (self.carried, self.guide) = (carried, guide);
+        fit.then_some(())
+    }
+
+    /// What fresh samples paint, and what lies between them.
+    pub fn footprint(&self) -> Footprint {
+        self.footprint
     }
 
     /// Forgets all splats.
@@ -89,6 +129,7 @@ impl SplatLayer {
         self.rank.data_mut().fill(0);
         self.color.data_mut().fill(Vec3::ZERO);
         self.source.data_mut().fill(0);
+        self.guide.data_mut().fill(Vec3::NAN);
     }
 
     /// Forgets all splats. Until others come, pixels show what `first` fills in: a first approximation of the
@@ -96,6 +137,7 @@ impl SplatLayer {
     pub fn restart(&mut self, first: impl FnOnce(&mut Map2d<Vec3>)) {
         self.rank.data_mut().fill(0);
         self.source.data_mut().fill(0);
+        self.guide.data_mut().fill(Vec3::NAN);
         first(&mut self.color);
     }
 
@@ -156,16 +198,7 @@ impl SplatLayer {
 
     /// Level set shown at the pixel, and whether it is fresh; `None` without splat.
     pub fn shown_level(&self, x: usize, y: usize) -> Option<(u32, bool)> {
-        let r = self.rank.at(x, y);
-        match r {
-            0 | APPROXIMATED => None,
-            EXACT => Some((0, true)),
-            _ => {
-                let fresh = r & 0xffff == 0xffff;
-                let fineness = (r >> 16) - 1 - if fresh { FRESH_BONUS } else { 0 };
-                Some((Lattice::K_LIMIT - fineness, fresh))
-            }
-        }
+        level_of(self.rank.at(x, y))
     }
 
     /// Views since the shown sample was traced, 0 for this view; `None` without splat.
@@ -177,6 +210,26 @@ impl SplatLayer {
         }
     }
 
+    /// Takes what guides show in this view.
+    pub fn guide(&mut self, guides: &Guides) {
+        let width = self.guide.width();
+        for ([x, y], guide) in guides.iter() {
+            if let Some(of) = self.guide.data_mut().get_mut(usize::from(y) * width + usize::from(x)) {
+                *of = guide;
+            }
+        }
+    }
+
+    /// What a pixel's guide shows, where one was followed.
+    pub fn guide_at(&self, x: usize, y: usize) -> Option<Vec3> {
+        Some(self.guide.at(x, y)).filter(|guide| !guide.is_nan())
+    }
+
+    /// What the guides of the samples shown showed, and what the pixels' own show; not numbers where there are none.
+    pub fn guides(&self) -> [&Map2d<Vec3>; 2] {
+        [&self.carried, &self.guide]
+    }
+
     /// Splats fresh samples onto the pixels of their object. Returns the sum over the samples of
     /// |new − shown before| on their own pixels, the first approximation where no splat was: the residual of
     /// REFERENCE §13.1 in radiance, and the number of such pixels.
@@ -184,11 +237,14 @@ impl SplatLayer {
         let (width, height) = (self.color.width() as i32, self.color.height() as i32);
         let own = rank(batch.k, 0);
         let tile = &self.tiles[(batch.k as usize).min(self.tiles.len() - 1)];
-        let (ids, sources) = (objects.data(), self.source.data_mut());
+        let (ids, sources, places) = (objects.data(), self.source.data_mut(), self.place.data_mut());
         let (ranks, colors) = (self.rank.data_mut(), self.color.data_mut());
+        let carried = self.carried.data_mut();
         let (mut residual, mut compared) = (0.0, 0);
-        for (pixel, &color) in batch.pixels.iter().zip(&batch.colors) {
+        for (sample, (pixel, &color)) in batch.pixels.iter().zip(&batch.colors).enumerate() {
             let (px, py) = (i32::from(pixel[0]), i32::from(pixel[1]));
+            let guide = batch.guide(sample);
+            let place = place_of(pixel[0], pixel[1]);
             for &(dx, dy) in tile {
                 let (x, y) = (px + i32::from(dx), py + i32::from(dy));
                 if x < 0 || y < 0 || x >= width || y >= height {
@@ -204,10 +260,14 @@ impl SplatLayer {
                     ranks[i] = EXACT;
                     colors[i] = color;
                     sources[i] = source;
+                    places[i] = place;
+                    carried[i] = guide;
                 } else if ranks[i] <= own {
                     ranks[i] = own;
                     colors[i] = color;
                     sources[i] = source;
+                    places[i] = place;
+                    carried[i] = guide;
                 }
             }
         }
@@ -228,6 +288,7 @@ impl SplatLayer {
         let (width, height) = (self.color.width() as i32, self.color.height() as i32);
         let (ids, depths) = (objects.data(), depths.data());
         let (ranks, colors, sources) = (self.rank.data_mut(), self.color.data_mut(), self.source.data_mut());
+        let (places, carried) = (self.place.data_mut(), self.carried.data_mut());
         let mut painted = 0;
         for s in samples.iter().rev() {
             let (cx, cy) = (i32::from(s.x), i32::from(s.y));
@@ -243,6 +304,7 @@ impl SplatLayer {
                 continue;
             }
             let own = rank(u32::from(s.k), u32::from(s.age).max(1));
+            let at = place_of(s.x, s.y);
             let r = i32::from(s.half_side);
             let mut any = false;
             let columns = (cx - r).max(0) as usize..(cx + r + 1).min(width) as usize;
@@ -250,12 +312,15 @@ impl SplatLayer {
                 let start = (y * width) as usize;
                 let row = start + columns.start..start + columns.end;
                 let pixels = ids[row.clone()].iter().zip(&mut ranks[row.clone()]);
-                let shown = colors[row.clone()].iter_mut().zip(&mut sources[row]);
-                for ((&id, rank), (color, source)) in pixels.zip(shown) {
+                let shown = colors[row.clone()].iter_mut().zip(&mut sources[row.clone()]);
+                let sample = places[row.clone()].iter_mut().zip(&mut carried[row]);
+                for (((&id, rank), (color, source)), (place, guide)) in pixels.zip(shown).zip(sample) {
                     if id == s.object && *rank < own {
                         *rank = own;
                         *color = s.color;
                         *source = 0;
+                        *place = at;
+                        *guide = s.guide;
                         any = true;
                     }
                 }
@@ -375,6 +440,7 @@ mod tests {
             depth: 2.0,
             depth_tolerance: 0.02,
             color: Vec3::ONE,
+            guide: Vec3::NAN,
             object: 1,
             age: 1,
             half_side: 1,
@@ -405,6 +471,7 @@ mod tests {
                 depth: 1.0,
                 depth_tolerance: 0.1,
                 color: Vec3::splat(i as f32),
+                guide: Vec3::NAN,
                 object: 1,
                 age: 1 + (random(i, 2) % 3) as u16,
                 half_side: (random(i, 3) % 4) as u8,

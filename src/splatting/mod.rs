@@ -8,6 +8,7 @@ pub mod cache;
 pub mod filter;
 pub mod layer;
 pub mod light_tracing;
+pub mod reconstruction;
 pub mod sample;
 pub mod settled;
 pub mod supersampling;
@@ -17,5 +18,6 @@ pub mod warp;
 
 pub use cache::{AgeingRules, SampleCache};
 pub use layer::{Footprint, SplatLayer};
-pub use sample::{Sample, SampleBatch};
+pub use reconstruction::Reconstruction;
+pub use sample::{Guides, Sample, SampleBatch};
 pub use warp::{WarpedSample, warp};

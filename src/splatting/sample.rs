@@ -20,6 +20,38 @@ pub struct Sample {
     pub pixel_width: f32,
 }
 
+/// What the guides of some pixels of one object show in one view.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Guides {
+    /// The view.
+    pub view: u32,
+    /// Pixels.
+    pub pixels: Vec<[u16; 2]>,
+    /// View-dependent radiance of each.
+    pub colors: Vec<Vec3>,
+}
+
+impl Guides {
+    /// Each pixel with its radiance.
+    pub fn iter(&self) -> impl Iterator<Item = ([u16; 2], Vec3)> {
+        self.pixels.iter().copied().zip(self.colors.iter().copied())
+    }
+
+    /// Bytes of them.
+    pub fn size_bytes(&self) -> usize {
+        self.pixels.len() * (4 + 12) + size_of::<Self>()
+    }
+
+    /// Hash of everything in it.
+    pub fn digest(&self) -> u64 {
+        let mut h = Xxh3::new();
+        h.update(&self.view.to_le_bytes());
+        h.update(bytemuck::cast_slice(&self.pixels));
+        h.update(bytemuck::cast_slice(&self.colors));
+        h.digest()
+    }
+}
+
 /// Samples of one level of one object, traced for one view. A structure of arrays: ageing reads
 /// positions, normals and views only, warping reads positions, colours and widths.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -42,6 +74,8 @@ pub struct SampleBatch {
     pub colors: Vec<Vec3>,
     /// World size of a pixel at each hit.
     pub pixel_widths: Vec<f32>,
+    /// What the guides of these pixels show ([`crate::transport::tracer::guide`]); empty where the object has none.
+    pub guides: Vec<Vec3>,
 }
 
 impl SampleBatch {
@@ -57,6 +91,7 @@ impl SampleBatch {
             views: Vec::with_capacity(capacity),
             colors: Vec::with_capacity(capacity),
             pixel_widths: Vec::with_capacity(capacity),
+            guides: Vec::new(),
         }
     }
 
@@ -80,9 +115,14 @@ impl SampleBatch {
         self.pixel_widths.push(s.pixel_width);
     }
 
+    /// The guide of sample number `i`; not a number where it has none.
+    pub fn guide(&self, i: usize) -> Vec3 {
+        self.guides.get(i).copied().unwrap_or(Vec3::NAN)
+    }
+
     /// Bytes of the samples.
     pub fn size_bytes(&self) -> usize {
-        self.len() * (4 + 4 * 12 + 4) + size_of::<Self>()
+        self.len() * (4 + 4 * 12 + 4) + self.guides.len() * 12 + size_of::<Self>()
     }
 
     /// Hash of everything in it.
@@ -92,7 +132,7 @@ impl SampleBatch {
             h.update(&word.to_le_bytes());
         }
         h.update(bytemuck::cast_slice(&self.pixels));
-        for v in [&self.positions, &self.normals, &self.views, &self.colors] {
+        for v in [&self.positions, &self.normals, &self.views, &self.colors, &self.guides] {
             h.update(bytemuck::cast_slice(v));
         }
         h.update(bytemuck::cast_slice(&self.pixel_widths));

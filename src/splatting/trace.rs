@@ -1,5 +1,7 @@
 //! Samples traced through the pixels of a drawn view: the work of a tracer.
 
+use glam::Vec3;
+
 use super::{Sample, SampleBatch};
 use crate::display::FrameBuffers;
 use crate::display::twin::{primary_interaction, primary_ray};
@@ -52,4 +54,20 @@ pub fn trace_samples(
         });
     }
     batch
+}
+
+/// What the guides of pixels show, from the hits that the display pass left: nothing where there is none.
+pub fn trace_guides(
+    world: &World,
+    frame: &CameraFrame,
+    buffers: &FrameBuffers,
+    pixels: impl Iterator<Item = (i32, i32)>,
+) -> Vec<Vec3> {
+    let tracer = world.tracer();
+    let guide = |(x, y): (i32, i32)| {
+        let Some(hit) = buffers.hit.at(x as usize, y as usize).hit() else { return Vec3::ZERO };
+        let ray = primary_ray(frame, x as u32, y as u32);
+        tracer.guide(&primary_interaction(world, frame, &ray, &hit))
+    };
+    pixels.map(guide).collect()
 }

@@ -19,6 +19,8 @@ pub struct WarpedSample {
     pub depth_tolerance: f32,
     /// View-dependent radiance.
     pub color: Vec3,
+    /// What its guide showed in the view it was traced for; not a number where it has none.
+    pub guide: Vec3,
     /// Object id.
     pub object: u32,
     /// Views since it was traced, ≥ 1.
@@ -53,9 +55,8 @@ fn warp_batch(batch: &SampleBatch, view: u32, frame: &CameraFrame, warped: &mut 
     let per_angle = 1.0 / pixel_angle;
     let side = Lattice::square_side(batch.k) as f32;
     let age = view.wrapping_sub(batch.view).clamp(1, u32::from(u16::MAX)) as u16;
-    for ((&position, &color), (&pixel_width, &normal)) in
-        batch.positions.iter().zip(&batch.colors).zip(batch.pixel_widths.iter().zip(&batch.normals))
-    {
+    let seen = batch.positions.iter().zip(&batch.colors).zip(batch.pixel_widths.iter().zip(&batch.normals));
+    for (i, ((&position, &color), (&pixel_width, &normal))) in seen.enumerate() {
         let d = position - frame.eye;
         let depth = d.dot(frame.forward);
         // Also refuses NaN.
@@ -79,6 +80,7 @@ fn warp_batch(batch: &SampleBatch, view: u32, frame: &CameraFrame, warped: &mut 
             depth,
             depth_tolerance: depth * (2.0 * pixel_angle * per_cosine).max(0.01),
             color,
+            guide: batch.guide(i),
             object: batch.object,
             age,
             half_side,

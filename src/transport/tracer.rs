@@ -29,6 +29,8 @@ use crate::illumination::Unnamed;
 use crate::rng::Stream;
 use crate::scene::Scene;
 
+pub mod guide;
+
 /// How much is traced for one sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {

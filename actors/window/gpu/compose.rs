@@ -157,12 +157,12 @@ impl ComposePass {
         Self { pipelines: [false, true].map(pipeline), layout }
     }
 
-    /// Records the drawing of the picture.
+    /// Records the drawing of the picture. `shown`: the colours of the splat layer, with what lies between its samples.
     pub fn draw(
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        (base, splats): (&BaseTargets, &SplatTargets),
+        (base, splats, shown): (&BaseTargets, &SplatTargets, &wgpu::Buffer),
         targets: &mut ComposeTargets,
         tone: &ToneMap,
         overlay: Overlay,
@@ -184,7 +184,7 @@ impl ComposePass {
         let entries = [
             entry(0, targets.uniform.as_entire_binding()),
             entry(1, texture(0)),
-            entry(2, splats.colors.as_entire_binding()),
+            entry(2, shown.as_entire_binding()),
             entry(3, splats.ranks.as_entire_binding()),
             entry(4, texture(1)),
             entry(5, texture(2)),

@@ -15,7 +15,7 @@ override OVERLAID: bool = true;
 
 @group(0) @binding(0) var<uniform> compose: Compose;
 @group(0) @binding(1) var base: texture_2d<f32>;
-// Splat layer: three halves of radiance and source + 1.
+// Splat layer with what lies between its samples: three halves of radiance and source + 1.
 @group(0) @binding(2) var<storage, read> splats: array<vec2u>;
 @group(0) @binding(3) var<storage, read> ranks: array<u32>;
 @group(0) @binding(4) var objects: texture_2d<u32>;

@@ -7,7 +7,7 @@ use foveal::illumination::Irradiance;
 use foveal::sampling::Rect;
 use foveal::scene::Scene;
 use foveal::scene::camera::CameraFrame;
-use foveal::splatting::{Footprint, SampleBatch, WarpedSample};
+use foveal::splatting::{Footprint, Guides, SampleBatch, WarpedSample};
 use glam::Vec3;
 
 use super::adapter::Gpu;
@@ -15,6 +15,7 @@ use super::base::{BasePass, BaseScene, BaseTargets};
 use super::compose::{ComposePass, ComposeTargets};
 use super::geometry;
 use super::readback::ReadBack;
+use super::reconstruction::{ReconstructionPass, ReconstructionTargets};
 use super::splat::{self, SplatPass, SplatTargets};
 use foveal_actors::renderer::overlay::Overlay;
 
@@ -27,13 +28,20 @@ pub struct Passes {
     gpu: Gpu,
     base: BasePass,
     splat: SplatPass,
+    reconstruction: ReconstructionPass,
     compose: ComposePass,
 }
 
 impl Passes {
     /// Compiles all.
     pub fn new(gpu: Gpu) -> Self {
-        Self { base: BasePass::new(&gpu), splat: SplatPass::new(&gpu), compose: ComposePass::new(&gpu), gpu }
+        Self {
+            base: BasePass::new(&gpu),
+            splat: SplatPass::new(&gpu),
+            reconstruction: ReconstructionPass::new(&gpu),
+            compose: ComposePass::new(&gpu),
+            gpu,
+        }
     }
 
     /// The adapter.
@@ -50,6 +58,7 @@ pub struct GpuDisplay {
     base: BaseScene,
     targets: BaseTargets,
     splats: SplatTargets,
+    between: ReconstructionTargets,
     compose: ComposeTargets,
     k_max: u32,
     footprint: Footprint,
@@ -91,6 +100,7 @@ impl GpuDisplay {
         Self {
             base: passes.base.upload(&gpu, scene, illumination),
             splats: SplatTargets::new(&gpu, &targets, k_max, footprint),
+            between: ReconstructionTargets::new(&gpu, targets.size, footprint),
             compose: ComposeTargets::new(&gpu, targets.size),
             passes,
             targets,
@@ -122,6 +132,11 @@ impl GpuDisplay {
         &self.splats
     }
 
+    /// What is shown of the splat layer, as [`SplatTargets::colors`].
+    pub fn between(&self) -> &wgpu::Buffer {
+        self.between.shown(&self.splats)
+    }
+
     /// The triangle of the scene that a number in `BaseTargets::visible` stands for.
     pub fn triangle(&self, visible: u32) -> Option<u32> {
         self.base.triangle(visible)
@@ -147,6 +162,7 @@ impl GpuDisplay {
         if size != self.targets.size {
             self.targets = BaseTargets::new(&self.gpu, size);
             self.splats = SplatTargets::new(&self.gpu, &self.targets, self.k_max, self.footprint);
+            self.between = ReconstructionTargets::new(&self.gpu, self.targets.size, self.footprint);
             self.compose = ComposeTargets::new(&self.gpu, self.targets.size);
         }
     }
@@ -169,6 +185,8 @@ impl GpuDisplay {
     /// A new view begins: its base layer replaces the old one, and all splats go.
     pub fn begin_view(&mut self, frame: &CameraFrame) {
         self.begun = Some(*frame);
+        let white = ToneMap::from(&self.base.scene().display).white();
+        self.between.begin_view(&self.gpu, frame, white);
         self.splats.clear();
         self.compose.clear();
     }
@@ -198,16 +216,26 @@ impl GpuDisplay {
         self.splats.splat_fresh(batch, source);
     }
 
+    /// What guides show in this view.
+    pub fn guide(&mut self, guides: &Guides) {
+        self.splats.guide(guides);
+    }
+
     /// Draws what is new and the picture.
     pub fn draw(&mut self, tone: &ToneMap, overlay: Overlay) -> Drawn {
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
         let mut drawn = Drawn::default();
         let (gpu, passes) = (&self.gpu, &self.passes);
-        if let Some(frame) = self.begun.take() {
-            drawn.triangles = passes.base.draw(gpu, &mut encoder, &self.base, &self.targets, &frame);
+        let begun = self.begun.take();
+        if let Some(frame) = &begun {
+            drawn.triangles = passes.base.draw(gpu, &mut encoder, &self.base, &self.targets, frame);
         }
         drawn.samples = passes.splat.draw(gpu, &mut encoder, &mut self.splats, &self.targets);
-        let layers = (&self.targets, &self.splats);
+        let is_guided_anew = self.splats.send_guides(gpu);
+        if begun.is_some() || drawn.samples > 0 || is_guided_anew {
+            passes.reconstruction.draw(gpu, &mut encoder, &self.between, &self.splats, &self.targets);
+        }
+        let layers = (&self.targets, &self.splats, self.between.shown(&self.splats));
         passes.compose.draw(gpu, &mut encoder, layers, &mut self.compose, tone, overlay);
         self.gpu.queue.submit([encoder.finish()]);
         drawn

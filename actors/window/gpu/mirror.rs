@@ -75,6 +75,7 @@ impl Mirror {
                 match splats {
                     Splats::Warped(samples) => scene.display.splat_warped(samples),
                     Splats::Fresh { batch, source } => scene.display.splat_fresh(batch, *source),
+                    Splats::Guides(guides) => scene.display.guide(guides),
                 }
             }
             scene.splats = splats.len();
@@ -162,7 +163,7 @@ impl OfScene {
 
     /// Pixels without sample, where that is new or shows something else now.
     fn take_approximations(&mut self, drawn: &DrawnView, layer: &SplatLayer) {
-        let (colors, ranks, _) = layer.maps();
+        let (colors, ranks, ..) = layer.maps();
         let (width, objects) = (colors.width().max(1), drawn.buffers.object.data());
         let pixels = ranks.data().iter().zip(colors.data()).zip(objects).zip(&mut self.approximated);
         let new = pixels.enumerate().filter_map(|(i, (((rank, color), object), before))| {

@@ -15,6 +15,7 @@ pub mod display;
 mod geometry;
 mod mirror;
 pub(crate) mod readback;
+mod reconstruction;
 mod rows;
 mod splat;
 #[cfg(test)]

@@ -6,7 +6,7 @@
 use bytemuck::{Pod, Zeroable};
 use foveal::sampling::Lattice;
 use foveal::splatting::layer::{APPROXIMATED, rank};
-use foveal::splatting::{Footprint, SampleBatch, WarpedSample};
+use foveal::splatting::{Footprint, Guides, SampleBatch, WarpedSample};
 use glam::Vec3;
 
 use super::adapter::Gpu;
@@ -33,6 +33,7 @@ struct SplatRecord {
     shape: u32,
     depth: [f32; 2],
     color: [u16; 4],
+    guide: [u16; 4],
     number: u32,
     padding: u32,
 }
@@ -53,6 +54,13 @@ pub struct SplatTargets {
     pub colors: wgpu::Buffer,
     /// Rank per pixel of what is shown, as in [`foveal::splatting::SplatLayer`].
     pub ranks: wgpu::Buffer,
+    /// Of the sample that each pixel shows, as in [`foveal::splatting::SplatLayer`]: its pixel, and three halves of what its
+    /// guide showed; the fourth is 1 where it has one.
+    pub details: wgpu::Buffer,
+    /// What the guides of pixels show: three halves, and 1 where there is one.
+    pub guides: wgpu::Buffer,
+    /// The same as it is to be there after the next draw, and whether it is there already.
+    guides_by_pixel: (Vec<[u16; 4]>, bool),
     owners: wgpu::Buffer,
     size: [u32; 2],
     k_max: u32,
@@ -71,7 +79,7 @@ pub struct SplatTargets {
 
 /// Most bytes of a buffer that [`SplatTargets`] binds, for pictures of `size`.
 pub fn largest_buffer(size: [u32; 2]) -> u64 {
-    u64::from(size[0]) * u64::from(size[1]) * 8
+    u64::from(size[0]) * u64::from(size[1]) * 16
 }
 
 impl SplatTargets {
@@ -88,6 +96,13 @@ impl SplatTargets {
         Self {
             colors: per_pixel("splat colors", 8),
             ranks: per_pixel("splat ranks", 4),
+            details: per_pixel("splat details", 16),
+            guides: gpu.empty_buffer(
+                "guides",
+                u64::from(size[0]) * u64::from(size[1]) * 8,
+                storage | wgpu::BufferUsages::COPY_DST,
+            ),
+            guides_by_pixel: (vec![[0; 4]; size[0] as usize * size[1] as usize], false),
             owners: per_pixel("splat owners", 4),
             size,
             k_max,
@@ -115,6 +130,29 @@ impl SplatTargets {
         });
         self.count = 0;
         self.clear = true;
+        self.guides_by_pixel.0.fill([0; 4]);
+        self.guides_by_pixel.1 = false;
+    }
+
+    /// Takes what guides show.
+    pub fn guide(&mut self, guides: &Guides) {
+        for ([x, y], color) in guides.iter() {
+            let i = usize::from(y) * self.size[0] as usize + usize::from(x);
+            if let Some(guide) = self.guides_by_pixel.0.get_mut(i) {
+                *guide = halves(color, 1);
+            }
+        }
+        self.guides_by_pixel.1 = false;
+    }
+
+    /// Brings the guides to the adapter where they changed. Whether they did.
+    pub fn send_guides(&mut self, gpu: &Gpu) -> bool {
+        let (guides, are_there) = &mut self.guides_by_pixel;
+        let changed = !std::mem::replace(are_there, true);
+        if changed {
+            gpu.queue.write_buffer(&self.guides, 0, bytemuck::cast_slice(guides));
+        }
+        changed
     }
 
     fn push(&mut self, mut record: SplatRecord, area: u32) {
@@ -154,6 +192,7 @@ impl SplatTargets {
                 shape: u32::from(s.half_side) | (u32::from(s.k) << 8) | (1 << 16),
                 depth: [s.depth, s.depth_tolerance],
                 color: halves(s.color, 1),
+                guide: guide_halves(s.guide),
                 ..SplatRecord::zeroed()
             };
             self.push(record, side * side);
@@ -165,13 +204,14 @@ impl SplatTargets {
         let k = batch.k.min(self.k_max);
         let source = u32::from(source) + 1;
         let area = self.areas.get(k as usize).copied().unwrap_or(1);
-        for (pixel, color) in batch.pixels.iter().zip(&batch.colors) {
+        for (i, (pixel, color)) in batch.pixels.iter().zip(&batch.colors).enumerate() {
             let record = SplatRecord {
                 place: u32::from(pixel[0]) | (u32::from(pixel[1]) << 16),
                 object: batch.object,
                 rank: rank(batch.k, 0),
                 shape: (k << 8) | (source << 16) | (FRESH << 28),
                 color: halves(*color, source),
+                guide: guide_halves(batch.guide(i)),
                 ..SplatRecord::zeroed()
             };
             self.push(record, area);
@@ -183,6 +223,10 @@ fn halves(color: Vec3, source: u32) -> [u16; 4] {
     color.extend(source as f32).to_array().map(half_bits)
 }
 
+fn guide_halves(guide: Vec3) -> [u16; 4] {
+    if guide.is_nan() { [0; 4] } else { halves(guide, 1) }
+}
+
 /// Per k the half side and first bit of its tile, then the bits of all tiles in rows.
 fn tile_table(k_max: u32, footprint: Footprint) -> Vec<u32> {
     let mut header = Vec::new();
@@ -191,7 +235,9 @@ fn tile_table(k_max: u32, footprint: Footprint) -> Vec<u32> {
     for k in 0..=k_max {
         let tile = Lattice::tile(k);
         let half = match footprint {
-            Footprint::Tile => tile.iter().map(|&(x, y)| i32::from(x).abs().max(i32::from(y).abs())).max(),
+            Footprint::Tile | Footprint::Linear => {
+                tile.iter().map(|&(x, y)| i32::from(x).abs().max(i32::from(y).abs())).max()
+            }
             Footprint::Square => None,
         }
         .unwrap_or(Lattice::square_side(k) / 2);
@@ -204,7 +250,9 @@ fn tile_table(k_max: u32, footprint: Footprint) -> Vec<u32> {
             bits[bit / 32] |= 1 << (bit % 32);
         };
         match footprint {
-            Footprint::Tile => tile.iter().for_each(|&(x, y)| set(i32::from(x), i32::from(y))),
+            Footprint::Tile | Footprint::Linear => {
+                tile.iter().for_each(|&(x, y)| set(i32::from(x), i32::from(y)))
+            }
             Footprint::Square => (-half..=half).for_each(|y| (-half..=half).for_each(|x| set(x, y))),
         }
         bit_count += area;
@@ -305,6 +353,7 @@ impl SplatPass {
                 entry(5, splats.ranks.as_entire_binding()),
                 entry(6, splats.owners.as_entire_binding()),
                 entry(7, splats.colors.as_entire_binding()),
+                entry(8, splats.details.as_entire_binding()),
             ],
         });
         let group =
@@ -332,6 +381,7 @@ fn splat_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
         texture(wgpu::TextureSampleType::Uint),
         texture(wgpu::TextureSampleType::Float { filterable: false }),
         storage(true),
+        storage(false),
         storage(false),
         storage(false),
         storage(false),

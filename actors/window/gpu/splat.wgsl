@@ -2,7 +2,7 @@
 // foveal::splatting::layer; names as there.
 //
 // Three passes over the new splats, each for all of them: the highest rank of each pixel, the last splat of that rank, its
-// colour. So the outcome is that of one splat after the other, in the order of their numbers.
+// colour and place. So the outcome is that of one splat after the other, in the order of their numbers.
 
 struct Layer {
     // Picture width and height; largest k of the tile table.
@@ -29,6 +29,8 @@ struct Splat {
     depth: vec2f,
     // Radiance as three halves; the fourth is source + 1.
     color: vec2u,
+    // What its guide showed as three halves; the fourth is 1 where it has one.
+    guide: vec2u,
     // Splats are numbered from 1 in a view.
     number: u32,
     padding: u32,
@@ -49,6 +51,8 @@ const CHUNK: u32 = 64u;
 @group(0) @binding(5) var<storage, read_write> ranks: array<atomic<u32>>;
 @group(0) @binding(6) var<storage, read_write> owners: array<atomic<u32>>;
 @group(0) @binding(7) var<storage, read_write> colors: array<vec2u>;
+// Of the sample that is shown: its place, and its guide.
+@group(0) @binding(8) var<storage, read_write> details: array<vec4u>;
 @group(1) @binding(0) var<uniform> group: Group;
 
 fn matches(object: u32, depth: vec2f, p: vec2i) -> bool {
@@ -174,6 +178,7 @@ fn color(@builtin(global_invocation_id) id: vec3u) {
         let at = pixel(p, i);
         if at >= 0 && atomicLoad(&owners[at]) == splats[splat].number && is_of_object(p, at) {
             colors[at] = splats[splat].color;
+            details[at] = vec4u(splats[splat].place, splats[splat].guide, 0u);
         }
     }
 }

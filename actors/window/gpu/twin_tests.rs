@@ -12,7 +12,7 @@ use foveal::scene::camera::CameraFrame;
 use foveal::scene::load::load;
 use foveal::scene::texture::MipChain;
 use foveal::scene::{Camera, Scene};
-use foveal::splatting::{Footprint, Sample, SampleBatch, SplatLayer, WarpedSample};
+use foveal::splatting::{Footprint, Guides, Reconstruction, Sample, SampleBatch, SplatLayer, WarpedSample};
 use foveal::world::World;
 use glam::Vec3;
 
@@ -282,6 +282,11 @@ fn warped(buffers: &FrameBuffers, count: usize, seed: u64) -> Vec<WarpedSample> 
                 depth: depth * if up_to(8) == 0 { 1.1 } else { 1.0 },
                 depth_tolerance: 0.01 * depth,
                 color: Vec3::new(up_to(100) as f32 / 100.0, up_to(100) as f32 / 100.0, 0.5),
+                guide: if buffers.object.at(sx, sy) == 1 {
+                    Vec3::new(up_to(50) as f32 / 100.0, 0.1, 0.3)
+                } else {
+                    Vec3::NAN
+                },
                 object: buffers.object.at(sx, sy),
                 age: 1 + up_to(40) as u16,
                 half_side: up_to(6) as u8,
@@ -307,9 +312,26 @@ fn fresh(lattice: &Lattice, level: u32, object: u32, buffers: &FrameBuffers, see
                 color: Vec3::new(stream.next_f32(), stream.next_f32(), level as f32 * 0.1),
                 pixel_width: 1.0,
             });
+            if object == 1 {
+                batch.guides.push(Vec3::new(stream.next_f32(), 0.2, 0.1));
+            }
         }
     }
     batch
+}
+
+/// Guides of some pixels of object 1.
+fn guides(buffers: &FrameBuffers, seed: u64) -> Guides {
+    let mut stream = Stream::new(seed, 2, 1);
+    let mut guides = Guides { view: 1, ..Guides::default() };
+    for (i, object) in buffers.object.data().iter().enumerate() {
+        let color = Vec3::new(stream.next_f32(), stream.next_f32(), 0.4);
+        if *object == 1 && !stream.next_u64().is_multiple_of(4) {
+            guides.pixels.push([(i % 120) as u16, (i / 120) as u16]);
+            guides.colors.push(color);
+        }
+    }
+    guides
 }
 
 /// Both layers pixel by pixel.
@@ -331,7 +353,7 @@ fn assert_layers_equal(display: &GpuDisplay, layer: &SplatLayer) {
 
 #[test]
 fn splat_layer_matches_its_twin() {
-    for footprint in [Footprint::Tile, Footprint::Square] {
+    for footprint in [Footprint::Linear, Footprint::Tile, Footprint::Square] {
         let Some(gpu) = gpu("splat_layer_matches_its_twin") else { return };
         let (mut display, buffers) = splat_view(gpu, footprint);
         let lattice = Lattice::new(4, [60, 45]);
@@ -341,6 +363,7 @@ fn splat_layer_matches_its_twin() {
         display.splat_warped(&old);
         assert_eq!(display.draw(&ToneMap::default(), Overlay::None).samples, 3000);
         assert_layers_equal(&display, &layer);
+        assert_reconstructions_equal(&display, &layer, &buffers);
         // Levels arrive in any order and in several frames; nothing of before is sent again.
         for (step, level) in [3, 1, 5, 2, 4].into_iter().enumerate() {
             for object in [1, 2] {
@@ -350,16 +373,51 @@ fn splat_layer_matches_its_twin() {
             }
             display.draw(&ToneMap::default(), Overlay::None);
             assert_layers_equal(&display, &layer);
+            assert_reconstructions_equal(&display, &layer, &buffers);
+            if step == 1 {
+                let guides = guides(&buffers, 5);
+                assert!(guides.pixels.len() > 500, "{}", guides.pixels.len());
+                layer.guide(&guides);
+                display.guide(&guides);
+                display.draw(&ToneMap::default(), Overlay::None);
+                assert_reconstructions_equal(&display, &layer, &buffers);
+            }
         }
         assert_eq!(display.draw(&ToneMap::default(), Overlay::None).samples, 0);
         assert_layers_equal(&display, &layer);
     }
 }
 
+fn white(display: &GpuDisplay) -> f32 {
+    ToneMap::from(&display.scene().display).white()
+}
+
+/// What lies between samples, pixel by pixel.
+fn assert_reconstructions_equal(display: &GpuDisplay, layer: &SplatLayer, buffers: &FrameBuffers) {
+    let shown = halves(&readback::read_buffer(display.gpu(), display.between()).unwrap());
+    let frame = views()[0].frame(120, 90);
+    let between = Reconstruction::new(layer, buffers, &frame, white(display));
+    let (mut interpolated, mut wrong) = (0, 0);
+    for (i, found) in shown.chunks_exact(4).enumerate() {
+        let (x, y) = (i % 120, i / 120);
+        let expected = between.pixel(x, y);
+        // A depth at the very limit of a surface may fall to either side of it.
+        wrong += usize::from((Vec3::from_slice(found) - expected).abs().max_element() > 2e-3);
+        interpolated += usize::from(expected != layer.color(x, y));
+    }
+    assert!(wrong * 1000 <= 120 * 90, "{wrong} pixels differ");
+    let is_linear = layer.footprint() == Footprint::Linear;
+    let is_converged = (0..120 * 90).all(|i| {
+        let (x, y) = (i % 120, i / 120);
+        !layer.is_covered(x, y) || layer.shown_level(x, y) == Some((0, true))
+    });
+    assert_eq!(interpolated > 200, is_linear && !is_converged, "{interpolated}");
+}
+
 #[test]
 fn composition_and_overlays_match_their_twins() {
     let Some(gpu) = gpu("composition_and_overlays_match_their_twins") else { return };
-    let (mut display, mut buffers) = splat_view(gpu, Footprint::Tile);
+    let (mut display, mut buffers) = splat_view(gpu, Footprint::Linear);
     let colors = halves(&readback::read(display.gpu(), &display.targets().color).unwrap());
     let textures = words(&readback::read(display.gpu(), &display.targets().texture).unwrap());
     for (i, pixel) in colors.chunks_exact(4).enumerate() {
@@ -371,7 +429,7 @@ fn composition_and_overlays_match_their_twins() {
         };
     }
     let lattice = Lattice::new(4, [60, 45]);
-    let mut layer = SplatLayer::new(120, 90, 4, Footprint::Tile);
+    let mut layer = SplatLayer::new(120, 90, 4, Footprint::Linear);
     let old = warped(&buffers, 500, 3);
     layer.splat_warped(&old, &buffers.object, &buffers.depth);
     display.splat_warped(&old);
@@ -379,10 +437,12 @@ fn composition_and_overlays_match_their_twins() {
     layer.splat_fresh(&batch, &buffers.object, 3);
     display.splat_fresh(&batch, 3);
     let values = [0.1, 0.9, 0.4];
+    let frame = views()[0].frame(120, 90);
     display.set_values(&values);
     for curve in [ToneCurve::Clamp, ToneCurve::Reinhard { white: 2.0 }] {
         let tone = ToneMap { exposure: 1.3, curve };
-        let rgb8 = Map2d::from_fn(120, 90, |x, y| tone.to_rgb8(buffers.color.at(x, y) + layer.color(x, y)));
+        let between = Reconstruction::new(&layer, &buffers, &frame, white(&display));
+        let rgb8 = Map2d::from_fn(120, 90, |x, y| tone.to_rgb8(buffers.color.at(x, y) + between.pixel(x, y)));
         for overlay in Overlay::ALL {
             display.draw(&tone, overlay);
             let picture = display.read_picture().unwrap();

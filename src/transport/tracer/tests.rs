@@ -189,6 +189,47 @@ fn glass_absorbs_by_the_way_through_it() {
     }
 }
 
+/// The guide through a slab is what crosses it straight, without what is reflected between its faces; that of a mirror
+/// would be the mirror's sample, and below glass something diffuse ends it.
+#[test]
+fn guides_follow_the_lobe_of_most_weight() {
+    let mut b = Builder::default();
+    let slab = b.material(glass(1.5, 0.5, false));
+    let wall = b.material(lambert(0.6));
+    b.rectangle(Vec3::Z, Vec3::X * 50.0, Vec3::Y * 50.0, slab);
+    b.rectangle(-Vec3::Z, Vec3::Y * 50.0, Vec3::X * 50.0, slab);
+    b.rectangle(-Vec3::Z * 3.0, Vec3::X * 50.0, Vec3::Y * 50.0, wall);
+    let p = Prepared::new(b.under_sky(Vec3::splat(7.0)), std::f32::consts::PI);
+    let guide = |ray: &Ray| {
+        let hit = p.accel.intersect(&p.scene, ray).expect("the slab");
+        p.tracer(EXACT).guide(&Interaction::at(&p.scene, ray, &hit))
+    };
+    let through = guide(&Ray::new(Vec3::Z * 3.0, Vec3::NEG_Z));
+    let expected = 0.96 * 0.96 * 0.25 * 0.6;
+    assert!((through - expected).abs().max_element() < 1e-4, "{through}, not {expected}");
+    // At a glancing angle most is reflected, from the sky.
+    let ray = Ray::new(Vec3::new(-40.0, 0.0, 2.0), Vec3::new(40.0, 0.0, -1.0).normalize());
+    let (glancing, whole) = (guide(&ray), p.trace(ray, 1, Settings { min_contribution: 1e-6, ..EXACT }).0);
+    assert!(f64::from(glancing.y) > 0.8 * whole && f64::from(glancing.y) < whole, "{glancing} of {whole}");
+}
+
+/// A closed glass room ends every guide.
+#[test]
+fn guides_end_where_nothing_ends_them() {
+    let mut b = Builder::default();
+    for i in 0..20 {
+        let shell = b.material(glass(1.2 + 0.01 * i as f32, 0.99, false));
+        b.sphere(Vec3::ZERO, 3.0 - 0.1 * i as f32, 16, shell);
+    }
+    let p = Prepared::new(b.under_sky(Vec3::ONE), 1.0);
+    for i in 0..200 {
+        let ray = Ray::new(Vec3::new(0.014 * i as f32, 0.1, -9.0), Vec3::Z);
+        let Some(hit) = p.accel.intersect(&p.scene, &ray) else { continue };
+        let guide = p.tracer(EXACT).guide(&Interaction::at(&p.scene, &ray, &hit));
+        assert!(guide.is_finite() && guide.min_element() >= 0.0 && guide.max_element() <= 1.0, "{guide}");
+    }
+}
+
 /// Sixty glasses one inside the other, and two mirrors face to face, come to an end.
 #[test]
 fn nested_glass_and_facing_mirrors_end() {

@@ -33,7 +33,7 @@ fn check(name: &str, share: f64) {
     let frame = world.scene.cameras[0].camera.frame(width as u32, height as u32);
     let mut buffers = FrameBuffers::new(width, height);
     draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
-    let reference = traced_picture(&world, &frame, 0, 1, &|| true);
+    let reference = traced_picture(&world, &frame, 0, 1, &|| true).picture;
     let probes = Arc::new(Probes::of_world(&world));
     let mut first = FirstApproximation::new(probes.clone());
     let shown = |first: &FirstApproximation| {

@@ -55,7 +55,7 @@ fn stumble(every: u64, hangs: bool) -> usize {
     system.converge();
     let shown = system.engine.look(Renderer::picture).flatten().expect("a picture");
     let frame = system.camera.frame(64, 48);
-    assert_same_bits(&shown, &traced_picture(&world, &frame, 0, 1, &|| true), "after faults");
+    assert_same_bits(&shown, &traced_picture(&world, &frame, 0, 1, &|| true).picture, "after faults");
     let (lost, incidents) = system.stop_and(|a| (a.lost_jobs(), a.incidents().len())).expect("an allocator");
     assert_eq!(lost, 0);
     incidents

@@ -59,8 +59,8 @@ impl References {
         let goes_on = || !interrupted();
         let (world, view) = (study.world(), &study.still().frame);
         let seed = if a.traced_spp == 1 { 0 } else { SEED };
-        let traced = traced_picture(world, view, seed, a.traced_spp, &goes_on);
-        let refined = traced_picture(world, view, SEED, a.reference_spp, &goes_on);
+        let traced = traced_picture(world, view, seed, a.traced_spp, &goes_on).picture;
+        let refined = traced_picture(world, view, SEED, a.reference_spp, &goes_on).picture;
         done();
         let still = Paths::new(world, [view], a.reference_spp, done)?;
         let walking = Paths::new(world, study.views.iter().map(|v| &v.frame), a.walk_spp, done)?;

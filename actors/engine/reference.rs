@@ -8,7 +8,7 @@ use foveal::geometry::Ray;
 use foveal::image::{Map2d, luminance};
 use foveal::metrics::{BATCHES, BatchSums, Batches};
 use foveal::scene::camera::CameraFrame;
-use foveal::splatting::supersampling::supersampled;
+use foveal::splatting::supersampling::{Refined, supersampled};
 use foveal::splatting::trace::pixel_stream;
 use foveal::transport::bidirectional::Pass;
 use foveal::world::World;
@@ -23,7 +23,7 @@ pub fn traced_picture(
     seed: u64,
     samples: u32,
     goes_on: &(dyn Fn() -> bool + Sync),
-) -> Map2d<Vec3> {
+) -> Refined {
     let [width, height] = frame.size.map(|s| s as usize);
     let mut buffers = FrameBuffers::new(width, height);
     twin::draw(world, frame, Passes { texture_ids: false }, &mut buffers);
@@ -43,7 +43,11 @@ pub fn traced_picture(
             *out += tracer.view_dependent(&at, pixel_stream(seed, px, py, 0));
         }
     });
-    if samples > 1 { supersampled(world, frame, &buffers, seed, samples, &picture, goes_on) } else { picture }
+    if samples > 1 {
+        supersampled(world, frame, &buffers, seed, samples, &picture, goes_on)
+    } else {
+        Refined { picture, stated: f32::INFINITY }
+    }
 }
 
 /// When samples are enough.

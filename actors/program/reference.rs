@@ -98,8 +98,13 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
         !interrupted()
     };
     let start = Instant::now();
+    let mut stated = None;
     let (picture, sampled) = match a.kind {
-        Kind::Traced => (traced_picture(&world, &frame, a.seed, a.spp, &goes_on), None),
+        Kind::Traced => {
+            let refined = traced_picture(&world, &frame, a.seed, a.spp, &goes_on);
+            stated = Some(refined.stated).filter(|s| s.is_finite());
+            (refined.picture, None)
+        }
         Kind::Path => parted(sampled_paths(&world, &frame, a.seed, &enough, &goes_on)),
         Kind::Truth => parted(sampled_truth(&world, &frame, a.seed, &enough, &goes_on)),
     };
@@ -132,6 +137,9 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
             "seconds": seconds,
             "file": a.out.display().to_string(),
         });
+        if let Some(stated) = stated {
+            document["stated"] = json!(stated);
+        }
         if let Some(s) = &sampled {
             document["error"] = json!(error);
             document["merged"] = json!({ "share": s.merged.share, "bias": s.merged.bias });
@@ -144,6 +152,12 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
                 "{} samples per pixel; blocks of 8 × 8 pixels are sure to {:.2} % on average",
                 s.samples,
                 100.0 * error
+            ));
+        }
+        if let Some(stated) = stated {
+            print_line(&format!(
+                "error below {:.1} % of the mean, in blocks of 8 × 8 pixels",
+                100.0 * stated
             ));
         }
         if let Some(m) = sampled.map(|s| s.merged).filter(|m| m.share > 0.0) {

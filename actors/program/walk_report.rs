@@ -119,6 +119,12 @@ pub fn document(a: &WalkArguments, engine: &Engine, fps: f32, walked: &Walked, c
         "messages": {"delivered": walked.delivered},
         "lost_jobs": lost_jobs,
         "converged": converged,
+        "refinement": walked.insight.as_ref().and_then(|i| i.refinement).map(|r| json!({
+            "tiles": r.tiles,
+            "quiet": r.quiet,
+            "noise": r.error,
+            "stated": r.stated.filter(|s| s.is_finite()),
+        })),
         "plan": super::explain::plan_json(engine.plan()),
         "environment_maps": walked.insight.as_ref().map(|i| maps_json(i, scene)),
         "peak_memory_bytes": peak_memory_bytes(),
@@ -216,6 +222,12 @@ pub fn summary(a: &WalkArguments, d: &Value) {
             "the last picture is still growing"
         },
     ));
+    if let Some(stated) = d["refinement"]["stated"].as_f64() {
+        print_line(&format!(
+            "refined: error below {:.1} % of the mean, in blocks of 8 × 8 pixels",
+            100.0 * stated
+        ));
+    }
     if let Some(out) = &a.out {
         print_line(&format!("open {}", out.join("report.html").display()));
     }

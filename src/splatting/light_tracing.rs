@@ -313,7 +313,7 @@ mod tests {
             let (frame, mut buffers) = (frame(), FrameBuffers::new(24, 16));
             twin::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
             let first = buffers.color.clone();
-            let picture = supersampled(&world, &frame, &buffers, 1, 256, &first, &|| true);
+            let picture = supersampled(&world, &frame, &buffers, 1, 256, &first, &|| true).picture;
             let found = picture.data().iter().map(|c| f64::from(c.x)).sum::<f64>() / 384.0;
             assert!((found / expected(1.0) - 1.0).abs() < 0.02, "{map}: {found} {}", expected(1.0));
         }

@@ -93,7 +93,7 @@ impl Scenario {
         opened.refinement =
             a.grow.then(|| Refinement { world: world.clone(), settings: SMALL_BAKE, keep: None });
         let lit = opened.refinement.as_ref().map_or_else(|| world.clone(), fully_lit);
-        let reference = traced_picture(&lit, &last, settings.seed, 1, &|| true);
+        let reference = traced_picture(&lit, &last, settings.seed, 1, &|| true).picture;
         let probes = Arc::new(Probes::of_world(&world));
         let (strategy, must_rest) = (a.strategy, a.must_rest);
         Ok(Self { strategy, must_rest, opened, probes, settings, cameras, last, reference })
@@ -353,7 +353,7 @@ impl Scenario {
             .opened
             .textures
             .as_ref()
-            .map(|_| traced_picture(&world, &self.last, self.settings.seed, 1, &|| true));
+            .map(|_| traced_picture(&world, &self.last, self.settings.seed, 1, &|| true).picture);
         let reference = resident.as_ref().unwrap_or(&self.reference);
         let bits = |c: &Vec3| c.to_array().map(f32::to_bits);
         let pairs = picture.data().iter().zip(reference.data());

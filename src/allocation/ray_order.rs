@@ -27,6 +27,9 @@ const PARTS_ALONG: f32 = 16.0;
 /// Views in which samples bring what their guides show after the last guide was followed.
 const GUIDING_VIEWS: u8 = 4;
 
+/// What guides save counts as much of what samples save: they hold for one view, and samples for the next ones, too.
+const GUIDES_LAST: f32 = 0.6;
+
 /// Tiles hold at least one of so many parts of a job. Smaller ones let rays go more precisely to where they are wanted, and
 /// cost more messages.
 const FAIR_PART: u32 = 4;
@@ -342,17 +345,18 @@ impl RayOrder {
 
     /// Whether guides are the better next job of a part.
     fn guides_first(&self, part: &Part) -> bool {
-        let may = self.learns() && SampleJobs::may_guide(&self.lattice, part);
-        may && (part.is_being_guided()
-            || self.utility_of(part, 1.0, part.pixels) > self.utility_of(part, 1.0, 0))
+        if !self.learns() || !SampleJobs::may_guide(&self.lattice, part) {
+            return false;
+        }
+        let guides = || GUIDES_LAST * self.utility_of(part, 1.0, part.pixels);
+        part.is_being_guided() || guides() > self.utility_of(part, 1.0, 0)
     }
 
     fn utility(&self, part: &Part, attention: f32) -> f32 {
         let samples = self.utility_of(part, attention, 0);
-        if SampleJobs::may_guide(&self.lattice, part) {
-            samples.max(self.utility_of(part, attention, part.pixels))
-        } else {
-            samples
+        match SampleJobs::may_guide(&self.lattice, part) {
+            true => samples.max(GUIDES_LAST * self.utility_of(part, attention, part.pixels)),
+            false => samples,
         }
     }
 

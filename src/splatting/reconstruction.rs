@@ -305,7 +305,7 @@ mod tests {
             let old = warped(2, [3, -2], 1, color);
             layer.splat_warped(&old, &buffers.object, &buffers.depth);
             for level in 1..=4 {
-                let keep = |x: i32, y: i32| rng::hash(seed, x as u64, y as u64) % 3 > 0;
+                let keep = |x: i32, y: i32| !rng::hash(seed, x as u64, y as u64).is_multiple_of(3);
                 splat(&mut layer, &buffers, 1, level, color, keep);
             }
             let between = Reconstruction::new(&layer, &buffers, &frame(), f32::INFINITY);

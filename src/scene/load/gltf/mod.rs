@@ -21,7 +21,7 @@ pub(super) mod surfaces;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
-mod verdicts;
+mod verdict_tests;
 mod whole;
 
 use std::borrow::Cow;

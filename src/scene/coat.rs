@@ -135,6 +135,7 @@ fn reflected(microfacet: &Microfacet, ior: f32, cosine: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math;
 
     fn rough(alpha: f32, distribution: Distribution) -> Roughness {
         Roughness { alpha_x: alpha, alpha_y: alpha, distribution }
@@ -144,9 +145,9 @@ mod tests {
     fn walsh(n: f64) -> f64 {
         let n2 = n * n;
         0.5 + (n - 1.0) * (3.0 * n + 1.0) / (6.0 * (n + 1.0).powi(2))
-            + n2 * (n2 - 1.0).powi(2) / (n2 + 1.0).powi(3) * ((n - 1.0) / (n + 1.0)).ln()
+            + n2 * (n2 - 1.0).powi(2) / (n2 + 1.0).powi(3) * math::ln((n - 1.0) / (n + 1.0))
             - 2.0 * n * n2 * (n2 + 2.0 * n - 1.0) / ((n2 + 1.0) * (n2 * n2 - 1.0))
-            + 8.0 * n2 * n2 * (n2 * n2 + 1.0) / ((n2 + 1.0) * (n2 * n2 - 1.0).powi(2)) * n.ln()
+            + 8.0 * n2 * n2 * (n2 * n2 + 1.0) / ((n2 + 1.0) * (n2 * n2 - 1.0).powi(2)) * math::ln(n)
     }
 
     #[test]
@@ -186,7 +187,7 @@ mod tests {
                     for k in 0..steps {
                         let phi = std::f32::consts::TAU * (k as f32 + 0.5) / steps as f32;
                         let r = (1.0 - z * z).sqrt();
-                        let l = Vec3::new(r * phi.cos(), r * phi.sin(), z);
+                        let l = Vec3::new(r * math::cos(phi), r * math::sin(phi), z);
                         let found = microfacet.reflection(o, l);
                         sum += f64::from(found.value * fresnel::dielectric(found.oh, 1.5) * z);
                     }

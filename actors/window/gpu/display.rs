@@ -132,7 +132,7 @@ impl GpuDisplay {
         &self.splats
     }
 
-    /// What is shown of the splat layer, as [`SplatTargets::colors`].
+    /// What is shown of the splat layer, as the colours that splats are laid into.
     pub fn between(&self) -> &wgpu::Buffer {
         self.between.shown(&self.splats)
     }

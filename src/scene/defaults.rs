@@ -155,7 +155,9 @@ fn default_camera(scene: &Scene) -> (Camera, bool) {
             return (Camera { eye, target: centre - flat * (0.1 * distance), up, fov_y: PI / 3.0 }, true);
         }
     }
-    let radius = ((high - low).length() * 0.5).max(f32::MIN_POSITIVE);
+    // Far enough that the eye is another point than the centre, and that squares of lengths are numbers.
+    let radius = ((high - low).length() * 0.5).max(centre.abs().max_element() * 1e-5);
+    let radius = if radius > 1e-15 { radius } else { 1.0 };
     let fov_y = FRAC_PI_4;
     let direction = (right * 0.7 + up * 0.5 + back).normalize();
     let eye = centre + direction * (radius / math::sin(fov_y * 0.5) * 1.05);
@@ -248,6 +250,19 @@ mod tests {
         assert!(scene.environment.is_some());
         assert_eq!(scene.paths[0].name, "tour");
         assert_eq!(scene.paths[0].duration(), 8.0);
+    }
+
+    /// A scene of one point, or of none: the view still has a direction.
+    #[test]
+    fn points_are_seen_from_somewhere() {
+        for at in [Vec3::ZERO, Vec3::splat(1e-38), Vec3::splat(1e-20), Vec3::new(1e7, 0.0, -3e9)] {
+            let mut scene = box_scene(false);
+            scene.mesh.positions.iter_mut().for_each(|p| *p = at);
+            scene.bounds = [at, at];
+            complete(&mut scene, false);
+            let camera = scene.cameras[0].camera;
+            assert!(camera.frame(8, 8).direction(4.0, 4.0).is_finite(), "{at}: {camera:?}");
+        }
     }
 
     #[test]

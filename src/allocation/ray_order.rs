@@ -392,9 +392,8 @@ fn samples_of_level(pixels: u32, k: u32, k_max: u32) -> u32 {
 }
 
 /// How far the samples of a batch are from what their pixels show (`shown_on_it` on the `base`, of sample number, column
-/// and row), in just noticeable
-/// differences of the displayed, tone-mapped light, seen by an eye adapted to the brighter of the two. To be asked
-/// before the batch is splatted.
+/// and row), in just noticeable differences of the displayed, tone-mapped light, seen by an eye adapted to the brighter of
+/// the two. To be asked before the batch is splatted.
 pub fn residual_of_batch(
     batch: &SampleBatch,
     base: &Map2d<Vec3>,

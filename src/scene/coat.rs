@@ -14,7 +14,7 @@
 use glam::Vec3;
 
 use super::microfacet::Microfacet;
-use super::{Distribution, Roughness, fresnel};
+use super::{Roughness, fresnel};
 
 /// Places at which T is kept.
 const NODES: usize = 16;
@@ -49,7 +49,9 @@ impl Coat {
         if let Some(microfacet) = Microfacet::of(&roughness) {
             coat.crossing = std::array::from_fn(|i| {
                 let root = i as f32 / (NODES - 1) as f32;
-                (1.0 - reflected(&microfacet, ior, (root * root).max(1e-3))).clamp(0.0, 1.0)
+                let fresnel = |oh| [fresnel::dielectric(oh, ior)];
+                let [reflected] = microfacet.albedo((root * root).max(1e-3), SAMPLES, fresnel);
+                (1.0 - reflected).clamp(0.0, 1.0)
             });
         }
         let outer = mean(|cosine| fresnel::dielectric(cosine, ior));
@@ -114,28 +116,11 @@ fn mean(value: impl Fn(f32) -> f32) -> f32 {
     (0..STEPS).map(at).sum::<f32>() / STEPS as f32
 }
 
-/// E: what a lobe of facets of this index reflects of the light from a direction.
-fn reflected(microfacet: &Microfacet, ior: f32, cosine: f32) -> f32 {
-    // Visible normals of GGX are there wherever those of any distribution are.
-    let source = Microfacet { distribution: Distribution::Ggx, ..*microfacet };
-    let o = Vec3::new((1.0 - cosine * cosine).max(0.0).sqrt(), 0.0, cosine);
-    let sum: f32 = (0..SAMPLES)
-        .map(|i| {
-            let radical = i.reverse_bits() as f32 / 4_294_967_296.0;
-            let h = source.sample(o, [(i as f32 + 0.5) / SAMPLES as f32, radical]);
-            let l = h * (2.0 * o.dot(h)) - o;
-            let (found, pdf) = (microfacet.reflection(o, l), source.reflection(o, l).pdf);
-            let value = found.value * fresnel::dielectric(found.oh, ior) * l.z / pdf;
-            if l.z > 0.0 && pdf > 0.0 && value.is_finite() { value } else { 0.0 }
-        })
-        .sum();
-    sum / SAMPLES as f32
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::math;
+    use crate::scene::Distribution;
 
     fn rough(alpha: f32, distribution: Distribution) -> Roughness {
         Roughness { alpha_x: alpha, alpha_y: alpha, distribution }
@@ -170,7 +155,7 @@ mod tests {
         assert!(thick.ior == 3.0 && thick.albedo(Vec3::ONE).is_finite());
     }
 
-    /// By plain sampling of facets as D h_z, which shares no density with [`reflected`].
+    /// By a grid of directions, which shares no density with [`Microfacet::albedo`].
     #[test]
     fn what_a_rough_coat_reflects() {
         for (distribution, alpha) in

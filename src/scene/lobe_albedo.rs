@@ -7,10 +7,10 @@
 
 use std::sync::LazyLock;
 
-use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::math;
+use super::Distribution;
+use super::microfacet::Microfacet;
 
 /// Sides of the table: √⟨n, v⟩ and √α from 0 to 1.
 const COSINES: usize = 33;
@@ -40,33 +40,8 @@ fn integrate(cosine: f32, alpha: f32) -> [f32; 2] {
         let fresnel = schlick(cosine);
         return [1.0 - fresnel, fresnel];
     }
-    let v = Vec3::new((1.0 - cosine * cosine).sqrt(), 0.0, cosine);
-    let stretched = Vec3::new(alpha * v.x, 0.0, v.z).normalize();
-    let lambda = |z: f32| 0.5 * ((1.0 + alpha * alpha * (1.0 / (z * z) - 1.0)).sqrt() - 1.0);
-    let out = lambda(cosine);
-    let (mut scale, mut bias) = (0.0, 0.0);
-    for i in 0..SAMPLES {
-        let u = (i as f32 + 0.5) / SAMPLES as f32;
-        let phi = std::f32::consts::TAU * (i.reverse_bits() as f32 / 4_294_967_296.0);
-        let r = u.sqrt();
-        let (px, py) = (r * math::cos(phi), r * math::sin(phi));
-        let s = 0.5 * (1.0 + stretched.z);
-        let py = (1.0 - s) * (1.0 - px * px).max(0.0).sqrt() + s * py;
-        // The frame around the stretched direction; its first axis is y.
-        let (t1, t2) = (Vec3::Y, stretched.cross(Vec3::Y));
-        let n = t1 * px + t2 * py + stretched * (1.0 - px * px - py * py).max(0.0).sqrt();
-        let h = Vec3::new(alpha * n.x, alpha * n.y, n.z.max(1e-6)).normalize();
-        let vh = v.dot(h).max(0.0);
-        let l = h * (2.0 * vh) - v;
-        if l.z <= 0.0 {
-            continue;
-        }
-        let weight = (1.0 + out) / (1.0 + out + lambda(l.z));
-        let fresnel = schlick(vh);
-        scale += (1.0 - fresnel) * weight;
-        bias += fresnel * weight;
-    }
-    [scale / SAMPLES as f32, bias / SAMPLES as f32]
+    let facets = Microfacet { ax: alpha, ay: alpha, distribution: Distribution::Ggx, v_groove: false };
+    facets.albedo(cosine, SAMPLES, |vh| [1.0 - schlick(vh), schlick(vh)])
 }
 
 impl LobeAlbedo {

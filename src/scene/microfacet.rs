@@ -100,6 +100,31 @@ impl Microfacet {
         Reflection { value: finite(value), pdf: finite(pdf), oh }
     }
 
+    /// What the lobe reflects of the light from a direction of this cosine, in the plane of x, for as many Fresnel terms as
+    /// `fresnel` tells of ⟨wo, h⟩: the mean of `samples` visible facets, shared out evenly.
+    pub fn albedo<const N: usize>(
+        &self,
+        cosine: f32,
+        samples: u32,
+        fresnel: impl Fn(f32) -> [f32; N],
+    ) -> [f32; N] {
+        // Visible normals of GGX are there wherever those of any distribution are.
+        let source = Self { distribution: Distribution::Ggx, ..*self };
+        let o = Vec3::new((1.0 - cosine * cosine).max(0.0).sqrt(), 0.0, cosine);
+        let mut sums = [0.0; N];
+        for i in 0..samples {
+            let radical = i.reverse_bits() as f32 / 4_294_967_296.0;
+            let h = source.sample(o, [(i as f32 + 0.5) / samples as f32, radical]);
+            let l = h * (2.0 * o.dot(h)) - o;
+            let (found, pdf) = (self.reflection(o, l), source.reflection(o, l).pdf);
+            for (sum, f) in sums.iter_mut().zip(fresnel(found.oh)) {
+                let value = found.value * f * l.z / pdf;
+                *sum += if l.z > 0.0 && value.is_finite() { value } else { 0.0 };
+            }
+        }
+        sums.map(|sum| sum / samples as f32)
+    }
+
     /// A facet normal and nothing else, distributed as visible from `wo` for GGX (Heitz 2018), as D h_z for
     /// Beckmann.
     pub fn sample(&self, wo: Vec3, u: [f32; 2]) -> Vec3 {

@@ -220,6 +220,16 @@ mod tests {
         color: impl Fn(f32, f32) -> Vec3,
         keep: impl Fn(i32, i32) -> bool,
     ) {
+        layer.splat_fresh(&batch(buffers, object, level, color, keep), &buffers.object, 1);
+    }
+
+    fn batch(
+        buffers: &FrameBuffers,
+        object: u32,
+        level: u32,
+        color: impl Fn(f32, f32) -> Vec3,
+        keep: impl Fn(i32, i32) -> bool,
+    ) -> SampleBatch {
         let mut batch = SampleBatch::new(1, object, lattice().k_of(level), 0);
         for (x, y) in lattice().all_samples(level, Rect::of_size(SIZE as u32, SIZE as u32)) {
             if buffers.object.at(x as usize, y as usize) == object && keep(x, y) {
@@ -233,30 +243,7 @@ mod tests {
                 });
             }
         }
-        layer.splat_fresh(&batch, &buffers.object, 1);
-    }
-
-    /// The same, with what their guides show.
-    fn splat_guided(
-        layer: &mut SplatLayer,
-        buffers: &FrameBuffers,
-        level: u32,
-        color: impl Fn(f32, f32) -> Vec3,
-        guide: impl Fn(f32, f32) -> Vec3,
-    ) {
-        let mut batch = SampleBatch::new(1, 1, lattice().k_of(level), 0);
-        for (x, y) in lattice().all_samples(level, Rect::of_size(SIZE as u32, SIZE as u32)) {
-            batch.push(Sample {
-                pixel: [x as u16, y as u16],
-                position: Vec3::ZERO,
-                normal: Vec3::Z,
-                view: Vec3::Z,
-                color: color(x as f32, y as f32),
-                pixel_width: 1.0,
-            });
-            batch.guides.push(guide(x as f32, y as f32));
-        }
-        layer.splat_fresh(&batch, &buffers.object, 1);
+        batch
     }
 
     /// The sample that each pixel of level set `k` moved by `offset` has become.
@@ -405,7 +392,10 @@ mod tests {
         };
         let mut fresh = empty();
         for level in 1..=3 {
-            splat_guided(&mut fresh, &buffers, level, sampled, |x, y| texture(x, y) + Vec3::splat(1.0));
+            let mut batch = batch(&buffers, 1, level, sampled, |_, _| true);
+            let guide = |&[x, y]: &[u16; 2]| texture(f32::from(x), f32::from(y)) + Vec3::splat(1.0);
+            batch.guides = batch.pixels.iter().map(guide).collect();
+            fresh.splat_fresh(&batch, &buffers.object, 1);
         }
         // In the view before all was brighter by 3: what the samples knew beside is the same.
         let mut old = empty();

@@ -356,7 +356,6 @@ mod tests {
                 let all: Vec<PixelSample> = (0..sums.len()).map(&mut sample).collect();
                 sums.add(&all);
             }
-            sums.finish();
             Some(Arc::new(sums))
         };
         let tiles: Vec<_> = (0..grid.len() as u32).map(tile).collect();

@@ -141,7 +141,6 @@ pub fn supersample(
         let samples: Vec<PixelSample> = tiles.pixels(tile).map(of_pixel).collect();
         sums.add(&samples);
     }
-    sums.finish();
     sums
 }
 

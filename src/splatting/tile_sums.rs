@@ -97,7 +97,7 @@ type Bounds = [[f32; HALVES]; PARTS];
 #[derive(Clone, Copy, Debug)]
 pub struct PixelMeans<'a> {
     sums: &'a PixelSums,
-    bounds: &'a Bounds,
+    bounds: Bounds,
     /// Samples of it.
     pub samples: u32,
 }
@@ -212,19 +212,12 @@ pub struct TileSums {
     pixels: Vec<PixelSums>,
     /// Squares of the largest bands of all samples that are not the largest of their batch, by part and half.
     found: [[f64; HALVES]; PARTS],
-    bounds: Bounds,
 }
 
 impl TileSums {
     /// Of a tile of so many pixels, without a sample.
     pub fn new(tile: u32, pixels: usize) -> Self {
-        Self {
-            tile,
-            samples: 0,
-            pixels: vec![PixelSums::default(); pixels],
-            found: [[0.0; HALVES]; PARTS],
-            bounds: [[0.0; HALVES]; PARTS],
-        }
+        Self { tile, samples: 0, pixels: vec![PixelSums::default(); pixels], found: [[0.0; HALVES]; PARTS] }
     }
 
     /// Pixels of the tile.
@@ -237,12 +230,13 @@ impl TileSums {
         self.pixels.is_empty()
     }
 
-    /// What is known of each pixel, row by row.
-    pub fn pixels(&self) -> impl Iterator<Item = PixelMeans<'_>> {
-        self.pixels.iter().map(|sums| PixelMeans { sums, bounds: &self.bounds, samples: self.samples })
+    /// What is known of each pixel, row by row. Decides where samples are cut, which takes a look at all of them.
+    pub fn pixels(&self) -> impl Iterator<Item = PixelMeans<'_>> + Clone {
+        let bounds = self.bounds();
+        self.pixels.iter().map(move |sums| PixelMeans { sums, bounds, samples: self.samples })
     }
 
-    /// Adds a sample of each pixel; [`Self::finish`] comes before anything is read.
+    /// Adds a sample of each pixel.
     ///
     /// # Panics
     /// If there are not as many as pixels.
@@ -267,17 +261,17 @@ impl TileSums {
         self.samples += 1;
     }
 
-    /// Decides where the samples so far are cut.
-    pub fn finish(&mut self) {
+    /// Where the samples so far are cut.
+    fn bounds(&self) -> Bounds {
         let mut sizes = Vec::with_capacity(PER_HALF * self.pixels.len());
-        for part in [LOBES, RESIDUAL] {
-            for half in 0..HALVES {
+        [LOBES, RESIDUAL].map(|part| {
+            [0, 1].map(|half| {
                 let of_half = |p: &PixelSums| [0, 1].map(|i| size(p.largest[part][half * PER_HALF + i]));
                 sizes.clear();
                 sizes.extend(self.pixels.iter().flat_map(of_half).filter(|size| *size > 0.0));
-                self.bounds[part][half] = self.bound(part, half, &mut sizes);
-            }
-        }
+                self.bound(part, half, &mut sizes)
+            })
+        })
     }
 
     /// Where samples of a part are cut, from the sizes of the largest ones.
@@ -305,11 +299,11 @@ impl TileSums {
         if self.samples < 2 {
             return [f32::INFINITY; 2];
         }
-        let count = self.pixels.len().max(1);
+        let (pixels, count) = (self.pixels(), self.pixels.len().max(1));
         let block =
-            self.pixels().map(|p| p.variances()[RESIDUAL]).sum::<f32>() / (count * count.min(BLOCK)) as f32;
+            pixels.clone().map(|p| p.variances()[RESIDUAL]).sum::<f32>() / (count * count.min(BLOCK)) as f32;
         let (mut sum, mut largest) = (0.0, 0.0_f32);
-        for pixel in self.pixels() {
+        for pixel in pixels {
             let [mean, cut] = pixel.total().map(luminance);
             let [lobes, _, shown] = pixel.variances();
             let error = displayed_difference(tone, mean, (lobes + shown + block + cut * cut).sqrt());
@@ -340,7 +334,6 @@ impl TileSums {
             && self.samples < SAMPLES_MAX
             && self.pixels.iter().all(is_sound)
             && self.found.iter().flatten().all(|f| f.is_finite())
-            && self.bounds.iter().flatten().all(|b| *b >= 0.0)
     }
 
     /// Bytes of the sums.
@@ -375,7 +368,6 @@ mod tests {
             let all: Vec<PixelSample> = (0..pixels).map(|p| value(n, p)).collect();
             sums.add(&all);
         }
-        sums.finish();
         sums
     }
 
@@ -425,7 +417,6 @@ mod tests {
                 .collect();
             sums.add(&all);
         }
-        sums.finish();
         let mean = (0..16).map(|p| f64::from(lobes(&sums, p))).sum::<f64>() / 16.0;
         assert!((mean / 3.0 - 1.0).abs() < 0.05, "{mean}");
     }
@@ -475,7 +466,6 @@ mod tests {
         for n in 6..13 {
             parts.add(&(0..5).map(|p| value(n, p)).collect::<Vec<_>>());
         }
-        parts.finish();
         assert_eq!(whole, parts);
     }
 

@@ -8,6 +8,7 @@ use glam::Vec3;
 
 use super::adapter::Gpu;
 use super::base::{BaseTargets, COLOR};
+use super::layout::{bind_group_layout, buffer, storage, texture};
 use super::splat::SplatTargets;
 use super::textures::half_bits;
 use foveal_actors::renderer::overlay::Overlay;
@@ -217,36 +218,16 @@ impl ComposePass {
 }
 
 fn compose_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let texture = |sample_type| wgpu::BindingType::Texture {
-        sample_type,
-        view_dimension: wgpu::TextureViewDimension::D2,
-        multisampled: false,
-    };
-    let buffer = |ty| wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None };
     let float = texture(wgpu::TextureSampleType::Float { filterable: false });
-    let storage = buffer(wgpu::BufferBindingType::Storage { read_only: true });
     let kinds = [
         buffer(wgpu::BufferBindingType::Uniform),
         float,
-        storage,
-        storage,
+        storage(true),
+        storage(true),
         texture(wgpu::TextureSampleType::Uint),
         texture(wgpu::TextureSampleType::Uint),
         float,
-        storage,
+        storage(true),
     ];
-    let entries: Vec<_> = kinds
-        .into_iter()
-        .enumerate()
-        .map(|(i, ty)| wgpu::BindGroupLayoutEntry {
-            binding: i as u32,
-            visibility: wgpu::ShaderStages::FRAGMENT,
-            ty,
-            count: None,
-        })
-        .collect();
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("compose"),
-        entries: &entries,
-    })
+    bind_group_layout(device, "compose", wgpu::ShaderStages::FRAGMENT, kinds)
 }

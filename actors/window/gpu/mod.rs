@@ -13,6 +13,7 @@ mod base;
 mod compose;
 pub mod display;
 mod geometry;
+mod layout;
 mod mirror;
 pub(crate) mod readback;
 mod reconstruction;

@@ -7,6 +7,7 @@ use foveal::splatting::reconstruction::{DEPTH_SHARES, slope};
 
 use super::adapter::Gpu;
 use super::base::BaseTargets;
+use super::layout::{bind_group_layout, buffer, storage, texture};
 use super::splat::SplatTargets;
 
 /// Invocations of a workgroup, as in `reconstruction.wgsl`.
@@ -130,13 +131,6 @@ impl ReconstructionPass {
 }
 
 fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let texture = |sample_type| wgpu::BindingType::Texture {
-        sample_type,
-        view_dimension: wgpu::TextureViewDimension::D2,
-        multisampled: false,
-    };
-    let buffer = |ty| wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None };
-    let storage = |read_only| buffer(wgpu::BufferBindingType::Storage { read_only });
     let kinds = [
         buffer(wgpu::BufferBindingType::Uniform),
         texture(wgpu::TextureSampleType::Uint),
@@ -147,18 +141,5 @@ fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
         storage(true),
         storage(false),
     ];
-    let entries: Vec<_> = kinds
-        .into_iter()
-        .enumerate()
-        .map(|(i, ty)| wgpu::BindGroupLayoutEntry {
-            binding: i as u32,
-            visibility: wgpu::ShaderStages::COMPUTE,
-            ty,
-            count: None,
-        })
-        .collect();
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("reconstruction"),
-        entries: &entries,
-    })
+    bind_group_layout(device, "reconstruction", wgpu::ShaderStages::COMPUTE, kinds)
 }

@@ -11,6 +11,7 @@ use glam::Vec3;
 
 use super::adapter::Gpu;
 use super::base::BaseTargets;
+use super::layout::{bind_group_layout, buffer, storage, texture};
 use super::textures::half_bits;
 
 /// Pixels that one invocation of a shader covers, as in `splat.wgsl`.
@@ -368,13 +369,6 @@ impl SplatPass {
 }
 
 fn splat_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let texture = |sample_type| wgpu::BindingType::Texture {
-        sample_type,
-        view_dimension: wgpu::TextureViewDimension::D2,
-        multisampled: false,
-    };
-    let buffer = |ty| wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None };
-    let storage = |read_only| buffer(wgpu::BufferBindingType::Storage { read_only });
     let kinds = [
         buffer(wgpu::BufferBindingType::Uniform),
         storage(true),
@@ -386,20 +380,7 @@ fn splat_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
         storage(false),
         storage(false),
     ];
-    let entries: Vec<_> = kinds
-        .into_iter()
-        .enumerate()
-        .map(|(i, ty)| wgpu::BindGroupLayoutEntry {
-            binding: i as u32,
-            visibility: wgpu::ShaderStages::COMPUTE,
-            ty,
-            count: None,
-        })
-        .collect();
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("splats"),
-        entries: &entries,
-    })
+    bind_group_layout(device, "splats", wgpu::ShaderStages::COMPUTE, kinds)
 }
 
 fn group_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {

@@ -322,8 +322,8 @@ impl Bsdf {
         refract(wo, self.normal, eta)
     }
 
-    /// All directions of delta lobes (of the first one where there are several beside each other), each with its full weight (not divided by a probability): a caller that
-    /// branches follows all of them.
+    /// All directions of delta lobes (of the first one where there are several beside each other), each with its full
+    /// weight (not divided by a probability): a caller that branches follows all of them.
     pub fn delta_lobes(&self, wo: Vec3) -> [Option<BsdfSample>; 2] {
         let reflection = |weight: Vec3| {
             let wi = self.reflected(wo);

@@ -32,6 +32,7 @@ use foveal_runtime::{BuildError, Control, Exit, Limit, Mode, RecordingStatus, Ru
 
 use crate::bake_clock::Watch;
 use crate::failure::Failure;
+use crate::foresight::Foresight;
 use crate::machine::Machine;
 use crate::opened::{self, Opened};
 use crate::options::{Clock, Options};
@@ -97,6 +98,8 @@ pub struct Engine {
     controls: Controls,
     /// `None` only while it is dropped.
     runtime: Option<Runtime>,
+    /// Whether the actors were brought to rest.
+    finished: bool,
     recorded: bool,
     actors: Actors,
     newest: Newest,
@@ -106,6 +109,8 @@ pub struct Engine {
     shown: Option<Frame>,
     before: Before,
     frame: u32,
+    /// How long a frame takes from the end of its work until it is shown.
+    showing: Foresight,
     encoder: Encoder,
     slot: InsightSlot,
     insight: Option<Insight>,
@@ -200,6 +205,7 @@ impl Engine {
             ranges,
             controls,
             runtime: Some(runtime),
+            finished: false,
             recorded,
             actors,
             newest,
@@ -208,6 +214,7 @@ impl Engine {
             shown: None,
             before: Before::default(),
             frame: 0,
+            showing: Foresight::default(),
             encoder: Encoder::default(),
             slot,
             insight: None,
@@ -218,7 +225,8 @@ impl Engine {
         })
     }
 
-    /// A frame seen from `camera`, shown after `time` with what has come until then.
+    /// A frame seen from `camera`, shown after `time` with what has come until then: its work ends as much earlier as
+    /// showing it is foreseen to take.
     ///
     /// # Errors
     /// If the walk has ended: an actor that nothing can go on without failed, or an invariant of a simulation broke.
@@ -226,8 +234,13 @@ impl Engine {
         let began = self.runtime().now();
         self.begin(camera)?;
         let taken = self.runtime().now().since(began);
-        self.work_until(time.saturating_sub(taken), |_| false)?;
+        self.work_until(time.saturating_sub(taken + self.showing()), |_| false)?;
         self.end()
+    }
+
+    /// How long [`Self::end`] will take, by those before it.
+    pub fn showing(&self) -> Duration {
+        self.showing.expected()
     }
 
     /// A frame begins, seen from `camera`. Returns once the renderer has drawn its base layer.
@@ -286,6 +299,7 @@ impl Engine {
     /// # Errors
     /// If the walk has ended.
     pub fn end(&mut self) -> Result<Frame, Failure> {
+        let ended = self.runtime().now();
         let _ = self.newest.frame.pop();
         let index = FrameIndex(self.frame);
         self.send(RendererInput::DeadlineReached { frame: index })?;
@@ -299,6 +313,7 @@ impl Engine {
                 SHOWING.as_secs()
             )));
         };
+        self.showing.learn(self.runtime().now().since(ended));
         self.listen();
         let frame = Frame {
             index,
@@ -410,16 +425,18 @@ impl Engine {
         matches!(self.recording(), RecordingStatus::On { .. })
     }
 
-    /// Brings the actors to rest within `time`. They can be looked at afterwards; nothing else works.
+    /// Brings the actors to rest within `time`: what is still to be traced is left. They can be looked at afterwards; nothing
+    /// else works.
     ///
     /// # Panics
     /// While it is being dropped.
     pub fn finish(&mut self, time: Duration) -> Shutdown {
-        self.end_baking();
+        self.end_work();
+        self.finished = true;
         self.runtime.as_mut().expect("only a drop takes it").end(time)
     }
 
-    fn send(&mut self, input: RendererInput) -> Result<(), Failure> {
+    fn send(&self, input: RendererInput) -> Result<(), Failure> {
         self.actors.input.send(input).map_err(|e| Failure::Check(format!("the renderer takes no input: {e}")))
     }
 
@@ -503,14 +520,22 @@ impl Engine {
     }
 
     /// Better light is of no use to a walk that ends; who makes it would go on for minutes.
-    fn end_baking(&self) {
+    /// Lets go of what nobody will see.
+    fn end_work(&self) {
+        // An actor that takes nothing any more has ended by itself.
+        let _ = self.send(RendererInput::Left);
         if let (Some(runtime), Some(illuminator)) = (&self.runtime, self.actors.illuminator) {
             runtime.control(illuminator, Control::Stop);
         }
     }
 
     fn close(&mut self) {
-        self.end_baking();
+        if self.finished {
+            // Whatever did not end in time is not waited for again.
+            self.runtime = None;
+            return;
+        }
+        self.end_work();
         if let Some(runtime) = self.runtime.take() {
             let end = runtime.shutdown(if self.recorded { SHUTDOWN_RECORDED } else { SHUTDOWN });
             tracing::debug!("actors stopped, drained: {}", end.drained);

@@ -42,6 +42,7 @@ pub mod edit;
 pub mod engine;
 pub mod failure;
 pub mod files;
+pub mod foresight;
 pub mod interrupt;
 pub mod light;
 pub mod look;

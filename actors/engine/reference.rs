@@ -40,7 +40,7 @@ pub fn traced_picture(
             let (px, py) = (x as u32, y as u32);
             let ray = twin::primary_ray(frame, px, py);
             let at = twin::primary_interaction(world, frame, &ray, &hit);
-            *out += tracer.view_dependent(&at, pixel_stream(seed, px, py, 0));
+            *out += tracer.view_dependent(&at, *out, pixel_stream(seed, px, py, 0));
         }
     });
     if samples > 1 {

@@ -31,6 +31,8 @@ pub enum RendererInput {
     },
     /// The user changed something.
     Adjusted(Adjustment),
+    /// Nobody looks any more: what is still to be traced for the view is not needed.
+    Left,
 }
 
 /// Everything the renderer can be told.
@@ -153,6 +155,7 @@ impl RendererInput {
             Self::FrameBegan { .. } => "FrameBegan",
             Self::DeadlineReached { .. } => "DeadlineReached",
             Self::Adjusted(_) => "Adjusted",
+            Self::Left => "Left",
         }
     }
 }

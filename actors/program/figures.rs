@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use rayon::prelude::*;
 use serde_json::Value;
 
 use foveal::display::FrameBuffers;
@@ -130,18 +131,19 @@ impl<'w> Still<'w> {
 
     /// All samples of one level, by object.
     fn level(&self, view: u32, level: u32) -> Vec<SampleBatch> {
+        const JOB: usize = 512;
         let rect = Rect::of_size(self.frame.size[0], self.frame.size[1]);
-        let objects = self.world.scene.objects.len() as u32;
-        (1..objects.max(1))
-            .map(|object| {
-                let owner = Owner { view, object, k: self.lattice.k_of(level) };
-                let on_object =
-                    |&(x, y): &(i32, i32)| self.buffers.object.at(x as usize, y as usize) == object;
-                let pixels = self.lattice.all_samples(level, rect).filter(on_object);
-                trace_samples(self.world, &self.frame, &self.buffers, owner, pixels, self.seed)
-            })
-            .filter(|b| !b.is_empty())
-            .collect()
+        let id = |&(x, y): &(i32, i32)| self.buffers.object.at(x as usize, y as usize);
+        let mut pixels: Vec<(i32, i32)> =
+            self.lattice.all_samples(level, rect).filter(|pixel| id(pixel) != 0).collect();
+        pixels.sort_by_key(id);
+        let jobs: Vec<&[(i32, i32)]> =
+            pixels.chunk_by(|a, b| id(a) == id(b)).flat_map(|of_object| of_object.chunks(JOB)).collect();
+        let trace = |job: &&[(i32, i32)]| {
+            let owner = Owner { view, object: id(&job[0]), k: self.lattice.k_of(level) };
+            trace_samples(self.world, &self.frame, &self.buffers, owner, job.iter().copied(), self.seed)
+        };
+        jobs.par_iter().map(trace).collect()
     }
 
     fn shown(&self, layer: &SplatLayer) -> Rgb8 {

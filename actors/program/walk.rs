@@ -235,6 +235,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         texture_bytes: a.texture_budget,
         recording,
         ring_turns: a.profile.as_ref().map(|_| PROFILED_TURNS),
+        gives_way: true,
         ..Options::new(settings)
     };
     let mut engine = Engine::start(opened, options)?;
@@ -249,6 +250,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         write_atomic(file, &replay::profile(&engine.runtime().timeline(), file))?;
     }
     let converged = engine.look(Renderer::is_converged).unwrap_or(false);
+    let linear = if a.out.is_some() { engine.look(Renderer::picture).flatten() } else { None };
     // Only the main thread's actors can be looked at while others run.
     let end = engine.finish(Duration::from_secs(10));
     let mut document = document(a, &engine, fps, &walked, converged);
@@ -257,7 +259,6 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         document["textures"] = textures;
     }
     if let (Some(out), Some(pictures)) = (&a.out, pictures) {
-        let linear = engine.look(Renderer::picture).flatten();
         if let Some(picture) = linear {
             write_atomic(&out.join("last.exr"), &exr_bytes(&picture)?)?;
         }
@@ -308,7 +309,7 @@ fn walk(
         }
         engine.begin(&pose)?;
         // The camera has not moved and all is traced: nothing to wait for once the stay has begun.
-        engine.work_until(budget.saturating_sub(began.elapsed()), |r| {
+        engine.work_until(budget.saturating_sub(began.elapsed() + engine.showing()), |r| {
             interrupted() || (staying && r.is_refined())
         })?;
         if let Some(least) = a.mode.least_quality().filter(|_| !staying) {

@@ -459,6 +459,14 @@ impl Renderer {
         }
     }
 
+    /// Jobs of the view become stale, as before the next one that does not come.
+    fn on_left(&mut self, cx: &mut Cx<'_, RendererMessage>) {
+        if let Some(neighbours) = &self.neighbours {
+            let next = AllocatorMessage::ViewBegun { view: self.view.next() };
+            self.outbox.tell(cx, &neighbours.allocator, next);
+        }
+    }
+
     /// Buffers to draw into: those of a view that nobody looks at any more, or new ones.
     fn buffers(&mut self) -> FrameBuffers {
         // A window or a tracer may hold a view for long; beyond these few, memory is given back instead.
@@ -626,6 +634,7 @@ impl Actor for Renderer {
                 self.on_deadline_reached(frame, cx)
             }
             RendererMessage::Input(RendererInput::Adjusted(adjustment)) => self.on_adjusted(adjustment, cx),
+            RendererMessage::Input(RendererInput::Left) => self.on_left(cx),
             RendererMessage::SamplesAged { view, samples, expired, hash: _ } => {
                 self.on_samples_aged(view, samples, expired, cx);
             }

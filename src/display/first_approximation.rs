@@ -70,8 +70,9 @@ impl FirstApproximation {
         self.maps.get(object as usize)?.as_ref()
     }
 
-    /// View-dependent radiance towards `at.wo`, about. Finite; may be negative where a coat takes light.
-    pub fn at(&self, world: &World, at: &Interaction) -> Vec3 {
+    /// View-dependent radiance towards `at.wo` of a surface that the display shows as `base`, about. Finite; may be
+    /// negative where a coat takes light.
+    fn at(&self, world: &World, at: &Interaction, base: Vec3) -> Vec3 {
         let map = match self.map(at.object) {
             Some(map) => &**map,
             None => match self.probes.probes.get(at.object as usize) {
@@ -80,9 +81,7 @@ impl FirstApproximation {
             },
         };
         let bsdf = Bsdf::at(&world.scene, at);
-        let coat = bsdf.coat_factor(at.wo) - 1.0;
-        let mut sum =
-            if coat == 0.0 { Vec3::ZERO } else { world.tracer().reflected_diffuse(at, &bsdf) * coat };
+        let mut sum = world.tracer().taken_by_coat(at, &bsdf, base);
         for peak in bsdf.peaks(at.wo, &self.probes.split_sum).into_iter().flatten() {
             // Into glass, radiance grows by n² and out of it shrinks again: what is looked up is outside.
             sum += peak.weight
@@ -138,6 +137,6 @@ impl FirstApproximation {
             return Vec3::ZERO;
         };
         let ray = primary_ray(frame, x as u32, y as u32);
-        self.at(world, &primary_interaction(world, frame, &ray, &hit))
+        self.at(world, &primary_interaction(world, frame, &ray, &hit), buffers.color.at(x, y))
     }
 }

@@ -352,7 +352,7 @@ fn shadows_of_named_lights_are_sharp_whatever_the_texels() {
         let shown_at = |x: f32| {
             let ray = Ray::new(Vec3::new(x, 0.5, 0.1), Vec3::NEG_Y);
             let at = Interaction::at(&yard, &ray, &indexed.accel.intersect(&yard, &ray).unwrap());
-            let rest = map.unnamed(at.triangle, at.b1, at.b2, at.back).unwrap();
+            let rest = map.unnamed(at.triangle, at.b1, at.b2, at.back);
             let named = gather.named(&at, &Bsdf::at(&yard, &at), Media::EMPTY);
             (rest, named, shown(&map, &at, named).x)
         };

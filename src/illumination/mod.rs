@@ -32,9 +32,9 @@ pub trait Irradiance: Sync + Send {
 
     /// What of it does not come straight from named lights
     /// ([`Lights::named`](crate::transport::light::Lights::named)), where the two are known apart: then shadow rays say
-    /// exactly what these bring, and shadows are sharp.
-    fn unnamed(&self, _triangle: u32, _b1: f32, _b2: f32, _back: bool) -> Option<Unnamed> {
-        None
+    /// exactly what these bring, and shadows are sharp. All of it elsewhere.
+    fn unnamed(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Unnamed {
+        Unnamed { rest: self.irradiance(triangle, b1, b2, back), is_lit: false }
     }
 
     /// The stored values behind it, where there are some: for displays that interpolate themselves.
@@ -48,7 +48,7 @@ pub trait Irradiance: Sync + Send {
 pub struct Unnamed {
     /// W/m² per band.
     pub rest: Vec3,
-    /// Whether any named light was seen from the elements around: where none was, nobody needs to ask.
+    /// Whether named lights are to be asked: any of them was seen from the elements around, and is not in `rest`.
     pub is_lit: bool,
 }
 

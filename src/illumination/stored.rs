@@ -333,13 +333,13 @@ impl Irradiance for Illumination {
         self.lookup(triangle, b1, b2, back).truncate()
     }
 
-    fn unnamed(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Option<Unnamed> {
-        self.named.as_ref()?;
+    fn unnamed(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Unnamed {
+        let rest = self.lookup_unnamed(triangle, b1, b2, back).truncate();
+        if self.named.is_none() {
+            return Unnamed { rest, is_lit: false };
+        }
         let is_lit = |e| Vec4::splat(f32::from(u8::from(self.named_value(e, back) != Vec4::ZERO)));
-        Some(Unnamed {
-            rest: self.lookup_unnamed(triangle, b1, b2, back).truncate(),
-            is_lit: self.interpolated(triangle, b1, b2, &is_lit).x > 0.0,
-        })
+        Unnamed { rest, is_lit: self.interpolated(triangle, b1, b2, &is_lit).x > 0.0 }
     }
 
     fn stored(&self) -> Option<&Illumination> {

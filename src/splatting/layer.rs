@@ -39,7 +39,10 @@ pub struct SplatLayer {
     carried: Map2d<Vec3>,
     /// What the pixel's own guide shows in this view; not a number where none was followed.
     guide: Map2d<Vec3>,
+    /// Whether `carried` and `guide` hold any number: most scenes have no guides, and nothing is written there then.
+    is_guided: [bool; 2],
     footprint: Footprint,
+    /// What a fresh sample of each level set paints beside its own pixel: offsets in columns and rows.
     tiles: Vec<Vec<(i16, i16)>>,
 }
 
@@ -74,18 +77,65 @@ fn place_of(x: u16, y: u16) -> u32 {
     u32::from(x) | (u32::from(y) << 16)
 }
 
+/// What a pixel keeps of the sample that it shows, see the maps of [`SplatLayer`].
+struct Shown {
+    color: Vec3,
+    source: u8,
+    place: u32,
+    guide: Vec3,
+}
+
+/// The maps of a layer while splats are painted.
+struct Paint<'a> {
+    ranks: &'a mut [u32],
+    colors: &'a mut [Vec3],
+    sources: &'a mut [u8],
+    places: &'a mut [u32],
+    /// Where the layer has guides.
+    carried: Option<&'a mut [Vec3]>,
+}
+
+impl<'a> Paint<'a> {
+    fn on(
+        ranks: &'a mut Map2d<u32>,
+        colors: &'a mut Map2d<Vec3>,
+        sources: &'a mut Map2d<u8>,
+        places: &'a mut Map2d<u32>,
+        carried: Option<&'a mut Map2d<Vec3>>,
+    ) -> Self {
+        Self {
+            ranks: ranks.data_mut(),
+            colors: colors.data_mut(),
+            sources: sources.data_mut(),
+            places: places.data_mut(),
+            carried: carried.map(Map2d::data_mut),
+        }
+    }
+
+    #[inline]
+    fn put(&mut self, i: usize, rank: u32, shown: &Shown) {
+        self.ranks[i] = rank;
+        self.colors[i] = shown.color;
+        self.sources[i] = shown.source;
+        self.places[i] = shown.place;
+        if let Some(carried) = &mut self.carried {
+            carried[i] = shown.guide;
+        }
+    }
+}
+
 impl SplatLayer {
     /// An empty layer for pictures of `width × height` and level sets up to `k_max`.
     pub fn new(width: usize, height: usize, k_max: u32, footprint: Footprint) -> Self {
-        let tiles = (0..=k_max)
-            .map(|k| match footprint {
-                Footprint::Tile | Footprint::Linear => Lattice::tile(k),
-                Footprint::Square => {
-                    let r = (Lattice::square_side(k) / 2) as i16;
-                    (-r..=r).flat_map(|y| (-r..=r).map(move |x| (x, y))).collect()
-                }
-            })
-            .collect();
+        let tile = |k| match footprint {
+            Footprint::Tile | Footprint::Linear => Lattice::tile(k),
+            Footprint::Square => {
+                let r = (Lattice::square_side(k) / 2) as i16;
+                (-r..=r).flat_map(|y| (-r..=r).map(move |x| (x, y))).collect()
+            }
+        };
+        let around = |k| tile(k).into_iter().filter(|&offset| offset != (0, 0)).collect();
+        let tiles = (0..=k_max).map(around).collect();
         Self {
             color: Map2d::new(width, height, Vec3::ZERO),
             rank: Map2d::new(width, height, 0),
@@ -93,6 +143,7 @@ impl SplatLayer {
             place: Map2d::new(width, height, 0),
             carried: Map2d::new(width, height, Vec3::NAN),
             guide: Map2d::new(width, height, Vec3::NAN),
+            is_guided: [false; 2],
             footprint,
             tiles,
         }
@@ -116,6 +167,7 @@ impl SplatLayer {
             && fits((source.width(), source.height(), source.data().len()));
         (self.color, self.rank, self.source, self.place) = (color, rank, source, place);
         (self.carried, self.guide) = (carried, guide);
+        self.is_guided = [true; 2];
         fit.then_some(())
     }
 
@@ -129,7 +181,15 @@ impl SplatLayer {
         self.rank.data_mut().fill(0);
         self.color.data_mut().fill(Vec3::ZERO);
         self.source.data_mut().fill(0);
-        self.guide.data_mut().fill(Vec3::NAN);
+        self.forget_guides();
+    }
+
+    fn forget_guides(&mut self) {
+        for (guides, is_guided) in [&mut self.carried, &mut self.guide].into_iter().zip(&mut self.is_guided) {
+            if std::mem::take(is_guided) {
+                guides.data_mut().fill(Vec3::NAN);
+            }
+        }
     }
 
     /// Forgets all splats. Until others come, pixels show what `first` fills in: a first approximation of the
@@ -137,7 +197,7 @@ impl SplatLayer {
     pub fn restart(&mut self, first: impl FnOnce(&mut Map2d<Vec3>)) {
         self.rank.data_mut().fill(0);
         self.source.data_mut().fill(0);
-        self.guide.data_mut().fill(Vec3::NAN);
+        self.forget_guides();
         first(&mut self.color);
     }
 
@@ -214,6 +274,7 @@ impl SplatLayer {
     pub fn guide(&mut self, guides: &Guides) {
         let width = self.guide.width();
         for ([x, y], guide) in guides.iter() {
+            self.is_guided[1] = true;
             if let Some(of) = self.guide.data_mut().get_mut(usize::from(y) * width + usize::from(x)) {
                 *of = guide;
             }
@@ -236,38 +297,29 @@ impl SplatLayer {
     pub fn splat_fresh(&mut self, batch: &SampleBatch, objects: &Map2d<u32>, source: u8) -> (f32, u32) {
         let (width, height) = (self.color.width() as i32, self.color.height() as i32);
         let own = rank(batch.k, 0);
-        let tile = &self.tiles[(batch.k as usize).min(self.tiles.len() - 1)];
-        let (ids, sources, places) = (objects.data(), self.source.data_mut(), self.place.data_mut());
-        let (ranks, colors) = (self.rank.data_mut(), self.color.data_mut());
-        let carried = self.carried.data_mut();
+        let ids = objects.data();
+        self.is_guided[0] |= !batch.guides.is_empty();
+        let Self { color, rank, source: by, place, carried, is_guided: [is_guided, _], tiles, .. } = self;
+        let around = &tiles[(batch.k as usize).min(tiles.len() - 1)];
+        let mut paint = Paint::on(rank, color, by, place, is_guided.then_some(carried));
         let (mut residual, mut compared) = (0.0, 0);
-        for (sample, (pixel, &color)) in batch.pixels.iter().zip(&batch.colors).enumerate() {
-            let (px, py) = (i32::from(pixel[0]), i32::from(pixel[1]));
-            let guide = batch.guide(sample);
-            let place = place_of(pixel[0], pixel[1]);
-            for &(dx, dy) in tile {
+        for (sample, (&[x, y], &color)) in batch.pixels.iter().zip(&batch.colors).enumerate() {
+            let (px, py) = (i32::from(x), i32::from(y));
+            let shown = Shown { color, source, place: place_of(x, y), guide: batch.guide(sample) };
+            let at = (py * width + px) as usize;
+            if px < width && py < height && ids[at] == batch.object {
+                residual += (color - paint.colors[at]).abs().element_sum();
+                compared += 1;
+                paint.put(at, EXACT, &shown);
+            }
+            for &(dx, dy) in around {
                 let (x, y) = (px + i32::from(dx), py + i32::from(dy));
                 if x < 0 || y < 0 || x >= width || y >= height {
                     continue;
                 }
                 let i = (y * width + x) as usize;
-                if ids[i] != batch.object {
-                    continue;
-                }
-                if (dx, dy) == (0, 0) {
-                    residual += (color - colors[i]).abs().element_sum();
-                    compared += 1;
-                    ranks[i] = EXACT;
-                    colors[i] = color;
-                    sources[i] = source;
-                    places[i] = place;
-                    carried[i] = guide;
-                } else if ranks[i] <= own {
-                    ranks[i] = own;
-                    colors[i] = color;
-                    sources[i] = source;
-                    places[i] = place;
-                    carried[i] = guide;
+                if ids[i] == batch.object && paint.ranks[i] <= own {
+                    paint.put(i, own, &shown);
                 }
             }
         }
@@ -287,8 +339,9 @@ impl SplatLayer {
     ) -> usize {
         let (width, height) = (self.color.width() as i32, self.color.height() as i32);
         let (ids, depths) = (objects.data(), depths.data());
-        let (ranks, colors, sources) = (self.rank.data_mut(), self.color.data_mut(), self.source.data_mut());
-        let (places, carried) = (self.place.data_mut(), self.carried.data_mut());
+        self.is_guided[0] |= samples.iter().any(|s| !s.guide.is_nan());
+        let Self { color, rank, source, place, carried, is_guided: [is_guided, _], .. } = self;
+        let mut paint = Paint::on(rank, color, source, place, is_guided.then_some(carried));
         let mut painted = 0;
         for s in samples.iter().rev() {
             let (cx, cy) = (i32::from(s.x), i32::from(s.y));
@@ -303,24 +356,16 @@ impl SplatLayer {
             if !visible {
                 continue;
             }
-            let own = rank(u32::from(s.k), u32::from(s.age).max(1));
-            let at = place_of(s.x, s.y);
+            let own = self::rank(u32::from(s.k), u32::from(s.age).max(1));
+            let shown = Shown { color: s.color, source: 0, place: place_of(s.x, s.y), guide: s.guide };
             let r = i32::from(s.half_side);
             let mut any = false;
             let columns = (cx - r).max(0) as usize..(cx + r + 1).min(width) as usize;
             for y in (cy - r).max(0)..(cy + r + 1).min(height) {
                 let start = (y * width) as usize;
-                let row = start + columns.start..start + columns.end;
-                let pixels = ids[row.clone()].iter().zip(&mut ranks[row.clone()]);
-                let shown = colors[row.clone()].iter_mut().zip(&mut sources[row.clone()]);
-                let sample = places[row.clone()].iter_mut().zip(&mut carried[row]);
-                for (((&id, rank), (color, source)), (place, guide)) in pixels.zip(shown).zip(sample) {
-                    if id == s.object && *rank < own {
-                        *rank = own;
-                        *color = s.color;
-                        *source = 0;
-                        *place = at;
-                        *guide = s.guide;
+                for i in start + columns.start..start + columns.end {
+                    if ids[i] == s.object && paint.ranks[i] < own {
+                        paint.put(i, own, &shown);
                         any = true;
                     }
                 }

@@ -44,12 +44,13 @@ pub fn trace_samples(
         let at = primary_interaction(world, frame, &ray, &hit);
         let normal =
             if at.shading_normal.dot(ray.direction) > 0.0 { -at.shading_normal } else { at.shading_normal };
+        let base = buffers.color.at(x as usize, y as usize);
         batch.push(Sample {
             pixel: [x as u16, y as u16],
             position: at.position,
             normal,
             view: -ray.direction,
-            color: tracer.view_dependent(&at, pixel_stream(seed, x as u32, y as u32, 0)),
+            color: tracer.view_dependent(&at, base, pixel_stream(seed, x as u32, y as u32, 0)),
             pixel_width: hit.t * ray.direction.dot(frame.forward) * frame.pixel_angle(),
         });
     }

@@ -462,16 +462,8 @@ fn below_coat(at: &Interaction, bsdf: &Bsdf, wi: Vec3) -> (f32, f32) {
 /// The irradiance that a display shows at a point that named lights light so much: what else a map says, where it knows that
 /// apart, else all that it says.
 pub(crate) fn shown(map: &dyn Irradiance, at: &Interaction, named: Vec3) -> Vec3 {
-    match map.unnamed(at.triangle, at.b1, at.b2, at.back) {
-        Some(Unnamed { rest, is_lit }) => {
-            if is_lit {
-                rest + named
-            } else {
-                rest
-            }
-        }
-        None => map.irradiance(at.triangle, at.b1, at.b2, at.back),
-    }
+    let Unnamed { rest, is_lit } = map.unnamed(at.triangle, at.b1, at.b2, at.back);
+    if is_lit { rest + named } else { rest }
 }
 
 impl Path {

@@ -142,12 +142,11 @@ impl<'a> Tracer<'a> {
         let &SurfacePoint { triangle, b1, b2, back, .. } = point;
         let irradiance = match self.illumination.unnamed(triangle, b1, b2, back) {
             _ if diffuse == Vec3::ZERO => Vec3::ZERO,
-            Some(Unnamed { rest, is_lit: false }) => rest,
-            Some(Unnamed { rest, is_lit: true }) => {
+            Unnamed { rest, is_lit: false } => rest,
+            Unnamed { rest, is_lit: true } => {
                 let at = at();
-                rest + self.named(&at, &Bsdf::at(self.scene, &at), Media::EMPTY)
+                rest + self.named(&at, &Bsdf::over(self.scene, &at, diffuse), Media::EMPTY)
             }
-            None => self.illumination.irradiance(triangle, b1, b2, back),
         };
         self.finite(point.emission(self.scene) + diffuse * (irradiance * FRAC_1_PI))
     }
@@ -156,8 +155,8 @@ impl<'a> Tracer<'a> {
         Gather::new(self.scene, self.accel, self.lights, Trust::Nobody).named(at, bsdf, media)
     }
 
-    /// Everything that [`Self::base`] leaves out, as radiance towards `at.wo`. Finite.
-    pub fn view_dependent(&self, at: &Interaction, stream: Stream) -> Vec3 {
+    /// Everything that [`Self::base`] leaves out, as radiance towards `at.wo`; `base` is what that gave here. Finite.
+    pub fn view_dependent(&self, at: &Interaction, base: Vec3, stream: Stream) -> Vec3 {
         let bsdf = Bsdf::at(self.scene, at);
         if !bsdf.has_view_dependent() {
             return Vec3::ZERO;
@@ -167,13 +166,14 @@ impl<'a> Tracer<'a> {
             spread: at.footprint / at.t.max(f32::MIN_POSITIVE),
             ..Branch::START
         };
-        let diffuse = bsdf.diffuse_albedo() * self.diffuse_light(at, &bsdf, Media::EMPTY);
-        self.finite(diffuse * (bsdf.coat_factor(at.wo) - 1.0) + self.scatter(at, &bsdf, branch, stream))
+        self.finite(self.taken_by_coat(at, &bsdf, base) + self.scatter(at, &bsdf, branch, stream))
     }
 
-    /// The diffuse part alone, averaged over directions: albedo / π × irradiance.
-    pub fn reflected_diffuse(&self, at: &Interaction, bsdf: &Bsdf) -> Vec3 {
-        self.finite(bsdf.diffuse_albedo() * self.diffuse_light(at, bsdf, Media::EMPTY))
+    /// What a coat adds to `base`, what [`Self::base`] shows of the surface, towards `at.wo`: less than nothing where it
+    /// takes light.
+    pub fn taken_by_coat(&self, at: &Interaction, bsdf: &Bsdf, base: Vec3) -> Vec3 {
+        let more = bsdf.coat_factor(at.wo) - 1.0;
+        if more == 0.0 { Vec3::ZERO } else { (base - at.point().emission(self.scene)) * more }
     }
 
     /// Radiance that arrives at the ray's origin, against its direction. Finite.
@@ -199,9 +199,8 @@ impl<'a> Tracer<'a> {
         }
         let &Interaction { triangle, b1, b2, back, .. } = at;
         let irradiance = match self.illumination.unnamed(triangle, b1, b2, back) {
-            Some(Unnamed { rest, is_lit: false }) => rest,
-            Some(Unnamed { rest, is_lit: true }) => rest + self.named(at, bsdf, media),
-            None => self.illumination.irradiance(triangle, b1, b2, back),
+            Unnamed { rest, is_lit: false } => rest,
+            Unnamed { rest, is_lit: true } => rest + self.named(at, bsdf, media),
         };
         irradiance * FRAC_1_PI
     }

@@ -106,7 +106,7 @@ impl FrameSource for Engine {
     }
 
     fn leave(mut self: Box<Self>) -> Ending {
-        self.end_baking();
+        self.end_work();
         // A recording is to have its end, if that comes soon; of other sessions nobody would see it.
         let time = if self.recorded { LEAVING } else { Duration::ZERO };
         self.runtime.take().map(|runtime| runtime.leave(time)).unwrap_or_default()

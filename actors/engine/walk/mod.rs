@@ -17,6 +17,7 @@ use foveal_runtime::Ending;
 pub use self::times::FrameTimes;
 pub use self::ways::BOOKMARKS;
 use self::ways::Ways;
+use crate::foresight::Foresight;
 use crate::look::Mirror;
 use crate::navigation::Navigator;
 use crate::source::{Controls, FrameSource, Names, Place, Ranges, Status};
@@ -68,8 +69,8 @@ pub struct Walk {
     pub times: FrameTimes,
     /// Begin and end of the last frame, while it is being shown.
     ended: Option<(f64, f64)>,
-    /// How long frames are shown after their end, before the next can begin: a mean, seconds.
-    showing: f64,
+    /// How long frames are shown after their end, before the next can begin.
+    showing: Foresight,
     /// Estimated quality of the picture on show.
     quality: Option<f32>,
     /// When the next frame of a recording is due, while it plays.
@@ -104,7 +105,7 @@ impl Walk {
             mirror_wanted: false,
             times: FrameTimes::default(),
             ended: None,
-            showing: 0.0,
+            showing: Foresight::default(),
             quality: None,
             replaying: None,
             notice: None,
@@ -277,8 +278,8 @@ impl Walk {
         };
         // Of a scene that was just loaded something is to be seen soon: the time of the first coarse samples.
         let is_first = self.shown.is_none();
-        let mut deadline =
-            begin + if is_first { 0.3 * period } else { period - self.showing.min(0.5 * period) };
+        let showing = self.showing.expected().as_secs_f64().min(0.5 * period);
+        let mut deadline = begin + if is_first { 0.3 * period } else { period - showing };
         if let Some(least) = self.controls.set.quality.filter(|_| !is_first && now >= deadline)
             && self.source.quality() < least
         {
@@ -306,7 +307,7 @@ impl Walk {
         if let Some((began, ended)) = self.ended.take() {
             self.times.push(Duration::from_secs_f64((now - began).max(0.0)));
             // The picture was composed and painted meanwhile, which is part of the frame's time.
-            self.showing += 0.25 * ((now - ended).clamp(0.0, 0.5 * period) - self.showing);
+            self.showing.learn(Duration::from_secs_f64((now - ended).clamp(0.0, 0.5 * period)));
         }
         let camera = self.camera_at(now);
         let moved = self.camera != Some(camera);

@@ -3,7 +3,7 @@
 /// How much less of a processor a thread gets than one that does not give way, in steps of the system's scale: about a
 /// tenth where both want the same one, and all of it where it is alone.
 #[cfg(target_os = "linux")]
-const STEPS: i32 = 10;
+const STEPS: i32 = 3;
 
 /// From now on the calling thread, and those that it starts, get a processor where others leave one. To be said once by a
 /// thread.

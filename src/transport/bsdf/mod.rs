@@ -16,6 +16,8 @@ use std::f32::consts::{FRAC_1_PI, PI};
 use glam::Vec3;
 
 use super::interaction::Interaction;
+#[cfg(doc)]
+use super::surface::SurfacePoint;
 use crate::image::luminance;
 use crate::math;
 pub use crate::scene::fresnel;
@@ -156,6 +158,12 @@ pub struct Bsdf {
 impl Bsdf {
     /// The reflectance at an interaction, seen from its `wo`.
     pub fn at(scene: &Scene, at: &Interaction) -> Self {
+        Self::over(scene, at, at.point().diffuse_albedo(scene))
+    }
+
+    /// The same where the [diffuse albedo](SurfacePoint::diffuse_albedo) of the point is known, so that its textures are
+    /// not read again.
+    pub fn over(scene: &Scene, at: &Interaction, diffuse: Vec3) -> Self {
         let m = at.material(scene);
         let point = at.point();
         let lookup = |r: &Reflectance| point.reflectance(scene, r);
@@ -165,7 +173,7 @@ impl Bsdf {
             tangent: at.tangent,
             bitangent: at.bitangent * side,
             geometric: at.facing_geometric(),
-            diffuse: point.diffuse_albedo(scene),
+            diffuse,
             coat: Coat::None,
             lobe: Lobe::None,
             more: [Lobe::None; layers::MORE],

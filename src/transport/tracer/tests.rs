@@ -75,10 +75,11 @@ fn the_two_parts_add_up() {
         let hit = p.accel.intersect(&p.scene, &ray).expect("the sphere");
         let at = Interaction::at(&p.scene, &ray, &hit);
         let stream = Stream::new(1, 2, 3);
-        let sum = tracer.base(&at.point(), || at) + tracer.view_dependent(&at, stream);
+        let base = tracer.base(&at.point(), || at);
+        let sum = base + tracer.view_dependent(&at, base, stream);
         let whole = tracer.radiance(&ray, stream);
         assert!((sum - whole).abs().max_element() <= 1e-5 * whole.max_element(), "{model:?}: {sum} {whole}");
-        assert_eq!(tracer.view_dependent(&at, stream), tracer.view_dependent(&at, stream));
+        assert_eq!(tracer.view_dependent(&at, base, stream), tracer.view_dependent(&at, base, stream));
     }
 }
 

@@ -1,0 +1,66 @@
+//! How long what follows a deadline will take: composing and handing over a picture must begin so much before it.
+
+use std::time::Duration;
+
+/// A running estimate of a time that is rarely exceeded: the mean and two mean deviations, as TCP waits for an answer
+/// (Jacobson, *Congestion avoidance and control*, 1988).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Foresight {
+    /// Mean and mean deviation, seconds; `None` before anything is known.
+    known: Option<(f64, f64)>,
+}
+
+impl Foresight {
+    /// Weight of the newest time in the mean.
+    const MEAN: f64 = 0.125;
+    /// The same in the deviation.
+    const DEVIATION: f64 = 0.25;
+
+    /// It took so long this time.
+    pub fn learn(&mut self, took: Duration) {
+        let took = took.as_secs_f64();
+        let (mean, deviation) = self.known.unwrap_or((took, 0.5 * took));
+        let error = took - mean;
+        self.known =
+            Some((mean + Self::MEAN * error, deviation + Self::DEVIATION * (error.abs() - deviation)));
+    }
+
+    /// How long it takes at most, nearly always; nothing before it was seen once.
+    pub fn expected(&self) -> Duration {
+        let (mean, deviation) = self.known.unwrap_or_default();
+        Duration::try_from_secs_f64(mean + 2.0 * deviation).unwrap_or_default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ms(ms: f64) -> Duration {
+        Duration::from_secs_f64(1e-3 * ms)
+    }
+
+    #[test]
+    fn what_is_always_the_same_is_foreseen_exactly_and_what_varies_with_room() {
+        let mut foresight = Foresight::default();
+        assert_eq!(foresight.expected(), Duration::ZERO);
+        for _ in 0..60 {
+            foresight.learn(ms(7.0));
+        }
+        assert!((foresight.expected().as_secs_f64() - 7e-3).abs() < 1e-6);
+        let late = |foresight: &mut Foresight| {
+            let times = (0..400u32).map(|i| ms(5.0 + f64::from(i * 7 % 11)));
+            times
+                .filter(|&took| {
+                    let is_late = took > foresight.expected();
+                    foresight.learn(took);
+                    is_late
+                })
+                .count()
+        };
+        // Even times between 5 and 15 ms: some of the first, while it learns.
+        assert!(late(&mut foresight) < 10);
+        assert_eq!(late(&mut foresight), 0);
+        assert!(foresight.expected() < ms(20.0));
+    }
+}

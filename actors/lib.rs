@@ -13,6 +13,7 @@
 pub mod allocator;
 pub mod analyzer;
 pub mod cache_ager;
+pub mod foresight;
 pub mod illuminator;
 pub mod insight;
 pub mod message;

@@ -20,6 +20,7 @@ use foveal::scene::plan::ScenePlan;
 use foveal::scene::{Budget, Camera};
 use foveal::world::World;
 use foveal_actors::allocator::Allocator;
+use foveal_actors::foresight::Foresight;
 use foveal_actors::insight::{Insight, InsightSlot};
 use foveal_actors::message::{FrameIndex, FrameSnapshot, RendererInput, View};
 use foveal_actors::renderer::overlay::Overlay;
@@ -32,7 +33,6 @@ use foveal_runtime::{BuildError, Control, Exit, Limit, Mode, RecordingStatus, Ru
 
 use crate::bake_clock::Watch;
 use crate::failure::Failure;
-use crate::foresight::Foresight;
 use crate::machine::Machine;
 use crate::opened::{self, Opened};
 use crate::options::{Clock, Options};
@@ -248,7 +248,8 @@ impl Engine {
     /// # Errors
     /// If the walk has ended.
     pub fn begin(&mut self, camera: &Camera) -> Result<(), Failure> {
-        self.send(RendererInput::FrameBegan { frame: FrameIndex(self.frame), camera: *camera })?;
+        let time = 1.0 / self.controls.set.fps;
+        self.send(RendererInput::FrameBegan { frame: FrameIndex(self.frame), camera: *camera, time })?;
         // Until the renderer has heard of it, "converged" is said of the view before.
         self.work_until(SHOWING, |renderer| renderer.camera() == Some(*camera))
     }

@@ -376,6 +376,47 @@ fn aside(start: &Camera, steps: u32) -> Camera {
     Camera { eye: start.eye + by, target: start.target + by, ..*start }
 }
 
+/// Where there is no time for it, the base layer is coarse while the camera moves; a view that stands still is whole.
+#[test]
+fn what_is_drawn_coarsely_in_motion_is_whole_when_the_camera_stands() {
+    let size = Settings::new(64, 48, 2);
+    let start = made(size).start().place().cameras[0].camera;
+    let whole = {
+        let mut engine = made(size).start();
+        engine.begin(&aside(&start, 5)).expect("a walk");
+        engine.work_until(Duration::from_secs(60), Renderer::is_converged).expect("a walk");
+        engine.end().expect("a frame").snapshot.rgb8.clone()
+    };
+    let mut made = made(size);
+    made.options.fps = Some(1e5);
+    let mut engine = made.start();
+    let cell = |engine: &Engine| engine.look(|r| r.drawn().map(|d| d.buffers.cell)).flatten();
+    for step in 0..=5 {
+        engine.frame(&aside(&start, step), Duration::from_millis(5)).expect("a frame");
+        assert_eq!(cell(&engine), Some(if step == 0 { 1 } else { 2 }), "{step}");
+        let converged = engine.look(Renderer::is_converged);
+        assert!(step == 0 || converged == Some(false), "there is more to be shown");
+    }
+    engine.begin(&aside(&start, 5)).expect("a walk");
+    engine.work_until(Duration::from_secs(60), Renderer::is_converged).expect("a walk");
+    assert_eq!(cell(&engine), Some(1));
+    assert!(*engine.end().expect("a frame").snapshot.rgb8 == *whole, "as if it had never moved");
+}
+
+/// What is left when nobody looks any more is not traced to its end.
+#[test]
+fn a_walk_that_is_left_ends_without_its_jobs() {
+    let mut engine = made(Settings::new(512, 512, 1)).start();
+    let camera = engine.place().cameras[0].camera;
+    engine.frame(&camera, Duration::from_millis(1)).expect("a frame");
+    let pixels = engine.look(|r| r.drawn().map(|d| d.buffers.object.data().iter().filter(|id| **id != 0).count()));
+    let end = engine.finish(Duration::from_secs(60));
+    assert!(end.drained && end.jobs_left == 0, "{end:?}");
+    let late = engine.look(|r| (0..512 * 512).filter(|i| r.layer().is_covered(i % 512, i / 512)).count());
+    let (pixels, late) = (pixels.flatten().expect("a view"), late.expect("a renderer"));
+    assert!(engine.look(Renderer::is_converged) == Some(false) && late <= pixels, "{late} of {pixels}");
+}
+
 #[test]
 fn whoever_stalls_is_not_written_to_without_end() {
     let mut engine = made(Settings::new(64, 48, 2)).start();

@@ -42,7 +42,6 @@ pub mod edit;
 pub mod engine;
 pub mod failure;
 pub mod files;
-pub mod foresight;
 pub mod interrupt;
 pub mod light;
 pub mod look;

@@ -74,19 +74,22 @@ impl<T: Saved> Saved for Option<T> {
 impl Saved for Arc<DrawnView> {
     fn save(&self, saver: &mut Saver) {
         saver.shared(self, |drawn, saver| {
-            let DrawnView { view, frame, buffers: _, world: _, object_count: _, hash } = drawn;
-            saver.put(&(view, frame, hash));
+            let DrawnView { view, frame, buffers, world: _, object_count: _, hash } = drawn;
+            saver.put(&(view, frame, buffers.cell, hash));
         });
     }
 
     fn restore(loader: &mut Loader<'_>) -> Option<Self> {
         loader.shared(|loader| {
-            let (view, frame, hash): (View, CameraFrame, u64) = loader.take()?;
+            let (view, frame, cell, hash): (View, CameraFrame, u32, u64) = loader.take()?;
+            if !(1..=2).contains(&cell) {
+                return None;
+            }
             let surroundings = loader.context::<Surroundings>()?;
             let world = surroundings.world.clone();
             let [width, height] = frame.size.map(|s| s as usize);
             let mut buffers = FrameBuffers::new(width, height);
-            twin::draw(&world, &frame, surroundings.passes, &mut buffers);
+            twin::draw_in_cells(&world, &frame, surroundings.passes, cell, &mut buffers);
             let object_count = world.scene.objects.len().max(1);
             let same = hash_view(&buffers, view) == hash;
             same.then_some(DrawnView { view, frame, hash, buffers, world, object_count })

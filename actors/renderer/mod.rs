@@ -32,6 +32,7 @@ use foveal::world::World;
 use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver};
 use glam::Vec3;
 
+use crate::foresight::Foresight;
 use crate::message::saved::hash_view;
 use crate::message::{
     AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameSnapshot, RendererInput,
@@ -47,6 +48,10 @@ pub const LIGHT_CHANGE: f32 = 0.06;
 
 /// Kind of the mark that each shown frame leaves in a recording; its value is the picture's hash.
 pub const MARK_FRAME: u32 = 0;
+
+/// Share of a frame's time that drawing the base layer may take while the camera moves; where it takes more, it is drawn
+/// coarsely, so that the frame is in time and samples come into it.
+const DRAWING_SHARE: f32 = 0.5;
 
 /// Bytes of textures that one frame takes at most, if more than one level waits.
 const TEXTURE_BYTES_PER_FRAME: usize = 4 << 20;
@@ -153,6 +158,8 @@ pub struct Renderer {
     changed: bool,
     /// The last frame, shown again while nothing changes.
     shown: Option<Arc<FrameSnapshot>>,
+    /// How long drawing a whole base layer takes.
+    drawing: Foresight,
     /// When the drawing of the current frame ended; only for the stage's time.
     drawn_at: Option<Begun>,
     /// `None` in a diffuse scene, where there is nothing to correct.
@@ -217,6 +224,7 @@ impl Renderer {
             lit: true,
             changed: false,
             shown: None,
+            drawing: Foresight::default(),
             drawn_at: None,
             neighbours,
             outbox: Outbox::new(|| RendererMessage::SendAgain),
@@ -233,7 +241,12 @@ impl Renderer {
 
     /// Whether every non-diffuse pixel of the current view shows its own ray, under light that is final.
     pub fn is_converged(&self) -> bool {
-        self.converged && self.lit && self.waiting.is_empty()
+        self.converged && self.lit && self.waiting.is_empty() && !self.is_coarse()
+    }
+
+    /// Whether the current view is drawn coarsely, until the camera stands still.
+    pub fn is_coarse(&self) -> bool {
+        self.drawn.as_ref().is_some_and(|drawn| drawn.buffers.cell != 1)
     }
 
     /// Whether the current view has converged, and has been refined where that is wanted.
@@ -339,12 +352,13 @@ impl Renderer {
         }
     }
 
-    fn on_frame_began(&mut self, camera: Camera, cx: &mut Cx<'_, RendererMessage>) {
+    fn on_frame_began(&mut self, camera: Camera, time: f32, cx: &mut Cx<'_, RendererMessage>) {
         let retextured = self.change_textures();
         let brighter = self.approach_light();
-        if brighter || retextured || self.camera != Some(camera) {
-            self.camera = Some(camera);
-            self.begin_view(&camera, cx);
+        if brighter || retextured || self.is_coarse() || self.camera != Some(camera) {
+            let moves = self.camera.replace(camera).is_some_and(|before| before != camera);
+            let fits = self.drawing.expected().as_secs_f32() <= DRAWING_SHARE * time;
+            self.begin_view(&camera, if moves && !fits { 2 } else { 1 }, cx);
         }
         self.look_for_former(cx);
         self.drawn_at = Some(self.stages.begin());
@@ -422,8 +436,8 @@ impl Renderer {
         true
     }
 
-    /// Draws a new view; the others work on it meanwhile.
-    fn begin_view(&mut self, camera: &Camera, cx: &mut Cx<'_, RendererMessage>) {
+    /// Draws a new view, in squares of `cell` by `cell` pixels; the others work on it meanwhile.
+    fn begin_view(&mut self, camera: &Camera, cell: u32, cx: &mut Cx<'_, RendererMessage>) {
         self.view = self.view.next();
         self.converged = self.neighbours.is_none();
         self.refined = false;
@@ -437,9 +451,13 @@ impl Renderer {
             self.outbox.tell(cx, &neighbours.allocator, AllocatorMessage::ViewBegun { view: self.view });
         }
         let mut buffers = self.buffers();
-        self.stages.clone().time(Stage::Display, || {
-            twin::draw(&self.world, &frame, self.passes, &mut buffers);
-        });
+        let draw = || {
+            self.stages.clone().time(Stage::Display, || {
+                twin::draw_in_cells(&self.world, &frame, self.passes, cell, &mut buffers);
+            });
+        };
+        let ((), took) = cx.measure(draw);
+        self.drawing.learn(took * cell * cell);
         if self.neighbours.is_some() {
             self.layer.clear();
         }
@@ -627,8 +645,8 @@ impl Actor for Renderer {
 
     fn handle(&mut self, message: RendererMessage, cx: &mut Cx<'_, RendererMessage>) {
         match message {
-            RendererMessage::Input(RendererInput::FrameBegan { frame: _, camera }) => {
-                self.on_frame_began(camera, cx)
+            RendererMessage::Input(RendererInput::FrameBegan { frame: _, camera, time }) => {
+                self.on_frame_began(camera, time, cx)
             }
             RendererMessage::Input(RendererInput::DeadlineReached { frame }) => {
                 self.on_deadline_reached(frame, cx)

@@ -72,6 +72,8 @@ impl TextureLevel {
 /// The frame buffers of one view, `width × height` each.
 #[derive(Clone, Debug)]
 pub struct FrameBuffers {
+    /// Side of the squares of pixels that share the ray of their first: 1 but where a whole picture would come late.
+    pub cell: u32,
     /// Base layer: emission + diffuse reflection, linear radiance.
     pub color: Map2d<Vec3>,
     /// Depth along the view axis, infinite on a miss.
@@ -88,6 +90,7 @@ impl FrameBuffers {
     /// Buffers of a background.
     pub fn new(width: usize, height: usize) -> Self {
         Self {
+            cell: 1,
             color: Map2d::new(width, height, Vec3::ZERO),
             depth: Map2d::new(width, height, f32::INFINITY),
             object: Map2d::new(width, height, 0),

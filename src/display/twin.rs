@@ -47,10 +47,27 @@ fn wanted_texture(scene: &Scene, at: &SurfacePoint) -> TextureLevel {
 /// # Panics
 /// If the sizes differ: a bug of the caller.
 pub fn draw(world: &World, frame: &CameraFrame, passes: Passes, buffers: &mut FrameBuffers) {
+    draw_in_cells(world, frame, passes, 1, buffers);
+}
+
+/// The same with one ray for each square of `cell` by `cell` pixels, 1 or 2, which goes through its first pixel.
+///
+/// # Panics
+/// If the sizes differ, or squares are of another size: a bug of the caller.
+pub fn draw_in_cells(
+    world: &World,
+    frame: &CameraFrame,
+    passes: Passes,
+    cell: u32,
+    buffers: &mut FrameBuffers,
+) {
+    assert!(cell == 1 || cell == 2, "bands hold whole packets of cells");
+    buffers.cell = cell;
+    let cell = cell as usize;
     let [width, height] = frame.size.map(|s| s as usize);
     assert_eq!([buffers.width(), buffers.height()], [width, height], "buffers of the frame's size");
     let band = BAND * width;
-    let FrameBuffers { color, depth, object, texture, hit } = buffers;
+    let FrameBuffers { cell: _, color, depth, object, texture, hit } = buffers;
     let textures: Vec<&mut [TextureLevel]> = if passes.texture_ids {
         texture.data_mut().chunks_mut(band).collect()
     } else {
@@ -67,21 +84,26 @@ pub fn draw(world: &World, frame: &CameraFrame, passes: Passes, buffers: &mut Fr
         .for_each(|(b, ((((color, depth), object), hit), texture))| {
             let rows = color.len() / width;
             let mut shade = |x: usize, row: usize, primary: PrimaryHit, direction: Vec3| {
-                let i = row * width + x;
-                hit[i] = primary;
                 let surface = shade_pixel(world, frame, direction, primary, passes.texture_ids);
-                color[i] = surface.color;
-                depth[i] = surface.depth;
-                object[i] = surface.object;
-                if let Some(texture) = texture.get_mut(i) {
-                    *texture = surface.texture;
+                for row in row..(row + cell).min(rows) {
+                    for i in row * width + x..row * width + (x + cell).min(width) {
+                        hit[i] = primary;
+                        color[i] = surface.color;
+                        depth[i] = surface.depth;
+                        object[i] = surface.object;
+                        if let Some(texture) = texture.get_mut(i) {
+                            *texture = surface.texture;
+                        }
+                    }
                 }
             };
-            for row in (0..rows).step_by(PACKET[1]) {
-                for x in (0..width).step_by(PACKET[0]) {
+            for row in (0..rows).step_by(PACKET[1] * cell) {
+                for x in (0..width).step_by(PACKET[0] * cell) {
+                    let wanted = |lane: usize| (x + lane % PACKET[0] * cell, row + lane / PACKET[0] * cell);
                     // Lanes beyond the picture's edge repeat the last pixel.
                     let pixel = |lane: usize| {
-                        ((x + lane % PACKET[0]).min(width - 1), (row + lane / PACKET[0]).min(rows - 1))
+                        let (px, py) = wanted(lane);
+                        (px.min(width - 1), py.min(rows - 1))
                     };
                     let directions: [Vec3; 16] = std::array::from_fn(|lane| {
                         let (px, py) = pixel(lane);
@@ -90,7 +112,7 @@ pub fn draw(world: &World, frame: &CameraFrame, passes: Passes, buffers: &mut Fr
                     let hits = world.accel.intersect_packet(&world.scene, frame.eye, &directions);
                     for (lane, (&primary, &direction)) in hits.iter().zip(&directions).enumerate() {
                         let (px, py) = pixel(lane);
-                        if px == x + lane % PACKET[0] && py == row + lane / PACKET[0] {
+                        if (px, py) == wanted(lane) {
                             shade(px, py, primary.into(), direction);
                         }
                     }
@@ -154,6 +176,30 @@ mod tests {
         let mut scene = scene(mesh, vec![material]);
         scene.textures.push(Texture::new("checker", MipChain::from_rgba8(256, 256, texels, true)));
         World::new(Arc::new(scene), Arc::new(Uniform(Vec3::splat(std::f32::consts::PI))))
+    }
+
+    /// Cells show their first pixel, to the picture's edges, and nothing else is there.
+    #[test]
+    fn cells_are_drawn_like_their_first_pixel() {
+        let world = checkered();
+        let camera = Camera { eye: Vec3::new(0.1, 0.2, 0.9), target: Vec3::ZERO, up: Vec3::Y, fov_y: 1.2 };
+        for [width, height] in [[40, 30], [41, 33], [1, 1], [7, 50]] {
+            let frame = camera.frame(width as u32, height as u32);
+            let [mut fine, mut coarse] = [(); 2].map(|()| FrameBuffers::new(width, height));
+            draw(&world, &frame, Passes { texture_ids: true }, &mut fine);
+            draw_in_cells(&world, &frame, Passes { texture_ids: true }, 2, &mut coarse);
+            assert_eq!([fine.cell, coarse.cell], [1, 2]);
+            for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+                let (fx, fy) = (x / 2 * 2, y / 2 * 2);
+                // Rays of other packets meet other last bits.
+                let apart = (coarse.color.at(x, y) - fine.color.at(fx, fy)).abs().max_element();
+                assert!(apart < 1e-3, "{width} {height}: {x} {y}");
+                assert!((coarse.depth.at(x, y) - fine.depth.at(fx, fy)).abs() < 1e-4);
+                assert_eq!(coarse.object.at(x, y), fine.object.at(fx, fy));
+                assert_eq!(coarse.texture.at(x, y).texture(), fine.texture.at(fx, fy).texture());
+                assert_eq!(coarse.hit.at(x, y).triangle, fine.hit.at(fx, fy).triangle);
+            }
+        }
     }
 
     #[test]

@@ -270,7 +270,7 @@ fn look(world: &World, size: [u32; 2], what: &str) -> Seen {
             *paths.at_mut(x, y) = world.path_radiance(&ray, stream);
             if let (Some(hit), true) = (buffers.hit.at(x, y).hit(), buffers.object.at(x, y) != 0) {
                 let at = twin::primary_interaction(world, &frame, &ray, &hit);
-                let change = tracer.view_dependent(&at, stream);
+                let change = tracer.view_dependent(&at, buffers.color.at(x, y), stream);
                 assert!(change.is_finite(), "{what}: correction {change} at ({x}, {y})");
                 // What a coat takes from the base is at most the base, but for rounding.
                 *traced.at_mut(x, y) += change;

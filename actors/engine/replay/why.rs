@@ -143,7 +143,7 @@ fn note(d: &Delivery<'_>) -> Option<Note> {
     }
     if let Some(message) = content.downcast_ref::<RendererMessage>() {
         return Some(match message {
-            RendererMessage::Input(RendererInput::FrameBegan { frame, camera }) => {
+            RendererMessage::Input(RendererInput::FrameBegan { frame, camera, time: _ }) => {
                 Note::Began { frame: frame.0, camera: *camera }
             }
             RendererMessage::Input(RendererInput::DeadlineReached { frame }) => {

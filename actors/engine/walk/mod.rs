@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use foveal::image::Map2d;
 use foveal::scene::Camera;
+use foveal_actors::foresight::Foresight;
 use foveal_actors::insight::{Insight, LONGEST_FRAME};
 use foveal_actors::renderer::overlay::Overlay;
 use foveal_runtime::Ending;
@@ -17,7 +18,6 @@ use foveal_runtime::Ending;
 pub use self::times::FrameTimes;
 pub use self::ways::BOOKMARKS;
 use self::ways::Ways;
-use crate::foresight::Foresight;
 use crate::look::Mirror;
 use crate::navigation::Navigator;
 use crate::source::{Controls, FrameSource, Names, Place, Ranges, Status};

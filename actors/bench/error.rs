@@ -48,6 +48,10 @@ pub struct ErrorArguments {
     /// Share of a view's samples that one frame of the walk has time for
     #[arg(long, value_name = "SHARE", default_value = "0.1", value_parser = foveal_terminal::arguments::unit)]
     pub(super) share: f32,
+    /// Processor time of one frame of a walk, for everything that is done; 200 ms are two cores at ten frames a second:
+    /// --what walks
+    #[arg(long, value_name = "TIMES", value_delimiter = ',', default_value = "50ms,200ms", value_parser = foveal_terminal::arguments::duration)]
+    pub(super) frame_time: Vec<Duration>,
     /// Show only the coarsest environment maps
     #[arg(long)]
     coarse_maps: bool,
@@ -77,7 +81,7 @@ pub struct ErrorArguments {
 }
 
 /// What views converge to, as they are held against it.
-const CONVERGED: Against = Against { kind: Kind::Traced, spp: 1 };
+pub(super) const CONVERGED: Against = Against { kind: Kind::Traced, spp: 1 };
 
 /// Whose error is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -86,6 +90,8 @@ enum What {
     Corrections,
     /// That of the baked irradiance, by both methods
     Illumination,
+    /// That of walks whose frames take a given processor time, with what lies between samples and in tiles
+    Walks,
 }
 
 /// Steps of the still view's curve.
@@ -118,6 +124,9 @@ pub fn run(a: &ErrorArguments, progress: Progress) -> Result<(), Failure> {
     }
     end_on_interrupt();
     let scenes: Vec<String> = or("box duck table gallery chess");
+    if a.what == What::Walks {
+        return super::error_walks::run(a, &scenes, progress);
+    }
     if a.plain {
         return super::error_plain::run(a, &scenes, progress);
     }

@@ -9,6 +9,7 @@ mod error_paths;
 mod error_plain;
 mod error_plain_rows;
 mod error_references;
+mod error_walks;
 mod first_light;
 mod illumination;
 pub mod made;

@@ -17,6 +17,7 @@ use foveal::metrics::video;
 use foveal::perception::viewing::Viewing;
 use foveal::scene::Camera;
 use foveal::scene::camera::CameraFrame;
+use foveal::splatting::Footprint;
 use foveal::splatting::trace::{Owner, trace_samples};
 use foveal::world::World;
 use foveal_runtime::simulate::{Simulation, Strategy, Work};
@@ -152,7 +153,7 @@ impl Study {
         shares: impl Iterator<Item = f64>,
         mut shown: impl FnMut(f64, Map2d<Vec3>),
     ) -> Result<Times, Failure> {
-        let (mut walk, view) = (Walk::new(self, entrant)?, self.still());
+        let (mut walk, view) = (Walk::new(self, entrant, self.settings.footprint)?, self.still());
         for share in std::iter::once(0.0).chain(shares) {
             let picture = walk.frame(&view.camera, share * view.seconds())?;
             shown(share * view.seconds(), picture);
@@ -162,13 +163,28 @@ impl Study {
 
     /// Walks all views, each with time for `share` of its samples, and gives what is shown.
     pub(super) fn walk(&self, entrant: &Entrant, share: f64) -> Result<(Times, Vec<Map2d<Vec3>>), Failure> {
-        let (mut walk, mut until) = (Walk::new(self, entrant)?, 0.0);
+        let mut walk = Walk::new(self, entrant, self.settings.footprint)?;
+        let shown = self.shown(&mut walk, |view| share * view.seconds())?;
+        Ok((walk.times(), shown))
+    }
+
+    /// Walks all views with these footprints, so many seconds each for everything, and gives what is shown.
+    pub(super) fn walk_in_time(
+        &self,
+        entrant: &Entrant,
+        footprint: Footprint,
+        seconds: f64,
+    ) -> Result<Vec<Map2d<Vec3>>, Failure> {
+        self.shown(&mut Walk::new(self, entrant, footprint)?, |_| seconds)
+    }
+
+    fn shown(&self, walk: &mut Walk, time: impl Fn(&Traced) -> f64) -> Result<Vec<Map2d<Vec3>>, Failure> {
+        let mut until = 0.0;
         let frame = |view: &Traced| {
-            until += share * view.seconds();
+            until += time(view);
             walk.frame(&view.camera, until)
         };
-        let shown = self.views.iter().map(frame).collect::<Result<_, _>>()?;
-        Ok((walk.times(), shown))
+        self.views.iter().map(frame).collect()
     }
 
     /// How near the pictures of a walk come to references, in just objectionable differences: 10 is the same.
@@ -223,9 +239,10 @@ struct Walk {
 }
 
 impl Walk {
-    fn new(study: &Study, entrant: &Entrant) -> Result<Self, Failure> {
+    fn new(study: &Study, entrant: &Entrant, footprint: Footprint) -> Result<Self, Failure> {
         let Settings { environment_bytes, .. } = study.settings;
         let settings = Settings {
+            footprint,
             policy: entrant.policy,
             approximates: !entrant.black,
             environment_bytes: if entrant.black { 0 } else { environment_bytes },

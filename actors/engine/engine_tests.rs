@@ -409,7 +409,8 @@ fn a_walk_that_is_left_ends_without_its_jobs() {
     let mut engine = made(Settings::new(512, 512, 1)).start();
     let camera = engine.place().cameras[0].camera;
     engine.frame(&camera, Duration::from_millis(1)).expect("a frame");
-    let pixels = engine.look(|r| r.drawn().map(|d| d.buffers.object.data().iter().filter(|id| **id != 0).count()));
+    let pixels =
+        engine.look(|r| r.drawn().map(|d| d.buffers.object.data().iter().filter(|id| **id != 0).count()));
     let end = engine.finish(Duration::from_secs(60));
     assert!(end.drained && end.jobs_left == 0, "{end:?}");
     let late = engine.look(|r| (0..512 * 512).filter(|i| r.layer().is_covered(i % 512, i / 512)).count());

@@ -492,6 +492,7 @@ pub fn probe(world: &World, split_sum: &SplitSum, id: u32, object: &Object) -> P
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rng;
 
     #[test]
     fn lobes_are_powers() {
@@ -563,6 +564,36 @@ mod tests {
         }
         let constant = filtered(&Cube::new(16, vec![Vec3::ONE; texel_count(16)]), 30.0);
         assert!(constant.texels().iter().all(|v| (*v - Vec3::ONE).abs().max_element() < 1e-5));
+    }
+
+    /// What squares skip is what no lobe reaches.
+    #[test]
+    fn squares_skip_nothing_that_counts() {
+        let value = |i: usize, salt| rng::hash(7, i as u64, salt) as f32 / u64::MAX as f32;
+        let texels = (0..texel_count(32)).map(|i| Vec3::new(value(i, 0), value(i, 1), value(i, 2))).collect();
+        let map = Cube::new(32, texels);
+        for exponent in [1.0, 7.0, 60.0, 300.0, 5000.0] {
+            let result = filtered(&map, exponent);
+            let mut source = map.clone();
+            while source.side > result.side {
+                source = source.halved();
+            }
+            let (n, lobe) = (source.side, Lobe::new(exponent));
+            for target in (0..texel_count(n)).step_by(17) {
+                let r = direction(n, target);
+                let (mut sum, mut total) = (Vec3::ZERO, 0.0);
+                for i in 0..texel_count(n) {
+                    let cosine = r.dot(direction(n, i));
+                    if cosine >= lobe.least {
+                        let share = lobe.at(cosine) * solid_angle(n, i);
+                        sum += source.texels[i] * share;
+                        total += share;
+                    }
+                }
+                let apart = (sum / total - result.texels[target]).abs().max_element();
+                assert!(apart < 1e-5, "{exponent}: {target}");
+            }
+        }
     }
 
     #[test]

@@ -20,8 +20,8 @@ use crate::failure::Failure;
 use crate::source::{Controls, FrameSource, Names, Place, Ranges, Status, TimelineShown, Wish};
 use crate::walk::{Act, Next, Notice, Walk};
 
-/// Commands that may wait: more than come between two slices of work.
-const COMMANDS: usize = 256;
+/// Commands that may wait: what hands do in seconds, should a frame take that long.
+const COMMANDS: usize = 4096;
 /// Lines for people, and screenshots, that may wait.
 const SAID: usize = 64;
 /// Shortest time between two reports, but for news that nobody wants to wait for.

@@ -114,8 +114,10 @@ const connection = new Connection({
     $("asked").hidden = !message.asked;
     $("people").hidden = message.viewers < 2 && drives;
     $("people").textContent = (drives ? "you drive" : "you watch") + (message.viewers > 1 ? `, ${message.viewers} look` : "");
-    $("hint").textContent = drives
-      ? "Drag the picture to look around, walk with W A S D or the arrows. Stand still and the picture becomes exact."
+    const fingers = matchMedia("(pointer: coarse)").matches;
+    const how = fingers ? "Drag the picture with one finger to look around, walk with the arrows or two fingers."
+      : "Drag the picture to look around, walk with W A S D or the arrows.";
+    $("hint").textContent = drives ? `${how} Stand still and the picture becomes exact.`
       : "Somebody else walks; you see what they see.";
   },
   notice: (message) => tell(message.text, message.failed),

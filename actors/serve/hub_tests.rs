@@ -133,8 +133,10 @@ fn closed(effects: &[Effect], id: ViewerId) -> Option<Why> {
 }
 
 fn told(effects: &[Effect]) -> Vec<&Command> {
-    let told = |effect| if let &Effect::Tell(_, ref command) = effect { Some(command) } else { None };
-    effects.iter().filter_map(told).collect()
+    fn command(effect: &Effect) -> Option<&Command> {
+        if let Effect::Tell(_, command) = effect { Some(command) } else { None }
+    }
+    effects.iter().filter_map(command).collect()
 }
 
 /// Events of input: time in ms, kind, two numbers.

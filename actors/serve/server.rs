@@ -120,7 +120,7 @@ impl Server {
         let mut tick = tokio::time::interval(TICK);
         tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let wake = Arc::clone(&glue.wake);
-        while !stop() && !(is_shared && glue.walks.is_empty()) {
+        while !(stop() || is_shared && glue.walks.is_empty()) {
             tokio::select! {
                 message = messages.recv() => match message {
                     Some(message) => glue.hear(message),

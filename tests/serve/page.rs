@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::converged;
 use super::served::Served;
 use crate::support::browser::{Browser, Page};
-use crate::support::{Foveal, folder};
+use crate::support::{Foveal, folder, root, scene};
 
 const STILL: &str = "document.getElementById('state').textContent.startsWith('exact')";
 
@@ -301,6 +301,26 @@ fn the_page_fits_every_screen_and_names_all_that_can_be_used() {
     page.wait("document.getElementById('keys').open");
     page.screenshot(&shots().join("keys.png"), "png");
     assert_eq!(page.errors, Vec::<String>::new());
+}
+
+#[test]
+#[ignore = "writes the pictures of the book"]
+fn pictures_of_the_page() {
+    let Some(browser) = Browser::open() else { return };
+    let served = Served::of(&scene("gallery"), "--size 640x480 --baked --refine-samples 16");
+    let pictures = root().join("docs/src/pictures");
+    let mut page = browser.page();
+    page.resize(1280, 800, "dark", false);
+    page.go(&served.address());
+    page.wait("document.getElementById('state').textContent === 'exact, refined'");
+    page.eval("document.getElementById('insight').open = true");
+    page.screenshot(&pictures.join("serve.jpg"), "jpeg");
+    page.resize(390, 844, "light", true);
+    page.eval("document.querySelector('input[value=saliency]').click()");
+    page.wait("!document.getElementById('legend').hidden");
+    page.wait(STILL);
+    std::thread::sleep(Duration::from_secs(1));
+    page.screenshot(&pictures.join("serve-phone.jpg"), "jpeg");
 }
 
 /// Fails where text stands out too little from what is behind it.

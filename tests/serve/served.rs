@@ -39,7 +39,8 @@ impl Served {
             false => format!("{option} {value}"),
         };
         let (listen, size) = (said("--listen", "127.0.0.1:0"), said("--size", "96x64"));
-        let words = format!("serve {listen} {size} --json --baked {CHEAP_BAKE} {words}");
+        let light = if words.contains("--baked") { "" } else { &format!("--baked {CHEAP_BAKE}") };
+        let words = format!("serve {listen} {size} --json {light} {words}");
         let mut running = Foveal::new(&words).arg(scene).start();
         let until = Instant::now() + PATIENCE;
         let document: Value = loop {

@@ -113,7 +113,7 @@ async fn requests(stream: tokio::net::TcpStream, counted: Arc<Counted>, door: Ar
     }
 }
 
-fn header<'h>(headers: &'h HeaderMap, name: impl axum::http::header::AsHeaderName) -> &'h str {
+fn header(headers: &HeaderMap, name: impl axum::http::header::AsHeaderName) -> &str {
     headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default()
 }
 

@@ -20,7 +20,7 @@ use foveal_serve::coding::{Coding, encode};
 use foveal_serve::gate::Token;
 use foveal_serve::hub::Limits;
 use foveal_serve::server::{self, Make, Server};
-use foveal_terminal::arguments::Size;
+use foveal_terminal::arguments::{Size, duration};
 use foveal_terminal::progress::Progress;
 use foveal_terminal::table::{Aim, CommonArguments, Row, finish};
 use serde_json::{Value, json};
@@ -31,10 +31,10 @@ use tungstenite::{Message, WebSocket};
 use super::made::Subject;
 use super::timed;
 
-/// How long one walks to see how evenly frames come.
-const WALK: Duration = Duration::from_secs(12);
 /// Longest wait for anything.
 const PATIENCE: Duration = Duration::from_secs(60);
+/// How long a still view is left alone before the next turn of the head, so that no frame is under way.
+const REST: Duration = Duration::from_millis(400);
 /// Viewers of the walk that is to notice nothing.
 const VIEWERS: usize = 8;
 
@@ -47,6 +47,9 @@ pub struct ServeArguments {
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "512x512")]
     size: Size,
+    /// How long one walks to see how evenly frames come
+    #[arg(long, value_name = "TIME", value_parser = duration, default_value = "12s")]
+    walk: Duration,
     #[command(flatten)]
     common: CommonArguments,
 }
@@ -74,7 +77,7 @@ pub fn run(a: &ServeArguments, progress: Progress) -> Result<(), Failure> {
         let make = Arc::clone(&make);
         let engine = EngineThread::spawn(move || make(1), || {})?;
         let waits = (0..inputs).map(|i| look_at(&engine, i)).collect::<Result<Vec<f64>, Failure>>()?;
-        let p99 = walk_alone(&engine)?;
+        let p99 = walk_alone(&engine, a.walk)?;
         let shown = wait(&engine, |shown| shown.exact)?;
         (waits, p99, shown.picture)
     };
@@ -84,13 +87,13 @@ pub fn run(a: &ServeArguments, progress: Progress) -> Result<(), Failure> {
     let first = driver.began.elapsed().as_secs_f64() * 1e3;
     let waits = (0..inputs).map(|i| driver.look(i)).collect::<Result<Vec<f64>, Failure>>()?;
     bar.inc(1);
-    let walked = driver.walk()?;
+    let walked = driver.walk(a.walk)?;
     bar.inc(1);
     let stalled = served.viewer()?;
     let stops = Arc::new(AtomicBool::new(false));
     let others =
         (2..VIEWERS).map(|_| Ok(served.viewer()?.looks_on(&stops))).collect::<Result<Vec<_>, Failure>>()?;
-    let crowded = driver.walk()?;
+    let crowded = driver.walk(a.walk)?;
     stops.store(true, Ordering::Relaxed);
     for other in others {
         let _ = other.join();
@@ -145,6 +148,7 @@ fn look_at(engine: &EngineThread, number: u32) -> Result<f64, Failure> {
     if number == 0 {
         wait(engine, |shown| shown.exact)?;
     }
+    std::thread::sleep(REST);
     let (begin, mark) = (Instant::now(), f64::from(number) + 1.0);
     let _ = handle.send(Command::Act { act, at: handle.now(), mark });
     let shown = wait(engine, |shown| shown.mark == Some(mark))?;
@@ -156,12 +160,12 @@ fn look_at(engine: &EngineThread, number: u32) -> Result<f64, Failure> {
 }
 
 /// Walks to and fro; the 99th percentile of frame times, milliseconds.
-fn walk_alone(engine: &EngineThread) -> Result<f64, Failure> {
+fn walk_alone(engine: &EngineThread, time: Duration) -> Result<f64, Failure> {
     let handle = engine.handle();
     let begin = Instant::now();
     let mut p99 = 0.0;
     let mut way = 0;
-    while begin.elapsed() < WALK {
+    while begin.elapsed() < time {
         for act in to_and_fro(begin, &mut way) {
             let _ = handle.send(Command::Act { act, at: handle.now(), mark: 0.0 });
         }
@@ -209,7 +213,7 @@ impl Served {
         let port = server.address().port();
         let stops = Arc::new(AtomicBool::new(false));
         let (make, asked) = (Arc::clone(make), Arc::clone(&stops));
-        let thread = std::thread::spawn(move || server.run(make, || asked.load(Ordering::Relaxed)));
+        let thread = std::thread::spawn(move || server.run(make, || asked.load(Ordering::Relaxed), || {}));
         Ok(Self { port, token, stops, thread })
     }
 
@@ -300,6 +304,7 @@ impl Viewer {
 
     fn look(&mut self, number: u32) -> Result<f64, Failure> {
         self.until(|viewer| viewer.still)?;
+        std::thread::sleep(REST);
         let (begin, mark) = (Instant::now(), self.began.elapsed().as_secs_f64() * 1e3);
         self.act(3, 1.0 + (number % 3) as f32, mark)?;
         self.until(|viewer| viewer.mark == mark)?;
@@ -308,11 +313,11 @@ impl Viewer {
         Ok(took)
     }
 
-    fn walk(&mut self) -> Result<Walked, Failure> {
+    fn walk(&mut self, time: Duration) -> Result<Walked, Failure> {
         let begin = Instant::now();
         let mut way = 0;
         self.bytes.clear();
-        while begin.elapsed() < WALK {
+        while begin.elapsed() < time {
             for act in to_and_fro(begin, &mut way) {
                 let mark = self.began.elapsed().as_secs_f64() * 1e3;
                 match act {

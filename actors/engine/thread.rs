@@ -79,11 +79,12 @@ pub struct Shown {
     pub number: u64,
     /// The picture, tone-mapped, with its overlay.
     pub picture: Arc<Map2d<[u8; 3]>>,
-    /// Where it is seen from.
-    pub camera: Camera,
+    /// Where it is seen from; nothing where it is of a recording.
+    pub camera: Option<Camera>,
     /// The newest mark of an act that had been done when its frame began.
     pub mark: Option<f64>,
-    /// It is what a still view converges to, or is refined to, each bit of it.
+    /// It is what a still view converges to, or is refined to, each bit of it; of a recording that does not play, what that
+    /// showed.
     pub exact: bool,
     /// The camera moves.
     pub moving: bool,
@@ -299,17 +300,25 @@ struct Inside<'s> {
     shared: &'s Shared,
     /// What was published last, and when its report was made.
     shown: Option<(Arc<Shown>, f64)>,
-    /// Mark of the last act.
+    /// Mark of the last act; the same as it was when the frame began, and of the frame on show.
     mark: Option<f64>,
-    /// The same as it was when the frame began.
     frame_mark: Option<f64>,
+    shown_mark: Option<f64>,
     paused: bool,
     names: Option<Arc<Names>>,
 }
 
 impl<'s> Inside<'s> {
     fn new(shared: &'s Shared) -> Self {
-        Self { shared, shown: None, mark: None, frame_mark: None, paused: false, names: None }
+        Self {
+            shared,
+            shown: None,
+            mark: None,
+            frame_mark: None,
+            shown_mark: None,
+            paused: false,
+            names: None,
+        }
     }
 
     fn run(mut self, walk: &mut Walk) -> Result<(), String> {
@@ -326,6 +335,9 @@ impl<'s> Inside<'s> {
             let (is_new, next) = walk.tick(now);
             if !was_in_frame && walk.is_in_frame() {
                 self.frame_mark = self.mark;
+            }
+            if is_new {
+                self.shown_mark = self.frame_mark;
             }
             if let Some(why) = walk.ended() {
                 self.say(Notice { text: why.clone(), failed: true });
@@ -381,7 +393,7 @@ impl<'s> Inside<'s> {
         if let Some(notice) = walk.notice.take() {
             self.say(notice);
         }
-        let Some(camera) = walk.camera().copied() else { return };
+        let camera = walk.camera().copied();
         let now = self.shared.now();
         let before = self.shown.as_ref().map(|(shown, _)| shown);
         let is_set = before.is_none_or(|b| b.report.controls != *walk.controls());
@@ -394,16 +406,19 @@ impl<'s> Inside<'s> {
         // Frames of a view that has converged are the same.
         let same = before.filter(|b| b.picture.data() == picture.data());
         let status = walk.status();
-        let exact = status.converged && walk.shows_all() && !walk.is_in_frame();
+        let exact = match walk.timeline() {
+            Some((_, plays)) => !plays,
+            None => status.converged && walk.shows_all() && !walk.is_in_frame(),
+        };
         let (number, kept) = match same {
             Some(before) => (before.number, Arc::clone(&before.picture)),
             None => (before.map_or(0, |b| b.number) + 1, Arc::new(picture.clone())),
         };
         // Whoever looks later still finds that an equal picture was exact.
         let exact = exact || same.is_some_and(|b| b.exact && b.camera == camera);
-        let moving = walk.is_moving();
+        let moving = walk.is_moving() && walk.timeline().is_none();
         let was = before.map(|b| (b.number, b.exact, b.moving, b.mark));
-        let news = was != Some((number, exact, moving, self.frame_mark));
+        let news = was != Some((number, exact, moving, self.shown_mark));
         let state = |status: &Status| (status.converged, status.refined, status.lit);
         let is_due = is_due || pressing || before.is_none_or(|b| state(&b.report.status) != state(&status));
         if !news && !is_due {
@@ -414,7 +429,7 @@ impl<'s> Inside<'s> {
             _ => (Arc::new(self.report(walk, status)), now),
         };
         let shown =
-            Arc::new(Shown { number, picture: kept, camera, mark: self.frame_mark, exact, moving, report });
+            Arc::new(Shown { number, picture: kept, camera, mark: self.shown_mark, exact, moving, report });
         self.shown = Some((Arc::clone(&shown), at));
         self.shared.newest.force_push(shown);
         (self.shared.wake)();

@@ -42,7 +42,7 @@ fn acts_reach_the_walk_at_their_times_and_a_still_view_becomes_exact() {
     let handle = engine.handle();
     let first = wait(handle, |s| s.exact);
     let start = engine.opening().place.cameras[0].camera;
-    assert_eq!((first.camera, first.mark), (start, None));
+    assert_eq!((first.camera, first.mark), (Some(start), None));
 
     // Told late and at once, but done at their times.
     let t = handle.now();
@@ -56,13 +56,18 @@ fn acts_reach_the_walk_at_their_times_and_a_still_view_becomes_exact() {
     let mut navigator = Navigator::new(&start, place.up, place.diagonal, 0.0);
     navigator.press(Motion::Right, down);
     navigator.release(Motion::Right, up);
-    assert_eq!(walked.camera, navigator.camera(up));
+    assert_eq!(walked.camera, Some(navigator.camera(up)));
     assert!(walked.number > first.number && walked.picture != first.picture && !walked.moving);
+
+    // No picture says that it knows of what it does not show.
+    handle.send(Command::Act { act: Act::Look(30.0, 0.0), at: handle.now(), mark: 5.0 }).expect("room");
+    let turned = wait(handle, |s| s.mark == Some(5.0));
+    assert!(turned.camera != walked.camera && turned.picture != walked.picture);
 
     // Nothing is of the future.
     let at = handle.now() + 1e6;
     handle.send(Command::Act { act: Act::Press(Motion::Left), at, mark: 1.0 }).expect("room");
-    wait(handle, |s| s.moving && s.camera != walked.camera);
+    wait(handle, |s| s.moving && s.camera != turned.camera);
     engine.end().expect("a good end");
 }
 

@@ -213,12 +213,75 @@ fn kept_token(file: &Path) -> Result<Token, Failure> {
     }
 }
 
+/// Serves until Ctrl-C, and says where once that is so.
+fn serve(server: Server, make: Make, told: &Told) -> Result<(), Failure> {
+    let base = told.base.clone().unwrap_or_else(|| format!("http://{}/", server.address()));
+    let address = |token: &Token| format!("{base}#t={}", token.as_str());
+    let say = || {
+        if told.json {
+            print_json(&json!({
+                "schema": "foveal.serve/1",
+                "address": address(&told.token),
+                "watch_address": told.watch_token.as_ref().map(address),
+                "token_file": told.token_file.as_ref().map(|file| file.display().to_string()),
+            }));
+        } else {
+            print_line(&address(&told.token));
+            if let Some(watch) = &told.watch_token {
+                print_line(&format!("to watch: {}", address(watch)));
+            }
+        }
+    };
+    server.run(make, interrupted, say)?;
+    if interrupted() {
+        return Err(Failure::Interrupted("interrupted; what was recorded is kept".into()));
+    }
+    Ok(())
+}
+
+/// What is said of an address.
+struct Told {
+    /// What it begins with, where a proxy has another.
+    base: Option<String>,
+    token: Token,
+    watch_token: Option<Token>,
+    token_file: Option<PathBuf>,
+    json: bool,
+}
+
+/// Serves a recording at an address of this machine's own.
+pub fn recording(listen: SocketAddr, make: Make, json: bool) -> Result<(), Failure> {
+    if !listen.ip().is_loopback() {
+        return Err(Failure::Usage(format!(
+            "{listen} can be reached from elsewhere; recordings are served at 127.0.0.1, come by `ssh -L`"
+        )));
+    }
+    let token = Token::random().map_err(Failure::Environment)?;
+    let limits = Limits { walks: None, viewers: VIEWERS, bytes: None, idle: 600.0 };
+    let server = Server::bind(server::Options {
+        listen,
+        hosts: Vec::new(),
+        behind_proxy: false,
+        token: token.clone(),
+        watch_token: None,
+        limits,
+        recorded: false,
+    })?;
+    serve(server, make, &Told { base: None, token, watch_token: None, token_file: None, json })
+}
+
 /// Runs the command.
 pub fn run(a: &ServeArguments, progress: Progress) -> Result<(), Failure> {
     a.check()?;
     end_on_interrupt();
     let options = a.server()?;
-    let (token, watch) = (options.token.clone(), options.watch_token.clone());
+    let told = Told {
+        base: a.hosts.first().filter(|_| a.behind_proxy).map(|name| format!("https://{name}/")),
+        token: options.token.clone(),
+        watch_token: options.watch_token.clone(),
+        token_file: a.token_file.clone(),
+        json: a.json,
+    };
     // Before minutes are spent on the scene.
     let server = Server::bind(options)?;
     let recipe = a.recipe();
@@ -226,29 +289,5 @@ pub fn run(a: &ServeArguments, progress: Progress) -> Result<(), Failure> {
     for warning in &loaded.opened.warnings {
         tracing::warn!("{warning}");
     }
-    let make = a.maker(recipe, loaded);
-    // A proxy's name is what a browser asks for.
-    let base = match a.hosts.first().filter(|_| a.behind_proxy) {
-        Some(name) => format!("https://{name}/"),
-        None => format!("http://{}/", server.address()),
-    };
-    let address = |token: &Token| format!("{base}#t={}", token.as_str());
-    if a.json {
-        print_json(&json!({
-            "schema": "foveal.serve/1",
-            "address": address(&token),
-            "watch_address": watch.as_ref().map(address),
-            "token_file": a.token_file.as_ref().map(|file| file.display().to_string()),
-        }));
-    } else {
-        print_line(&address(&token));
-        if let Some(watch) = &watch {
-            print_line(&format!("to watch: {}", address(watch)));
-        }
-    }
-    server.run(make, interrupted)?;
-    if interrupted() {
-        return Err(Failure::Interrupted("interrupted; what was recorded is kept".into()));
-    }
-    Ok(())
+    serve(server, a.maker(recipe, loaded), &told)
 }

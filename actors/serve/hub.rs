@@ -310,6 +310,12 @@ impl Hub {
             Deed::Bookmark { number, set: false } => Act::GoTo(number.into()),
             Deed::Record => Act::ToggleRecording,
             Deed::Play => Act::TogglePlaying,
+            Deed::Frame { .. } | Deed::Messages { .. } | Deed::Replay | Deed::Why { .. } | Deed::Branch => {
+                if let Some(wish) = deed.wish().filter(|_| self.is_driving(room, id, now)) {
+                    self.effects.push(Effect::Tell(room, Command::Wish(wish)));
+                }
+                return;
+            }
         };
         if self.is_driving(room, id, now) {
             self.effects.push(Effect::Tell(room, Command::Act { act, at: now, mark: 0.0 }));

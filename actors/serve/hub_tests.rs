@@ -98,7 +98,15 @@ fn report() -> Arc<Report> {
 fn shown(number: u64, exact: bool) -> Arc<Shown> {
     let camera = Camera { eye: Vec3::ZERO, target: Vec3::NEG_Z, up: Vec3::Y, fov_y: 1.0 };
     let picture = Arc::new(Map2d::new(64, 48, [number as u8; 3]));
-    Arc::new(Shown { number, picture, camera, mark: Some(7.5), exact, moving: false, report: report() })
+    Arc::new(Shown {
+        number,
+        picture,
+        camera: Some(camera),
+        mark: Some(7.5),
+        exact,
+        moving: false,
+        report: report(),
+    })
 }
 
 fn texts(effects: &[Effect], to: ViewerId) -> Vec<serde_json::Value> {
@@ -442,6 +450,10 @@ fn anything() -> impl Strategy<Value = Event> {
         Just(json!({"type": "do", "name": "give"})),
         Just(json!({"type": "do", "name": "screenshot"})),
         Just(json!({"type": "do", "name": "bookmark", "number": 255, "set": true})),
+        any::<u32>().prop_map(|n| json!({"type": "do", "name": "frame", "number": n})),
+        any::<i64>().prop_map(|n| json!({"type": "do", "name": "messages", "count": n})),
+        any::<(u32, u32)>().prop_map(|(x, y)| json!({"type": "do", "name": "why", "x": x, "y": y})),
+        Just(json!({"type": "do", "name": "branch"})),
         Just(json!({"type": "kept"})),
         any::<u32>().prop_map(|frame| json!({"type": "shown", "frame": frame % 12})),
         any::<f64>().prop_map(|value| json!({"type": "set", "key": "fps", "value": value})),

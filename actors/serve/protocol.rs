@@ -4,7 +4,7 @@
 
 use foveal_engine::controls::{Kind, Value, controls};
 use foveal_engine::navigation::{Motion, Pace};
-use foveal_engine::source::{Controls, Place, Ranges};
+use foveal_engine::source::{Controls, Place, Ranges, Wish};
 use foveal_engine::walk::Act;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, json};
@@ -75,6 +75,41 @@ pub enum Deed {
     Play,
     /// The picture on show with all bits, to keep.
     Screenshot,
+    /// Of a recording: to go to a frame.
+    Frame {
+        /// Its number.
+        number: u32,
+    },
+    /// Of a recording: to go by messages, back where it is negative.
+    Messages {
+        /// How many.
+        count: i16,
+    },
+    /// Of a recording: to play, or pause.
+    Replay,
+    /// Of a recording: why a pixel looks as it does.
+    Why {
+        /// Its column.
+        x: u32,
+        /// Its row.
+        y: u32,
+    },
+    /// To leave a recording and walk on from there.
+    Branch,
+}
+
+impl Deed {
+    /// What is wanted of a recording, if this is about one.
+    pub fn wish(self) -> Option<Wish> {
+        Some(match self {
+            Self::Frame { number } => Wish::Frame(number),
+            Self::Messages { count } => Wish::Messages(count.into()),
+            Self::Replay => Wish::Play,
+            Self::Why { x, y } => Wish::Why(x, y),
+            Self::Branch => Wish::Branch,
+            _ => return None,
+        })
+    }
 }
 
 /// An input event.
@@ -225,7 +260,7 @@ impl Described {
             };
             let mut row = json!({
                 "key": control.key, "label": control.label, "help": control.help, "group": control.group,
-                "unit": control.unit, "needs": control.needs,
+                "unit": control.unit, "needs": control.needs, "of_recordings": control.of_recordings,
             });
             if let (Some(row), serde_json::Value::Object(kind)) = (row.as_object_mut(), kind) {
                 row.extend(kind);

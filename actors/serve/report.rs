@@ -11,7 +11,7 @@ const MIB: f64 = (1 << 20) as f64;
 
 /// The message.
 pub fn state(report: &Report) -> String {
-    let Report { controls, status, times, quality, speed, orbits, insight, timeline: _ } = report;
+    let Report { controls, status, times, quality, speed, orbits, insight, timeline } = report;
     let refinement =
         insight.as_ref().filter(|_| status.converged).and_then(|(insight, _)| insight.refinement);
     let state = match (status.converged, status.lit) {
@@ -50,6 +50,10 @@ pub fn state(report: &Report) -> String {
             [report.used, *limit].map(|bytes| rounded(bytes as f64 / MIB, 1))
         }),
         "actors": actors,
+        "timeline": timeline.as_ref().map(|(at, plays)| json!({
+            "frame": at.frame, "frames": at.frames, "plays": plays,
+            "position": at.position, "lines": at.lines, "story": at.story,
+        })),
     })
     .to_string()
 }

@@ -81,18 +81,18 @@ impl Server {
         self.address
     }
 
-    /// Serves walks until `stop` holds, or the walk that all share is over.
+    /// Serves walks until `stop` holds, or the walk that all share is over. `ready`: it does so from now on.
     ///
     /// # Errors
     /// If a walk cannot be made, or ends by itself.
-    pub fn run(self, make: Make, stop: impl Fn() -> bool) -> Result<(), Failure> {
+    pub fn run(self, make: Make, stop: impl Fn() -> bool, ready: impl FnOnce()) -> Result<(), Failure> {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let runtime =
             runtime.map_err(|e| Failure::Environment(format!("the server cannot be started: {e}")))?;
-        runtime.block_on(self.serve(make, stop))
+        runtime.block_on(self.serve(make, stop, ready))
     }
 
-    async fn serve(self, make: Make, stop: impl Fn() -> bool) -> Result<(), Failure> {
+    async fn serve(self, make: Make, stop: impl Fn() -> bool, ready: impl FnOnce()) -> Result<(), Failure> {
         let Self { options, listener, address } = self;
         let gate = Gate::new(options.token.clone(), options.watch_token.clone());
         let (sender, mut messages) = mpsc::channel(EVENTS);
@@ -117,6 +117,7 @@ impl Server {
             .map_err(|e| Failure::Environment(format!("cannot listen: {e}")))?;
         let hosts = Hosts::new(address, &options.hosts);
         tokio::spawn(listen::listen(listener, listen::Door::new(hosts, options.behind_proxy, sender)));
+        ready();
         let mut tick = tokio::time::interval(TICK);
         tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let wake = Arc::clone(&glue.wake);

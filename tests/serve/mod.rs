@@ -3,6 +3,7 @@
 //! What needs a browser is skipped, with the reason on the standard error, where there is no Chromium.
 
 mod page;
+mod recording;
 mod served;
 mod strangers;
 

@@ -224,7 +224,7 @@ fn a_server_that_ends_and_begins_again_is_found() {
 }
 
 /// Where pictures of the page are left for whoever wants to look.
-fn shots() -> PathBuf {
+pub fn shots() -> PathBuf {
     std::env::var_os("FOVEAL_SHOTS").map_or_else(|| folder("shots"), PathBuf::from)
 }
 

@@ -41,7 +41,16 @@ impl Served {
         let (listen, size) = (said("--listen", "127.0.0.1:0"), said("--size", "96x64"));
         let light = if words.contains("--baked") { "" } else { &format!("--baked {CHEAP_BAKE}") };
         let words = format!("serve {listen} {size} --json {light} {words}");
-        let mut running = Foveal::new(&words).arg(scene).start();
+        Self::running(Foveal::new(&words).arg(scene).start())
+    }
+
+    /// Serves a recording.
+    pub fn recording(file: &Path) -> Self {
+        Self::running(Foveal::new("replay --serve=127.0.0.1:0 --json").arg(file).start())
+    }
+
+    /// Once it has said where it listens.
+    fn running(mut running: Running) -> Self {
         let until = Instant::now() + PATIENCE;
         let document: Value = loop {
             if let Ok(document) = serde_json::from_str(&running.printed()) {
@@ -110,7 +119,7 @@ impl Served {
         let stream = TcpStream::connect(("127.0.0.1", self.port)).expect("it listens");
         stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
         match tungstenite::client(request, stream) {
-            Ok((socket, _)) => Ok(Viewer { socket, number: 0 }),
+            Ok((socket, _)) => Ok(Viewer { socket, number: 0, last: Vec::new() }),
             Err(tungstenite::HandshakeError::Failure(e)) => Err(Box::new(e)),
             Err(e) => panic!("{e}"),
         }
@@ -143,6 +152,8 @@ pub struct Viewer {
     pub socket: WebSocket<TcpStream>,
     /// Number of the last frame.
     pub number: u32,
+    /// The last frame.
+    pub last: Vec<u8>,
 }
 
 impl Viewer {
@@ -181,6 +192,7 @@ impl Viewer {
 
     fn draws(&mut self, frame: &[u8]) {
         self.number = u32::from_le_bytes(frame[4..8].try_into().expect("four bytes"));
+        self.last = frame.to_vec();
         self.say(&json!({"type": "shown", "frame": self.number}));
     }
 

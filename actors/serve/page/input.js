@@ -21,11 +21,14 @@ export const KEYS = [
   ["R, P", "record a path, play it (or the scene's)"],
   ["[ ]", "overlay before, after"],
   ["K", "save the picture"],
+  ["Space, ← →, comma, period", "in a recording: play, go by frames, by messages"],
+  ["click, B", "in a recording: the story of a pixel, walk on"],
   ["F1, ?", "this help"],
 ];
 
 export class Input {
-  // `act`: functions send(events), deed(message), overlay(step), keep(), help().
+  // `act`: functions send(events), deed(message), overlay(step), keep(), help(), timeline(code) which says whether a
+  // recording took the key, click(x, y) in shares of the picture.
   constructor(canvas, pad, act) {
     this.act = act;
     this.canvas = canvas;
@@ -82,6 +85,7 @@ export class Input {
     }
     // What went down before a control had the focus must still go up.
     if (down && !this.isFree(event)) return;
+    if (down && this.act.timeline(code)) return event.preventDefault();
     if (code.startsWith("Shift") || code === "KeyX") {
       const pace = down ? (code === "KeyX" ? 2 : 1) : 0;
       if (pace !== this.pace) this.push(PACE, this.pace = pace);
@@ -106,7 +110,7 @@ export class Input {
     this.canvas.focus({ preventScroll: true });
     this.canvas.setPointerCapture(event.pointerId);
     this.canvas.classList.add("held");
-    this.pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    this.pointers.set(event.pointerId, { x: event.clientX, y: event.clientY, way: 0 });
     if (this.pointers.size === 2) this.from = this.pair();
     event.preventDefault();
   }
@@ -115,6 +119,7 @@ export class Input {
     const pointer = this.pointers.get(event.pointerId);
     if (!pointer) return;
     const [dx, dy] = [event.clientX - pointer.x, event.clientY - pointer.y];
+    pointer.way += Math.abs(dx) + Math.abs(dy);
     pointer.x = event.clientX;
     pointer.y = event.clientY;
     // A finger holds the picture, a mouse turns the head.
@@ -124,6 +129,11 @@ export class Input {
   }
 
   up(event) {
+    const pointer = this.pointers.get(event.pointerId);
+    if (pointer?.way < 5) {
+      const { left, top, width, height } = this.canvas.getBoundingClientRect();
+      this.act.click((event.clientX - left) / width, (event.clientY - top) / height);
+    }
     this.pointers.delete(event.pointerId);
     if (!this.pointers.size) this.canvas.classList.remove("held");
     if (this.from) {

@@ -5,6 +5,7 @@ import { Input, KEYS } from "./input.js";
 import { insight } from "./insight.js";
 import { Panel } from "./panel.js";
 import { Picture } from "./picture.js";
+import { Timeline } from "./timeline.js";
 
 const $ = (id) => document.getElementById(id);
 let scene = "foveal", scales = null, role = "watches", mayDrive = false, state = null, exact = false, said = 0;
@@ -23,9 +24,17 @@ const panel = new Panel($("controls"), (key, value) => {
 const deed = (message) => connection.say({ type: "do", ...message });
 const keep = () => deed({ name: "screenshot" });
 const help = () => { if (!$("keys").open) $("keys").showModal(); };
+const timeline = new Timeline($("timeline"), deed);
 new Input($("picture"), $("pad"), {
-  send: (events) => role === "drives" && connection.input(events),
+  // A recording goes its own way.
+  send: (events) => role === "drives" && !timeline.at && connection.input(events),
   deed, keep, help,
+  timeline: (code) => timeline.key(code),
+  click(x, y) {
+    const { width, height } = $("picture");
+    const pixel = { x: Math.floor(x * width), y: Math.floor(y * height) };
+    if (timeline.at && x >= 0 && y >= 0 && x < 1 && y < 1) deed({ name: "why", ...pixel });
+  },
   overlay: (way) => panel.step("overlay", way),
 });
 
@@ -41,12 +50,27 @@ function tell(text, failed) {
 }
 
 function badge(lost) {
-  const text = lost ?? (exact ? (state?.state === "refined" ? "exact, refined" : "exact") : state?.state ?? "waiting");
+  const recorded = state?.timeline && `recorded, frame ${state.timeline.frame ?? 0}`;
+  const text = lost ?? recorded ?? (exact ? (state?.state === "refined" ? "exact, refined" : "exact") : state?.state ?? "waiting");
   if ($("state").textContent !== text) $("state").textContent = text;
   $("state").dataset.kind = lost ? "bad" : exact ? "good" : "";
   const overlay = panel.values.overlay && panel.values.overlay !== "none" ? `, overlay ${panel.values.overlay}` : "";
   const label = `${scene}, view ${state?.view ?? 0}${overlay}: ${text}`;
   if ($("picture").ariaLabel !== label) $("picture").ariaLabel = label;
+}
+
+// What one can do here.
+function hints(recorded) {
+  const drives = role === "drives";
+  panel.allow(drives, recorded);
+  $("places").hidden = !drives || Boolean(recorded) || !$("places").children.length;
+  $("pad").hidden = !drives || Boolean(recorded);
+  const how = matchMedia("(pointer: coarse)").matches
+    ? "Drag the picture with one finger to look around, walk with the arrows or two fingers."
+    : "Drag the picture to look around, walk with W A S D or the arrows.";
+  $("hint").textContent = !drives ? "Somebody else walks; you see what they see."
+    : recorded ? "A recorded walk: go through its frames, click a pixel for its story, or walk on from any of them."
+    : `${how} Stand still and the picture becomes exact.`;
 }
 
 function legend() {
@@ -94,7 +118,9 @@ const connection = new Connection({
     tell(`${link.download} saved`);
   },
   state(message) {
+    if (!message.timeline !== !state?.timeline) hints(message.timeline);
     state = message;
+    timeline.show(state.timeline, role === "drives");
     badge();
     insight($("insight"), state, picture.measured());
   },
@@ -107,18 +133,12 @@ const connection = new Connection({
     if (role === "watches" && message.role === "drives" && message.viewers > 1) tell("You drive now.");
     role = message.role;
     const drives = role === "drives";
-    panel.allow(drives);
-    $("places").hidden = !drives || !$("places").children.length;
-    $("pad").hidden = !drives;
     $("take").hidden = drives || !mayDrive;
     $("asked").hidden = !message.asked;
     $("people").hidden = message.viewers < 2 && drives;
     $("people").textContent = (drives ? "you drive" : "you watch") + (message.viewers > 1 ? `, ${message.viewers} look` : "");
-    const fingers = matchMedia("(pointer: coarse)").matches;
-    const how = fingers ? "Drag the picture with one finger to look around, walk with the arrows or two fingers."
-      : "Drag the picture to look around, walk with W A S D or the arrows.";
-    $("hint").textContent = drives ? `${how} Stand still and the picture becomes exact.`
-      : "Somebody else walks; you see what they see.";
+    hints(state?.timeline);
+    timeline.show(state?.timeline ?? null, drives);
   },
   notice: (message) => tell(message.text, message.failed),
   lost(text, retries) {

@@ -123,8 +123,12 @@ export class Panel {
     for (const { control, row } of this.rows.values()) row.hidden = Boolean(control.needs) && !this.values[control.needs];
   }
 
-  allow(drives) {
-    for (const input of this.form.querySelectorAll("input, select")) input.disabled = !drives;
+  // A recording is as it was, but for how it is looked at.
+  allow(drives, recorded) {
+    for (const { control, row } of this.rows.values()) {
+      const no = !drives || Boolean(recorded) && !control.of_recordings;
+      for (const input of row.querySelectorAll("input, select")) input.disabled = no;
+    }
   }
 
   step(key, way) {

@@ -19,6 +19,8 @@ fn opened(browser: &Browser, served: &Served) -> Page {
     page.resize(1280, 800, "dark", false);
     page.go(&served.address());
     page.wait(STILL);
+    let first = page.eval("performance.getEntriesByName('first picture')[0].startTime");
+    eprintln!("first picture {:.0} ms after the address was opened", first.as_f64().unwrap_or(f64::NAN));
     page
 }
 

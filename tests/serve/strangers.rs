@@ -1,5 +1,6 @@
 //! Those who should not get in, and those who behave badly once they are.
 
+use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use serde_json::json;
@@ -128,6 +129,19 @@ fn there_is_an_end_to_connections_and_room_again_once_they_end() {
         std::thread::sleep(Duration::from_millis(20));
     }
     drop(held);
+    // Behind a proxy all come from one address; 64 of them, and no more.
+    let proxied = Served::start("--behind-proxy");
+    let connect = || TcpStream::connect(("127.0.0.1", proxied.port)).expect("it listens");
+    let crowd: Vec<_> = (0..64).map(|_| connect()).collect();
+    let host = format!("Host: 127.0.0.1:{}", proxied.port);
+    assert_eq!(proxied.get("/", &host), "", "a sixty-fifth");
+    // Who says nothing is not waited for.
+    let until = Instant::now() + Duration::from_secs(60);
+    while !proxied.get("/", &host).starts_with("HTTP/1.1 200") {
+        assert!(Instant::now() < until, "silent connections end");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    drop(crowd);
     // Coming and going leaves nothing behind.
     let visit = || {
         let mut viewer = served.hello(&served.token);

@@ -30,6 +30,7 @@ export class Picture {
       if (image) {
         context.drawImage(image, frame.x, frame.y, frame.w, frame.h);
         image.close();
+        if (!this.first) performance.mark(this.first = "first picture");
       }
       if (frame.mark && frame.mark !== this.mark) {
         this.mark = frame.mark;

@@ -353,7 +353,7 @@ static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         },
         Control {
             key: "environment_bytes",
-            label: "environment maps",
+            label: "environments",
             help: "Most memory for environment maps",
             group: "Memory",
             unit: "MiB",

@@ -113,6 +113,10 @@ fn hands_in_the_page_walk_and_the_visit_replays() {
     changed(&mut page, "exposure");
     page.eval("document.querySelector('#places button').click()");
     changed(&mut page, "a place");
+    page.eval("document.getElementById('insight').open = true");
+    page.wait("document.getElementById('facts').innerText.includes('from input to picture')");
+    let facts = page.eval("document.getElementById('facts').innerText.replaceAll('\\n', ' ')");
+    eprintln!("{}", facts.as_str().unwrap_or_default());
     // A control keeps its keys.
     page.eval("document.getElementById('c-exposure').focus()");
     page.key("KeyW", "w", true);

@@ -4,20 +4,20 @@
 //! and walks are counted, of pictures only the newest is known, and a viewer is sent the next one when it has drawn the
 //! last but one.
 
+mod driving;
+mod pictures;
+
 use std::collections::BTreeMap;
 use std::net::IpAddr;
 use std::sync::Arc;
 
 use foveal_engine::thread::{Command, Shown};
-use foveal_engine::walk::{Act, Notice};
+use foveal_engine::walk::Notice;
 
 use crate::coding::{Coded, Coding};
 use crate::gate::{Gate, Pass, Token};
-use crate::protocol::{
-    self, Deed, Described, FILE, FromPage, Head, INPUT_MAX, Malformed, TEXT_MAX, VERSION, Why, parse_input,
-};
-use crate::report;
-use crate::room::{PAUSE, Room, Taken};
+use crate::protocol::{self, Described, FromPage, Malformed, TEXT_MAX, VERSION, Why};
+use crate::room::{PAUSE, Room};
 use crate::viewer::{RoomId, Standing, Viewer, ViewerId};
 
 /// Seconds that somebody has to say who they are.
@@ -282,98 +282,6 @@ impl Hub {
         }
     }
 
-    /// Whether this one drives, who has just done something.
-    fn is_driving(&mut self, room: RoomId, id: ViewerId, now: f64) -> bool {
-        let Some(room) = self.rooms.get_mut(&room).filter(|room| room.drives(id)) else { return false };
-        room.is_driven(now);
-        true
-    }
-
-    fn on_deed(&mut self, id: ViewerId, room: RoomId, pass: Pass, deed: Deed, now: f64) {
-        let act = match deed {
-            Deed::Take => return self.on_take(id, room, pass, now),
-            Deed::Give => {
-                let given = self.rooms.get(&room).and_then(|room| room.give(id));
-                return given.into_iter().for_each(|to| self.hand_over(room, to, now));
-            }
-            Deed::Screenshot => {
-                let Some(viewer) = self.viewers.get_mut(&id) else { return };
-                if std::mem::replace(&mut viewer.fetches, true) {
-                    let text = protocol::notice("a picture is on its way already", true);
-                    self.effects.push(Effect::Text(id, text, false));
-                } else {
-                    self.effects.push(Effect::Tell(room, Command::Shot { tag: id }));
-                }
-                return;
-            }
-            Deed::Bookmark { number, set: true } => Act::SetBookmark(number.into()),
-            Deed::Bookmark { number, set: false } => Act::GoTo(number.into()),
-            Deed::Record => Act::ToggleRecording,
-            Deed::Play => Act::TogglePlaying,
-            Deed::Frame { .. } | Deed::Messages { .. } | Deed::Replay | Deed::Why { .. } | Deed::Branch => {
-                if let Some(wish) = deed.wish().filter(|_| self.is_driving(room, id, now)) {
-                    self.effects.push(Effect::Tell(room, Command::Wish(wish)));
-                }
-                return;
-            }
-        };
-        if self.is_driving(room, id, now) {
-            self.effects.push(Effect::Tell(room, Command::Act { act, at: now, mark: 0.0 }));
-        }
-    }
-
-    fn on_take(&mut self, id: ViewerId, room_id: RoomId, pass: Pass, now: f64) {
-        let (Some(viewer), Some(room)) = (self.viewers.get(&id), self.rooms.get_mut(&room_id)) else {
-            return;
-        };
-        if pass != Pass::Drive || room.drives(id) {
-            return;
-        }
-        match room.take(id, &viewer.resume, now) {
-            Taken::Yes => self.release(room_id, now),
-            Taken::Asked => {
-                let text = protocol::notice("whoever drives was asked", false);
-                self.effects.push(Effect::Text(id, text, false));
-            }
-        }
-    }
-
-    fn hand_over(&mut self, room_id: RoomId, to: ViewerId, now: f64) {
-        if let (Some(viewer), Some(room)) = (self.viewers.get(&to), self.rooms.get_mut(&room_id)) {
-            room.hand_to(to, &viewer.resume, now);
-            self.release(room_id, now);
-        }
-    }
-
-    /// Nobody holds a key any more.
-    fn release(&mut self, room: RoomId, now: f64) {
-        let command = Command::Act { act: Act::ReleaseAll, at: now, mark: 0.0 };
-        self.effects.push(Effect::Tell(room, command));
-    }
-
-    fn on_input(&mut self, id: ViewerId, bytes: &[u8], now: f64) {
-        let Some(viewer) = self.viewers.get_mut(&id) else { return };
-        viewer.heard = now;
-        let Standing::In(room, _) = viewer.standing else { return self.dismiss(id, Why::Rude, now) };
-        let events = if bytes.len() > INPUT_MAX { Err(Malformed) } else { parse_input(bytes) };
-        let Ok(events) = events else { return self.dismiss(id, Why::Rude, now) };
-        let [messages, single, ..] = &mut viewer.rates;
-        if !messages.take(now) || !events.iter().all(|_| single.take(now)) {
-            return self.dismiss(id, Why::Rude, now);
-        }
-        if !self.is_driving(room, id, now) {
-            return;
-        }
-        let Some(viewer) = self.viewers.get_mut(&id) else { return };
-        if let Some(last) = events.last() {
-            viewer.clock.heard(last.time / 1e3, now);
-        }
-        for event in events {
-            let at = viewer.clock.time(event.time / 1e3, now);
-            self.effects.push(Effect::Tell(room, Command::Act { act: event.act, at, mark: event.time }));
-        }
-    }
-
     fn on_opened(&mut self, room_id: RoomId, described: Result<Described, String>, now: f64) {
         match described {
             Ok(described) => {
@@ -420,38 +328,6 @@ impl Hub {
         }
     }
 
-    fn on_coded(&mut self, order: &Order, coded: Option<&Coded>, now: f64) {
-        self.codes = false;
-        let Order { shown, coding, to, .. } = order;
-        for id in to {
-            let Some(viewer) = self.viewers.get_mut(id) else { continue };
-            let Standing::In(room, _) = viewer.standing else { continue };
-            viewer.waits = false;
-            let drives = self.rooms.get(&room).is_some_and(|room| room.drives(*id));
-            let frame = coded.map(|Coded { part, bytes }| {
-                let head = Head {
-                    exact: shown.exact,
-                    lossless: *coding == Coding::Lossless,
-                    quality: if let Coding::Jpeg { quality, .. } = coding { *quality } else { 0 },
-                    number: shown.number as u32,
-                    view: shown.report.status.view,
-                    size: [shown.picture.width(), shown.picture.height()].map(|side| side as u16),
-                    part: *part,
-                    mark: shown.mark.filter(|_| drives).unwrap_or(0.0),
-                };
-                head.with(bytes)
-            });
-            viewer.sends(shown, *coding, frame.as_ref().map_or(0, Vec::len), now);
-            self.effects.extend(frame.map(|frame| Effect::Binary(*id, frame)));
-        }
-    }
-
-    fn on_file(&mut self, id: ViewerId, bytes: &[u8]) {
-        if self.viewers.contains_key(&id) {
-            self.effects.push(Effect::Binary(id, [&[FILE], bytes].concat()));
-        }
-    }
-
     fn on_tick(&mut self, now: f64) {
         let patience = |viewer: &Viewer| match viewer.standing {
             Standing::Greeting => GREETING,
@@ -495,62 +371,6 @@ impl Hub {
         }
         if room.leave(id) {
             self.release(room_id, now);
-        }
-    }
-
-    /// Tells viewers what is new, and has the next picture coded.
-    fn spread(&mut self, now: f64) {
-        let mut order: Option<Order> = None;
-        let mut by_age: Vec<ViewerId> = self.viewers.keys().copied().collect();
-        by_age.sort_by(|a, b| self.viewers[a].served.total_cmp(&self.viewers[b].served));
-        let counts: BTreeMap<RoomId, usize> =
-            self.rooms.keys().map(|room| (*room, self.inside(*room).len())).collect();
-        for id in by_age {
-            let Some(viewer) = self.viewers.get_mut(&id) else { continue };
-            let Standing::In(room_id, _) = viewer.standing else { continue };
-            let Some(room) = self.rooms.get_mut(&room_id).filter(|room| room.described.is_some()) else {
-                continue;
-            };
-            let (role, asked) = room.role(id);
-            let told = (role, asked, counts.get(&room_id).copied().unwrap_or(0));
-            if viewer.told.replace(told) != Some(told) {
-                self.effects.push(Effect::Text(id, protocol::role(told.0, told.1, told.2), false));
-            }
-            let Some(shown) = &room.shown else { continue };
-            if viewer.learns(&shown.report.controls) {
-                self.effects.push(Effect::Text(id, protocol::values(&shown.report.controls), false));
-            }
-            if viewer.hears(&shown.report, now) {
-                let is_same = room.state.as_ref().is_some_and(|(of, _)| Arc::ptr_eq(of, &shown.report));
-                if !is_same {
-                    room.state = Some((Arc::clone(&shown.report), report::state(&shown.report)));
-                }
-                self.effects.extend(room.state.iter().map(|(_, text)| Effect::Text(id, text.clone(), true)));
-            }
-            if self.codes {
-                continue;
-            }
-            let Some((coding, before)) = viewer.wants(shown, room.since, now) else { continue };
-            let number = |shown: &Option<Arc<Shown>>| shown.as_ref().map(|shown| shown.number);
-            match &mut order {
-                None => {
-                    viewer.waits = true;
-                    order = Some(Order { shown: Arc::clone(shown), before, coding, to: vec![id] });
-                }
-                Some(order)
-                    if Arc::ptr_eq(&order.shown, shown)
-                        && order.coding == coding
-                        && number(&order.before) == number(&before) =>
-                {
-                    viewer.waits = true;
-                    order.to.push(id);
-                }
-                Some(_) => {}
-            }
-        }
-        if let Some(order) = order {
-            self.codes = true;
-            self.effects.push(Effect::Code(order));
         }
     }
 }

@@ -9,6 +9,7 @@ use foveal_engine::glam::Vec3;
 use foveal_engine::navigation::Motion;
 use foveal_engine::source::{Controls, Status};
 use foveal_engine::thread::Report;
+use foveal_engine::walk::Act;
 use proptest::prelude::*;
 use serde_json::json;
 

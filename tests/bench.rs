@@ -145,3 +145,12 @@ fn errors_of_every_order_in_a_scene_of_ones_own() {
     measure(Path::new("nowhere.obj")).fails(3, &["nowhere.obj"]);
     measure(Path::new("nowhere")).fails(2, &["nowhere", "box"]);
 }
+
+#[cfg(feature = "serve")]
+#[test]
+fn the_browser_s_door_is_measured() {
+    let d = Foveal::new("bench serve --runs 1 --size 64x48 --walk 1s").json();
+    assert_eq!(d["schema"], "foveal.bench.serve/1");
+    let rows = d["rows"].as_array().expect("rows");
+    assert!(rows.len() >= 8 && rows.iter().all(|row| row["value"].is_number()), "{d}");
+}

@@ -13,6 +13,8 @@ mod exits;
 mod faults;
 mod hostile;
 mod replay;
+#[cfg(feature = "serve")]
+mod serve;
 mod shell;
 mod skipped;
 mod still;

@@ -1,5 +1,8 @@
 //! Running the program and looking at what it leaves.
 
+#[cfg(feature = "serve")]
+pub mod browser;
+
 use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -168,6 +171,12 @@ impl Running {
     /// What it has said on standard error so far.
     pub fn said(&self) -> String {
         fs::read_to_string(self.folder.join("err")).unwrap_or_default()
+    }
+
+    /// What it has printed so far.
+    #[cfg(feature = "serve")]
+    pub fn printed(&self) -> String {
+        fs::read_to_string(self.folder.join("out")).unwrap_or_default()
     }
 
     /// Whether it still runs.

@@ -97,6 +97,7 @@ fn crates_are_named_where_they_belong() {
     only_in(&["wgpu", "winit", "egui", "softbuffer"], &["actors/window/"]);
     only_in(&["clap", "plotters"], &["actors/terminal/", "actors/bench/", "actors/program/"]);
     only_in(&["indicatif"], &["actors/terminal/"]);
+    only_in(&["axum", "hyper", "jpeg_encoder", "image_webp"], &["actors/serve/"]);
     only_in(&["crossbeam_deque"], &["actors/runtime/"]);
 }
 
@@ -250,9 +251,35 @@ fn packages_depend_one_way() {
         ("actors/Cargo.toml", &["foveal-engine", "wgpu", "egui", "clap", "image"]),
         (
             "actors/engine/Cargo.toml",
-            &["foveal-window", "foveal-terminal", "wgpu", "egui", "winit", "clap", "indicatif"],
+            &[
+                "foveal-window",
+                "foveal-serve",
+                "foveal-terminal",
+                "wgpu",
+                "egui",
+                "winit",
+                "clap",
+                "axum",
+                "tokio",
+            ],
         ),
-        ("actors/window/Cargo.toml", &["foveal-terminal", "foveal-bench", "clap", "indicatif"]),
+        (
+            "actors/serve/Cargo.toml",
+            &[
+                "foveal-window",
+                "foveal-terminal",
+                "foveal-bench",
+                "wgpu",
+                "egui",
+                "winit",
+                "clap",
+                "indicatif",
+            ],
+        ),
+        (
+            "actors/window/Cargo.toml",
+            &["foveal-serve", "foveal-terminal", "foveal-bench", "clap", "indicatif"],
+        ),
         ("actors/terminal/Cargo.toml", &["foveal-bench", "foveal-window", "wgpu"]),
     ] {
         let text = fs::read_to_string(root().join(manifest)).expect("a manifest");
@@ -283,7 +310,7 @@ fn the_engine_brings_no_window_and_no_command_line() {
     let found = cargo(tree);
     let names: BTreeSet<&str> = found.lines().filter_map(|line| line.split(' ').next()).collect();
     assert!(names.contains("foveal-runtime") && names.contains("glam"), "{names:?}");
-    for name in ["wgpu", "winit", "egui", "softbuffer", "clap", "indicatif", "plotters"] {
+    for name in ["wgpu", "winit", "egui", "softbuffer", "axum", "tokio", "clap", "indicatif", "plotters"] {
         assert!(!names.contains(name), "foveal-engine brings {name} along");
     }
 }
@@ -301,6 +328,7 @@ fn packages_hold_what_they_need() {
         ("foveal-engine", "actors/engine", &["README.md", "examples/walk.rs"]),
         ("foveal-scenes", "scenes", &["README.md", "generate/lib.rs"]),
         ("foveal-terminal", "actors/terminal", &["lib.rs"]),
+        ("foveal-serve", "actors/serve", &["page/index.html"]),
         ("foveal-window", "actors/window", &["gpu/base.wgsl"]),
         ("foveal-bench", "actors/bench", &["lib.rs"]),
         ("foveal-program", "actors/program", &["main.rs"]),

@@ -18,6 +18,8 @@ mod messages;
 mod motion;
 mod rays;
 mod scaling;
+#[cfg(feature = "serve")]
+mod serve;
 mod simplify;
 mod skips;
 mod soak;
@@ -50,6 +52,9 @@ pub enum BenchCommand {
     Scaling(scaling::ScalingArguments),
     /// A radiosity mesh cut back by what is measured and by what is seen, views of it held against the whole mesh
     Simplify(simplify::SimplifyArguments),
+    /// The browser's door: time from input to picture, bytes, and whether the walk notices its viewers
+    #[cfg(feature = "serve")]
+    Serve(serve::ServeArguments),
     /// What is saved by what a scene does not need
     Skips(skips::SkipsArguments),
     /// A walk of many frames on a virtual clock: memory, lost jobs, frame times
@@ -72,6 +77,8 @@ pub fn run(command: &BenchCommand, progress: Progress) -> Result<(), Failure> {
         BenchCommand::Rays(a) => rays::run(a, progress),
         BenchCommand::Scaling(a) => scaling::run(a, progress),
         BenchCommand::Simplify(a) => simplify::run(a, progress),
+        #[cfg(feature = "serve")]
+        BenchCommand::Serve(a) => serve::run(a, progress),
         BenchCommand::Skips(a) => skips::run(a, progress),
         BenchCommand::Soak(a) => soak::run(a, progress),
         BenchCommand::Textures(a) => textures::run(a, progress),

@@ -22,6 +22,7 @@
 //! | [`options`], [`machine`] | how a walk is started, and which actors that takes |
 //! | [`engine`], [`edit`] | frames at deadlines, controls, what happened meanwhile; changes of the scene |
 //! | [`source`], [`walk`], [`navigation`] | a walk by hand: input becomes cameras, cameras become frames |
+//! | [`thread`], [`controls`] | the same on a thread of its own, for a door that serves many; what can be set, as a table |
 //! | [`look`], [`screenshot`] | overlays, pictures, other displays |
 //! | [`recording`], [`replay`] | what a recording says of its run; the same run again, from any moment |
 //! | [`reference`](mod@reference) | the gold standards |
@@ -38,6 +39,7 @@
 struct Readme;
 
 pub mod bake_clock;
+pub mod controls;
 pub mod edit;
 pub mod engine;
 pub mod failure;
@@ -58,6 +60,7 @@ pub mod screenshot;
 pub mod source;
 #[cfg(test)]
 mod test_scene;
+pub mod thread;
 pub mod walk;
 
 // Their types stand in signatures here.

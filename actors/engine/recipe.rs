@@ -127,7 +127,7 @@ pub struct Loaded {
 }
 
 /// The file of a walk, counted from 1.
-fn numbered(file: &Path, walk: u32) -> PathBuf {
+pub fn numbered(file: &Path, walk: u32) -> PathBuf {
     if walk == 1 {
         return file.to_owned();
     }

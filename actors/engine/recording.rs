@@ -25,7 +25,7 @@ pub const TRACERS_MAX: u32 = 63;
 pub struct RecordedRun {
     /// Program and version that recorded.
     pub program: String,
-    /// The command: walk, view, simulate.
+    /// The command: walk, view, serve, simulate.
     pub command: String,
     /// The scene file as it was named.
     pub scene: PathBuf,

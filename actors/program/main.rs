@@ -11,6 +11,8 @@ mod log;
 mod pictures;
 mod reference;
 mod replay;
+#[cfg(feature = "serve")]
+mod serve;
 mod shell;
 mod simulate;
 mod texture_page;
@@ -62,6 +64,9 @@ enum Command {
     /// Walk through a scene in a window
     #[cfg(feature = "window")]
     View(Box<view::ViewArguments>),
+    /// Serve a walk to browsers: prints an address, and whoever opens it walks
+    #[cfg(feature = "serve")]
+    Serve(Box<serve::ServeArguments>),
     /// Walk along a camera path without a window; leaves pictures and a report
     Walk(walk::WalkArguments),
     /// Compute the view-independent illumination and keep it
@@ -102,6 +107,8 @@ fn main() -> ExitCode {
     let result = match cli.command {
         #[cfg(feature = "window")]
         Command::View(a) => view::run(*a, progress),
+        #[cfg(feature = "serve")]
+        Command::Serve(a) => serve::run(&a, progress),
         Command::Walk(a) => walk::run(&a, progress),
         Command::Bake(a) => bake::run(&a, progress),
         Command::Reference(a) => reference::run(&a, progress),
@@ -133,8 +140,12 @@ fn log_to_stderr(cli: &Cli) {
     let default = match (cli.quiet, cli.verbose) {
         (true, _) => "error",
         (_, 0) => "warn",
-        (_, 1) => "foveal=info,foveal_actors=info,foveal_engine=info,foveal_runtime=info,foveal_window=info",
-        _ => "foveal=debug,foveal_actors=debug,foveal_engine=debug,foveal_runtime=debug,foveal_window=debug",
+        (_, 1) => {
+            "foveal=info,foveal_actors=info,foveal_engine=info,foveal_runtime=info,foveal_serve=info,foveal_window=info"
+        }
+        _ => {
+            "foveal=debug,foveal_actors=debug,foveal_engine=debug,foveal_runtime=debug,foveal_serve=debug,foveal_window=debug"
+        }
     };
     let filter = EnvFilter::try_from_env("FOVEAL_LOG").unwrap_or_else(|_| EnvFilter::new(default));
     let colored = match cli.color {

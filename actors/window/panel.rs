@@ -1,6 +1,6 @@
 //! The panel: sliders, overlays, how the frames go, help.
 
-use egui::{Color32, Pos2, Rect, RichText, Sense, Shape, Slider, Stroke, Ui, Vec2};
+use egui::{Color32, Pos2, Rect, Response, RichText, Sense, Shape, Slider, Stroke, Ui, Vec2};
 use foveal::allocation::policy::Policy;
 use foveal::allocation::supersampling::Standing;
 use foveal::display::tone::ToneCurve;
@@ -9,6 +9,7 @@ use foveal::splatting::supersampling::Supersampling;
 use super::decisions::decisions;
 use foveal_actors::insight::Insight;
 use foveal_actors::renderer::overlay::Overlay;
+use foveal_engine::controls::controls;
 use foveal_engine::source::{ActorStatus, Controls, Names, Ranges, Status};
 use foveal_engine::walk::{FrameTimes, Notice};
 
@@ -74,7 +75,7 @@ pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
             }
         });
         ui.separator();
-        ui.add(Slider::new(&mut controls.set.fps, 1.0..=60.0).logarithmic(true).text("frames per second"));
+        named(ui, "fps", |text| Slider::new(&mut controls.set.fps, 1.0..=60.0).logarithmic(true).text(text));
         // A recording is as it was.
         ui.add_enabled_ui(!shown.recorded, |ui| settings(ui, controls, shown.ranges));
         ui.separator();
@@ -94,29 +95,45 @@ pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
     });
 }
 
+/// A slider with the name that its control has wherever it is shown, and its help by hovering.
+fn named<'v>(ui: &mut Ui, key: &str, slider: impl FnOnce(String) -> Slider<'v>) -> Response {
+    let control = controls().iter().find(|control| control.key == key);
+    debug_assert!(control.is_some(), "nothing is called {key}");
+    let (label, unit, help) = control.map_or(("", "", ""), |c| (c.label, c.unit, c.help));
+    let text = if unit.is_empty() { label.to_owned() } else { format!("{label}, {unit}") };
+    ui.add(slider(text)).on_hover_text(help)
+}
+
+/// A checkbox, likewise.
+fn switch(ui: &mut Ui, key: &str, on: &mut bool) -> Response {
+    let control = controls().iter().find(|control| control.key == key);
+    debug_assert!(control.is_some(), "nothing is called {key}");
+    let (label, help) = control.map_or(("", ""), |c| (c.label, c.help));
+    ui.checkbox(on, label).on_hover_text(help)
+}
+
 /// What the actors are told.
 fn settings(ui: &mut Ui, controls: &mut Controls, ranges: Ranges) {
     quality(ui, &mut controls.set.quality);
     ui.horizontal(|ui| {
         ui.label("task");
-        ui.add(Slider::new(&mut controls.set.saliency_weight, 0.0..=1.0).text("saliency"));
+        named(ui, "saliency_weight", |text| {
+            Slider::new(&mut controls.set.saliency_weight, 0.0..=1.0).text(text)
+        });
     });
     egui::ComboBox::from_label("policy").selected_text(controls.set.policy.name()).show_ui(ui, |ui| {
         for policy in Policy::ALL {
             ui.selectable_value(&mut controls.set.policy, policy, policy.name());
         }
     });
-    ui.add(
-        Slider::new(&mut controls.set.samples_per_job, 16..=4096).logarithmic(true).text("samples per job"),
-    )
-    .on_hover_text("n_job: what a tracer takes at once");
-    ui.add(Slider::new(&mut controls.set.ageing.delta, 0.01..=0.5).text("delta"))
-        .on_hover_text("Samples expire once the cosine between normal and view has changed by this");
-    ui.add(Slider::new(&mut controls.set.ageing.max_age, 0..=256).text("MAX_AGE, views"))
-        .on_hover_text("Samples expire after so many views");
-    ui.add(Slider::new(&mut controls.set.ageing.n_min, 1..=100).text("N_min, samples"))
-        .on_hover_text("Samples that a level needs to have a say in what expires");
-    ui.add(Slider::new(&mut controls.set.workers, 1..=ranges.workers).text("workers"));
+    let Controls { set, .. } = controls;
+    named(ui, "samples_per_job", |text| {
+        Slider::new(&mut set.samples_per_job, 16..=4096).logarithmic(true).text(text)
+    });
+    named(ui, "delta", |text| Slider::new(&mut set.ageing.delta, 0.01..=0.5).text(text));
+    named(ui, "max_age", |text| Slider::new(&mut set.ageing.max_age, 0..=256).text(text));
+    named(ui, "n_min", |text| Slider::new(&mut set.ageing.n_min, 1..=100).text(text));
+    named(ui, "workers", |text| Slider::new(&mut set.workers, 1..=ranges.workers).text(text));
     budgets(ui, controls, ranges);
     refinement(ui, &mut controls.set.refine);
 }
@@ -153,25 +170,25 @@ fn state(ui: &mut Ui, shown: &Shown<'_>) {
 /// Whether frames wait until they are good enough, and for how good a one.
 fn quality(ui: &mut Ui, quality: &mut Option<f32>) {
     let mut waits = quality.is_some();
-    if ui.checkbox(&mut waits, "frames wait until they are good enough").changed() {
+    if switch(ui, "waits", &mut waits).changed() {
         *quality = waits.then_some(QUALITY);
     }
     if let Some(quality) = quality {
-        ui.add(Slider::new(quality, -4.0..=0.0).text("least quality")).on_hover_text(
-            "0 less the mean visible error of a pixel, just noticeable differences; the frame rate falls for it",
-        );
+        named(ui, "quality", |text| Slider::new(quality, -4.0..=0.0).text(text));
     }
 }
 
 /// How far a view goes on once it has converged.
 fn refinement(ui: &mut Ui, refine: &mut Option<Supersampling>) {
     let mut refines = refine.is_some();
-    if ui.checkbox(&mut refines, "refine what has converged").changed() {
+    if switch(ui, "refines", &mut refines).changed() {
         *refine = refines.then(Supersampling::default);
     }
     if let Some(rules) = refine {
-        ui.add(Slider::new(&mut rules.noise, 0.001..=0.1).logarithmic(true).text("noise"));
-        ui.add(Slider::new(&mut rules.max_samples, 1..=4096).logarithmic(true).text("samples per pixel"));
+        named(ui, "noise", |text| Slider::new(&mut rules.noise, 0.001..=0.1).logarithmic(true).text(text));
+        named(ui, "max_samples", |text| {
+            Slider::new(&mut rules.max_samples, 1..=4096).logarithmic(true).text(text)
+        });
     }
 }
 
@@ -179,14 +196,14 @@ fn refinement(ui: &mut Ui, refine: &mut Option<Supersampling>) {
 fn budgets(ui: &mut Ui, controls: &mut Controls, ranges: Ranges) {
     const MIB: f64 = (1 << 20) as f64;
     let mut maps = controls.set.environment_bytes as f64 / MIB;
-    if ui.add(Slider::new(&mut maps, 0.0..=256.0).text("environments, MiB")).changed() {
+    if named(ui, "environment_bytes", |text| Slider::new(&mut maps, 0.0..=256.0).text(text)).changed() {
         controls.set.environment_bytes = (maps * MIB) as u64;
     }
     match (ranges.textures, &mut controls.set.texture_bytes) {
         (Some([least, most]), Some(bytes)) => {
             let mut mib = *bytes as f64 / MIB;
             let range = least as f64 / MIB..=most as f64 / MIB;
-            if ui.add(Slider::new(&mut mib, range).text("textures, MiB")).changed() {
+            if named(ui, "texture_bytes", |text| Slider::new(&mut mib, range).text(text)).changed() {
                 *bytes = ((mib * MIB) as u64).clamp(least, most);
             }
         }
@@ -198,16 +215,16 @@ fn budgets(ui: &mut Ui, controls: &mut Controls, ranges: Ranges) {
 
 fn exposure(ui: &mut Ui, controls: &mut Controls) {
     let mut stops = controls.set.tone.exposure.max(1e-6).log2();
-    if ui.add(Slider::new(&mut stops, -12.0..=12.0).text("exposure, stops")).changed() {
+    if named(ui, "exposure", |text| Slider::new(&mut stops, -12.0..=12.0).text(text)).changed() {
         controls.set.tone.exposure = stops.exp2();
     }
     let mut compresses = matches!(controls.set.tone.curve, ToneCurve::Reinhard { .. });
-    if ui.checkbox(&mut compresses, "compress highlights").changed() {
+    if switch(ui, "compresses", &mut compresses).changed() {
         controls.set.tone.curve =
             if compresses { ToneCurve::Reinhard { white: 4.0 } } else { ToneCurve::Clamp };
     }
     if let ToneCurve::Reinhard { white } = &mut controls.set.tone.curve {
-        ui.add(Slider::new(white, 0.5..=64.0).logarithmic(true).text("white"));
+        named(ui, "white", |text| Slider::new(white, 0.5..=64.0).logarithmic(true).text(text));
     }
 }
 

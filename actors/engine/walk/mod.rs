@@ -2,6 +2,7 @@
 //!
 //! Knows no window: times are seconds since the start, given by the caller.
 
+mod acts;
 mod recorded;
 mod times;
 mod ways;
@@ -15,6 +16,7 @@ use foveal_actors::insight::{Insight, LONGEST_FRAME};
 use foveal_actors::renderer::overlay::Overlay;
 use foveal_runtime::Ending;
 
+pub use self::acts::Act;
 pub use self::times::FrameTimes;
 pub use self::ways::BOOKMARKS;
 use self::ways::Ways;

@@ -15,6 +15,8 @@ use crossbeam_queue::SegQueue;
 use foveal_engine::Failure;
 use foveal_engine::files::{png_bytes, write_atomic};
 use foveal_engine::replay::{How, Source, observe, why};
+#[cfg(feature = "serve")]
+use foveal_engine::{replay::Player, source::FrameSource};
 use foveal_runtime::{Divergence, ReplayReport};
 use foveal_terminal::light::ElsewhereArguments;
 use foveal_terminal::print::{print_json, print_line};
@@ -52,6 +54,10 @@ pub struct ReplayArguments {
     #[cfg(feature = "window")]
     #[arg(long, conflicts_with_all = ["verify", "until", "step", "back", "show", "why", "actor", "export", "json"])]
     view: bool,
+    /// Show it in a browser: the same timeline and stories, at this address
+    #[cfg(feature = "serve")]
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, require_equals = true, default_missing_value = "127.0.0.1:8080", conflicts_with_all = ["verify", "until", "step", "back", "show", "why", "actor", "export"])]
+    serve: Option<std::net::SocketAddr>,
     /// Folder for its screenshots (F12)
     #[cfg(feature = "window")]
     #[arg(long, value_name = "DIR", default_value = ".", requires = "view")]
@@ -104,6 +110,15 @@ pub fn run(a: &ReplayArguments, progress: Progress) -> Result<(), Failure> {
     #[cfg(feature = "window")]
     if a.view {
         return view::run(a, path.clone(), workers);
+    }
+    #[cfg(feature = "serve")]
+    if let Some(listen) = a.serve {
+        let (path, elsewhere) = (path.clone(), a.elsewhere.files());
+        let make = move |_| {
+            let source = Source::open(&path, &elsewhere, false, &())?;
+            Ok(Box::new(Player::new(source, workers)?) as Box<dyn FrameSource>)
+        };
+        return super::serve::recording(listen, Arc::new(make), a.json);
     }
     let source = Source::open(path, &a.elsewhere.files(), a.verify, &progress.baking())?;
     if let Some(pixel) = a.why {

@@ -8,6 +8,7 @@ use winit::window::CursorGrabMode;
 use super::App;
 use foveal_engine::navigation::Motion;
 use foveal_engine::source::Wish;
+use foveal_engine::walk::Act;
 
 impl App {
     pub(super) fn wish(&mut self, wish: Wish) {
@@ -82,28 +83,23 @@ impl App {
         let control = self.modifiers.control_key();
         let Some(walk) = &mut self.walk else { return };
         if let Some(motion) = motion(key) {
-            if pressed {
-                walk.take_over(now);
-                walk.navigator.press(motion, now);
-            } else {
-                walk.navigator.release(motion, now);
-            }
+            walk.act(if pressed { Act::Press(motion) } else { Act::Release(motion) }, now);
             return;
         }
         if !pressed || repeated {
             return;
         }
         match key {
-            KeyCode::KeyO => walk.navigator.set_orbits(!walk.navigator.orbits()),
-            KeyCode::KeyR => walk.toggle_recording(now),
-            KeyCode::KeyP => walk.toggle_playing(now),
+            KeyCode::KeyO => walk.act(Act::ToggleOrbit, now),
+            KeyCode::KeyR => walk.act(Act::ToggleRecording, now),
+            KeyCode::KeyP => walk.act(Act::TogglePlaying, now),
             KeyCode::Tab => {
                 walk.next_overlay();
                 self.picture_is_new = true;
             }
             _ => match digit(key) {
-                Some(bookmark) if control => walk.set_bookmark(bookmark, now),
-                Some(bookmark) => walk.go_to(bookmark, now),
+                Some(bookmark) if control => walk.act(Act::SetBookmark(bookmark), now),
+                Some(bookmark) => walk.act(Act::GoTo(bookmark), now),
                 None => {}
             },
         }
@@ -140,7 +136,7 @@ impl App {
                 self.pointer = (position.x, position.y);
                 if let (Some(from), Some(walk)) = (self.looking.replace(self.pointer), &mut self.walk) {
                     let (dx, dy) = (position.x - from.0, position.y - from.1);
-                    walk.navigator.look(dx as f32, dy as f32, now);
+                    walk.act(Act::Look(dx as f32, dy as f32), now);
                 } else {
                     self.looking = None;
                 }
@@ -163,7 +159,7 @@ impl App {
                     MouseScrollDelta::PixelDelta(p) => p.y as f32 / 50.0,
                 };
                 if let Some(walk) = &mut self.walk {
-                    walk.navigator.wheel(steps, now);
+                    walk.act(Act::Wheel(steps), now);
                 }
             }
             _ => {}

@@ -1,0 +1,52 @@
+// The picture: frames are decoded in order and drawn when the browser paints.
+
+import { now } from "./connection.js";
+
+export class Picture {
+  // `shown(frame)`: it is on the canvas.
+  constructor(canvas, shown) {
+    this.canvas = canvas;
+    this.context = canvas.getContext("2d", { alpha: false });
+    this.shown = shown;
+    this.last = Promise.resolve();
+    this.latencies = [];
+    this.bytes = [];
+  }
+
+  take(frame) {
+    this.bytes.push([now(), frame.bytes.length]);
+    const decoded = createImageBitmap(new Blob([frame.bytes], { type: frame.lossless ? "image/webp" : "image/jpeg" }),
+      { colorSpaceConversion: "none", premultiplyAlpha: "none" }).catch(() => null);
+    this.last = this.last.then(async () => {
+      const image = await decoded;
+      // A hidden page paints nothing, so nothing more is sent to it.
+      await new Promise(requestAnimationFrame);
+      const { canvas, context } = this;
+      if (canvas.width !== frame.width || canvas.height !== frame.height) {
+        canvas.width = frame.width;
+        canvas.height = frame.height;
+        canvas.parentElement.style.setProperty("--ratio", frame.width / frame.height);
+      }
+      if (image) {
+        context.drawImage(image, frame.x, frame.y, frame.w, frame.h);
+        image.close();
+        if (!this.first) performance.mark(this.first = "first picture");
+      }
+      if (frame.mark && frame.mark !== this.mark) {
+        this.mark = frame.mark;
+        this.latencies = [...this.latencies.slice(-59), now() - frame.mark];
+      }
+      this.shown(frame, Boolean(image));
+    });
+  }
+
+  // Median time from input to canvas, ms; kilobits a second of the last two.
+  measured() {
+    const sorted = [...this.latencies].sort((a, b) => a - b);
+    this.bytes = this.bytes.filter(([at]) => now() - at < 2000);
+    return {
+      latency: sorted[sorted.length >> 1],
+      rate: this.bytes.reduce((sum, [, bytes]) => sum + bytes, 0) * 8 / 2000,
+    };
+  }
+}

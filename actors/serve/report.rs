@@ -1,0 +1,83 @@
+//! How a walk stands, as pages show it.
+
+use foveal_actors::insight::ObjectInsight;
+use foveal_engine::thread::Report;
+use serde_json::{Value, json};
+
+/// Lines of a list.
+const LINES: usize = 8;
+/// Bytes of a MiB.
+const MIB: f64 = (1 << 20) as f64;
+
+/// The message.
+pub fn state(report: &Report) -> String {
+    let Report { controls, status, times, quality, speed, orbits, insight, timeline } = report;
+    let refinement =
+        insight.as_ref().filter(|_| status.converged).and_then(|(insight, _)| insight.refinement);
+    let state = match (status.converged, status.lit) {
+        (true, _) if status.refined => "refined",
+        (true, _) if refinement.is_some() => "converged, being refined",
+        (true, _) => "converged",
+        (false, true) => "correcting",
+        (false, false) => "correcting, light grows",
+    };
+    let actors: Vec<Value> = status
+        .actors
+        .iter()
+        .map(|a| json!([a.name, a.delivered, a.waiting, a.waiting_max, rounded(a.busy.as_secs_f64(), 2)]))
+        .collect();
+    json!({
+        "type": "state",
+        "state": state,
+        "converged": status.converged,
+        "view": status.view,
+        "traced": status.traced,
+        "reused": status.reused,
+        "expired": status.expired,
+        "supersampled": status.supersampled,
+        "times": times.map(|(median, p99)| [median, p99].map(|t| rounded(f64::from(t) * 1e3, 1))),
+        "deadline": rounded(1e3 / f64::from(controls.set.fps.max(0.1)), 1),
+        "quality": quality.map(|q| rounded(f64::from(q), 3)),
+        "speed": rounded(f64::from(*speed), 3),
+        "orbits": orbits,
+        "error": refinement.and_then(|r| r.stated).map(|e| rounded(f64::from(e) * 100.0, 2)),
+        "tiles": refinement.map(|r| [r.quiet, r.tiles]),
+        "objects": objects(report),
+        "maps": insight.as_ref().filter(|(insight, _)| !insight.maps.is_empty()).map(|(insight, _)| {
+            insight.map_bytes.map(|bytes| rounded(bytes as f64 / MIB, 1))
+        }),
+        "textures": insight.as_ref().and_then(|(insight, _)| insight.textures.as_ref()).map(|(report, limit)| {
+            [report.used, *limit].map(|bytes| rounded(bytes as f64 / MIB, 1))
+        }),
+        "actors": actors,
+        "timeline": timeline.as_ref().map(|(at, plays)| json!({
+            "frame": at.frame, "frames": at.frames, "plays": plays,
+            "position": at.position, "lines": at.lines, "story": at.story,
+        })),
+    })
+    .to_string()
+}
+
+/// Those that the eye is drawn to most, with what is left to do for them.
+fn objects(report: &Report) -> Vec<Value> {
+    let Some((insight, names)) = &report.insight else { return Vec::new() };
+    let mut seen: Vec<(usize, &ObjectInsight)> =
+        insight.objects.iter().enumerate().filter(|(_, object)| object.pixels > 0).collect();
+    seen.sort_by(|(i, a), (j, b)| b.attention.total_cmp(&a.attention).then(i.cmp(j)));
+    let line = |(index, object): (usize, &ObjectInsight)| {
+        json!([
+            names.objects.get(index).map_or("", String::as_str),
+            object.pixels,
+            rounded(f64::from(object.attention), 2),
+            object.error.map(|error| rounded(f64::from(error), 2)),
+            object.level,
+        ])
+    };
+    seen.into_iter().take(LINES).map(line).collect()
+}
+
+/// So many digits behind the point. What is not finite is nothing in JSON.
+fn rounded(value: f64, digits: i32) -> f64 {
+    let scale = 10_f64.powi(digits);
+    (value * scale).round() / scale
+}

@@ -363,8 +363,9 @@ impl SplatLayer {
             let columns = (cx - r).max(0) as usize..(cx + r + 1).min(width) as usize;
             for y in (cy - r).max(0)..(cy + r + 1).min(height) {
                 let start = (y * width) as usize;
-                for i in start + columns.start..start + columns.end {
-                    if ids[i] == s.object && paint.ranks[i] < own {
+                let row = start + columns.start..start + columns.end;
+                for (i, _) in (row.start..).zip(&ids[row]).filter(|(_, id)| **id == s.object) {
+                    if paint.ranks[i] < own {
                         paint.put(i, own, &shown);
                         any = true;
                     }

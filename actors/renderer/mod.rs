@@ -51,7 +51,7 @@ pub const MARK_FRAME: u32 = 0;
 
 /// Share of a frame's time that drawing the base layer may take while the camera moves; where it takes more, it is drawn
 /// coarsely, so that the frame is in time and samples come into it.
-const DRAWING_SHARE: f32 = 0.5;
+const DRAWING_SHARE: f32 = 0.7;
 
 /// Bytes of textures that one frame takes at most, if more than one level waits.
 const TEXTURE_BYTES_PER_FRAME: usize = 4 << 20;

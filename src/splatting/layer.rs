@@ -364,9 +364,15 @@ impl SplatLayer {
             for y in (cy - r).max(0)..(cy + r + 1).min(height) {
                 let start = (y * width) as usize;
                 let row = start + columns.start..start + columns.end;
-                for (i, _) in (row.start..).zip(&ids[row]).filter(|(_, id)| **id == s.object) {
-                    if paint.ranks[i] < own {
-                        paint.put(i, own, &shown);
+                let pixels = ids[row.clone()].iter().zip(&mut paint.ranks[row.clone()]);
+                let maps = paint.colors[row.clone()].iter_mut().zip(&mut paint.sources[row.clone()]);
+                let maps = maps.zip(&mut paint.places[row.clone()]);
+                for (i, ((&id, rank), ((color, source), place))) in row.zip(pixels.zip(maps)) {
+                    if id == s.object && *rank < own {
+                        (*rank, *color, *source, *place) = (own, shown.color, shown.source, shown.place);
+                        if let Some(carried) = &mut paint.carried {
+                            carried[i] = shown.guide;
+                        }
                         any = true;
                     }
                 }

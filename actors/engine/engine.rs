@@ -520,8 +520,7 @@ impl Engine {
         self.insight.as_ref()
     }
 
-    /// Better light is of no use to a walk that ends; who makes it would go on for minutes.
-    /// Lets go of what nobody will see.
+    /// Lets go of what nobody will see: jobs of the view, and better light, which would take minutes more.
     fn end_work(&self) {
         // An actor that takes nothing any more has ended by itself.
         let _ = self.send(RendererInput::Left);

@@ -34,6 +34,8 @@ pub struct Recipe {
     pub texture_bytes: Option<u64>,
     /// Where the first walk is recorded, if at all; those after it go to FILE-2, FILE-3, …
     pub record: Option<PathBuf>,
+    /// The command that recordings say they were made with.
+    pub command: &'static str,
     /// How densely hashes are recorded.
     pub hashing: Hashing,
     /// Who stops at once, to see that the walk goes on.
@@ -50,6 +52,7 @@ impl Recipe {
             fps: None,
             quality: None,
             texture_bytes: None,
+            command: "view",
             record: None,
             hashing: Hashing::Exact,
             stalled: Stalled::Nobody,
@@ -77,7 +80,7 @@ impl Recipe {
         let recording = self.record.as_ref().map(|file| Recording {
             into: Record::File(numbered(file, number)),
             hashing: self.hashing,
-            command: "view",
+            command: self.command,
         });
         let options = Options {
             fps: self.fps,

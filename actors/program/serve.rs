@@ -10,11 +10,10 @@ use std::time::Duration;
 use clap::{Args, ValueEnum};
 use foveal::splatting::supersampling::Supersampling;
 use foveal_engine::interrupt::interrupted;
-use foveal_engine::recipe::{Loaded, numbered};
-use foveal_engine::recording::{TRACERS_MAX, program};
+use foveal_engine::recipe::Loaded;
+use foveal_engine::recording::TRACERS_MAX;
 use foveal_engine::source::FrameSource;
-use foveal_engine::{Engine, Failure, Options, Recipe, Recording, Settings};
-use foveal_runtime::Record;
+use foveal_engine::{Failure, Recipe, Settings};
 use foveal_serve::gate::Token;
 use foveal_serve::hub::Limits;
 use foveal_serve::server::{self, Make, Server};
@@ -142,6 +141,7 @@ impl ServeArguments {
             quality: self.mode.least_quality(),
             texture_bytes: self.texture_budget,
             record: self.record.clone(),
+            command: "serve",
             hashing: self.hashes.into(),
             ..Recipe::new(&self.scene, settings)
         }
@@ -150,23 +150,8 @@ impl ServeArguments {
     /// Makes walks: each with the scene as it was read.
     fn maker(&self, recipe: Recipe, loaded: Loaded) -> Make {
         Arc::new(move |number| {
-            let opened = loaded.opened.clone();
-            let file = opened.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            let recording = recipe.record.as_ref().map(|file| Recording {
-                into: Record::File(numbered(file, number)),
-                hashing: recipe.hashing,
-                command: "serve",
-            });
-            let options = Options {
-                fps: recipe.fps,
-                quality: recipe.quality,
-                texture_bytes: recipe.texture_bytes,
-                recording,
-                probes: Some(Arc::clone(&loaded.probes)),
-                facts: vec![("Software".to_owned(), program()), ("foveal file".to_owned(), file)],
-                ..Options::interactive(recipe.settings)
-            };
-            Ok(Box::new(Engine::start(opened, options)?) as Box<dyn FrameSource>)
+            let loaded = Loaded { opened: loaded.opened.clone(), probes: Arc::clone(&loaded.probes) };
+            Ok(Box::new(recipe.start(loaded, number)?) as Box<dyn FrameSource>)
         })
     }
 

@@ -119,6 +119,7 @@ impl ViewArguments {
             quality: self.mode.least_quality(),
             texture_bytes: self.texture_budget,
             record: self.record.clone(),
+            command: "view",
             hashing: self.hashes.into(),
             stalled: self.stall.0,
         }

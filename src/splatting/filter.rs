@@ -252,7 +252,11 @@ impl Halves {
         let counted = surfaces.sums_around(POOLED, |i| f64::from(u8::from(self.known[i])));
         for variances in &mut self.variances {
             let sums = surfaces.sums_around(POOLED, |i| f64::from(variances[i]));
-            *variances = sums.iter().zip(&counted).map(|(s, n)| (s / n.max(1.0)).max(0.0) as f32).collect();
+            // A firefly is as doubtful as it says itself: by the mean around it, it would be an edge on all sides, and what
+            // the other half shows there would stay as it is.
+            for ((own, sum), n) in variances.iter_mut().zip(sums).zip(&counted) {
+                *own = own.max((sum / n.max(1.0)) as f32).max(0.0);
+            }
         }
         let grid = &surfaces.grid;
         let mut planes = Planes::of(&self, grid);
@@ -546,6 +550,22 @@ mod tests {
         let left = root_mean_square(reconstructed(halves(|_, _| 0.0, 1.0, 2)).iter().map(|v| v.x));
         // Of the mean of both halves.
         assert!(left < 0.1 / 2f32.sqrt(), "{left}");
+    }
+
+    /// One in each half, on the same pixel; what is as bright there in all samples stays.
+    #[test]
+    fn fireflies_leave_no_speck() {
+        const AT: usize = SIDE * SIDE / 2 + SIDE / 2;
+        let (bright, of_one_sample) = (Vec3::splat(2.0), 2.0 * 2.0);
+        for (own, shown) in [(of_one_sample, 0.0), (0.0, 2.0)] {
+            let mut with = halves(|_, _| 0.0, 0.1, 8);
+            for half in 0..2 {
+                with.values[half][AT] = bright;
+                with.variances[half][AT] = own;
+            }
+            let kept = reconstructed(with)[AT].x;
+            assert!((kept - shown).abs() < 0.05, "{own}: {kept}");
+        }
     }
 
     #[test]

@@ -3,6 +3,8 @@
 use std::str::FromStr;
 use std::time::Duration;
 
+use bytesize::ByteSize;
+
 /// A picture size, `WIDTHxHEIGHT`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size {
@@ -29,48 +31,22 @@ impl FromStr for Size {
     }
 }
 
-/// A length of time: `16ms`, `2s`, `1.5min`; a bare number is seconds.
+/// A length of time up to some months: `16ms`, `2s`, `1.5min`, `1h 30min`; a bare number is seconds.
 pub fn duration(s: &str) -> Result<Duration, String> {
     let wrong = || format!("`{s}` is not a time; write it as 16ms, 2s or 1min");
-    let at = s.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(s.len());
-    let (number, unit) = s.split_at(at);
-    let number: f64 = number.trim().parse().map_err(|_| wrong())?;
-    let factor = match unit {
-        "us" | "µs" => 1e-6,
-        "ms" => 1e-3,
-        "" | "s" => 1.0,
-        "min" | "m" => 60.0,
-        "h" => 3600.0,
-        _ => return Err(wrong()),
+    let parsed = match s.trim().parse() {
+        Ok(seconds) => Duration::try_from_secs_f64(seconds).map_err(|_| wrong())?,
+        Err(_) => humantime::parse_duration(s).map_err(|_| wrong())?,
     };
-    let seconds = number * factor;
-    if !(0.0..=1e7).contains(&seconds) {
-        return Err(wrong());
-    }
-    Ok(Duration::from_secs_f64(seconds))
+    if parsed > Duration::from_secs(10_000_000) { Err(wrong()) } else { Ok(parsed) }
 }
 
-/// A number of bytes: `64MiB`, `1.5GiB`, `100kB`; a bare number is bytes.
+/// A number of bytes, at most 1 PB: `64MiB`, `1.5GiB`, `100kB`; a bare number is bytes.
 pub fn bytes(s: &str) -> Result<u64, String> {
-    let wrong = || format!("`{s}` is not a size; write it as 64MiB");
-    let at = s.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(s.len());
-    let (number, unit) = s.split_at(at);
-    let number: f64 = number.trim().parse().map_err(|_| wrong())?;
-    let factor = match unit {
-        "" | "B" => 1.0,
-        "kB" | "KB" => 1e3,
-        "MB" => 1e6,
-        "GB" => 1e9,
-        "KiB" => 1024.0,
-        "MiB" => 1_048_576.0,
-        "GiB" => 1_073_741_824.0,
-        _ => return Err(wrong()),
-    };
-    let size = number * factor;
-    if !(0.0..=1e15).contains(&size) {
-        return Err(wrong());
+    match s.parse::<ByteSize>() {
+        Ok(size) if size <= ByteSize::pb(1) => Ok(size.as_u64()),
+        _ => Err(format!("`{s}` is not a size; write it as 64MiB")),
     }
-    Ok(size as u64)
 }
 
 /// A share: `2%` or `0.02`.
@@ -113,11 +89,15 @@ mod tests {
         assert_eq!(duration("16ms"), Ok(Duration::from_millis(16)));
         assert_eq!(duration("1.5min"), Ok(Duration::from_secs(90)));
         assert_eq!(duration("2"), Ok(Duration::from_secs(2)));
-        for s in ["", "ms", "1x", "-1s", "nans", "infs"] {
+        assert_eq!(duration("1h 30min"), Ok(Duration::from_secs(5400)));
+        for s in ["", "ms", "1x", "-1s", "-1", "nan", "inf", "nans", "infs", "1000y", "1e300"] {
             assert!(duration(s).is_err(), "{s}");
         }
         assert_eq!(bytes("64MiB"), Ok(64 << 20));
-        assert!(bytes("64mib").is_err() && bytes("-1").is_err());
+        assert_eq!(bytes("1.5GiB"), Ok(3 << 29));
+        for s in ["", "MiB", "-1", "nan", "inf", "1x", "2PB", "99999999999999999999999"] {
+            assert!(bytes(s).is_err(), "{s}");
+        }
         assert_eq!(share("2%"), Ok(0.02));
         assert!(share("0").is_err() && share("nan").is_err());
         assert!(unit("1.1").is_err() && unit("nan").is_err() && unit("0.5") == Ok(0.5));

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use foveal::image::Map2d;
 use foveal::perception::importance::{ObjectScan, ObjectStatistics};
 use foveal::perception::saliency::SaliencyModel;
-use foveal_runtime::{Actor, Address, Cx, Loader, Saver};
+use foveal_runtime::{Actor, Address, Content, Cx, Loader, Saver};
 
 use crate::message::{AllocatorMessage, AnalyzerMessage, FrameSnapshot};
 use crate::stages::{Stage, StageTimes};
@@ -71,6 +71,10 @@ impl Actor for Analyzer {
         match message {
             AnalyzerMessage::FrameShown { snapshot } => self.on_frame_shown(&snapshot, cx),
         }
+    }
+
+    fn content(&self) -> Content {
+        Content::fields([("analyzed", Content::of(&self.analyzed))])
     }
 
     fn save(&self, saver: &mut Saver) {

@@ -3,13 +3,14 @@
 //! Hears: the camera moved; samples were traced. Says: to the renderer, the samples that still hold,
 //! warped into the new view.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use bytemuck::bytes_of;
 use foveal::scene::camera::CameraFrame;
 use foveal::splatting::{SampleBatch, SampleCache, WarpedSample, warp};
 use foveal::world::World;
-use foveal_runtime::{Actor, Address, Cx, Loader, Saver};
+use foveal_runtime::{Actor, Address, Content, Cx, Loader, Saver};
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::message::saved::Saved;
@@ -30,6 +31,11 @@ pub struct CacheAger {
 }
 
 impl CacheAger {
+    /// Samples of an object that are kept.
+    pub fn samples_of(&self, object: u32) -> usize {
+        self.cache.shared().filter(|batch| batch.object == object).map(|batch| batch.pixels.len()).sum()
+    }
+
     /// An empty cache for the objects of a world.
     pub fn new(
         settings: Settings,
@@ -132,6 +138,20 @@ impl Actor for CacheAger {
             CacheAgerMessage::Adjusted(adjustment) => self.settings.adjust(&adjustment),
             CacheAgerMessage::SendAgain => self.outbox.send(cx),
         }
+    }
+
+    fn content(&self) -> Content {
+        let Self { settings, cache, angle_limits: _, renderer: _, outbox, stages: _ } = self;
+        // By object: so that one sees whose samples go.
+        let mut samples = BTreeMap::<u32, usize>::new();
+        cache.shared().for_each(|batch| *samples.entry(batch.object).or_default() += batch.pixels.len());
+        Content::fields([
+            ("ageing", Content::of(&settings.ageing)),
+            ("samples", Content::of(&cache.len())),
+            ("by_object", Content::of(&samples)),
+            ("by_level", Content::of(&cache.len_per_level())),
+            ("outbox", Content::of(&outbox.len())),
+        ])
     }
 
     fn save(&self, saver: &mut Saver) {

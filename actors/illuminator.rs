@@ -11,7 +11,7 @@ use foveal::illumination::bake::{BakeSettings, Baker, Step, cache_key};
 use foveal::illumination::cache::save;
 use foveal::illumination::stored::Illumination;
 use foveal::world::World;
-use foveal_runtime::{Actor, Address, Class, Cx};
+use foveal_runtime::{Actor, Address, Class, Content, Cx};
 
 use crate::message::{IlluminatorMessage, RendererMessage};
 use crate::outbox::Outbox;
@@ -133,5 +133,18 @@ impl Actor for Illuminator {
             IlluminatorMessage::Refine => self.refine(cx),
             IlluminatorMessage::SendAgain => self.outbox.send(cx),
         }
+    }
+
+    fn content(&self) -> Content {
+        let (stage, baker) = match &self.stage {
+            Stage::Begun => ("begun", None),
+            Stage::Baking(baker) => ("baking", Some(baker)),
+            Stage::Done => ("done", None),
+        };
+        Content::fields([
+            ("stage", Content::Name(stage.into())),
+            ("paths", Content::of(&baker.map(|baker| baker.paths()))),
+            ("outbox", Content::of(&self.outbox.len())),
+        ])
     }
 }

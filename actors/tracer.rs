@@ -17,7 +17,7 @@ use foveal::splatting::light_tracing::{Splats, trace_run};
 use foveal::splatting::settled::settled;
 use foveal::splatting::supersampling::supersample;
 use foveal::splatting::trace::{Owner, trace_guides, trace_samples};
-use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver, Worker};
+use foveal_runtime::{Actor, Address, Class, Content, Cx, Loader, Saver, Worker};
 
 use xxhash_rust::xxh3::Xxh3;
 
@@ -240,6 +240,10 @@ impl Actor for Tracer {
         match message {
             TracerMessage::SendAgain => self.outbox.send(cx),
         }
+    }
+
+    fn content(&self) -> Content {
+        Content::fields([("outbox", Content::of(&self.outbox.len()))])
     }
 
     fn save(&self, saver: &mut Saver) {

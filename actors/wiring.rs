@@ -117,10 +117,13 @@ pub struct Correction {
     pub allocator: Handle<Allocator>,
 }
 
+/// Places in a mailbox for samples, at most: room is taken at once, and what finds none waits with who sends it.
+const BATCHES_MAX: usize = 1 << 16;
+
 /// Samples of all the jobs that can be done while a receiver is busy with one turn: every pixel of two views.
 fn batches_on_their_way(settings: &Settings) -> usize {
     let pixels = settings.width as usize * settings.height as usize;
-    2 * (pixels / settings.samples_per_job.max(1) as usize) + 4096
+    (2 * (pixels / settings.samples_per_job.max(1) as usize) + 4096).min(BATCHES_MAX)
 }
 
 /// Makes mailboxes and starts actors. The same function for live, recorded, replayed and simulated runs.
@@ -202,4 +205,19 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
         .awaiting_light(refines);
     let renderer = wiring.spawn(renderer, actor, OnPanic::End);
     Actors { input, renderer, correction: Some(correction), tracers, pool: Some(pool), illuminator }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whatever a recording's header says: mailboxes take their room at once.
+    #[test]
+    fn mailboxes_have_a_bound_that_no_picture_raises() {
+        let of = |side, samples_per_job| {
+            batches_on_their_way(&Settings { samples_per_job, ..Settings::new(side, side, 2) })
+        };
+        assert_eq!(of(8192, 1), BATCHES_MAX);
+        assert!(of(64, 256) < of(512, 256) && of(512, 256) < BATCHES_MAX);
+    }
 }

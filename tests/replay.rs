@@ -53,12 +53,17 @@ fn a_replayed_frame_is_the_picture_that_was_shown() {
 fn replay_stops_where_it_is_told_and_lists_an_actor() {
     let trace = recorded("");
     let ended = Foveal::new("replay --until renderer:2 --actor renderer").arg(&trace).ok();
-    let lines: Vec<&str> = ended.out.lines().filter(|l| !l.is_empty()).collect();
+    let (said, lines): (Vec<&str>, Vec<&str>) =
+        ended.out.lines().filter(|l| !l.is_empty()).partition(|l| l.starts_with(' '));
+    assert!(said[0].trim().starts_with("FrameBegan { frame: 0, camera: {"), "{}", ended.out);
     assert_eq!(lines.len(), 4, "three deliveries and the summary: {}", ended.out);
     let first: Vec<&str> = lines[0].split_whitespace().collect();
     assert_eq!(first[1..4], ["FrameBegan", "from", "input"], "{}", ended.out);
-    let until = Foveal::new("replay --until 1").arg(&trace).json();
+    let until = Foveal::new("replay --until 1 --actor allocator").arg(&trace).json();
     assert_eq!(until["frames"], 2);
+    let told = until["deliveries"].as_array().expect("deliveries");
+    let done = told.iter().find(|d| d["message"] == "JobDone").expect("a job");
+    assert!(done["says"]["JobDone"]["samples"].as_u64() > Some(0), "{done}");
     Foveal::new("replay --actor nobody").arg(&trace).fails(2, &["nobody", "cache ager"]);
     Foveal::new("replay --until 1:x").arg(&trace).fails(2, &["1:x"]);
     let profile = folder("profile").join("turns.json");
@@ -144,7 +149,8 @@ fn steps_go_forward_and_back_alike() {
     let trace = recorded("--policy attention");
     let session = |commands: &str| {
         let ended = Foveal::new("replay --step --until 2").arg(&trace).input(commands).ok();
-        ended.out.lines().skip(1).map(str::to_owned).collect::<Vec<_>>()
+        let is_place = |l: &&str| !l.starts_with(' ');
+        ended.out.lines().skip(1).filter(is_place).map(str::to_owned).collect::<Vec<_>>()
     };
     // How far the others are when frame 2 is shown differs from run to run; within a session all is fixed.
     let round = session("s 5\nb 5\ns 5\np\n");
@@ -161,6 +167,71 @@ fn steps_go_forward_and_back_alike() {
     assert_eq!(back.out.lines().filter(|l| l.starts_with("back over")).count(), 3, "{}", back.out);
 }
 
+/// What is said of a step is what changed: the state before it and the changes make the state after it.
+#[test]
+fn steps_say_what_they_are_told_and_what_that_changes() {
+    let trace = recorded("");
+    let session = "t renderer.view\nn renderer.view > 2\nt renderer.view\nn renderer.view > 99\nt renderer.nothing\nq\n";
+    let ended = Foveal::new("replay --step --until 1").arg(&trace).input(session).ok();
+    let views: Vec<&str> = ended.out.lines().filter(|l| l.parse::<u32>().is_ok()).collect();
+    assert_eq!(views[1], "3", "{}", ended.out);
+    assert!(ended.out.contains("does not come about any more"), "{}", ended.out);
+    assert!(ended.out.contains("nothing stands at nothing of renderer"), "{}", ended.out);
+    let steps = Foveal::new("replay --step --json").arg(&trace).input("s 60\nq\n").ok();
+    let lines = steps.out.lines().map(|l| serde_json::from_str::<Value>(l).expect("JSON"));
+    let changes: Vec<Value> = lines.filter(|l| l["changes"].is_array()).collect();
+    let began = changes.iter().find(|l| l["message"] == "FrameBegan").expect("a frame");
+    let view = began["changes"].as_array().expect("changes").iter().find(|c| c["path"] == "view");
+    assert_eq!(view, Some(&serde_json::json!({"path": "view", "from": 0, "to": 1})), "{began}");
+}
+
+#[test]
+fn states_are_told_at_places_and_between_them() {
+    let trace = recorded("");
+    let at = |place: &str| {
+        let told =
+            Foveal::new("replay --state allocator --at").arg(place).arg("--json").arg(&trace).ok().json();
+        told["state"].clone()
+    };
+    let (before, after) = (at("1"), at("3"));
+    assert!(before["begun"].as_u64() < after["begun"].as_u64(), "{before} {after}");
+    let between = Foveal::new("replay --state allocator --state-diff 1 3").arg(&trace).json();
+    let all = between["differences"].as_array().expect("differences");
+    let begun = all.iter().find(|d| d["path"] == "begun").expect("views pass");
+    assert_eq!((&begun["a"], &begun["b"]), (&before["begun"], &after["begun"]));
+    Foveal::new("replay --state-diff 2 2").arg(&trace).ok();
+    Foveal::new("replay --state nobody").arg(&trace).fails(2, &["nobody", "cache ager"]);
+}
+
+#[test]
+fn it_is_said_when_something_comes_about() {
+    let trace = recorded("");
+    let met = |condition: &str, which: &str| {
+        let d = Foveal::new("replay --json --when")
+            .arg(condition)
+            .arg("--which")
+            .arg(which)
+            .arg(&trace)
+            .ok()
+            .json();
+        d["met"].as_array().expect("places").clone()
+    };
+    let all = met("renderer.view changes", "all");
+    assert!(all.len() > 2, "{all:?}");
+    assert_eq!(met("renderer.view changes", "first"), all[..1]);
+    assert_eq!(met("renderer.view changes", "last"), all[all.len() - 1..]);
+    let next = Foveal::new("replay --json --when")
+        .arg("renderer.view changes")
+        .arg("--which")
+        .arg("next")
+        .arg("--until");
+    let next = next.arg(all[0]["at"].as_str().expect("a place")).arg(&trace).ok().json();
+    assert_eq!(next["met"][0], all[1]);
+    Foveal::new("replay --when").arg("renderer.view > 9999").arg(&trace).fails(1, &["never comes about"]);
+    Foveal::new("replay --when").arg("renderer.view").arg(&trace).fails(2, &["no condition", "--state"]);
+    Foveal::new("replay --when").arg("renderer.vew > 1").arg(&trace).fails(2, &["renderer.vew"]);
+}
+
 #[test]
 fn two_recordings_part_where_they_part() {
     let (one, other) = (recorded(""), recorded("--seed 5"));
@@ -171,6 +242,10 @@ fn two_recordings_part_where_they_part() {
     assert_eq!((ended.code, &d["same"]), (Some(1), &Value::Bool(false)));
     assert!(d["settings"].to_string().contains("settings"), "{d}");
     assert!(d["first"]["actor"].is_string() && d["first"]["index"].is_u64(), "{d}");
+    // Each actor's parting names what differs: a field and both values.
+    let named = d["actors"].as_array().expect("partings").iter().flat_map(|p| p["differences"].as_array());
+    let named: Vec<&Value> = named.flatten().collect();
+    assert!(!named.is_empty() && named.iter().all(|d| d["path"].is_string() && d["a"] != d["b"]), "{d}");
     let foreign = Foveal::new("replay --diff").arg(&one).arg(root().join("traces/table.fvl"));
     foreign.fails(3, &["other systems", "tracer-2"]);
 }
@@ -293,7 +368,7 @@ fn another_illumination_is_refused() {
 #[test]
 fn simulated_walks_lose_nothing_whatever_goes_wrong() {
     for room in ["box", "diffuse", "gallery"] {
-        let words = "simulate --seeds 0..24 --size 48x48 --faults panic,delay,stall,slow,full,torn-log,disk-full --twice";
+        let words = "simulate --seeds 0..24 --size 48x48 --faults panic,hang,delay,stall,slow,full,torn-log,disk-full --twice";
         let d = Foveal::new(words).arg(scene(room)).json();
         assert_eq!((&d["seeds"], &d["failures"]), (&24.into(), &serde_json::json!([])), "{room}");
     }
@@ -303,7 +378,7 @@ fn simulated_walks_lose_nothing_whatever_goes_wrong() {
 #[test]
 fn simulated_walks_lose_nothing_under_a_limit_and_growing_light() {
     for more in ["--texture-budget 450000", "--texture-budget 450000 --grow", "--grow"] {
-        let words = "simulate --seeds 0..8 --size 32x32 --faults panic,delay,stall,slow,full,torn-log,disk-full --twice";
+        let words = "simulate --seeds 0..8 --size 32x32 --faults panic,hang,delay,stall,slow,full,torn-log,disk-full --twice";
         let d = Foveal::new(&format!("{words} {more}")).arg(scene("gallery")).json();
         assert_eq!((&d["seeds"], &d["failures"]), (&8.into(), &serde_json::json!([])), "{more}");
     }

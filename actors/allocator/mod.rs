@@ -11,7 +11,7 @@
 //! | [`textures`] | which levels of textures are in memory |
 //! | [`decisions`] | how much of a decision about maps and textures is made at once |
 //! | `refinement` | which pixels of a converged view get more samples |
-//! | `insights`, `saved` | what others may know of it; its state in a snapshot |
+//! | `insights`, `told`, `saved` | what others may know of it; its state, told; its state in a snapshot |
 
 pub mod decisions;
 mod insights;
@@ -20,6 +20,7 @@ mod rays;
 mod refinement;
 mod saved;
 pub mod textures;
+mod told;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -29,7 +30,7 @@ use foveal::allocation::supersampling::Supersampler;
 use foveal::perception::importance::{ObjectScan, ObjectStatistics};
 use foveal::splatting::Footprint;
 use foveal::transport::tracer::guide::is_guided;
-use foveal_runtime::{Actor, ActorId, Address, Cx, DeadJob, Incident, JobPool, Loader, Saver};
+use foveal_runtime::{Actor, ActorId, Address, Content, Cx, DeadJob, Incident, JobPool, Loader, Saver};
 
 use crate::insight::InsightSlot;
 use crate::message::tracer::TraceBrief;
@@ -196,6 +197,10 @@ impl Actor for Allocator {
             AllocatorMessage::DecideOn => self.on_decide_on(cx),
             AllocatorMessage::SendAgain => self.outbox.send(cx),
         }
+    }
+
+    fn content(&self) -> Content {
+        self.told()
     }
 
     fn save(&self, saver: &mut Saver) {

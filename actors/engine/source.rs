@@ -13,6 +13,7 @@ use foveal_actors::insight::Insight;
 use foveal_actors::renderer::overlay::Overlay;
 use foveal_actors::settings::Adjustment;
 
+use crate::engine::Event;
 use crate::look::Mirror;
 
 /// What the user may change while walking.
@@ -183,8 +184,8 @@ pub trait FrameSource {
     fn is_shown(&self) -> bool {
         true
     }
-    /// The frame's time is up: shows what there is.
-    fn end_frame(&mut self);
+    /// The frame's time is up: shows what there is, and tells what happened since the frame before.
+    fn end_frame(&mut self) -> Vec<Event>;
     /// The picture as it was last shown, with tone map and overlay of the controls; `None` before the first.
     fn picture(&mut self) -> Option<Map2d<[u8; 3]>>;
     /// Whether a display draws by itself, and is told of samples for that. Said before the first frame.

@@ -14,7 +14,7 @@ use foveal::splatting::settled::Settled;
 use foveal::splatting::tile_sums::TileSums;
 use foveal::splatting::{Guides, SampleBatch};
 use foveal::world::World;
-use foveal_runtime::{Digest, Loader, Saver};
+use foveal_runtime::{Content, Digest, Loader, Saver};
 
 use super::{DrawnView, FrameIndex, FrameSnapshot, View};
 
@@ -44,6 +44,17 @@ pub trait Hashed {
     fn digest(&self, digest: &mut Digest);
 }
 
+/// Bulk data, for whoever looks at a replay.
+pub trait Told {
+    /// What it is, large buffers by length, hash and extremes.
+    fn content(&self) -> Content;
+}
+
+/// What `value` is.
+pub fn content(value: &impl Told) -> Content {
+    value.content()
+}
+
 /// Adds what tells `value` apart.
 pub fn digest(value: &impl Hashed, digest: &mut Digest) {
     value.digest(digest);
@@ -58,6 +69,55 @@ pub fn save(value: &impl Saved, saver: &mut Saver) {
 pub fn restore<T: Saved>(loader: &mut Loader<'_>) -> Option<T> {
     T::restore(loader)
 }
+
+impl<T: Told> Told for Option<T> {
+    fn content(&self) -> Content {
+        self.as_ref().map_or(Content::Name("none".into()), T::content)
+    }
+}
+
+impl Told for Arc<DrawnView> {
+    fn content(&self) -> Content {
+        let DrawnView { view, frame, buffers, world: _, object_count, hash } = &**self;
+        Content::fields([
+            ("view", Content::of(view)),
+            ("camera", Content::of(frame)),
+            ("cell", Content::of(&buffers.cell)),
+            ("objects", Content::of(object_count)),
+            ("hash", Content::of(hash)),
+        ])
+    }
+}
+
+impl Told for Arc<FrameSnapshot> {
+    fn content(&self) -> Content {
+        let FrameSnapshot { index, drawn, rgb8: _, hash } = &**self;
+        Content::fields([
+            ("frame", Content::of(index)),
+            ("drawn", drawn.content()),
+            ("hash", Content::of(hash)),
+        ])
+    }
+}
+
+impl Told for LevelTexels {
+    fn content(&self) -> Content {
+        Content::fields([("bytes", Content::of(&self.as_bytes().len()))])
+    }
+}
+
+/// What serde knows of it.
+macro_rules! told_by_serde {
+    ($($kind:ty),* $(,)?) => {$(
+        impl Told for Arc<$kind> {
+            fn content(&self) -> Content {
+                Content::of(&**self)
+            }
+        }
+    )*};
+}
+
+told_by_serde!(SampleBatch, Guides, TileSums, LightSums, Splats, Settled, EnvironmentMap);
 
 impl<T: Saved> Saved for Option<T> {
     fn save(&self, saver: &mut Saver) {
@@ -242,11 +302,13 @@ impl Hashed for Option<LevelTexels> {
     }
 }
 
-/// What followers of a view could depend on: ids and depths.
+/// All of a view that followers read: what pixels hit, which samples begin at, ids, depths, and the light they show.
 pub fn hash_view(buffers: &FrameBuffers, view: View) -> u64 {
     let mut h = xxhash_rust::xxh3::Xxh3::new();
     h.update(&view.0.to_le_bytes());
     h.update(bytemuck::cast_slice(buffers.object.data()));
     h.update(bytemuck::cast_slice(buffers.depth.data()));
+    h.update(bytemuck::cast_slice(buffers.hit.data()));
+    h.update(bytemuck::cast_slice(buffers.color.data()));
     h.digest()
 }

@@ -9,9 +9,9 @@ use foveal::display::first_approximation::Probes;
 use foveal::scene::texture::LevelTexels;
 use foveal::splatting::light_tracing::LightSums;
 use foveal::world::World;
-use foveal_runtime::{Digest, Job, Loader, Message, Saver};
+use foveal_runtime::{Content, Digest, Job, Loader, Message, Saver};
 
-use super::saved::{Hashed, Saved, Surroundings};
+use super::saved::{Hashed, Saved, Surroundings, Told};
 use super::{DrawnView, View};
 use crate::textures::TextureStore;
 
@@ -287,6 +287,50 @@ impl Job for TraceJob {
             Self::Prediction(_) => "PredictionJob",
             Self::Level(_) => "LevelJob",
         }
+    }
+
+    fn content(&self) -> Content {
+        let fields = match self {
+            Self::Samples(SampleOrder { drawn, order, seed, priority, attention }) => vec![
+                ("drawn", drawn.content()),
+                ("order", Content::of(order)),
+                ("seed", Content::of(seed)),
+                ("priority", Content::of(priority)),
+                ("attention", Content::of(attention)),
+            ],
+            Self::Tile(TileWork { drawn, order: TileOrder { tile, on, count }, seed }) => vec![
+                ("drawn", drawn.content()),
+                ("tile", Content::of(tile)),
+                ("on", on.content()),
+                ("count", Content::of(count)),
+                ("seed", Content::of(seed)),
+            ],
+            Self::Run(RunWork { drawn, run, seed }) => {
+                vec![("drawn", drawn.content()), ("run", Content::of(run)), ("seed", Content::of(seed))]
+            }
+            Self::Settle(SettleWork { drawn, tiles, traced }) => vec![
+                ("drawn", drawn.content()),
+                ("tiles", Content::list(tiles.iter().map(Told::content))),
+                ("traced", traced.content()),
+            ],
+            Self::Environment(EnvironmentOrder { world: _, probes: _, object, side, exponent, work }) => {
+                let work = match work {
+                    EnvironmentWork::Capture { first, count } => Content::of(&[first, count]),
+                    EnvironmentWork::Filter { seen } => Content::of(seen),
+                };
+                vec![
+                    ("object", Content::of(object)),
+                    ("side", Content::of(side)),
+                    ("exponent", Content::of(exponent)),
+                    ("work", work),
+                ]
+            }
+            Self::Prediction(PredictionOrder { drawn, .. }) => vec![("drawn", drawn.content())],
+            Self::Level(LevelOrder { texture, level, .. }) => {
+                vec![("texture", Content::of(texture)), ("level", Content::of(level))]
+            }
+        };
+        Content::variant(self.kind(), fields)
     }
 
     fn save(&self, saver: &mut Saver) {

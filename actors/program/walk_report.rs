@@ -10,7 +10,7 @@ use foveal_actors::insight::{Insight, MapRank};
 use foveal_actors::stages::Stage;
 use foveal_actors::textures::{Charge, TextureReport, TextureStore};
 use foveal_engine::process::peak_memory_bytes;
-use foveal_engine::{Engine, Frame};
+use foveal_engine::{Engine, Event, Frame};
 use foveal_terminal::print::print_line;
 use serde_json::{Value, json};
 
@@ -39,6 +39,8 @@ pub struct Walked {
     pub refined: u64,
     /// Pixels shown under a first approximation.
     pub approximated: u64,
+    /// What went wrong while the walk went on.
+    pub warnings: Vec<String>,
     /// Textures after each frame, where they are limited.
     pub textures: Vec<TextureReport>,
     /// Messages delivered, before the actors are told to stop.
@@ -64,6 +66,11 @@ impl Walked {
         self.late += u64::from(frame.counts.late);
         self.refined += u64::from(frame.counts.refined);
         self.approximated += u64::from(frame.counts.approximated);
+        self.warnings.extend(frame.events.iter().filter_map(|event| match event {
+            Event::Incident { what } => Some(what.clone()),
+            Event::RecordingStopped { reason } => Some(format!("the recording ended early: {reason}")),
+            Event::LightGrew | Event::LightFinal | Event::Converged | Event::Refined => None,
+        }));
         self.textures.extend(frame.textures.clone().or_else(|| self.textures.last().cloned()));
     }
 }
@@ -82,6 +89,13 @@ fn round(ms: impl Into<f64>) -> f64 {
 pub fn document(a: &WalkArguments, engine: &Engine, fps: f32, walked: &Walked, converged: bool) -> Value {
     let (scene, settings) = (&engine.opened().world.scene, engine.settings());
     let (lost_jobs, incidents) = engine.lost();
+    // Some incidents are told with frames, and to the allocator as well.
+    let mut warnings: Vec<String> = engine.warnings().into_iter().chain(incidents).collect();
+    for told in &walked.warnings {
+        if !warnings.contains(told) {
+            warnings.push(told.clone());
+        }
+    }
     let [median, p95, p99] = percentiles(&walked.frame_ms);
     let stage_ms: serde_json::Map<String, Value> = Stage::ALL
         .into_iter()
@@ -132,7 +146,7 @@ pub fn document(a: &WalkArguments, engine: &Engine, fps: f32, walked: &Walked, c
         "machine": foveal_terminal::machine::machine(),
         "recording": a.record.as_ref().map(|f| f.display().to_string()),
         "out": a.out.as_ref().map(|o| o.display().to_string()),
-        "warnings": engine.warnings().into_iter().chain(incidents).collect::<Vec<_>>(),
+        "warnings": warnings,
     })
 }
 

@@ -7,6 +7,7 @@
 pub mod overlay;
 mod saved;
 mod show;
+mod told;
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
@@ -29,7 +30,7 @@ use foveal::splatting::supersampling::Tiles;
 use foveal::splatting::tile_sums::TileSums;
 use foveal::splatting::{Guides, Reconstruction, SampleBatch, SplatLayer, WarpedSample};
 use foveal::world::World;
-use foveal_runtime::{Actor, Address, Class, Cx, Loader, Saver};
+use foveal_runtime::{Actor, Address, Class, Content, Cx, Loader, Saver};
 use glam::Vec3;
 
 use crate::foresight::Foresight;
@@ -674,6 +675,10 @@ impl Actor for Renderer {
             RendererMessage::SamplesForgotten => self.on_samples_forgotten(cx),
             RendererMessage::SendAgain => self.outbox.send(cx),
         }
+    }
+
+    fn content(&self) -> Content {
+        self.told()
     }
 
     fn save(&self, saver: &mut Saver) {

@@ -16,6 +16,7 @@ use crate::journal::Journal;
 use crate::journal::env::Env;
 use crate::log::format::{lane, quantise, unquantise, value};
 use crate::mailbox::{Address, Envelope, Inbound};
+use crate::message::content::Content;
 use crate::message::saved::{Loader, Saver};
 use crate::message::{ActorId, LATEST_KEYS, Lane, Message, Reason, Rejected};
 use crate::scheduler::ThreadCx;
@@ -49,6 +50,11 @@ pub trait Actor: Send + 'static {
     /// changed a state wrongly rather than the first message that tells of it. `None` costs nothing.
     fn digest(&self) -> Option<u64> {
         None
+    }
+
+    /// The state, for whoever looks at a replay: what decides what it does next. Asked between messages.
+    fn content(&self) -> Content {
+        Content::Untold
     }
 
     /// Writes the state for a snapshot of a replay. Whoever does not say how has no snapshots.

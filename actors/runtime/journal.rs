@@ -25,7 +25,7 @@ use crate::scheduler::link::Link;
 
 use divergence::{Divergence, Turn};
 use env::Env;
-use observe::Delivery;
+use observe::{Delivery, Sight};
 use recorder::Recorder;
 use script::Script;
 
@@ -122,7 +122,7 @@ impl Journal {
         symbol: Symbol,
         payload: Payload<'_>,
         kind: &'static str,
-        content: &dyn std::any::Any,
+        sight: Sight<'_>,
         digest: impl FnOnce(&mut Digest),
     ) -> Result<(), Halted> {
         if self.hashing != Hashing::Off {
@@ -145,7 +145,19 @@ impl Journal {
         if self.env.observer.is_some() {
             let (actor, index, from, chain, cause) =
                 (self.id, self.index, symbol.from, self.chain, self.cause.take());
-            self.env.observe(&Delivery { actor, index, from, kind, cause, content, chain });
+            let Sight { content, receiver, told, state } = sight;
+            self.env.observe(&Delivery {
+                actor,
+                index,
+                from,
+                kind,
+                cause,
+                content,
+                receiver,
+                told,
+                state,
+                chain,
+            });
         }
         let passed = if self.script.is_some() { self.compare(symbol, kind) } else { Ok(()) };
         self.index += 1;

@@ -214,6 +214,7 @@ pub use log::format::{Hashing, Header, NodeInfo};
 pub use log::reader::{Cut, Trace, TraceError, TraceStat};
 pub use log::writer::RecordingStatus;
 pub use mailbox::{Address, Bounds};
+pub use message::content::{Content, Difference, List};
 pub use message::incident::Incident;
 pub use message::saved::{Loader, Saver};
 pub use message::{ActorId, Credits, Digest, LATEST_KEYS, Lane, Message, Reason, Rejected};

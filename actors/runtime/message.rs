@@ -1,5 +1,6 @@
 //! What actors say to each other: messages, their digests, and the values that come back when a mailbox is full.
 
+pub(crate) mod content;
 pub(crate) mod incident;
 pub(crate) mod saved;
 
@@ -7,6 +8,7 @@ use postcard::ser_flavors::Flavor;
 use serde::Serialize;
 use std::fmt;
 
+use content::Content;
 use saved::{Loader, Saver};
 
 /// Identity of an actor or a port: the order in which the wiring made it, never an address in memory.
@@ -68,9 +70,9 @@ pub enum Lane {
 /// # assert_eq!(ShowMsg::Tick(3).lane(), foveal_runtime::Lane::Latest(0));
 /// ```
 ///
-/// A field's `with = module` names functions `digest(&field, &mut Digest)`, `save(&field, &mut Saver)` and
-/// `restore(&mut Loader) -> Option<Field>` for types without serde's traits; with `skip` the first is not asked for. A
-/// variant or a whole message with `unsaved = "why"` lets no snapshot be taken while it waits, and its fields need not
+/// A field's `with = module` names functions `digest(&field, &mut Digest)`, `content(&field) -> Content`,
+/// `save(&field, &mut Saver)` and `restore(&mut Loader) -> Option<Field>` for types without serde's traits; with `skip`
+/// the first is not asked for. A variant or a whole message with `unsaved = "why"` lets no snapshot be taken while it waits, and its fields need not
 /// be read back. Leaving something out takes a reason:
 ///
 /// ```compile_fail
@@ -97,6 +99,11 @@ pub trait Message: Send + 'static {
 
     /// The variant's name, for reports.
     fn kind(&self) -> &'static str;
+
+    /// What it says, for whoever looks at a replay.
+    fn content(&self) -> Content {
+        Content::Name(self.kind().into())
+    }
 
     /// Bytes held beyond the value itself (heap, shared buffers), counted against the mailbox's bound in bytes.
     fn size_bytes(&self) -> usize {

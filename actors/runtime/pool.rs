@@ -19,6 +19,7 @@ use crate::actor::seat::Seat;
 use crate::actor::{Actor, Cx};
 use crate::journal::Journal;
 use crate::journal::env::Env;
+use crate::message::content::Content;
 use crate::message::incident::{Incident, guarded};
 use crate::message::saved::{Loader, Saver};
 use crate::message::{ActorId, Digest, Message, Reason, Rejected};
@@ -76,6 +77,11 @@ pub trait Job: Send + Sync + 'static {
     /// The variant's name, for reports.
     fn kind(&self) -> &'static str {
         "job"
+    }
+
+    /// What it says, as [`Message::content`].
+    fn content(&self) -> Content {
+        Content::Name(self.kind().into())
     }
 
     /// Writes the job for a snapshot, as [`Message::save`].

@@ -248,6 +248,7 @@ impl Runtime {
     }
 }
 
+/// Waits for turns that are under way, however long they take: [`Runtime::shutdown`] has a bound.
 impl Drop for Runtime {
     fn drop(&mut self) {
         if self.left {

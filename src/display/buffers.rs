@@ -7,7 +7,8 @@ use crate::image::Map2d;
 use crate::scene::TextureId;
 
 /// Where the primary ray through a pixel's centre ends.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
 pub struct PrimaryHit {
     /// Distance along the ray; infinite on a miss.
     pub t: f32,

@@ -278,6 +278,7 @@ impl Illumination {
             h.update(bytemuck::cast_slice(back));
         }
         h.update(&self.summary.particles.to_le_bytes());
+        h.update(bytemuck::bytes_of(&self.summary.mean));
         let bytes = h.finalize();
         bytes.as_bytes()[..8].iter().fold(0, |sum, &b| sum << 8 | u64::from(b))
     }

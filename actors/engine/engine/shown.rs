@@ -9,7 +9,7 @@ use foveal_actors::insight::Insight;
 use foveal_actors::renderer::{FrameCounts, Renderer};
 use foveal_runtime::Ending;
 
-use super::{Engine, Frame, LEAVING, Standing, quality_of};
+use super::{Engine, Event, Frame, LEAVING, Standing, quality_of};
 use crate::failure::Failure;
 use crate::look::{self, Mirror};
 use crate::source::{Controls, FrameSource, Names, Place, Ranges, Status};
@@ -61,8 +61,11 @@ impl FrameSource for Engine {
         told(self.work_until(time, Renderer::is_refined));
     }
 
-    fn end_frame(&mut self) {
-        told(self.end().map(drop));
+    fn end_frame(&mut self) -> Vec<Event> {
+        self.end().map(|frame| frame.events).unwrap_or_else(|e| {
+            tracing::warn!("{e}");
+            Vec::new()
+        })
     }
 
     fn picture(&mut self) -> Option<Map2d<[u8; 3]>> {

@@ -4,8 +4,9 @@ mod index;
 mod player;
 mod source;
 mod stepper;
+pub mod when;
 pub mod why;
 
 pub use player::Player;
-pub use source::{How, Seen, Source, name, observe};
+pub use source::{How, Seen, Source, Telling, name, observe};
 pub use stepper::Stepper;

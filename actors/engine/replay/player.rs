@@ -11,9 +11,9 @@ use foveal_actors::insight::Insight;
 use foveal_actors::renderer::overlay::Overlay;
 use foveal_actors::settings::Adjustment;
 
-use super::source::Source;
+use super::source::{Source, Telling};
 use super::stepper::Stepper;
-use crate::engine::Engine;
+use crate::engine::{Engine, Event};
 use crate::failure::Failure;
 use crate::look;
 use crate::opened::Opened;
@@ -43,7 +43,7 @@ impl Player {
     /// If it cannot be replayed.
     pub fn new(source: Source, workers: usize) -> Result<Self, Failure> {
         let source = Rc::new(source);
-        let stepper = Stepper::new(Rc::clone(&source), workers)?;
+        let stepper = Stepper::new(Rc::clone(&source), workers, Telling::Nothing)?;
         let (scene, settings) = (&source.world().scene, &source.recorded.settings);
         let set = Adjustment::of(settings, &scene.display);
         let names = Names {
@@ -172,7 +172,9 @@ impl FrameSource for Player {
 
     fn work(&mut self, _time: Duration) {}
 
-    fn end_frame(&mut self) {}
+    fn end_frame(&mut self) -> Vec<Event> {
+        Vec::new()
+    }
 
     fn picture(&mut self) -> Option<Map2d<[u8; 3]>> {
         let (world, controls) = (self.source.world(), &self.controls);

@@ -10,8 +10,10 @@ use foveal_actors::renderer::{MARK_FRAME, Unseen};
 use foveal_actors::stages::StageTimes;
 use foveal_actors::wiring::{Actors, wire};
 use foveal_runtime::{
-    ActorId, Config, Delivery, Exit, Hashing, Limit, Mode, Observer, Runtime, Snapshot, Trace, Until,
+    ActorId, Config, Content, Delivery, Exit, Hashing, Limit, Mode, Observer, Runtime, Snapshot, Trace, Until,
 };
+
+use serde_json::{Value, json};
 
 use super::index::Index;
 use crate::bake_clock::Watch;
@@ -35,12 +37,38 @@ pub struct Seen {
     pub cause: Option<(ActorId, u64)>,
     /// The receiver's chained hash.
     pub chain: u64,
+    /// What it said, where that was asked for.
+    pub told: Option<String>,
+}
+
+/// How what messages say is to be told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Telling {
+    /// Not at all.
+    Nothing,
+    /// As a line to read.
+    Text,
+    /// As JSON.
+    Json,
+}
+
+impl Telling {
+    /// A value in that form.
+    pub fn of(self, content: &Content) -> Option<String> {
+        match self {
+            Self::Nothing => None,
+            Self::Text => Some(content.to_string()),
+            Self::Json => serde_json::to_string(content).ok(),
+        }
+    }
 }
 
 impl Seen {
-    /// What an observer is shown, without the content.
-    pub fn of(d: &Delivery<'_>) -> Self {
-        Self { actor: d.actor, index: d.index, from: d.from, kind: d.kind, cause: d.cause, chain: d.chain }
+    /// What an observer is shown.
+    pub fn of(d: &Delivery<'_>, telling: Telling) -> Self {
+        let told = if telling == Telling::Nothing { None } else { telling.of(&(d.told)()) };
+        let Delivery { actor, index, from, kind, cause, chain, .. } = *d;
+        Self { actor, index, from, kind, cause, chain, told }
     }
 }
 
@@ -236,6 +264,19 @@ impl Source {
         format!("{}:{index}", self.name(actor))
     }
 
+    /// A delivery as JSON, with what it said as JSON, too.
+    pub fn document(&self, s: &Seen) -> Value {
+        let told = s.told.as_deref().and_then(|told| serde_json::from_str::<Value>(told).ok());
+        json!({
+            "at": self.at((s.actor, s.index)),
+            "message": s.kind,
+            "from": self.name(s.from),
+            "sent_in": s.cause.map(|cause| self.at(cause)),
+            "hash": format!("{:016x}", s.chain),
+            "says": told,
+        })
+    }
+
     /// A delivery in one line.
     pub fn line(&self, s: &Seen) -> String {
         let from = match s.cause {
@@ -262,15 +303,16 @@ fn shown_in(trace: &Trace) -> Vec<u64> {
     frames.map(|(index, ..)| index.saturating_sub(1)).collect()
 }
 
-/// An observer that puts every delivery for which `wanted` holds into a queue.
+/// An observer that puts every delivery for which `wanted` holds into a queue, with what it says.
 pub fn observe(
     seen: &Arc<SegQueue<Seen>>,
+    telling: Telling,
     wanted: impl Fn(&Delivery<'_>) -> bool + Send + Sync + 'static,
 ) -> Observer {
     let seen = Arc::clone(seen);
     Arc::new(move |d: &Delivery<'_>| {
         if wanted(d) {
-            seen.push(Seen::of(d));
+            seen.push(Seen::of(d, telling));
         }
     })
 }

@@ -6,14 +6,18 @@
 
 use std::rc::Rc;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::Relaxed;
 
 use crossbeam_queue::SegQueue;
 use foveal_actors::insight::Insight;
 use foveal_actors::renderer::Renderer;
 use foveal_actors::wiring::Actors;
-use foveal_runtime::{Runtime, Snapshot, Until};
+use foveal_runtime::{ActorId, Content, Delivery, Observer, Runtime, Snapshot, Until};
+use serde_json::json;
 
-use super::source::{How, Seen, Source, observe};
+use super::source::{How, Seen, Source, Telling};
+use super::when::{self, Condition};
 use super::why;
 use crate::failure::Failure;
 use crate::interrupt::interrupted;
@@ -38,22 +42,44 @@ pub struct Stepper {
     workers: usize,
     runtime: Runtime,
     actors: Actors,
-    seen: Arc<SegQueue<Seen>>,
+    sink: Arc<Sink>,
     stretches: Vec<Stretch>,
 }
 
+/// Where deliveries are told to.
+struct Sink {
+    seen: SegQueue<Seen>,
+    telling: Telling,
+    /// Whether anybody reads what they say: not on the way to a place.
+    is_read: AtomicBool,
+}
+
+impl Sink {
+    fn observer(self: &Arc<Self>) -> Observer {
+        let sink = Arc::clone(self);
+        Arc::new(move |d: &Delivery<'_>| {
+            let telling = if sink.is_read.load(Relaxed) { sink.telling } else { Telling::Nothing };
+            sink.seen.push(Seen::of(d, telling));
+        })
+    }
+}
+
 impl Stepper {
-    /// At the start of a recording.
-    pub fn new(source: Rc<Source>, workers: usize) -> Result<Self, Failure> {
-        let seen = Arc::new(SegQueue::new());
-        let (runtime, actors) = build(&source, &seen, None)?;
+    /// At the start of a recording. Says of each step forward what the message says, and what it changes.
+    pub fn new(source: Rc<Source>, workers: usize, telling: Telling) -> Result<Self, Failure> {
+        let sink = Arc::new(Sink { seen: SegQueue::new(), telling, is_read: AtomicBool::new(false) });
+        let (runtime, actors) = build(&source, &sink, None)?;
         let stretches = vec![Stretch { from: None, steps: Vec::new() }];
-        Ok(Self { source, told: Vec::new(), workers, runtime, actors, seen, stretches })
+        Ok(Self { source, told: Vec::new(), workers, runtime, actors, sink, stretches })
     }
 
     /// Says something.
     fn tell(&mut self, text: impl Into<String>) {
-        self.told.push(text.into());
+        let text = text.into();
+        self.told.push(match self.sink.telling {
+            Telling::Json => json!({"note": text}).to_string(),
+            _ => text,
+        });
     }
 
     /// What was said since the last call.
@@ -114,9 +140,10 @@ impl Stepper {
     fn step(&mut self) -> Result<Option<Seen>, Failure> {
         let stepped = self.runtime.step(None);
         self.diverged()?;
-        let Some(seen) = stepped.and_then(|_| self.seen.pop()) else { return Ok(None) };
+        let Some(seen) = stepped.and_then(|_| self.sink.seen.pop()) else { return Ok(None) };
         if let Some(stretch) = self.stretches.last_mut() {
-            stretch.steps.push(seen.clone());
+            // What it says would take much more room than that it came.
+            stretch.steps.push(Seen { told: None, ..seen.clone() });
             if stretch.steps.len() >= STEPS_MAX
                 && let Some(snapshot) = self.runtime.snapshot()
             {
@@ -129,15 +156,86 @@ impl Stepper {
     /// Makes deliveries and says which.
     pub fn forward(&mut self, count: u64) -> Result<(), Failure> {
         for _ in 0..count {
-            let Some(seen) = self.step()? else {
+            // Whose turn it is shows in the step alone.
+            let before = self.states();
+            self.sink.is_read.store(true, Relaxed);
+            let stepped = self.step();
+            self.sink.is_read.store(false, Relaxed);
+            let Some(seen) = stepped? else {
                 self.tell("the end of the recording");
                 break;
             };
-            self.tell(self.source.line(&seen));
+            self.tell_step(&seen, before);
             if interrupted() {
                 break;
             }
         }
+        Ok(())
+    }
+
+    /// The states of all actors, where they are told.
+    fn states(&self) -> Vec<Content> {
+        if self.sink.telling == Telling::Nothing {
+            return Vec::new();
+        }
+        let nodes = 0..self.source.trace.header().nodes.len() as u32;
+        nodes.map(|number| self.runtime.content(ActorId(number)).unwrap_or_default()).collect()
+    }
+
+    /// Says what was delivered, and what that changed in its receiver.
+    fn tell_step(&mut self, seen: &Seen, before: Vec<Content>) {
+        let before = before.into_iter().nth(seen.actor.0 as usize).unwrap_or_default();
+        let changes = before.differences(&self.runtime.content(seen.actor).unwrap_or_default());
+        match self.sink.telling {
+            Telling::Nothing => self.tell(self.source.line(seen)),
+            Telling::Text => {
+                self.tell(self.source.line(seen));
+                self.told.extend(seen.told.iter().map(|told| format!("    {told}")));
+                let lines = changes.iter().map(|c| format!("    {}: {} → {}", c.path, c.left, c.right));
+                self.told.extend(lines);
+            }
+            Telling::Json => {
+                let mut document = self.source.document(seen);
+                let changes = changes.iter().map(|c| json!({"path": c.path, "from": c.left, "to": c.right}));
+                document["changes"] = changes.collect();
+                self.told.push(document.to_string());
+            }
+        }
+    }
+
+    /// What an actor's state says here; all of it, or what stands at a path.
+    ///
+    /// # Errors
+    /// If there is no such actor, or nothing stands there.
+    pub fn state(&self, name: &str) -> Result<Content, Failure> {
+        let (actor, path) = match self.source.actor(name) {
+            Ok(actor) => (actor, ""),
+            Err(e) => {
+                let (name, path) = name.split_once('.').ok_or(e)?;
+                (self.source.actor(name)?, path)
+            }
+        };
+        let content = self.runtime.content(actor).unwrap_or_default();
+        content
+            .at(path)
+            .cloned()
+            .ok_or_else(|| Failure::Usage(format!("nothing stands at {path} of {}", self.source.name(actor))))
+    }
+
+    /// Goes to where a condition comes to hold next, after where this is.
+    ///
+    /// # Errors
+    /// If the condition names what is not there, or the replay diverges.
+    pub fn go_when(&mut self, condition: &Condition) -> Result<(), Failure> {
+        let cut = self.cut();
+        let met = when::when(&self.source, condition, self.workers)?;
+        let Some(next) = met.into_iter().find(|met| met.at.1 >= cut[met.at.0.0 as usize]) else {
+            self.tell("it does not come about any more");
+            return Ok(());
+        };
+        let (actor, index) = next.at;
+        self.go(Some(Until::Delivery { actor, index }))?;
+        self.tell(format!("{}: {next}", self.source.at(next.at)));
         Ok(())
     }
 
@@ -175,10 +273,10 @@ impl Stepper {
             }
         }
         let from = self.stretches.last().and_then(|s| s.from.clone());
-        (self.runtime, self.actors) = build(&self.source, &self.seen, from)?;
+        (self.runtime, self.actors) = build(&self.source, &self.sink, from)?;
         let reached = self.runtime.run_to(&cut);
         self.diverged()?;
-        while self.seen.pop().is_some() {}
+        while self.sink.seen.pop().is_some() {}
         if reached {
             Ok(())
         } else {
@@ -194,19 +292,19 @@ impl Stepper {
         let before = behind.checked_sub(FRAMES_BEFORE + 1).map(|frame| shown[frame]);
         // One may be kept that is close enough.
         let kept = before.and_then(|index| self.source.kept(renderer, index, cut));
-        let (mut runtime, actors) = build(&self.source, &self.seen, kept)?;
+        let (mut runtime, actors) = build(&self.source, &self.sink, kept)?;
         let mut from = None;
         if let Some(index) = before {
             runtime.run_within(cut, Some(Until::Delivery { actor: renderer, index }));
-            while self.seen.pop().is_some() {}
+            while self.sink.seen.pop().is_some() {}
             from = runtime.snapshot().map(Arc::new);
             if from.is_none() {
-                (runtime, _) = build(&self.source, &self.seen, None)?;
+                (runtime, _) = build(&self.source, &self.sink, None)?;
             }
         }
         let mut steps = Vec::new();
         while runtime.step(Some(cut)).is_some() && !runtime.diverged() && !interrupted() {
-            steps.extend(self.seen.pop());
+            steps.extend(self.sink.seen.pop());
         }
         (self.runtime, self.actors) = (runtime, actors);
         self.diverged()?;
@@ -227,15 +325,15 @@ impl Stepper {
         match fast.snapshot() {
             Some(snapshot) => {
                 let from = Some(Arc::new(snapshot));
-                (self.runtime, self.actors) = build(&self.source, &self.seen, from.clone())?;
+                (self.runtime, self.actors) = build(&self.source, &self.sink, from.clone())?;
                 self.stretches.push(Stretch { from, steps: Vec::new() });
             }
             // What is on its way cannot be saved: step there.
             None => {
-                (self.runtime, self.actors) = build(&self.source, &self.seen, None)?;
+                (self.runtime, self.actors) = build(&self.source, &self.sink, None)?;
                 let mut steps = Vec::new();
                 while self.runtime.step(Some(&cut)).is_some() && !interrupted() {
-                    steps.extend(self.seen.pop());
+                    steps.extend(self.sink.seen.pop());
                 }
                 self.diverged()?;
                 self.stretches.push(Stretch { from: None, steps });
@@ -259,9 +357,9 @@ impl Stepper {
 
 fn build(
     source: &Source,
-    seen: &Arc<SegQueue<Seen>>,
+    sink: &Arc<Sink>,
     from: Option<Arc<Snapshot>>,
 ) -> Result<(Runtime, Actors), Failure> {
-    let observer = Some(observe(seen, |_| true));
+    let observer = Some(sink.observer());
     source.system(How { from, observer, ..How::default() })
 }

@@ -20,6 +20,7 @@ pub use self::acts::Act;
 pub use self::times::FrameTimes;
 pub use self::ways::BOOKMARKS;
 use self::ways::Ways;
+use crate::engine::Event;
 use crate::look::Mirror;
 use crate::navigation::Navigator;
 use crate::source::{Controls, FrameSource, Names, Place, Ranges, Status};
@@ -293,7 +294,9 @@ impl Walk {
         }
         // (Without its sign, 0 is told as 0.)
         self.quality = Some(self.source.quality() + 0.0).filter(|quality| quality.is_finite());
-        self.source.end_frame();
+        for event in self.source.end_frame() {
+            self.hear(event);
+        }
         self.frame = None;
         self.ended = Some((begin, now));
         // A session that hears of its end of frame on this thread shows it while it works.
@@ -303,6 +306,15 @@ impl Walk {
         }
         self.shown = self.camera;
         (true, Next::Now)
+    }
+
+    /// Says what whoever looks on should know of; the rest is seen in the status.
+    fn hear(&mut self, event: Event) {
+        match event {
+            Event::Incident { what } => self.complain(what),
+            Event::RecordingStopped { reason } => self.complain(format!("the recording ends here: {reason}")),
+            Event::LightGrew | Event::LightFinal | Event::Converged | Event::Refined => {}
+        }
     }
 
     fn begin(&mut self, now: f64, period: f64) -> Next {

@@ -22,6 +22,8 @@ struct Told {
     left: usize,
     /// Slices that a view needs.
     slices: usize,
+    /// What the next frame tells.
+    events: Vec<Event>,
     /// What was left when frames were shown.
     left_shown: Vec<usize>,
 }
@@ -77,11 +79,12 @@ impl FrameSource for Scripted {
         let mut told = self.0.borrow_mut();
         told.left = told.left.saturating_sub(usize::from(!time.is_zero()));
     }
-    fn end_frame(&mut self) {
+    fn end_frame(&mut self) -> Vec<Event> {
         let mut told = self.0.borrow_mut();
         told.shown += 1;
         let left = told.left;
         told.left_shown.push(left);
+        std::mem::take(&mut told.events)
     }
     fn picture(&mut self) -> Option<Map2d<[u8; 3]>> {
         Some(Map2d::new(2, 2, [self.0.borrow().shown as u8; 3]))
@@ -256,4 +259,18 @@ fn another_version_of_the_scene_keeps_camera_and_controls() {
     run(&mut walk, 0.0, 0.05);
     assert_eq!(told.borrow().cameras, [camera]);
     assert_eq!(told.borrow().controls[0].overlay, Overlay::Saliency);
+}
+
+/// What happens beside the frames is said to whoever looks on.
+#[test]
+fn incidents_and_the_end_of_a_recording_are_told() {
+    for (event, says) in [
+        (Event::Incident { what: "tracer 1 began anew".into() }, "tracer 1 began anew"),
+        (Event::RecordingStopped { reason: "the disk is full".into() }, "the disk is full"),
+    ] {
+        let (mut walk, told) = walk();
+        told.borrow_mut().events = vec![Event::Converged, event, Event::LightGrew];
+        run(&mut walk, 0.0, 1.0);
+        assert!(walk.notice.as_ref().is_some_and(|n| n.failed && n.text.contains(says)), "{says}");
+    }
 }

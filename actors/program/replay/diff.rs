@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crossbeam_queue::SegQueue;
-use foveal_runtime::{ActorId, Delivery, Event, Limit, Observer, Trace};
+use foveal_runtime::{ActorId, Content, Delivery, Difference, Event, Limit, Observer, Trace};
 use serde_json::json;
 
 use foveal_engine::failure::Failure;
@@ -20,10 +20,40 @@ struct Parting {
     index: u64,
     left: String,
     right: String,
-    /// Message, delivery it was sent in and frames shown before, from a replay of the first recording.
-    kind: Option<&'static str>,
-    cause: Option<(ActorId, u64)>,
+    /// Frames shown before, from a replay of the first recording.
     frames: Option<u64>,
+    /// What replays of both showed there.
+    told: [Option<Told>; 2],
+}
+
+/// A delivery at which recordings part.
+struct Told {
+    kind: &'static str,
+    /// The delivery it was sent in.
+    cause: Option<(ActorId, u64)>,
+    says: Content,
+    /// The receiver's state before it.
+    state: Content,
+}
+
+impl Parting {
+    fn kind(&self) -> Option<&'static str> {
+        self.told.iter().flatten().next().map(|told| told.kind)
+    }
+
+    fn cause(&self) -> Option<(ActorId, u64)> {
+        self.told[0].as_ref().and_then(|told| told.cause)
+    }
+
+    /// The fields in which the message differs, or, where it does not, the receiver's state before it.
+    fn differences(&self) -> (&'static str, Vec<Difference>) {
+        let [Some(left), Some(right)] = &self.told else { return ("message", Vec::new()) };
+        let message = left.says.differences(&right.says);
+        if !message.is_empty() || left.kind != right.kind {
+            return ("message", message);
+        }
+        ("state", left.state.differences(&right.state))
+    }
 }
 
 /// Runs the command: exit 1 if the recordings differ.
@@ -39,20 +69,29 @@ pub fn run(
     let mut partings = partings(&left, &right);
     if !partings.is_empty() {
         // What was sent when is known to a replay alone; without its scene the order stays a guess.
-        match Source::open(left_path, elsewhere, false, &progress.baking())
-            .and_then(|s| causes(&s, &mut partings))
-        {
-            Ok(()) => {}
-            Err(e) => tracing::warn!("{}: {e}; which message is the first is a guess", left_path.display()),
+        for (side, path) in [left_path, right_path].into_iter().enumerate() {
+            match Source::open(path, elsewhere, false, &progress.baking())
+                .and_then(|s| look(&s, side, &mut partings))
+            {
+                Ok(()) => {}
+                Err(e) if side == 0 => {
+                    tracing::warn!("{}: {e}; which message is the first is a guess", path.display());
+                }
+                Err(e) => tracing::warn!("{}: {e}; what differs is not known", path.display()),
+            }
         }
     }
     let first = first(&partings, &left);
     let at = |p: &Parting| format!("{}:{}", name(&left, p.actor), p.index);
     let of = |(actor, index): (ActorId, u64)| format!("{}:{index}", name(&left, actor));
     let lines = |p: &Parting| {
+        let (within, differences) = p.differences();
         json!({
-            "actor": name(&left, p.actor), "index": p.index, "frame": p.frames, "message": p.kind,
-            "sent_in": p.cause.map(of), "a": p.left, "b": p.right,
+            "actor": name(&left, p.actor), "index": p.index, "frame": p.frames, "message": p.kind(),
+            "sent_in": p.cause().map(of), "a": p.left, "b": p.right, "within": within,
+            "differences": differences.iter()
+                .map(|d| json!({"path": d.path, "a": d.left, "b": d.right}))
+                .collect::<Vec<_>>(),
         })
     };
     if as_json {
@@ -68,11 +107,16 @@ pub fn run(
         match first {
             None => print_line(&format!("the same: {} messages", left.stat().deliveries)),
             Some(p) => {
-                let kind = p.kind.map_or_else(String::new, |kind| format!(": {kind}"));
-                let sent = p.cause.map_or_else(String::new, |cause| format!(", sent in {}", of(cause)));
+                let kind = p.kind().map_or_else(String::new, |kind| format!(": {kind}"));
+                let sent = p.cause().map_or_else(String::new, |cause| format!(", sent in {}", of(cause)));
                 let frame = p.frames.map_or_else(String::new, |frames| format!(", after {frames} frames"));
                 print_line(&format!("they part at {}{kind}{sent}{frame}", at(p)));
                 print_line(&format!("  A: {}\n  B: {}", p.left, p.right));
+                let (within, differences) = p.differences();
+                for d in &differences {
+                    let path = if d.path.is_empty() { "" } else { "." };
+                    print_line(&format!("  {within}{path}{}: A {}, B {}", d.path, d.left, d.right));
+                }
                 for other in partings.iter().filter(|o| o.actor != p.actor) {
                     print_line(&format!("then {}: A {}, B {}", at(other), other.left, other.right));
                 }
@@ -130,29 +174,30 @@ fn partings(left: &Trace, right: &Trace) -> Vec<Parting> {
             let same = a == b;
             let with = |text: String| if same { format!("{text}, other content or state") } else { text };
             let (left, right) = (with(a), with(b));
-            Some(Parting { actor, index, left, right, kind: None, cause: None, frames: None })
+            Some(Parting { actor, index, left, right, frames: None, told: [None, None] })
         })
         .collect()
 }
 
-/// Replays the first recording to learn what each parting comes of.
-fn causes(source: &Source, partings: &mut [Parting]) -> Result<(), Failure> {
+/// Replays a recording to learn what each parting comes of, and what was said there.
+fn look(source: &Source, side: usize, partings: &mut [Parting]) -> Result<(), Failure> {
     let wanted: BTreeMap<ActorId, u64> = partings.iter().map(|p| (p.actor, p.index)).collect();
     let seen = Arc::new(SegQueue::new());
     let sink = Arc::clone(&seen);
     let observer: Observer = Arc::new(move |d: &Delivery<'_>| {
         if wanted.get(&d.actor) == Some(&d.index) {
-            sink.push((d.actor, d.kind, d.cause));
+            let (says, state) = ((d.told)(), (d.state)());
+            sink.push((d.actor, Told { kind: d.kind, cause: d.cause, says, state }));
         }
     });
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let (mut runtime, _) =
         source.system(How { threads: cores, observer: Some(observer), ..How::default() })?;
     runtime.pump(Limit::IDLE);
-    while let Some((actor, kind, cause)) = seen.pop() {
+    while let Some((actor, told)) = seen.pop() {
         if let Some(p) = partings.iter_mut().find(|p| p.actor == actor) {
-            (p.kind, p.cause) = (Some(kind), cause);
-            if actor == source.renderer() {
+            p.told[side] = Some(told);
+            if side == 0 && actor == source.renderer() {
                 p.frames = Some(source.shown_in.partition_point(|index| *index < p.index) as u64);
             }
         }
@@ -163,7 +208,7 @@ fn causes(source: &Source, partings: &mut [Parting]) -> Result<(), Failure> {
 /// Of the partings that are no consequence of another, the one with the least of the recording before it.
 fn first<'p>(partings: &'p [Parting], left: &Trace) -> Option<&'p Parting> {
     let follows = |p: &Parting| {
-        p.cause.is_some_and(|(actor, index)| {
+        p.cause().is_some_and(|(actor, index)| {
             partings
                 .iter()
                 .any(|other| other.actor == actor && other.actor != p.actor && other.index <= index)

@@ -3,6 +3,7 @@
 
 mod diff;
 mod export;
+mod look;
 mod step;
 #[cfg(feature = "window")]
 mod view;
@@ -14,10 +15,10 @@ use clap::Args;
 use crossbeam_queue::SegQueue;
 use foveal_engine::Failure;
 use foveal_engine::files::{png_bytes, write_atomic};
-use foveal_engine::replay::{How, Source, observe, why};
+use foveal_engine::replay::{How, Source, Telling, observe, why};
 #[cfg(feature = "serve")]
 use foveal_engine::{replay::Player, source::FrameSource};
-use foveal_runtime::{Divergence, ReplayReport};
+use foveal_runtime::{Delivery, Divergence, ReplayReport};
 use foveal_terminal::light::ElsewhereArguments;
 use foveal_terminal::print::{print_json, print_line};
 use foveal_terminal::progress::{Progress, end_on_interrupt};
@@ -77,6 +78,22 @@ pub struct ReplayArguments {
     /// Say what was delivered to this actor
     #[arg(long, value_name = "NAME")]
     actor: Option<String>,
+    /// Tell this actor's state, at --at or the end
+    #[arg(long, value_name = "ACTOR")]
+    state: Option<String>,
+    /// Where --state looks
+    #[arg(long, value_name = "FRAME|ACTOR:INDEX", requires = "state")]
+    at: Option<String>,
+    /// What changed between two places, in the state of --state or of all actors
+    #[arg(long, num_args = 2, value_names = ["A", "B"], conflicts_with = "at")]
+    state_diff: Option<Vec<String>>,
+    /// Where this comes about: `ACTOR.PATH < 3`, `ACTOR.PATH changes`, `ACTOR hears MESSAGE [PATH > 3]`, `pixel X,Y changes`,
+    /// `object "NAME" loses samples`; --state shows which paths there are
+    #[arg(long, value_name = "CONDITION")]
+    when: Option<String>,
+    /// Which of the places where --when comes about
+    #[arg(long, value_name = "WHICH", default_value = "all", requires = "when")]
+    which: look::Which,
     /// Write every delivery of the replay, with arrows from input to job to pixel: for chrome://tracing, or Perfetto's
     /// own format
     #[arg(long, num_args = 2, value_names = ["chrome|perfetto", "FILE"])]
@@ -129,8 +146,18 @@ pub fn run(a: &ReplayArguments, progress: Progress) -> Result<(), Failure> {
         }
         return Ok(());
     }
+    let telling = if a.json { Telling::Json } else { Telling::Text };
+    if let Some(condition) = &a.when {
+        return look::when_met(&source, condition, a.which, a.until.as_deref(), workers, a.json);
+    }
+    if let Some([from, to]) = a.state_diff.as_deref() {
+        return look::difference(&source, a.state.as_deref(), [from, to], workers, a.json);
+    }
+    if let Some(actor) = &a.state {
+        return look::state(&source, actor, a.at.as_deref(), workers, telling);
+    }
     if a.step || a.back.is_some() {
-        return step::run(source, a.until.as_deref(), a.back, a.step, workers);
+        return step::run(source, a.until.as_deref(), a.back, a.step, workers, telling);
     }
     verify(a, &source, workers, export)
 }
@@ -149,7 +176,14 @@ fn verify(
     let asked = a.actor.as_deref().map(|name| source.actor(name)).transpose()?;
     let seen = Arc::new(SegQueue::new());
     let all = export.is_some();
-    let observer = (all || asked.is_some()).then(|| observe(&seen, move |d| all || Some(d.actor) == asked));
+    // A profile has no room for what messages say.
+    let telling = match (all, a.json) {
+        (true, _) => Telling::Nothing,
+        (false, true) => Telling::Json,
+        (false, false) => Telling::Text,
+    };
+    let wanted = move |d: &Delivery<'_>| all || Some(d.actor) == asked;
+    let observer = (all || asked.is_some()).then(|| observe(&seen, telling, wanted));
     // Whoever wants to see all deliveries, or to be sure of all, begins at the start.
     let jump = until.is_some() && observer.is_none() && !a.verify;
     let mut how = How { threads: workers, until, observer, jump, ..How::default() };
@@ -166,7 +200,10 @@ fn verify(
 
     let seen: Vec<_> = std::iter::from_fn(|| seen.pop()).collect();
     if let (Some(asked), false) = (asked, a.json) {
-        seen.iter().filter(|s| s.actor == asked).for_each(|s| print_line(&source.line(s)));
+        for s in seen.iter().filter(|s| s.actor == asked) {
+            print_line(&source.line(s));
+            s.told.iter().for_each(|told| print_line(&format!("    {told}")));
+        }
     }
     if let (Some(frame), Some(out)) = (a.show, &a.out)
         && let Some(snapshot) = shown.as_ref().filter(|s| s.index.0 == frame)
@@ -181,7 +218,11 @@ fn verify(
     // Where the replay was to stop before the end, all that was asked for is there.
     let complete =
         report.complete || until.is_some() && source.trace.complete() && report.divergence.is_none();
-    let document = document(&report, source, frames, workers, complete);
+    let mut document = document(&report, source, frames, workers, complete);
+    if let Some(asked) = asked {
+        document["deliveries"] =
+            seen.iter().filter(|s| s.actor == asked).map(|s| source.document(s)).collect();
+    }
     if a.json {
         print_json(&document);
     } else {

@@ -5,7 +5,8 @@ use std::rc::Rc;
 
 use foveal_engine::Failure;
 use foveal_engine::interrupt::interrupted;
-use foveal_engine::replay::{Source, Stepper};
+use foveal_engine::replay::when::Condition;
+use foveal_engine::replay::{Source, Stepper, Telling};
 use foveal_terminal::print::print_line;
 
 const HELP: &str = "\
@@ -14,6 +15,8 @@ b [N]                 one back, or N
 g FRAME|ACTOR:INDEX   go to where a frame was shown or a delivery made
 f                     forward to the next shown frame
 p                     position: deliveries made to each actor
+n CONDITION           next place where a condition comes to hold, as for --when
+t ACTOR[.PATH]        tell an actor's state
 w X,Y                 why a pixel of the last shown frame looks as it does
 q                     quit";
 
@@ -24,12 +27,13 @@ pub fn run(
     back: Option<u32>,
     commands: bool,
     workers: usize,
+    telling: Telling,
 ) -> Result<(), Failure> {
     let place = until.map(|text| source.place(text)).transpose()?;
     // Back from nowhere said is back from the end.
     let at_end = place.is_none() && back.is_some();
     let source = Rc::new(source);
-    let mut session = Stepper::new(Rc::clone(&source), workers)?;
+    let mut session = Stepper::new(Rc::clone(&source), workers, telling)?;
     if place.is_some() || at_end {
         session.go(place)?;
     }
@@ -37,7 +41,7 @@ pub fn run(
         session.back(u64::from(count))?;
     }
     print(&mut session);
-    if commands { obey(&source, &mut session) } else { Ok(()) }
+    if commands { obey(&source, &mut session, telling) } else { Ok(()) }
 }
 
 /// Prints what was done.
@@ -52,7 +56,7 @@ fn why(session: &Stepper, text: &str) -> Result<(), Failure> {
 }
 
 /// Does what the lines of the standard input say.
-fn obey(source: &Source, session: &mut Stepper) -> Result<(), Failure> {
+fn obey(source: &Source, session: &mut Stepper, telling: Telling) -> Result<(), Failure> {
     let prompts = std::io::stdin().is_terminal();
     let mut lines = std::io::stdin().lock().lines();
     loop {
@@ -78,6 +82,11 @@ fn obey(source: &Source, session: &mut Stepper) -> Result<(), Failure> {
                 print_line(&session.positions());
                 Ok(())
             }
+            "n" | "next" => {
+                let condition = Condition::parse(rest).map_err(Failure::Usage);
+                condition.and_then(|condition| session.go_when(&condition))
+            }
+            "t" | "tell" => session.state(rest.trim()).map(|state| super::look::print_state(&state, telling)),
             "w" | "why" => why(session, rest.trim()),
             "q" | "quit" => return Ok(()),
             _ => {

@@ -19,6 +19,7 @@ use crate::journal::script::Stash;
 use crate::journal::{Halted, Journal};
 use crate::log::format::{Hashing, Payload, lane};
 use crate::mailbox::{Address, Decoder, Inbound, Mailbox};
+use crate::message::content::Content;
 use crate::message::incident::guarded;
 use crate::message::saved::{Loader, Saver};
 use crate::message::{ActorId, LATEST_KEYS, Message};
@@ -33,6 +34,10 @@ use saved::{load_messages, load_timers, save_messages, save_timers};
 pub(crate) trait AnyNode: Runnable {
     /// Shows the actor's state, unless it is in a turn.
     fn look(&self, _show: &mut dyn FnMut(&dyn Any)) {}
+    /// What the actor tells of its state, unless it is in a turn.
+    fn content(&self) -> Option<Content> {
+        None
+    }
     /// Deliveries and chained hash, unless it is in a turn.
     fn position(&self) -> Option<(u64, u64)> {
         None
@@ -396,6 +401,10 @@ impl<A: Actor> AnyNode for Node<A> {
                 show(actor);
             }
         });
+    }
+
+    fn content(&self) -> Option<Content> {
+        self.with_core(|core| core.actor.as_ref().map(Actor::content)).flatten()
     }
 
     fn position(&self) -> Option<(u64, u64)> {

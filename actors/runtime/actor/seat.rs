@@ -6,6 +6,7 @@ use crate::actor::{Actor, Cx};
 use crate::journal::Journal;
 use crate::log::format::{Symbol, lane};
 use crate::message::Digest;
+use crate::message::content::Content;
 use crate::message::saved::{Loader, Saver};
 use crate::scheduler::ThreadCx;
 
@@ -30,6 +31,7 @@ pub(crate) trait Seat<A: Actor>: Send {
     fn digest(&self, digest: &mut Digest);
     fn kind(&self) -> &'static str;
     fn content(&self) -> &dyn Any;
+    fn told(&self) -> Content;
     fn run(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>);
     fn stale(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>);
     /// The job is done with.

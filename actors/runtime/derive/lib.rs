@@ -11,7 +11,7 @@ use syn::{Data, DeriveInput, Fields, Ident, Type, parse_macro_input};
 
 use attributes::{OfField, OfVariant};
 
-/// Makes `kind`, `digest`, `lane`, `size_bytes`, `save` and `restore` of a message: see `foveal_runtime::Message`.
+/// Makes `kind`, `digest`, `content`, `lane`, `size_bytes`, `save` and `restore` of a message: see `foveal_runtime::Message`.
 #[proc_macro_derive(Message, attributes(message))]
 pub fn message(input: proc_macro::TokenStream) -> proc_macro::TokenStream {
     let input = parse_macro_input!(input as DeriveInput);
@@ -78,6 +78,25 @@ impl Variant {
         // Tuples, since each value costs a beginning and an end; serde knows those of 16.
         let plain = plain.chunks(16).map(|fields| quote! { __digest.value(&(#(#fields,)*)); });
         self.arm(&quote! { __digest.u32(#index); #(#plain)* #(#with)* })
+    }
+
+    /// Named values; what is neither serialized nor saved by a module of its own is not told.
+    fn content(&self, whole: &OfVariant) -> TokenStream {
+        let unsaved = self.of.unsaved || whole.unsaved;
+        let fields = self.fields.iter().map(|Field { member, binding, of, .. }| {
+            let name = quote! { #member }.to_string();
+            let content = match &of.with {
+                Some(with) => quote! { #with::content(#binding) },
+                None if of.skip && unsaved => quote! { ::foveal_runtime::Content::Untold },
+                None => quote! { ::foveal_runtime::Content::of(#binding) },
+            };
+            quote! { (#name, #content) }
+        });
+        let count = self.fields.len();
+        self.arm(&quote! {
+            let fields: [(&'static str, ::foveal_runtime::Content); #count] = [#(#fields),*];
+            ::foveal_runtime::Content::variant(::foveal_runtime::Message::kind(self), fields)
+        })
     }
 
     fn kind(&self) -> TokenStream {
@@ -174,6 +193,7 @@ fn expand(input: &DeriveInput) -> syn::Result<TokenStream> {
         }
     });
     let (digest, kind) = (each(&variants, Variant::digest), each(&variants, Variant::kind));
+    let content = each(&variants, |variant| variant.content(&whole));
     let (generics, of, conditions) = input.generics.split_for_impl();
     Ok(quote! {
         #[automatically_derived]
@@ -184,6 +204,10 @@ fn expand(input: &DeriveInput) -> syn::Result<TokenStream> {
 
             fn kind(&self) -> &'static str {
                 #kind
+            }
+
+            fn content(&self) -> ::foveal_runtime::Content {
+                #content
             }
 
             #lanes

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use crate::message::ActorId;
+use crate::message::content::Content;
 
 /// A delivery as an observer sees it, before the actor handles it.
 pub struct Delivery<'a> {
@@ -19,8 +20,29 @@ pub struct Delivery<'a> {
     pub cause: Option<(ActorId, u64)>,
     /// The message (`Actor::Msg`) or job, for an observer that knows the type; a unit where there is neither.
     pub content: &'a dyn std::any::Any,
+    /// The receiver as it is before, for an observer that knows its type; a unit where nothing is delivered to it.
+    pub receiver: &'a dyn std::any::Any,
+    /// What `content` says, made when it is called.
+    pub told: &'a dyn Fn() -> Content,
+    /// The receiver's state before it, made when it is called.
+    pub state: &'a dyn Fn() -> Content,
     /// The receiver's chained hash with this delivery in it; 0 where hashes are off.
     pub chain: u64,
+}
+
+/// What an observer may look at of a delivery. Nothing is made where there is no observer.
+#[derive(Clone, Copy)]
+pub(crate) struct Sight<'a> {
+    pub(crate) content: &'a dyn std::any::Any,
+    pub(crate) receiver: &'a dyn std::any::Any,
+    pub(crate) told: &'a dyn Fn() -> Content,
+    pub(crate) state: &'a dyn Fn() -> Content,
+}
+
+impl Sight<'_> {
+    /// Where neither message nor job is.
+    pub(crate) const NOTHING: Self =
+        Self { content: &(), receiver: &(), told: &|| Content::Untold, state: &|| Content::Untold };
 }
 
 /// Sees every delivery, on the thread that makes it.

@@ -11,6 +11,7 @@ use crate::actor::Cx;
 use crate::actor::seat::{Popped, Seat};
 use crate::journal::Journal;
 use crate::message::Digest;
+use crate::message::content::Content;
 use crate::message::saved::{Loader, Saver};
 use crate::scheduler::ThreadCx;
 
@@ -79,6 +80,10 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
             Some(entry) => &*entry.job,
             None => &(),
         }
+    }
+
+    fn told(&self) -> Content {
+        self.current.as_ref().map_or(Content::Untold, |entry| entry.job.content())
     }
 
     fn run(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>) {

@@ -6,8 +6,9 @@ use std::time::Duration;
 use crate::actor::{Actor, Handle};
 use crate::log::format::NodeInfo;
 use crate::log::writer::RecordingStatus;
-use crate::message::Digest;
+use crate::message::content::Content;
 use crate::message::incident::Incident;
+use crate::message::{ActorId, Digest};
 use crate::runtime::Runtime;
 use crate::runtime::timeline::{Timeline, of_turns};
 use crate::scheduler::clock::{Time, nanoseconds};
@@ -31,6 +32,11 @@ impl Runtime {
             result = actor.downcast_ref::<A>().and_then(|actor| look.take().map(|look| look(actor)));
         });
         result
+    }
+
+    /// What an actor tells of its state; `None` while it is in a turn, and of ports.
+    pub fn content(&self, actor: ActorId) -> Option<Content> {
+        self.nodes.get(actor.0 as usize)?.content()
     }
 
     /// Orders an actor to stop, pause or resume.

@@ -45,6 +45,10 @@ mod hashed {
     pub fn digest(value: &super::Opaque, digest: &mut foveal_runtime::Digest) {
         digest.u64(value.0);
     }
+
+    pub fn content(value: &super::Opaque) -> foveal_runtime::Content {
+        foveal_runtime::Content::of(&value.0)
+    }
 }
 
 fn hash(told: &Told) -> u64 {
@@ -86,6 +90,19 @@ fn every_field_is_in_the_digest() {
         variants[..at].iter().for_each(|other| assert_ne!(hash(one), hash(other), "{one:?} {other:?}"));
     }
     assert_ne!(hash(&Told::Unsaved { instant: Opaque(1) }), hash(&Told::Unsaved { instant: Opaque(2) }));
+}
+
+#[test]
+fn every_field_is_told() {
+    for change in 1..=11 {
+        let differences = many(0).content().differences(&many(change).content());
+        assert_eq!(differences.len(), 1, "change {change}: {differences:?}");
+    }
+    let told = many(6).content();
+    assert_eq!(told.at("fixed.2").and_then(Content::number), Some(4.0));
+    assert_eq!(Told::Pair(1, None).content().to_string(), "Pair { 0: 1, 1: none }");
+    assert_eq!(Told::Newest.content().to_string(), "Renamed");
+    assert_eq!(Told::Unsaved { instant: Opaque(3) }.content().to_string(), "Unsaved { instant: 3 }");
 }
 
 #[test]

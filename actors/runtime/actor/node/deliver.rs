@@ -8,6 +8,7 @@ use crate::actor::seat::{KILLS_MAX, Popped, job_symbol};
 use crate::actor::supervise::{OnPanic, verdict};
 use crate::actor::{Actor, Cx, OwnTimer};
 use crate::journal::Halted;
+use crate::journal::observe::Sight;
 use crate::log::format::{Payload, Symbol, lane};
 use crate::mailbox::Envelope;
 use crate::message::incident::{Incident, Injected, guarded, message_of};
@@ -49,7 +50,9 @@ impl<A: Actor> Node<A> {
         let done = catch_unwind(AssertUnwindSafe(|| {
             let Some(read) = &message else { return Ok(()) };
             kind = read.kind();
-            journal.deliver(symbol, payload, kind, read, |digest| read.digest(digest))?;
+            let (told, state) = (|| read.content(), || actor.content());
+            let sight = Sight { content: read, receiver: actor, told: &told, state: &state };
+            journal.deliver(symbol, payload, kind, sight, |digest| read.digest(digest))?;
             stage = Stage::Handle;
             if journal.panics_by_fault() {
                 resume_unwind(Box::new(Injected));
@@ -87,7 +90,9 @@ impl<A: Actor> Node<A> {
         };
         let done = catch_unwind(AssertUnwindSafe(|| {
             kind = seat.kind();
-            journal.deliver(symbol, payload, kind, seat.content(), |digest| seat.digest(digest))?;
+            let (told, state) = (|| seat.told(), || actor.content());
+            let sight = Sight { content: seat.content(), receiver: actor, told: &told, state: &state };
+            journal.deliver(symbol, payload, kind, sight, |digest| seat.digest(digest))?;
             stage = Stage::Handle;
             if journal.panics_by_fault() {
                 resume_unwind(Box::new(Injected));
@@ -125,7 +130,9 @@ impl<A: Actor> Node<A> {
         panic: Panic,
     ) -> Result<(), Halted> {
         if stage == Stage::Read {
-            core.journal.deliver(symbol, payload, kind, &(), |digest| digest.bytes(UNREADABLE.as_bytes()))?;
+            core.journal.deliver(symbol, payload, kind, Sight::NOTHING, |digest| {
+                digest.bytes(UNREADABLE.as_bytes())
+            })?;
         }
         if stage != Stage::Hash && !matches!(payload, Payload::Job { .. }) {
             self.link.counters.dead_letters(1);
@@ -232,7 +239,8 @@ impl<A: Actor> Node<A> {
 
     pub(super) fn order(&self, core: &mut Core<A>, thread: &ThreadCx, bits: u32) -> Result<(), Halted> {
         let symbol = Symbol { from: self.link.id, lane: lane::ORDER };
-        core.journal.deliver(symbol, Payload::Order(bits), "order", &(), |digest| digest.u32(bits))?;
+        core.journal
+            .deliver(symbol, Payload::Order(bits), "order", Sight::NOTHING, |digest| digest.u32(bits))?;
         if bits & signal::STOP != 0 {
             core.stopping = true;
         }
@@ -281,7 +289,9 @@ impl<A: Actor> Node<A> {
             }
             // It was cancelled after it fired: a delivery all the same, since it made room for another timer.
             _ => {
-                core.journal.deliver(symbol, payload, "cancelled timer", &(), |digest| digest.u32(timer))?;
+                core.journal.deliver(symbol, payload, "cancelled timer", Sight::NOTHING, |digest| {
+                    digest.u32(timer)
+                })?;
                 self.handled(core, thread)
             }
         }

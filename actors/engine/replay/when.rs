@@ -1,0 +1,440 @@
+//! When something came about in a recording: conditions on messages, on the state of actors and on pixels.
+//!
+//! All deliveries are replayed and looked at on the way, each actor's on the thread that makes it.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+
+use bytesize::ByteSize;
+use crossbeam_queue::SegQueue;
+use foveal_actors::cache_ager::CacheAger;
+use foveal_actors::renderer::Renderer;
+use foveal_runtime::{ActorId, Content, Delivery, Limit, Observer};
+
+use super::source::{How, Source};
+use crate::failure::Failure;
+use crate::interrupt::interrupted;
+
+/// How conditions are written, for messages and help.
+pub const GRAMMAR: &str = "`ACTOR.PATH < 3`, `ACTOR.PATH changes`, `ACTOR hears MESSAGE [PATH > 3]`, \
+                           `pixel X,Y changes` or `object \"NAME\" loses samples`";
+
+/// How two values are compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Comparison {
+    Less,
+    AtMost,
+    Equal,
+    Different,
+    AtLeast,
+    More,
+}
+
+/// What a value is compared with.
+#[derive(Clone, Debug, PartialEq)]
+enum Bound {
+    Number(f64),
+    Name(String),
+}
+
+/// A comparison with what stands at a path.
+#[derive(Clone, Debug, PartialEq)]
+struct Test {
+    path: String,
+    comparison: Comparison,
+    bound: Bound,
+}
+
+/// Something that may come about.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Condition {
+    of: Of,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+enum Of {
+    /// An actor's state comes to hold it.
+    State(String, Test),
+    /// Something in an actor's state becomes another.
+    Changes(String, String),
+    /// An actor is told a message.
+    Hears(String, String, Option<Test>),
+    /// A pixel of the shown picture becomes another.
+    Pixel(u32, u32),
+    /// The cache holds fewer samples of an object than before.
+    Loses(String),
+}
+
+/// Where it came about.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Met {
+    /// The delivery in which it did.
+    pub at: (ActorId, u64),
+    /// Frames that had been shown before its actor's part in the recording came so far; `None` for other actors than the
+    /// renderer.
+    pub frame: Option<u32>,
+    /// What there was before; nothing at the first.
+    pub before: Option<Content>,
+    /// What there is then.
+    pub value: Content,
+}
+
+impl Comparison {
+    fn holds(self, order: Option<std::cmp::Ordering>) -> bool {
+        let Some(order) = order else { return self == Self::Different };
+        match self {
+            Self::Less => order.is_lt(),
+            Self::AtMost => order.is_le(),
+            Self::Equal => order.is_eq(),
+            Self::Different => order.is_ne(),
+            Self::AtLeast => order.is_ge(),
+            Self::More => order.is_gt(),
+        }
+    }
+}
+
+impl Test {
+    /// `PATH OP VALUE`.
+    fn parse(text: &str) -> Option<Self> {
+        let at = text.find(['<', '>', '=', '!'])?;
+        let (path, rest) = text.split_at(at);
+        let (comparison, bound) = [
+            ("<=", Comparison::AtMost),
+            (">=", Comparison::AtLeast),
+            ("==", Comparison::Equal),
+            ("!=", Comparison::Different),
+            ("<", Comparison::Less),
+            (">", Comparison::More),
+            ("=", Comparison::Equal),
+        ]
+        .into_iter()
+        .find_map(|(sign, comparison)| Some((comparison, rest.strip_prefix(sign)?.trim())))?;
+        if path.trim().is_empty() || bound.is_empty() {
+            return None;
+        }
+        let bound = match (bound.parse::<f64>(), bound.parse::<ByteSize>()) {
+            (Ok(number), _) => Bound::Number(number),
+            (_, Ok(size)) => Bound::Number(size.as_u64() as f64),
+            _ => Bound::Name(bound.trim_matches('"').to_owned()),
+        };
+        Some(Self { path: path.trim().to_owned(), comparison, bound })
+    }
+
+    /// Whether it holds for what stands there; where nothing does, nothing holds.
+    fn holds(&self, value: &Content) -> bool {
+        match (&self.bound, value) {
+            (Bound::Number(bound), value) => {
+                value.number().is_some_and(|number| self.comparison.holds(number.partial_cmp(bound)))
+            }
+            (Bound::Name(bound), Content::Name(name)) => {
+                self.comparison.holds(Some(name.as_ref().cmp(bound)))
+            }
+            (Bound::Name(bound), Content::Text(text)) => self.comparison.holds(Some(text.cmp(bound))),
+            (Bound::Name(bound), Content::Flag(flag)) => {
+                self.comparison.holds(Some(flag.to_string().cmp(bound)))
+            }
+            _ => false,
+        }
+    }
+}
+
+/// `ACTOR.PATH`, where the actor's name may have blanks: paths have none.
+fn of_actor(text: &str) -> Option<(String, String)> {
+    let (actor, path) = text.trim().split_once('.')?;
+    (!actor.is_empty() && !path.is_empty()).then(|| (actor.trim().to_owned(), path.trim().to_owned()))
+}
+
+impl Condition {
+    /// Reads one.
+    ///
+    /// # Errors
+    /// Says how conditions are written.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        Self::read(text.trim()).map(|of| Self { of }).ok_or_else(|| {
+            format!("`{text}` is no condition; write one as {GRAMMAR}; --state shows what can stand there")
+        })
+    }
+
+    fn read(text: &str) -> Option<Of> {
+        if let Some(rest) = text.strip_prefix("pixel ") {
+            let (x, y) = rest.strip_suffix("changes")?.trim().split_once(',')?;
+            return Some(Of::Pixel(x.trim().parse().ok()?, y.trim().parse().ok()?));
+        }
+        if let Some(rest) = text.strip_prefix("object ") {
+            let name = rest.strip_suffix("samples")?.trim_end().strip_suffix("loses")?.trim();
+            return Some(Of::Loses(name.trim_matches('"').to_owned()));
+        }
+        if let Some((actor, what)) = text.split_once(" hears ") {
+            let (kind, test) = what.trim().split_once(' ').unwrap_or((what.trim(), ""));
+            let test = if test.trim().is_empty() { None } else { Some(Test::parse(test)?) };
+            return Some(Of::Hears(actor.trim().to_owned(), kind.to_owned(), test));
+        }
+        if let Some(place) = text.strip_suffix(" changes") {
+            let (actor, path) = of_actor(place)?;
+            return Some(Of::Changes(actor, path));
+        }
+        let test = Test::parse(text)?;
+        let (actor, path) = of_actor(&test.path)?;
+        Some(Of::State(actor, Test { path, ..test }))
+    }
+}
+
+impl fmt::Display for Met {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.before {
+            Some(before) => write!(f, "{before} → {}", self.value),
+            None => write!(f, "{}", self.value),
+        }
+    }
+}
+
+/// What is looked at, delivery by delivery.
+type Look = Box<dyn Fn(&Delivery<'_>) -> Option<Content> + Send + Sync>;
+
+/// The value at a path of a tree; `Untold` where nothing stands there.
+fn standing(content: &Content, path: &str) -> Content {
+    content.at(path).cloned().unwrap_or_default()
+}
+
+/// All places where a condition comes to hold, in the order of the actor's deliveries.
+///
+/// # Errors
+/// If the recording has no such actor, object or pixel, no state ever has such a path, or the replay diverges.
+pub fn when(source: &Source, condition: &Condition, workers: usize) -> Result<Vec<Met>, Failure> {
+    let (actor, look) = looked_at(source, condition)?;
+    let queue: Arc<SegQueue<(u64, Content)>> = Arc::default();
+    let sink = Arc::clone(&queue);
+    let observer: Observer = Arc::new(move |d: &Delivery<'_>| {
+        if d.actor == actor
+            && let Some(value) = look(d)
+        {
+            sink.push((d.index, value));
+        }
+    });
+    let how = How { threads: workers, observer: Some(observer), ..How::default() };
+    let (mut runtime, actors) = source.system(how)?;
+    runtime.pump_until(Limit::IDLE, |_| interrupted());
+    if interrupted() {
+        return Err(Failure::Interrupted("interrupted while replaying".into()));
+    }
+    if let Some(divergence) = runtime.replay_report().divergence {
+        return Err(Failure::Check(format!("the replay diverges: {divergence}")));
+    }
+    let mut values: BTreeMap<u64, Content> = std::iter::from_fn(|| queue.pop()).collect();
+    let is_message = matches!(condition.of, Of::Hears(..));
+    if !is_message {
+        // What was seen before a delivery is what the one before left; the last one's is still to be seen.
+        let end = source.trace.deliveries(actor);
+        let last = match &condition.of {
+            Of::State(_, Test { path, .. }) | Of::Changes(_, path) => {
+                runtime.content(actor).map(|content| standing(&content, path))
+            }
+            Of::Pixel(x, y) => runtime.inspect(actors.renderer, |r| pixel(r, *x, *y)).flatten(),
+            Of::Loses(name) => {
+                let object = object(source, name)?;
+                let ager = actors.correction.as_ref().map(|correction| correction.cache_ager);
+                ager.and_then(|ager| runtime.inspect(ager, |ager| samples_of(ager, object)))
+            }
+            Of::Hears(..) => None,
+        };
+        values.extend(last.map(|value| (end, value)));
+        if let Of::State(name, Test { path, .. }) | Of::Changes(name, path) = &condition.of
+            && values.values().all(|value| *value == Content::Untold)
+        {
+            return Err(Failure::Usage(format!(
+                "nothing ever stands at {name}.{path}; `--state {name:?}` shows what does"
+            )));
+        }
+        values =
+            values.into_iter().filter_map(|(index, value)| Some((index.checked_sub(1)?, value))).collect();
+    }
+    let mut met = Vec::new();
+    let mut before: Option<Content> = None;
+    for (index, value) in values {
+        let comes_about = match &condition.of {
+            Of::Hears(..) => true,
+            Of::State(_, test) => {
+                test.holds(&value) && !before.as_ref().is_some_and(|before| test.holds(before))
+            }
+            Of::Changes(..) | Of::Pixel(..) => before.as_ref().is_some_and(|before| *before != value),
+            Of::Loses(_) => match (before.as_ref().and_then(Content::number), value.number()) {
+                (Some(before), Some(now)) => now < before,
+                _ => false,
+            },
+        };
+        if comes_about {
+            let before = before.clone().filter(|_| !is_message);
+            let shown = || source.shown_in.partition_point(|shown| *shown < index) as u32;
+            let frame = (actor == source.renderer()).then(shown);
+            met.push(Met { at: (actor, index), frame, before, value: value.clone() });
+        }
+        before = Some(value);
+    }
+    Ok(met)
+}
+
+/// Whose deliveries are looked at, and what at each of them.
+fn looked_at(source: &Source, condition: &Condition) -> Result<(ActorId, Look), Failure> {
+    Ok(match &condition.of {
+        Of::State(name, Test { path, .. }) | Of::Changes(name, path) => {
+            let path = path.clone();
+            // An order to the runtime shows nothing of the actor.
+            let look = move |d: &Delivery<'_>| match (d.state)() {
+                Content::Untold => None,
+                state => Some(standing(&state, &path)),
+            };
+            (source.actor(name)?, Box::new(look))
+        }
+        Of::Hears(name, kind, test) => {
+            let (kind, test) = (kind.clone(), test.clone());
+            let look = move |d: &Delivery<'_>| {
+                if d.kind != kind {
+                    return None;
+                }
+                let told = (d.told)();
+                let holds =
+                    test.as_ref().is_none_or(|test| told.at(&test.path).is_some_and(|v| test.holds(v)));
+                holds.then_some(told)
+            };
+            (source.actor(name)?, Box::new(look))
+        }
+        Of::Pixel(x, y) => {
+            let (x, y) = (*x, *y);
+            let settings = &source.recorded.settings;
+            if x >= settings.width || y >= settings.height {
+                let size = format!("{} × {}", settings.width, settings.height);
+                return Err(Failure::Usage(format!("no pixel {x},{y}; the picture has {size}")));
+            }
+            let look = move |d: &Delivery<'_>| pixel(d.receiver.downcast_ref::<Renderer>()?, x, y);
+            (source.renderer(), Box::new(look))
+        }
+        Of::Loses(name) => {
+            let object = object(source, name)?;
+            let look =
+                move |d: &Delivery<'_>| Some(samples_of(d.receiver.downcast_ref::<CacheAger>()?, object));
+            (source.actor("cache ager")?, Box::new(look))
+        }
+    })
+}
+
+/// What is shown at a pixel, sRGB bytes; nothing before the first frame.
+fn pixel(renderer: &Renderer, x: u32, y: u32) -> Option<Content> {
+    renderer.shown().map(|shown| Content::of(&shown.rgb8.at(x as usize, y as usize)))
+}
+
+fn samples_of(ager: &CacheAger, object: u32) -> Content {
+    Content::of(&ager.samples_of(object))
+}
+
+/// An object's number by its name.
+fn object(source: &Source, name: &str) -> Result<u32, Failure> {
+    let objects = &source.world().scene.objects;
+    objects.iter().position(|object| object.name == name).map(|id| id as u32).ok_or_else(|| {
+        let mut names: Vec<&str> =
+            objects.iter().map(|o| o.name.as_str()).filter(|n| !n.is_empty()).collect();
+        names.truncate(20);
+        Failure::Usage(format!("no object {name:?}; the scene has {}", names.join(", ")))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::Elsewhere;
+    use foveal_runtime::Until;
+    use std::path::Path;
+
+    fn kept(name: &str) -> Source {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../traces").join(name);
+        Source::open(&path, &Elsewhere::default(), true, &()).expect("a walk")
+    }
+
+    fn places(source: &Source, text: &str) -> Vec<Met> {
+        when(source, &Condition::parse(text).expect(text), 1).expect(text)
+    }
+
+    #[test]
+    fn conditions_are_read() {
+        for text in [
+            "renderer.view < 3",
+            "allocator.budget.textures<1MiB",
+            "cache ager.samples changes",
+            "renderer hears SamplesTraced",
+            "allocator hears JobDone samples >= 10",
+            "pixel 3, 4 changes",
+            "object \"Mirror ball\" loses samples",
+            "allocator.converged = true",
+        ] {
+            assert!(Condition::parse(text).is_ok(), "{text}");
+        }
+        let limit = Condition::parse("allocator.budget.textures < 1MiB").expect("a condition");
+        let Of::State(actor, Test { path, comparison, bound }) = limit.of else { panic!("a state") };
+        assert_eq!(
+            (actor.as_str(), path.as_str(), comparison),
+            ("allocator", "budget.textures", Comparison::Less)
+        );
+        assert_eq!(bound, Bound::Number(1_048_576.0));
+        for text in
+            ["", "renderer", "renderer.view", "< 3", "renderer. < 3", "pixel 3 changes", "a hears b < "]
+        {
+            assert!(Condition::parse(text).is_err(), "{text}");
+        }
+    }
+
+    /// A condition on a state holds where the state, asked for there, says so, and did not one delivery before.
+    #[test]
+    fn states_hold_from_where_they_are_found_on() {
+        let source = kept("gallery.fvl");
+        let renderer = source.renderer();
+        let view = |index: u64| {
+            let until = Some(Until::Delivery { actor: renderer, index });
+            let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
+            runtime.pump(Limit::IDLE);
+            runtime.content(renderer).and_then(|c| c.at("view").and_then(Content::number)).expect("a view")
+        };
+        let met = places(&source, "renderer.view >= 3");
+        let [first] = &met[..] else { panic!("once: {met:?}") };
+        assert!(view(first.at.1) >= 3.0 && view(first.at.1 - 1) < 3.0);
+        let changes = places(&source, "renderer.view changes");
+        assert!(changes.iter().any(|met| met.at == first.at), "{changes:?}");
+        // A view begins with a frame whose camera has moved.
+        let frames = places(&source, "renderer hears FrameBegan");
+        assert!(changes.iter().all(|met| frames.iter().any(|frame| frame.at == met.at)));
+    }
+
+    #[test]
+    fn messages_are_found_by_kind_and_content() {
+        let source = kept("table.fvl");
+        let all = places(&source, "allocator hears JobDone");
+        let many = places(&source, "allocator hears JobDone samples > 20");
+        assert!(!many.is_empty() && many.len() < all.len());
+        let samples = |met: &Met| met.value.at("samples").and_then(Content::number).expect("a number");
+        assert_eq!(all.iter().filter(|met| samples(met) > 20.0).count(), many.len());
+    }
+
+    #[test]
+    fn pixels_change_where_frames_are_shown() {
+        let source = kept("gallery.fvl");
+        let met = places(&source, "pixel 32,24 changes");
+        assert!(!met.is_empty());
+        for Met { at, before, value, .. } in &met {
+            assert!(source.shown_in.contains(&at.1) && before.as_ref() != Some(value));
+        }
+    }
+
+    #[test]
+    fn what_is_not_there_is_named() {
+        let source = kept("table.fvl");
+        for (text, says) in [
+            ("allocator.nothing > 1", "nothing ever stands"),
+            ("nobody.x > 1", "no actor"),
+            ("pixel 9999,0 changes", "no pixel"),
+            ("object \"Nobody\" loses samples", "no object"),
+        ] {
+            let condition = Condition::parse(text).expect(text);
+            let failure = when(&source, &condition, 1).expect_err(text).to_string();
+            assert!(failure.contains(says), "{text}: {failure}");
+        }
+    }
+}

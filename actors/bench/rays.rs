@@ -275,6 +275,8 @@ fn plain_scene(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Scene {
     let mesh = Mesh {
         normals: vec![Vec3::ZERO; positions.len()],
         uvs: vec![Vec2::ZERO; positions.len()],
+        uvs1: Vec::new(),
+        tangents: Vec::new(),
         positions,
         triangles,
         materials: vec![MaterialId(0); count],

@@ -576,11 +576,23 @@ fn coordinates_are_scaled_turned_and_moved() {
     let apart = with("gltf-apart", &transform(r#"{"scale": [2, 4], "offset": [0.5, 0.25]}"#), &normal).scene;
     assert_eq!(apart.mesh.uvs[1], Vec2::new(1.0, 0.0));
     let Model::MetalRough(m) = &apart.materials[0].model else { panic!("{:?}", apart.materials[0]) };
-    let of = |id: Option<crate::scene::TextureId>| apart.textures[id.unwrap().0 as usize].scale_offset;
+    let of =
+        |id: Option<crate::scene::TextureId>| apart.textures[id.unwrap().0 as usize].placement.scale_offset;
     assert_eq!(of(m.diffuse.map.or(m.specular.map)), [2.0, 4.0, 0.5, 1.0 - 4.0 - 0.25]);
     assert_eq!(of(apart.materials[0].normal_map), [3.0, 3.0, 0.0, -2.0]);
-    let odd = with("gltf-odd", &transform(r#"{"rotation": 1}"#), &normal);
-    assert!(says(&odd, "turned differently"));
+    // One that is turned beside one that is not.
+    let odd =
+        with("gltf-odd", &transform(r#"{"rotation": 1, "scale": [2, 3], "offset": [0.1, 0.2]}"#), &normal);
+    assert!(odd.warnings.iter().all(|w| !w.message.contains("turned")), "{:?}", odd.warnings);
+    let Model::MetalRough(m) = &odd.scene.materials[0].model else { panic!() };
+    let map = m.diffuse.map.or(m.specular.map).unwrap();
+    let (s, c) = crate::math::sin_cos(1.0);
+    for uv in &odd.scene.mesh.uvs {
+        let flat = upper_left(*uv) * Vec2::new(2.0, 3.0);
+        let expected = Vec2::new(c * flat.x + s * flat.y + 0.1, c * flat.y - s * flat.x + 0.2);
+        let found = upper_left(odd.scene.textures[map.0 as usize].placement.moved(*uv));
+        assert!((found - expected).length() < 1e-5, "{found} {expected}");
+    }
 }
 
 #[test]

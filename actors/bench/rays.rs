@@ -297,6 +297,7 @@ fn plain_scene(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Scene {
         up: Vec3::Y,
         display: Default::default(),
         budget: Default::default(),
+        extensions: Vec::new(),
         content_hash: [0; 32],
     }
     .with_textures(Vec::new())

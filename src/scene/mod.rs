@@ -224,6 +224,17 @@ impl Default for Display {
     }
 }
 
+/// An extension of a glTF file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ExtensionUse {
+    /// As the file calls it.
+    pub name: String,
+    /// How many objects of the file have it.
+    pub times: usize,
+    /// What became of it.
+    pub became: String,
+}
+
 /// Limits of the sidecar (`[budget]`).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Budget {
@@ -288,6 +299,8 @@ pub struct SceneParts {
     pub display: Display,
     /// Its limits.
     pub budget: Budget,
+    /// Extensions of its glTF files, and what became of them.
+    pub extensions: Vec<ExtensionUse>,
     /// BLAKE3 of everything that was read: geometry, materials, textures, sidecar.
     pub content_hash: [u8; 32],
 }

@@ -40,6 +40,7 @@ pub fn of_triangles(corners: &[[Vec3; 3]]) -> Scene {
         up: Vec3::Y,
         display: Display::default(),
         budget: Budget::default(),
+        extensions: Vec::new(),
         content_hash: [0; 32],
     }
     .with_textures(Vec::new())
@@ -99,6 +100,7 @@ pub fn scene(mesh: Mesh, materials: Vec<Material>) -> Scene {
         up: Vec3::Y,
         display: Display::default(),
         budget: Budget::default(),
+        extensions: Vec::new(),
         content_hash: [0; 32],
     }
     .with_textures(Vec::new());

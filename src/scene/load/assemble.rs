@@ -8,7 +8,7 @@ use glam::Vec3;
 use super::Library;
 use super::error::{Place, SceneError, Warning};
 use super::obj::ObjFile;
-use crate::scene::{CameraPath, Light, MaterialId, Mesh, NamedCamera, TriangleIndex};
+use crate::scene::{CameraPath, ExtensionUse, Light, MaterialId, Mesh, NamedCamera, TriangleIndex};
 
 /// Coordinates beyond this are left out: the square of an area must fit into single precision.
 const COORDINATE_MAX: f32 = 1e9;
@@ -66,6 +66,7 @@ pub(super) struct Own {
     pub lights: Vec<Light>,
     pub cameras: Vec<NamedCamera>,
     pub paths: Vec<CameraPath>,
+    pub extensions: Vec<ExtensionUse>,
 }
 
 /// What is known of triangles besides the mesh.

@@ -6,7 +6,7 @@ use serde::Deserialize;
 use serde::de::IgnoredAny;
 
 use super::number::{Index, List, Whole};
-pub(super) use materials::{Material, TextureInfo, TextureTransform, Volume};
+pub(super) use materials::{EmissiveStrength, Material, TextureInfo, TextureTransform, Volume};
 
 /// Joints of a skin, and targets of a primitive.
 pub(super) const JOINTS_MAX: usize = 4096;

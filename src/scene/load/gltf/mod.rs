@@ -18,6 +18,7 @@ mod meshopt;
 mod nodes;
 mod number;
 mod pictures;
+mod pointers;
 mod skins;
 pub(super) mod surfaces;
 mod tangents;
@@ -41,7 +42,7 @@ use super::error::{Place, SceneError, Warning};
 use super::folder::Folder;
 use super::obj::{ObjFile, Run};
 use crate::scene::camera::PathKey;
-use crate::scene::{CameraPath, Light, NamedCamera};
+use crate::scene::{CameraPath, ExtensionUse, Light, NamedCamera};
 use accessor::Accessors;
 use animation::{Motion, Moved};
 use buffers::Buffers;
@@ -158,6 +159,8 @@ pub(super) struct GltfFile {
     pub cameras: Vec<NamedCamera>,
     /// Of cameras that an animation moves, by their names.
     pub paths: Vec<CameraPath>,
+    /// Its extensions.
+    pub extensions: Vec<ExtensionUse>,
 }
 
 /// Reads a file. `shown` names it in messages; `base` is its folder, relative to the scene's.
@@ -192,7 +195,15 @@ pub(super) fn parse(
         return Err(refuse(Problem::new("/asset/version", message)));
     }
     let mut odd = Oddities::default();
-    extensions::check(&document, json, &choices.ignored, &place, &mut odd)?;
+    let used = extensions::check(&document, json, &choices.ignored, &place, &mut odd)?;
+    let mut document = document;
+    if let Some(time) = choices.time {
+        let changes = {
+            let mut buffers = Buffers::new(&document, folder, base, bytes, container.bin.clone());
+            pointed(&document, choices, time, &mut buffers).map_err(refuse)?
+        };
+        changes.into_iter().for_each(|(value, to)| pointers::set(&mut document, value, &to));
+    }
     let mut buffers = Buffers::new(&document, folder, base, bytes, container.bin);
     let mut reader = Reader {
         document: &document,
@@ -208,13 +219,32 @@ pub(super) fn parse(
         pictures: Pictures::new(&document),
     };
     reader.read(&mut buffers).map_err(refuse)?;
-    let out = reader.out;
+    let mut out = reader.out;
+    out.extensions = used;
     if out.mesh.triangles.is_empty() {
         whole::check(&document, json, &mut buffers, &mut odd).map_err(refuse)?;
         odd.count("no triangle", "nothing is drawn but the sky");
     }
     odd.report(&place, warnings);
     Ok(out)
+}
+
+/// What the chosen animation makes of values that are no transforms.
+fn pointed<'d>(
+    document: &'d Document,
+    choices: &Choices,
+    time: f32,
+    buffers: &mut Buffers<'d>,
+) -> Result<Vec<(pointers::Value, Vec<f32>)>, Problem> {
+    // What is odd is said when everything else is read.
+    let mut unheard = Oddities::default();
+    let Some(animation) = animation::chosen(document, choices.play.as_deref(), &mut unheard) else {
+        return Ok(Vec::new());
+    };
+    if animation.1.channels.iter().all(|c| c.target.extensions.pointer.is_none()) {
+        return Ok(Vec::new());
+    }
+    Ok(animation::read(animation, document, buffers, &mut unheard)?.values(time).collect())
 }
 
 struct Reader<'d, 'o> {
@@ -304,7 +334,9 @@ impl<'d> Reader<'d, '_> {
                     place.insert(read?)
                 }
             };
-            let weights = if node.weights.is_empty() { &mesh.weights } else { &node.weights };
+            let weights: &[f32] = if node.weights.is_empty() { &mesh.weights } else { &node.weights };
+            let played = time.and_then(|t| motion.weights(p.node, t));
+            let weights = played.as_deref().unwrap_or(weights);
             let joints = match node.skin {
                 None => None,
                 Some(skin) => {

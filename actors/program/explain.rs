@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 use serde_json::{Value, json};
 
-use foveal::scene::{ExtensionUse, Scene};
 use foveal::scene::plan::ScenePlan;
+use foveal::scene::{ExtensionUse, Scene};
 
 use foveal_engine::failure::Failure;
 use foveal_engine::opened::load_scene_as;

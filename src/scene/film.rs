@@ -32,6 +32,9 @@ impl Film {
         // As it vanishes it becomes air.
         let ior = 1.0 + (self.ior - 1.0) * smoothstep(self.thickness / 0.03);
         let cosine = cosine.clamp(0.0, 1.0);
+        if ior <= 1.0 {
+            return f0.map(|f| schlick(f, cosine));
+        }
         let inside = 1.0 - (1.0 - cosine * cosine) / (ior * ior);
         if inside <= 0.0 {
             return Vec3::ONE;

@@ -311,7 +311,10 @@ mod tests {
         // With the tangents of a straight line a cubic is one; half way tangents count an eighth of the time between.
         let slope = [1.0, 0.0, -2.0, 0.0];
         let cubic = track(Property::Translation, Interpolation::Cubic, &[slope, a, slope, slope, b, slope]);
-        assert_eq!([1.0, 2.0, 2.5].map(|t| cubic.at(t)), [a.to_vec(), vec![2.0, 2.0, 1.0, 0.0], straight.at(2.5)]);
+        assert_eq!(
+            [1.0, 2.0, 2.5].map(|t| cubic.at(t)),
+            [a.to_vec(), vec![2.0, 2.0, 1.0, 0.0], straight.at(2.5)]
+        );
         let flat = track(Property::Scale, Interpolation::Cubic, &[[0.0; 4], a, slope, [0.0; 4], b, slope]);
         assert_eq!(flat.at(2.0)[0], 2.0 + 2.0 / 8.0);
     }

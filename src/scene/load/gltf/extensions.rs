@@ -12,7 +12,10 @@ const KNOWN: [(&str, &str); 30] = [
     ("EXT_mesh_gpu_instancing", "shown"),
     ("EXT_meshopt_compression", "decoded"),
     ("EXT_texture_webp", "shown"),
-    ("KHR_animation_pointer", "transforms, weights, visibility, lights, colours and fields of view at the chosen time"),
+    (
+        "KHR_animation_pointer",
+        "transforms, weights, visibility, lights, colours and fields of view at the chosen time",
+    ),
     ("KHR_lights_punctual", "shown"),
     ("KHR_materials_anisotropy", "shown"),
     ("KHR_materials_clearcoat", "shown"),
@@ -134,7 +137,12 @@ pub(super) fn check(
     }
     let used = used(document, json, ignored);
     for extension in &used {
-        if !document.extensions_used.iter().chain(document.extensions_required.iter()).any(|n| *n == extension.name) {
+        if !document
+            .extensions_used
+            .iter()
+            .chain(document.extensions_required.iter())
+            .any(|n| *n == extension.name)
+        {
             odd.count(&extension.name, "not declared by the file; shown all the same");
         }
     }

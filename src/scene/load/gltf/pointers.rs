@@ -30,7 +30,9 @@ impl Value {
         match self {
             Self::BaseColor(_) => 4,
             Self::LightColor(_) | Self::EmissiveFactor(_) => 3,
-            Self::Visible(_) | Self::LightIntensity(_) | Self::EmissiveStrength(_) | Self::FieldOfView(_) => 1,
+            Self::Visible(_) | Self::LightIntensity(_) | Self::EmissiveStrength(_) | Self::FieldOfView(_) => {
+                1
+            }
         }
     }
 }
@@ -123,7 +125,17 @@ mod tests {
             Some(Place::Value(Value::LightIntensity(2)))
         );
         assert_eq!(named("/materials/0/emissiveFactor"), Some(Place::Value(Value::EmissiveFactor(0))));
-        for bad in ["", "/", "nodes/1/scale", "/nodes/x/scale", "/nodes/-1/scale", "/nodes/1/matrix", "/nodes/1", "/textures/0/extensions/KHR_texture_transform/offset", "/nodes/99999999999/scale"] {
+        for bad in [
+            "",
+            "/",
+            "nodes/1/scale",
+            "/nodes/x/scale",
+            "/nodes/-1/scale",
+            "/nodes/1/matrix",
+            "/nodes/1",
+            "/textures/0/extensions/KHR_texture_transform/offset",
+            "/nodes/99999999999/scale",
+        ] {
             assert_eq!(named(bad), None, "{bad}");
         }
     }

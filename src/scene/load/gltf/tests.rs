@@ -1,5 +1,6 @@
 //! Small files made here: what they become, and how those end that cannot be.
 
+mod maps;
 mod motion;
 mod refusals;
 mod shapes;
@@ -130,9 +131,15 @@ fn says(loaded: &Loaded, what: &str) -> bool {
 }
 
 fn data_png(pixels: &[[u8; 4]]) -> String {
+    data_png_of(pixels.len(), pixels)
+}
+
+/// The same in rows of so many pixels, from the top.
+fn data_png_of(columns: usize, pixels: &[[u8; 4]]) -> String {
     use base64::Engine;
     let mut bytes = Vec::new();
-    let picture = image::RgbaImage::from_vec(pixels.len() as u32, 1, pixels.concat()).unwrap();
+    let size = [columns, pixels.len() / columns].map(|n| n as u32);
+    let picture = image::RgbaImage::from_vec(size[0], size[1], pixels.concat()).unwrap();
     picture.write_to(&mut std::io::Cursor::new(&mut bytes), image::ImageFormat::Png).unwrap();
     format!(
         r#"{{"uri": "data:image/png;base64,{}"}}"#,

@@ -107,3 +107,54 @@ fn a_skin_of_one_joint_is_the_nodes_transform_and_targets_move_by_their_weights(
         assert!(scene.mesh.positions.iter().all(|p| p.z == z), "{:?}", scene.mesh.positions);
     }
 }
+
+#[test]
+fn lights_colours_and_weights_are_those_of_the_shown_time() {
+    let place = Place::new("gltf-pointers");
+    let mut maker = Maker::default();
+    let mesh = quad(&mut maker);
+    let times = maker.accessor(bytemuck::cast_slice(&[0.0f32, 2.0]), 5126, 2, "SCALAR", "");
+    let scalars = maker.accessor(bytemuck::cast_slice(&[0.0f32, 8.0]), 5126, 2, "SCALAR", "");
+    let colors = maker.vec3(&[Vec3::ZERO, Vec3::new(1.0, 0.5, 0.25)]);
+    let weights = maker.accessor(bytemuck::cast_slice(&[0.0f32, 0.0, 1.0, 0.5]), 5126, 4, "SCALAR", "");
+    let up = maker.vec3(&[Vec3::Z; 4]);
+    let mesh = mesh.replace(
+        r#""indices""#,
+        &format!(r#""targets": [{{"POSITION": {up}}}, {{"POSITION": {up}}}], "indices""#),
+    );
+    let pointer = |sampler: u32, to: &str| {
+        format!(
+            r#"{{"sampler": {sampler}, "target": {{"path": "pointer", "extensions": {{"KHR_animation_pointer": {{"pointer": "{to}"}}}}}}}}"#
+        )
+    };
+    let channels = [
+        pointer(0, "/extensions/KHR_lights_punctual/lights/0/intensity"),
+        pointer(1, "/materials/0/emissiveFactor"),
+        pointer(1, "/nodes/1/translation"),
+        pointer(0, "/materials/0/occlusionTexture/strength"),
+        r#"{"sampler": 2, "target": {"node": 0, "path": "weights"}}"#.to_owned(),
+    ];
+    let sampler = |output: usize| format!(r#"{{"input": {times}, "output": {output}}}"#);
+    let rest = format!(
+        r#"{mesh}, "materials": [{{}}], "nodes": [{{"mesh": 0}}, {{"extensions": {{"KHR_lights_punctual": {{"light": 0}}}}}}],
+        "extensions": {{"KHR_lights_punctual": {{"lights": [{{"type": "point", "intensity": 3}}]}}}},
+        "extensionsUsed": ["KHR_lights_punctual", "KHR_animation_pointer"],
+        "animations": [{{"channels": [{}], "samplers": [{}, {}, {}]}}]"#,
+        channels.join(","),
+        sampler(scalars),
+        sampler(colors),
+        sampler(weights),
+    );
+    let before = loaded(&place, maker.text(&rest)).scene;
+    assert_eq!((before.mesh.positions[0].z, before.materials[0].emission.color), (0.0, Vec3::ZERO));
+    place.write("a.toml", "format = 1\n[gltf]\ntime = 1.0\n");
+    let found = loaded(&place, maker.text(&rest));
+    let Light::Point { position, intensity, .. } = found.scene.lights[0] else { panic!() };
+    assert_eq!((position, intensity), (Vec3::new(0.5, 0.25, 0.125), Vec3::splat(4.0)));
+    assert_eq!(found.scene.materials[0].emission.color, Vec3::new(0.5, 0.25, 0.125));
+    // Half of one and a quarter of the other target.
+    assert_eq!(found.scene.mesh.positions[0].z, 0.75);
+    assert!(says(&found, "occlusionTexture"));
+    let used: Vec<&str> = found.scene.extensions.iter().map(|e| e.name.as_str()).collect();
+    assert_eq!(used, ["KHR_animation_pointer", "KHR_lights_punctual"]);
+}

@@ -207,10 +207,11 @@ fn color(c: [f32; 3]) -> Vec3 {
     Vec3::from(c.map(unit))
 }
 
-/// Reads a material whose unique name is `name`.
+/// Reads a material whose unique name is `name`, on a mesh that is open or a body.
 pub(super) fn read(
     material: &Material,
     name: String,
+    is_open: bool,
     choices: &Choices,
     pictures: &mut Pictures<'_>,
     buffers: &mut Buffers<'_>,
@@ -222,7 +223,7 @@ pub(super) fn read(
         Some(g) => (g.diffuse_factor, &g.diffuse_texture),
         None => (pbr.base_color_factor, &pbr.base_color_texture),
     };
-    let mut kind = kind(material, odd);
+    let mut kind = kind(material, is_open, odd);
     let infos = if let Kind::MetalRough(_) = &kind { maps(material) } else { Maps::default() };
     let mut all: Vec<&TextureInfo> = base_info.iter().collect();
     let _: Result<Maps<()>, ()> = infos.try_map(|info, _| {
@@ -322,7 +323,7 @@ fn maps(material: &Material) -> Maps<&TextureInfo> {
 }
 
 /// What a material is, without its maps.
-fn kind(material: &Material, odd: &mut Oddities) -> Kind {
+fn kind(material: &Material, is_open: bool, odd: &mut Oddities) -> Kind {
     let e = &material.extensions;
     if e.unlit.is_some() {
         return Kind::Unlit;
@@ -378,7 +379,9 @@ fn kind(material: &Material, odd: &mut Oddities) -> Kind {
     let (metallic, through) = (source.metallic, source.through);
     // A body has one surface: what scatters below it has no place beside what passes.
     if let Some(volume) = e.volume.as_ref().filter(|v| v.thickness_factor > 0.0 && through > 0.0) {
-        if through * (1.0 - metallic) >= 0.5 {
+        if is_open {
+            odd.count("a volume whose mesh is open", "shown as a pane without its inside");
+        } else if through * (1.0 - metallic) >= 0.5 {
             let mapped = e.transmission.as_ref().is_some_and(|t| t.transmission_texture.is_some());
             if through < 1.0 || mapped || metallic > 0.0 || pbr.metallic_roughness_texture.is_some() {
                 odd.count("a volume that is not all glass", "shown as clear glass of its factors");
@@ -390,8 +393,9 @@ fn kind(material: &Material, odd: &mut Oddities) -> Kind {
             let dispersion = e.dispersion.as_ref().map_or(0.0, |d| bounded(d.dispersion, 20.0));
             let (transmittance, roughness) = (transmittance(volume), source.roughness);
             return Kind::Glass { ior, transmittance, roughness, dispersion };
+        } else {
+            odd.count("a volume that lets less than half of the light through", "shown without its inside");
         }
-        odd.count("a volume that lets less than half of the light through", "shown without its inside");
     }
     Kind::MetalRough(Box::new(source))
 }

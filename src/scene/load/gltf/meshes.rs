@@ -184,6 +184,31 @@ impl Part {
         vec![(WHITE, Cow::Borrowed(self))]
     }
 
+    /// Whether it is no body: more than a hundredth of its edges has a triangle on one side only.
+    pub fn is_open(&self) -> bool {
+        /// Edges with a triangle on one side, to all of them.
+        const OPEN: f32 = 0.01;
+        /// Parts of the body's size within which vertices are at one place.
+        const PLACES: f32 = 65_536.0;
+        let (low, high) = self
+            .positions
+            .iter()
+            .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
+        let step = PLACES / (high - low).max_element().max(f32::MIN_POSITIVE);
+        // Vertices at one place are one, whatever else they have.
+        let place = |v: u32| ((self.positions[v as usize] - low) * step).round().to_array().map(|c| c as i64);
+        let mut sides: HashMap<[[i64; 3]; 2], u32> = HashMap::new();
+        for &[a, b, c] in &self.triangles {
+            for (from, to) in [(a, b), (b, c), (c, a)] {
+                let mut edge = [place(from), place(to)];
+                edge.sort_unstable();
+                *sides.entry(edge).or_default() += 1;
+            }
+        }
+        let open = sides.values().filter(|n| **n == 1).count();
+        open as f32 > OPEN * sides.len() as f32
+    }
+
     /// These triangles, and the vertices that they use.
     fn only(&self, triangles: &[[u32; 3]]) -> Self {
         let mut place: HashMap<u32, u32> = HashMap::new();
@@ -257,6 +282,21 @@ mod tests {
         assert_eq!(list(5, 5), [[0, 1, 2], [2, 1, 3], [2, 3, 4]]);
         assert_eq!(list(6, 5), [[0, 1, 2], [0, 2, 3], [0, 3, 4]]);
         assert!(list(5, 2).is_empty() && list(6, 0).is_empty());
+    }
+
+    #[test]
+    fn a_body_has_no_edges_with_one_side() {
+        let corners = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z];
+        let closed = vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
+        let body = |triangles| Part { positions: corners.to_vec(), triangles, ..Part::default() };
+        assert!(!body(closed.clone()).is_open() && body(closed[..3].to_vec()).is_open());
+        // As exporters write it, with corners of their own for each face.
+        let apart = Part {
+            positions: closed.iter().flatten().map(|&v| corners[v as usize]).collect(),
+            triangles: (0..4).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
+            ..Part::default()
+        };
+        assert!(!apart.is_open());
     }
 
     #[test]

@@ -256,8 +256,9 @@ struct Reader<'d, 'o> {
     out: GltfFile,
     /// Names of materials so far.
     names: HashSet<String>,
-    /// Slot of a material of the document, times a colour; `u32::MAX` is the one of what has none.
-    material_of: HashMap<(u32, [u8; 4]), u32>,
+    /// Slot of a material of the document, times a colour, on an open mesh or another; `u32::MAX` is the one of what has
+    /// none.
+    material_of: HashMap<(u32, [u8; 4], bool), u32>,
     /// Of each slot.
     coordinates: Vec<Coordinates>,
     /// Parts with tangents that were made, by mesh, primitive, colour and slot.
@@ -362,7 +363,7 @@ impl<'d> Reader<'d, '_> {
                 }
                 let is_shared = matches!(part, Cow::Borrowed(_));
                 for (color, part) in part.shades() {
-                    let slot = self.material(primitive, color, buffers)?;
+                    let slot = self.material(primitive, color, &part, buffers)?;
                     let along = self.coordinates[slot as usize].along.filter(|_| part.tangents.is_empty());
                     let key = is_shared.then_some((index.0, number, color, slot));
                     let dressed = along.and_then(|along| self.dressed(&part, along, key));
@@ -453,6 +454,7 @@ impl<'d> Reader<'d, '_> {
         &mut self,
         primitive: &Primitive,
         color: [u8; 4],
+        part: &Part,
         buffers: &mut Buffers<'d>,
     ) -> Result<u32, Problem> {
         let mapped = self.variant.and_then(|variant| {
@@ -460,15 +462,16 @@ impl<'d> Reader<'d, '_> {
             all.mappings.iter().find(|m| m.variants.contains(&Index(variant))).map(|m| m.material)
         });
         let index = mapped.or(primitive.material);
-        let key = (index.map_or(u32::MAX, |i| i.0), color);
-        if let Some(&slot) = self.material_of.get(&key) {
-            return Ok(slot);
-        }
         let default = document::Material::default();
         let material = match index {
             None => &default,
             Some(i) => get(&self.document.materials, i, "materials")?,
         };
+        let is_open = material.extensions.volume.is_some() && part.is_open();
+        let key = (index.map_or(u32::MAX, |i| i.0), color, is_open);
+        if let Some(&slot) = self.material_of.get(&key) {
+            return Ok(slot);
+        }
         let plain = material.name.as_deref().map_or_else(String::new, named);
         let plain = match (plain.is_empty(), index) {
             (false, _) => plain,
@@ -480,8 +483,15 @@ impl<'d> Reader<'d, '_> {
             name = format!("{plain} #{}", self.out.materials.len());
             self.names.insert(name.clone());
         }
-        let (mut source, coordinates) =
-            materials::read(material, name.clone(), self.choices, &mut self.pictures, buffers, self.odd)?;
+        let (mut source, coordinates) = materials::read(
+            material,
+            name.clone(),
+            is_open,
+            self.choices,
+            &mut self.pictures,
+            buffers,
+            self.odd,
+        )?;
         let [r, g, b, opacity] = color.map(|v| f32::from(v) / 255.0);
         source.base *= glam::Vec3::new(r, g, b);
         source.base_alpha *= opacity;

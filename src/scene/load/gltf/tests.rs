@@ -118,6 +118,19 @@ fn with_materials(name: &str, materials: &str) -> Loaded {
     loaded(&place, maker.text(&rest))
 }
 
+/// The same with both sides of the quad apart, so that it encloses a body, if a flat one.
+fn with_body(name: &str, materials: &str) -> Loaded {
+    let place = Place::new(name);
+    let mut maker = Maker::default();
+    let position = maker.vec3(&CORNERS);
+    let indices = maker.indices(&[0, 1, 2, 0, 2, 3, 0, 2, 1, 0, 3, 2]);
+    let rest = format!(
+        r#""meshes": [{{"primitives": [{{"attributes": {{"POSITION": {position}}}, "indices": {indices}, "material": 0}}]}}],
+        "nodes": [{{"mesh": 0}}], "materials": {materials}"#
+    );
+    loaded(&place, maker.text(&rest))
+}
+
 fn area(scene: &Scene) -> f32 {
     let of = |t: usize| {
         let [a, b, c] = scene.mesh.corners(t as u32);

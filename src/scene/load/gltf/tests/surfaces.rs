@@ -132,7 +132,7 @@ fn veils_blend_and_glass_passes_what_is_not_reflected() {
 
 #[test]
 fn a_body_of_glass_absorbs_by_its_distance_and_is_tinted_at_its_surface() {
-    let glass = with_materials(
+    let glass = with_body(
         "gltf-volume",
         r#"[{"pbrMetallicRoughness": {"baseColorFactor": [0.5, 1, 1, 1], "roughnessFactor": 0}, "extensions":
         {"KHR_materials_transmission": {"transmissionFactor": 1}, "KHR_materials_volume": {"thicknessFactor": 1,
@@ -140,7 +140,7 @@ fn a_body_of_glass_absorbs_by_its_distance_and_is_tinted_at_its_surface() {
     );
     // Metal by default, which is no glass.
     assert!(matches!(glass.scene.materials[0].model, Model::MetalRough(_)));
-    let glass = with_materials(
+    let glass = with_body(
         "gltf-volume-glass",
         r#"[{"pbrMetallicRoughness": {"baseColorFactor": [0.5, 1, 1, 1], "roughnessFactor": 0, "metallicFactor": 0}, "extensions":
         {"KHR_materials_transmission": {"transmissionFactor": 1}, "KHR_materials_volume": {"thicknessFactor": 1,
@@ -152,6 +152,13 @@ fn a_body_of_glass_absorbs_by_its_distance_and_is_tinted_at_its_surface() {
     assert_eq!(ior, 1.3);
     // After one unit, which is twice the distance.
     assert!((transmittance - Vec3::new(0.25, 0.0625, 1.0)).abs().max_element() < 1e-5, "{transmittance}");
+    // An open mesh encloses nothing.
+    let pane = with_materials(
+        "gltf-volume-open",
+        r#"[{"pbrMetallicRoughness": {"metallicFactor": 0}, "extensions": {"KHR_materials_transmission": {"transmissionFactor": 1},
+        "KHR_materials_volume": {"thicknessFactor": 1}}}]"#,
+    );
+    assert!(says(&pane, "mesh is open") && matches!(pane.scene.materials[0].model, Model::MetalRough(_)));
 }
 
 #[test]

@@ -112,7 +112,7 @@ pub(super) fn read<'d>(
         let each = if interpolation == Interpolation::Cubic { 3 } else { 1 };
         let count = accessors.count(sampler.input)?;
         let found = accessors.count(sampler.output)?;
-        let per_key = if count > 0 { found / count } else { 0 };
+        let per_key = found.checked_div(count).unwrap_or(0);
         // Of morph targets there are as many numbers as targets.
         let (width, fits) = match moves {
             Place::Node(_, Property::Rotation) => (4, per_key == each),

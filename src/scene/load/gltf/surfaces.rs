@@ -81,9 +81,8 @@ pub(in super::super) fn finish(
     let mut known: HashMap<Key, joined::Joined> = HashMap::new();
     let mut leaning: HashMap<(TextureId, u32), TextureId> = HashMap::new();
     for mut p in pending {
-        let resolve = |id: Option<TextureId>| id.and_then(|id| ids.get(id.0 as usize).copied().flatten());
-        p.base = resolve(p.base);
-        p.maps = std::mem::take(&mut p.maps).filtered(resolve);
+        p.base = resolved(p.base, ids);
+        p.maps = std::mem::take(&mut p.maps).filtered(|id| resolved(id, ids));
         let Some(material) = materials.get_mut(p.material.0 as usize) else { continue };
         if let Some(map) = material.normal_map.filter(|_| p.source.normal_scale != 1.0) {
             let key = (map, p.source.normal_scale.to_bits());
@@ -97,6 +96,11 @@ pub(in super::super) fn finish(
         }
     }
     drop_unused(materials, textures);
+}
+
+/// The final id of a texture that was asked for, if there is one.
+fn resolved(id: Option<TextureId>, ids: &[Option<TextureId>]) -> Option<TextureId> {
+    id.and_then(|id| ids.get(id.0 as usize).copied().flatten())
 }
 
 fn finish_one(

@@ -201,9 +201,7 @@ fn backs_are_seen_through_and_lit_all_the_same() {
     let mut scene = both.clone();
     let back: Vec<[u32; 3]> = scene.mesh.triangles.iter().map(|&[a, b, c]| [a, c, b]).collect();
     scene.mesh.triangles.extend(back);
-    for list in [&mut scene.mesh.objects] {
-        list.extend_from_within(..);
-    }
+    scene.mesh.objects.extend_from_within(..);
     scene.mesh.materials.extend_from_within(..);
     assert_eq!([sees(&scene, 1.0), sees(&scene, -1.0)], [true, true]);
 }

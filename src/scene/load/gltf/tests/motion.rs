@@ -158,3 +158,37 @@ fn lights_colours_and_weights_are_those_of_the_shown_time() {
     let used: Vec<&str> = found.scene.extensions.iter().map(|e| e.name.as_str()).collect();
     assert_eq!(used, ["KHR_animation_pointer", "KHR_lights_punctual"]);
 }
+
+#[test]
+fn one_candela_at_one_metre_is_one_lux_and_a_range_ends_it() {
+    use crate::geometry::{Hit, Ray};
+    use crate::transport::bsdf::Bsdf;
+    use crate::transport::gather::Trust;
+    use crate::transport::interaction::Interaction;
+    use crate::transport::medium::Media;
+    // 1 − (d / range)⁴ at half the range is 15/16.
+    for (name, range, expected) in
+        [("none", "", 1.0), ("two", r#", "range": 2"#, 0.9375), ("one", r#", "range": 1"#, 0.0)]
+    {
+        let place = Place::new(&format!("gltf-candela-{name}"));
+        let mut maker = Maker::default();
+        let mesh = quad(&mut maker);
+        let scene = loaded(
+            &place,
+            maker.text(&format!(
+                r#"{mesh}, "materials": [{{"pbrMetallicRoughness": {{"metallicFactor": 0}}}}], "nodes": [{{"mesh": 0}},
+                {{"translation": [0.6, 0.3, 1], "extensions": {{"KHR_lights_punctual": {{"light": 0}}}}}}],
+                "extensions": {{"KHR_lights_punctual": {{"lights": [{{"type": "point", "intensity": 1{range}}}]}}}}"#
+            )),
+        )
+        .scene;
+        let uniform = std::sync::Arc::new(crate::illumination::Uniform(Vec3::ZERO));
+        let world = crate::world::World::new(scene.into(), uniform);
+        // Below the lamp: (0, 0), (1, 0), (1, 1) with weights 0.4, 0.3, 0.3.
+        let hit = Hit { t: 1.0, triangle: 0, b1: 0.3, b2: 0.3 };
+        let at = Interaction::at(&world.scene, &Ray::new(Vec3::new(0.6, 0.3, 1.0), Vec3::NEG_Z), &hit);
+        let bsdf = Bsdf::at(&world.scene, &at);
+        let found = world.gather(Trust::Nobody).named(&at, &bsdf, Media::EMPTY);
+        assert!((found - Vec3::splat(expected)).abs().max_element() < 1e-6, "{name}: {found}");
+    }
+}

@@ -125,7 +125,7 @@ fn visible_through_mask(in: Corner) -> @location(0) u32 {
         let texel = textureSampleLevel(opacity_map, opacity_sampler, p, 0.0);
         opacity *= select((texel.r + texel.g + texel.b) / 3.0, texel.a, (flags & OPACITY_IS_ALPHA) != 0u);
     }
-    if opacity < 0.5 || (flags & CULLED) != 0u && is_back(in.record) {
+    if opacity < 0.5 || ((flags & CULLED) != 0u && is_back(in.record)) {
         discard;
     }
     return in.record;

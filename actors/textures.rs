@@ -6,7 +6,7 @@ use crossbeam_queue::ArrayQueue;
 use foveal::allocation::residency::{TextureFacts, smallest};
 use foveal::allocation::spatial_error::{SpatialErrors, SpatialSettings, TexelDifference};
 use foveal::perception::viewing::{pixels_per_degree_of_camera, pixels_per_degree_of_screen};
-use foveal::scene::{Model, Scene, Texture, mip_cache};
+use foveal::scene::{Model, Scene, Texture, Wrap, mip_cache};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -155,7 +155,9 @@ pub fn decisive(scene: &Scene) -> Vec<bool> {
             _ => material.tint.map,
         };
         let others = [material.opacity_map, material.bump_map, material.normal_map, lobe, through];
-        for map in others.into_iter().flatten() {
+        let recipe = material.model.recipe().map_or_else(Vec::new, |r| r.maps());
+        let read = recipe.into_iter().filter(|map| Some(*map) != material.picture());
+        for map in others.into_iter().flatten().chain(read) {
             decisive[map.0 as usize] = true;
         }
     }
@@ -171,7 +173,7 @@ fn measured_before(
 ) -> SpatialErrors {
     let mut key = blake3::Hasher::new();
     key.update(content);
-    key.update(&[1, u8::from(texture.clamp), s.difference as u8]);
+    key.update(&[1, u8::from(texture.placement.wrap != [Wrap::Repeat; 2]), s.difference as u8]);
     key.update(&s.pixels_per_degree.to_le_bytes());
     key.update(&s.white_cd_m2.to_le_bytes());
     let file = folder.join(format!("{}.fvspat", &key.finalize().to_hex()[..32]));

@@ -111,7 +111,7 @@ pub fn metered(mut scene: Arc<Scene>, accel: &Accel, lights: &Lights) -> Arc<Sce
             let paths = Gather::new(&scene, accel, lights, Trust::Nobody);
             let of = |s: u32| paths.radiance(&ray, Stream::new(0x3e7e, i.into(), s.into()));
             // Where nothing is, nothing is too dark.
-            if scene.environment.is_none() && accel.intersect(&scene, &ray).is_none() {
+            if scene.environment.is_none() && accel.intersect_seen(&scene, &ray).is_none() {
                 return None;
             }
             let mean = (0..METER_PATHS).map(|s| luminance(of(s))).sum::<f32>() / METER_PATHS as f32;

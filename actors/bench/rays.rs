@@ -275,6 +275,8 @@ fn plain_scene(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Scene {
     let mesh = Mesh {
         normals: vec![Vec3::ZERO; positions.len()],
         uvs: vec![Vec2::ZERO; positions.len()],
+        uvs1: Vec::new(),
+        tangents: Vec::new(),
         positions,
         triangles,
         materials: vec![MaterialId(0); count],
@@ -295,6 +297,7 @@ fn plain_scene(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Scene {
         up: Vec3::Y,
         display: Default::default(),
         budget: Default::default(),
+        extensions: Vec::new(),
         content_hash: [0; 32],
     }
     .with_textures(Vec::new())

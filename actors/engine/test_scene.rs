@@ -151,6 +151,7 @@ pub fn room(n: usize) -> Scene {
         up: Vec3::Y,
         display: Display::default(),
         budget: Default::default(),
+        extensions: Vec::new(),
         content_hash: [0; 32],
     }
     .with_textures(vec![Texture::new("checker", MipChain::from_rgba8(64, 32, checker, true)), mask])

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 use serde_json::{Value, json};
 
-use foveal::scene::Scene;
 use foveal::scene::plan::ScenePlan;
+use foveal::scene::{ExtensionUse, Scene};
 
 use foveal_engine::failure::Failure;
 use foveal_engine::opened::load_scene_as;
@@ -57,6 +57,9 @@ pub fn run(a: &ExplainArguments) -> Result<(), Failure> {
                 "id": id, "name": o.name, "triangles": o.triangles.len(),
                 "material": scene.materials[o.material.0 as usize].name,
             })).collect::<Vec<_>>(),
+            "extensions": scene.extensions.iter().map(|e| json!({
+                "name": e.name, "times": e.times, "became": e.became,
+            })).collect::<Vec<_>>(),
             "parts": plan_json(&plan),
             "warnings": warnings,
         }));
@@ -65,6 +68,10 @@ pub fn run(a: &ExplainArguments) -> Result<(), Failure> {
     print_line(&format!("{} ({})", scene.title, scene.name));
     for (what, value) in facts(&scene) {
         print_line(&format!("  {what:10} {value}"));
+    }
+    for extension in &scene.extensions {
+        let ExtensionUse { name, times, became } = extension;
+        print_line(&format!("  {name}, {times} times: {became}"));
     }
     for part in &plan.parts {
         print_line(&format!("{} {:22} {}", if part.needed { "needs" } else { "skips" }, part.part, part.why));

@@ -227,13 +227,16 @@ const GLTF: &str = r#""bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer"
     "type": "VEC3", "sparse": {"count": 1, "indices": {"bufferView": 2, "componentType": 5121}, "values": {"bufferView": 0}}},
     {"bufferView": 1, "componentType": 5126, "count": 4, "type": "VEC2"},
     {"bufferView": 2, "componentType": 5121, "count": 6, "type": "SCALAR"}], "meshes": [{"primitives": [{"attributes":
-    {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0, "mode": 4}]}], "materials": [{"alphaMode": "MASK",
+    {"POSITION": 0, "TEXCOORD_0": 1, "TEXCOORD_1": 1}, "indices": 2, "material": 0, "mode": 4}]}], "materials": [{"alphaMode": "MASK",
     "pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "extensions": {"KHR_texture_transform": {"scale": [2, 3],
     "rotation": 0.5, "offset": [0.1, 0.2]}}}, "metallicRoughnessTexture": {"index": 0}}, "normalTexture": {"index": 0},
     "emissiveFactor": [1, 2, 3], "extensions": {"KHR_materials_ior": {"ior": 1.3}, "KHR_materials_transmission":
     {"transmissionFactor": 0.2, "transmissionTexture": {"index": 0}}, "KHR_materials_clearcoat": {"clearcoatFactor": 0.5},
-    "KHR_materials_sheen": {"sheenColorFactor": [1, 0.5, 0]}, "KHR_materials_anisotropy": {"anisotropyStrength": 0.5}, "KHR_materials_specular": {"specularFactor": 0.5}}}], "textures": [{"source": 0, "sampler":
-    0}], "samplers": [{"wrapS": 33071}], "images": [{"uri": "a.png"}], "cameras": [{"type": "perspective", "perspective":
+    "KHR_materials_sheen": {"sheenColorFactor": [1, 0.5, 0]}, "KHR_materials_anisotropy": {"anisotropyStrength": 0.5}, "KHR_materials_specular": {"specularFactor": 0.5,
+    "specularColorTexture": {"index": 0, "texCoord": 1}}, "KHR_materials_iridescence": {"iridescenceFactor": 0.7,
+    "iridescenceThicknessTexture": {"index": 0}}, "KHR_materials_diffuse_transmission": {"diffuseTransmissionFactor": 0.3},
+    "KHR_materials_dispersion": {"dispersion": 2}}}], "textures": [{"source": 0, "sampler":
+    0}], "samplers": [{"wrapS": 33071, "wrapT": 33648, "magFilter": 9728}], "images": [{"uri": "a.png"}], "cameras": [{"type": "perspective", "perspective":
     {"yfov": 0.7}}], "scenes": [{"nodes": [0]}], "scene": 0, "nodes": [{"children": [1, 2, 3], "rotation": [0, 0, 0.6, 0.8]},
     {"mesh": 0, "scale": [1, -2, 3], "weights": [1]}, {"camera": 0, "translation": [0, 0, 4]}, {"matrix":
     [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 1, 2, 3, 1], "extensions": {"KHR_lights_punctual": {"light": 0}, "EXT_mesh_gpu_instancing":

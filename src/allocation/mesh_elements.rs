@@ -146,7 +146,9 @@ fn mean_elevation(scene: &Scene, maps: &[Vec<Map2d<f32>>], triangle: u32, piece:
     let levels = material.picture().map_or(&[][..], |t| &maps[t.0 as usize]);
     let Some(finest) = levels.first() else { return 1.0 };
     let [a, b, c] = scene.mesh.corners(triangle);
-    let uv = scene.mesh.triangles[triangle as usize].map(|v| scene.mesh.uvs[v as usize]);
+    let placement = material.picture().map_or(Default::default(), |t| scene.textures[t.0 as usize].placement);
+    let uv = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]
+        .map(|(b1, b2)| scene.mesh.coordinates(triangle, b1, b2, placement.second));
     let n = (b - a).cross(c - a);
     let square = n.length_squared().max(f32::MIN_POSITIVE);
     let share = ((piece[1] - piece[0]).cross(piece[2] - piece[0]).length_squared() / square).sqrt();

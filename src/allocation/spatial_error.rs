@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use crate::image::{Map2d, luminance};
 use crate::perception::color_difference::{delta_e76, lab};
 use crate::perception::elevation::{Border, ElevationSettings, elevation};
-use crate::scene::Texture;
+use crate::scene::{Texture, Wrap};
 
 /// How the difference of two texels is measured. The two never mix: their units differ (correction D2).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -111,7 +111,7 @@ impl SpatialErrors {
             Map2d::from_fn(width, height, |x, y| Vec3::from_slice(&texture.texel(level, x, y)[..3]))
         };
         let levels: Vec<Map2d<Vec3>> = (first..count).map(map).collect();
-        let border = if texture.clamp { Border::Clamp } else { Border::Wrap };
+        let border = if texture.placement.wrap == [Wrap::Repeat; 2] { Border::Wrap } else { Border::Clamp };
         let measured = Self::of_levels(&levels, &SpatialSettings { border, ..*settings });
         let pair = |m: usize, j: usize| match m.checked_sub(first) {
             Some(m) => measured.error(m, j - first),

@@ -47,7 +47,7 @@ impl Accel {
         }
         let count = parts.len();
         let is_split = split(&mut parts, |t| mesh.corners(t));
-        let may_vanish = |m: &Material| m.opacity < 1.0 || m.opacity_map.is_some();
+        let may_vanish = |m: &Material| m.opacity < 1.0 || m.opacity_map.is_some() || m.culled;
         let vanishing: Vec<bool> = scene.materials.iter().map(may_vanish).collect();
         let binary = depth_first(&build_binary(&parts), &parts);
         drop(parts);
@@ -185,15 +185,33 @@ impl Accel {
         is_there.then_some(Hit { t, triangle, b1, b2 })
     }
 
-    /// Closest hits of sixteen rays from one point along unit directions; of hits at one distance that of the lowest
-    /// triangle.
+    /// The closest hit of a ray that an eye at its origin looks along: through the backs of culled materials.
+    pub fn intersect_seen(&self, scene: &Scene, ray: &Ray) -> Option<Hit> {
+        let mut closest: Option<Hit> = None;
+        self.wide.traverse::<true>(ray, |found| {
+            let hit = self.accepted(scene, ray, &found);
+            let Some(hit) = hit.filter(|hit| scene.faces(hit.triangle, ray.origin)) else {
+                return Some(f32::INFINITY);
+            };
+            if closest.is_none_or(|c| hit.t < c.t || hit.triangle < c.triangle) {
+                closest = Some(hit);
+            }
+            Some(hit.t)
+        });
+        closest
+    }
+
+    /// Closest hits of sixteen rays that an eye looks along, from one point along unit directions, through the backs of
+    /// culled materials; of hits at one distance that of the lowest triangle.
     pub fn intersect_packet(
         &self,
         scene: &Scene,
         origin: Vec3,
         directions: &[Vec3; LANES],
     ) -> [Option<Hit>; LANES] {
-        let is_there = |triangle: u32, b1: f32, b2: f32| scene.is_opaque_at(triangle, b1, b2);
+        let is_there = |triangle: u32, b1: f32, b2: f32| {
+            scene.is_opaque_at(triangle, b1, b2) && scene.faces(triangle, origin)
+        };
         let hit = packet::intersect(&self.wide, origin, directions, &is_there);
         std::array::from_fn(|l| {
             let (t, triangle) = (hit.t[l], hit.triangle[l]);

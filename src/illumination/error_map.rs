@@ -39,7 +39,7 @@ impl ErrorMap {
         let frame = camera.frame(width, height);
         let pixel = |i: u32| {
             let direction = frame.direction((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
-            let hit = accel.intersect(scene, &Ray::new(camera.eye, direction))?;
+            let hit = accel.intersect_seen(scene, &Ray::new(camera.eye, direction))?;
             let [a, b, c] = scene.mesh.corners(hit.triangle);
             let front = (b - a).cross(c - a).dot(direction) < 0.0;
             (front && scene.material_of(hit.triangle).has_diffuse()).then(|| {

@@ -111,6 +111,7 @@ pub fn scene(mesh: Mesh, materials: Vec<Material>, lights: Vec<Light>) -> Scene 
         up: Vec3::Y,
         display: Display::default(),
         budget: Default::default(),
+        extensions: Vec::new(),
         content_hash: [0; 32],
     }
     .with_textures(Vec::new())

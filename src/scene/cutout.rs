@@ -1,5 +1,7 @@
 //! Cut-out opacity: whether a surface is there at a point.
 
+use glam::Vec3;
+
 use super::{Scene, TriangleIndex};
 
 impl Scene {
@@ -9,9 +11,18 @@ impl Scene {
         let material = &self.materials[self.mesh.materials[t as usize].0 as usize];
         let Some(map) = material.opacity_map else { return material.opacity >= 0.5 };
         let texture = &self.textures[map.0 as usize];
-        let [i, j, k] = self.mesh.triangles[t as usize].map(|v| self.mesh.uvs[v as usize]);
-        let uv = i * (1.0 - b1 - b2) + j * b1 + k * b2;
+        let uv = self.mesh.coordinates(t, b1, b2, texture.placement.second);
         let mask = texture.mask(uv, 0.0);
         material.opacity * mask >= 0.5
+    }
+
+    /// Whether an eye at `origin` sees a triangle: not the back of a material whose backs are seen through.
+    pub fn faces(&self, t: TriangleIndex, origin: Vec3) -> bool {
+        let material = &self.materials[self.mesh.materials[t as usize].0 as usize];
+        if !material.culled {
+            return true;
+        }
+        let [a, b, c] = self.mesh.corners(t).map(|p| p - origin);
+        (b - a).cross(c - a).dot(a) <= 0.0
     }
 }

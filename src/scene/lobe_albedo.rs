@@ -29,6 +29,25 @@ static TABLE: LazyLock<LobeAlbedo> = LazyLock::new(|| {
     LobeAlbedo((0..COSINES * ROUGHNESSES).into_par_iter().map(entry).collect())
 });
 
+/// Cosine-weighted means of A, of B, and of what either gains ([`LobeAlbedo::gain`]), by √α.
+static MEANS: LazyLock<Vec<[f32; 4]>> = LazyLock::new(|| {
+    const STEPS: usize = 96;
+    let table = LobeAlbedo::table();
+    let mean = |y: usize| {
+        let r = y as f32 / (ROUGHNESSES - 1) as f32;
+        let mut sums = [0.0; 4];
+        for i in 0..STEPS {
+            let cosine = (i as f32 + 0.5) / STEPS as f32;
+            let ([a, b], gain) = (table.at(cosine, r * r), table.gain(cosine, r * r));
+            for (sum, v) in sums.iter_mut().zip([a, b, a * gain, b * gain]) {
+                *sum += 2.0 * cosine * v / STEPS as f32;
+            }
+        }
+        sums
+    };
+    (0..ROUGHNESSES).map(mean).collect()
+});
+
 /// The parts of ∫ f cos dω that f₀ and f₉₀ scale, by samples of visible facets (Heitz 2018).
 fn integrate(cosine: f32, alpha: f32) -> [f32; 2] {
     const SAMPLES: u32 = 256;
@@ -72,6 +91,16 @@ impl LobeAlbedo {
         (1.0 / (a + b).max(0.1) - 1.0).max(0.0)
     }
 
+    /// [`Self::layer_mean`] from a table.
+    pub fn quick_mean(&self, f0: f32, f90: f32, alpha: f32) -> f32 {
+        let p = alpha.clamp(0.0, 1.0).sqrt() * (ROUGHNESSES - 1) as f32;
+        let low = (p as usize).min(ROUGHNESSES - 2);
+        let (below, above) = (MEANS[low], MEANS[low + 1]);
+        let [a, b, a_again, b_again] =
+            std::array::from_fn(|i| below[i] + (above[i] - below[i]) * (p - low as f32));
+        (f0 * (a + f90 * b_again + f0 * a_again) + f90 * b).clamp(0.0, 1.0)
+    }
+
     /// Reflectance towards `cosine` of a layer with `f0` at normal and `f90` at grazing incidence.
     pub fn layer(&self, f0: f32, f90: f32, cosine: f32, alpha: f32) -> f32 {
         let [a, b] = self.at(cosine, alpha);
@@ -106,6 +135,10 @@ mod tests {
         // Schlick's mean is f₀ + (1 − f₀) / 21.
         let mean = table.layer_mean(0.04, 1.0, 0.0);
         assert!((mean - (0.04 + 0.96 / 21.0)).abs() < 0.003, "{mean}");
+        for (f0, f90, alpha) in [(0.04, 1.0, 0.01), (0.3, 1.0, 0.4), (0.02, 0.5, 1.0), (1.0, 1.0, 0.25)] {
+            let (quick, exact) = (table.quick_mean(f0, f90, alpha), table.layer_mean(f0, f90, alpha));
+            assert!((quick - exact).abs() < 2e-3, "{f0} {f90} {alpha}: {quick} {exact}");
+        }
         assert!(table.gain(1.0, 1.0) > 0.5 && table.gain(1.0, 0.0) < 1e-5);
     }
 

@@ -4,6 +4,7 @@ use glam::Vec3;
 
 use super::coat::Coat;
 use super::metal_rough::MetalRough;
+use super::recipe::Recipe;
 
 /// Index into `Scene::materials`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
@@ -147,6 +148,14 @@ impl Model {
         }))
     }
 
+    /// What of it is read point by point, if anything is.
+    pub fn recipe(&self) -> Option<&Recipe> {
+        match self {
+            Self::MetalRough(m) => m.recipe.as_deref(),
+            _ => None,
+        }
+    }
+
     /// Roughness of the view-dependent lobes, its mean where texels differ; `None` where there is none to be rough.
     pub fn roughness(&self) -> Option<Roughness> {
         match self {
@@ -187,6 +196,10 @@ pub struct Material {
     pub tint: Reflectance,
     /// Its emission is what it looks like, from both sides, and lights nothing (glTF's unlit).
     pub shadeless: bool,
+    /// An eye sees through its back. Light meets both sides all the same.
+    pub culled: bool,
+    /// Of glass: how much more red and blue are bent than each other, 20 divided by the Abbe number.
+    pub dispersion: f32,
 }
 
 impl Material {
@@ -204,6 +217,8 @@ impl Material {
             two_sided: true,
             tint: Reflectance::constant(Vec3::ONE),
             shadeless: false,
+            culled: false,
+            dispersion: 0.0,
         }
     }
 }
@@ -244,7 +259,9 @@ impl Material {
         match &self.model {
             Model::Lambert { albedo } | Model::Plastic { albedo, .. } => shows(albedo),
             Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => shows(diffuse),
-            Model::MetalRough(m) => shows(&m.diffuse),
+            Model::MetalRough(m) => {
+                shows(&m.diffuse) || m.recipe.as_ref().is_some_and(|r| r.passes.is_some())
+            }
             Model::Mirror { .. }
             | Model::Conductor { .. }
             | Model::Metal { .. }
@@ -267,6 +284,7 @@ impl Material {
         self.normal_map.is_some()
             || self.bump_map.is_some()
             || self.model.roughness().is_some_and(|r| r.alpha_x != r.alpha_y)
+            || matches!(&self.model, Model::MetalRough(m) if m.has_direction())
     }
 
     /// Whether light passes through it.

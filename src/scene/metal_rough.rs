@@ -13,7 +13,9 @@
 //! base and layer. The products (1 − m) b (1 − Ē) and f₀ are made for each texel when a scene is loaded: the base layer
 //! shows the one by itself, a lobe needs the other with r, and neither needs a third map.
 
+pub use super::film::Film;
 use super::lobe_albedo::LobeAlbedo;
+use super::recipe::Recipe;
 use super::{Reflectance, Sheen};
 
 /// Steps of r at which Ē is kept.
@@ -50,6 +52,8 @@ pub struct MetalRough {
     pub over: Option<Over>,
     /// Grain of the layer.
     pub grain: Option<Grain>,
+    /// What is read point by point instead of all that, where maps cannot be joined.
+    pub recipe: Option<Box<Recipe>>,
     /// Whether it counts as diffuse: so rough, and so little metal, that its layer hardly depends on the view.
     pub is_diffuse: bool,
 }
@@ -118,6 +122,18 @@ impl Over {
         (coat.is_some() || sheen.is_some()).then_some(Self { coat, sheen, mean })
     }
 
+    /// [`Self::new`] with means from tables.
+    pub fn quick(coat: Option<Coat>, sheen: Option<Sheen>) -> Option<Self> {
+        let coat = coat.filter(|c| c.strength > 0.0);
+        let sheen = sheen.filter(|s| s.color.max_element() > 0.0);
+        let below = sheen.map_or(1.0, |s| 1.0 - s.color.max_element() * Sheen::quick_mean(s.alpha()));
+        let table = LobeAlbedo::table();
+        let reflected =
+            |c: Coat| c.strength * table.quick_mean(Coat::F0, 1.0, MetalRough::alpha(c.roughness));
+        let mean = coat.map_or(1.0, |c| 1.0 - reflected(c)) * below;
+        (coat.is_some() || sheen.is_some()).then_some(Self { coat, sheen, mean })
+    }
+
     /// The share of light towards `cosine` that the coat leaves to what is below it.
     pub fn below_coat(&self, cosine: f32) -> f32 {
         self.coat.map_or(1.0, |c| 1.0 - c.reflectance(cosine))
@@ -144,12 +160,19 @@ impl MetalRough {
 
     /// Whether light passes it, straight or blurred.
     pub fn is_seen_through(&self) -> bool {
-        self.coverage < 1.0 || self.coverage_in_alpha || self.through.color.max_element() > 0.0
+        let by_recipe = self.recipe.as_ref().is_some_and(|r| r.through.factor > 0.0);
+        self.coverage < 1.0 || self.coverage_in_alpha || self.through.color.max_element() > 0.0 || by_recipe
+    }
+
+    /// Whether it has grooves, or a coat with normals of its own.
+    pub fn has_direction(&self) -> bool {
+        let by_recipe = |r: &Recipe| r.grain.is_some() || r.coat_normal.is_some();
+        self.grain.is_some() || self.recipe.as_deref().is_some_and(by_recipe)
     }
 
     /// Whether the lobes of the layer are all there are.
     pub fn is_plain(&self) -> bool {
-        !self.is_seen_through() && self.over.is_none() && self.grain.is_none()
+        !self.is_seen_through() && self.over.is_none() && self.grain.is_none() && self.recipe.is_none()
     }
 }
 

@@ -10,6 +10,7 @@ mod cutout;
 mod defaults;
 pub mod edit;
 pub mod environment;
+pub mod film;
 pub mod fresnel;
 pub mod hierarchy;
 pub mod load;
@@ -19,7 +20,9 @@ pub mod metal_rough;
 pub mod microfacet;
 pub mod mip_cache;
 pub mod path;
+pub mod placement;
 pub mod plan;
+pub mod recipe;
 pub mod sheen;
 pub mod split_sum;
 #[cfg(test)]
@@ -29,7 +32,7 @@ pub mod texture;
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
-use glam::{Vec2, Vec3};
+use glam::{Vec2, Vec3, Vec4};
 
 pub use camera::{Camera, CameraPath, NamedCamera};
 pub use coat::Coat;
@@ -37,6 +40,7 @@ pub use environment::Environment;
 pub use lobe_albedo::LobeAlbedo;
 pub use material::{Distribution, Material, MaterialId, Model, Reflectance, Roughness, TextureId};
 pub use metal_rough::MetalRough;
+pub use placement::{Placement, Wrap};
 pub use sheen::Sheen;
 pub use split_sum::SplitSum;
 pub use texture::Texture;
@@ -53,6 +57,11 @@ pub struct Mesh {
     pub normals: Vec<Vec3>,
     /// Texture coordinates, origin at the lower left as in OBJ; zero where the file gave none.
     pub uvs: Vec<Vec2>,
+    /// Other coordinates, for pictures that lie differently ([`Placement::second`]); empty where there are none.
+    pub uvs1: Vec<Vec2>,
+    /// Unit tangents, along which normal maps and grain lie, and the sign with which normal × tangent is the bitangent;
+    /// empty, or zero at a vertex, where that is to follow from the coordinates.
+    pub tangents: Vec<Vec4>,
     /// Vertex indices, counter-clockwise seen from the front.
     pub triangles: Vec<[u32; 3]>,
     /// Material of each triangle.
@@ -67,6 +76,25 @@ impl Mesh {
     #[inline]
     pub fn corners(&self, t: TriangleIndex) -> [Vec3; 3] {
         self.triangles[t as usize].map(|v| self.positions[v as usize])
+    }
+
+    /// Texture coordinates at barycentrics, of the second set or the first.
+    #[inline]
+    pub fn coordinates(&self, t: TriangleIndex, b1: f32, b2: f32, second: bool) -> Vec2 {
+        let set = if second && !self.uvs1.is_empty() { &self.uvs1 } else { &self.uvs };
+        let [i, j, k] = self.triangles[t as usize].map(|v| set[v as usize]);
+        i * (1.0 - b1 - b2) + j * b1 + k * b2
+    }
+
+    /// The tangent at barycentrics, not of unit length, and the sign of its bitangent; `None` where the mesh has none.
+    pub fn tangent(&self, t: TriangleIndex, b1: f32, b2: f32) -> Option<Vec4> {
+        if self.tangents.is_empty() {
+            return None;
+        }
+        let [i, j, k] = self.triangles[t as usize].map(|v| self.tangents[v as usize]);
+        // All corners of a triangle have one sign.
+        let sum = i * (1.0 - b1 - b2) + j * b1 + k * b2;
+        (i.w * j.w * k.w != 0.0 && sum.is_finite()).then(|| sum.truncate().extend(i.w))
     }
 
     /// Interpolated vertex normal at a point of a triangle, on the side of `geometric`, its unit normal; that where there
@@ -196,6 +224,17 @@ impl Default for Display {
     }
 }
 
+/// An extension of a glTF file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ExtensionUse {
+    /// As the file calls it.
+    pub name: String,
+    /// How many objects of the file have it.
+    pub times: usize,
+    /// What became of it.
+    pub became: String,
+}
+
 /// Limits of the sidecar (`[budget]`).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Budget {
@@ -260,6 +299,8 @@ pub struct SceneParts {
     pub display: Display,
     /// Its limits.
     pub budget: Budget,
+    /// Extensions of its glTF files, and what became of them.
+    pub extensions: Vec<ExtensionUse>,
     /// BLAKE3 of everything that was read: geometry, materials, textures, sidecar.
     pub content_hash: [u8; 32],
 }

@@ -55,6 +55,13 @@ impl Sheen {
         (row(y) + (row(y + 1) - row(y)) * fy).clamp(0.0, 1.0)
     }
 
+    /// [`Self::mean`] from a table.
+    pub fn quick_mean(alpha: f32) -> f32 {
+        let p = alpha.clamp(0.0, 1.0).sqrt() * SIDE as f32;
+        let low = (p as usize).min(SIDE - 1);
+        MEANS[low] + (MEANS[low + 1] - MEANS[low]) * (p - low as f32)
+    }
+
     /// The cosine-weighted mean of [`Self::albedo`].
     pub fn mean(alpha: f32) -> f32 {
         const STEPS: usize = 48;
@@ -65,6 +72,12 @@ impl Sheen {
         (0..STEPS).map(of).sum::<f32>() / STEPS as f32
     }
 }
+
+/// Means by r, from 0 to 1.
+static MEANS: LazyLock<Vec<f32>> = LazyLock::new(|| {
+    let of = |i: usize| Sheen::mean((i as f32 / SIDE as f32).powi(2).max(ALPHA_MIN));
+    (0..=SIDE).map(of).collect()
+});
 
 /// Albedos by cosine and r.
 static TABLE: LazyLock<Vec<f32>> = LazyLock::new(|| {
@@ -100,6 +113,7 @@ mod tests {
             assert!(straight < grazing && grazing <= 1.0, "{r}: {straight} {grazing}");
             let mean = Sheen::mean(alpha);
             assert!(mean > 0.0 && mean < 0.6, "{r}: {mean}");
+            assert!((Sheen::quick_mean(alpha) - mean).abs() < 0.01, "{r}");
         }
         let (o, i) = (Vec3::new(0.6, 0.0, 0.8), Vec3::new(0.0, 0.8, 0.6));
         assert_eq!(Sheen::value(0.5, o, i), Sheen::value(0.5, i, o));

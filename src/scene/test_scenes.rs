@@ -19,6 +19,8 @@ pub fn of_triangles(corners: &[[Vec3; 3]]) -> Scene {
         mesh: Mesh {
             normals: vec![Vec3::ZERO; positions.len()],
             uvs: vec![Vec2::ZERO; positions.len()],
+            uvs1: Vec::new(),
+            tangents: Vec::new(),
             positions,
             triangles: (0..count as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
             materials: vec![MaterialId(0); count],
@@ -38,6 +40,7 @@ pub fn of_triangles(corners: &[[Vec3; 3]]) -> Scene {
         up: Vec3::Y,
         display: Display::default(),
         budget: Budget::default(),
+        extensions: Vec::new(),
         content_hash: [0; 32],
     }
     .with_textures(Vec::new())
@@ -97,6 +100,7 @@ pub fn scene(mesh: Mesh, materials: Vec<Material>) -> Scene {
         up: Vec3::Y,
         display: Display::default(),
         budget: Budget::default(),
+        extensions: Vec::new(),
         content_hash: [0; 32],
     }
     .with_textures(Vec::new());

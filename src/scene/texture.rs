@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec2;
 
+use super::placement::Placement;
 use crate::image::{linear_from_srgb, srgb_from_linear};
 
 /// Bytes of texels that all chains of this process hold now, and the most they ever held.
@@ -356,10 +357,8 @@ pub struct Texture {
     pub has_alpha: bool,
     /// `false` for masks, heights and normals, whose bytes are not gamma-decoded.
     pub is_color: bool,
-    /// Coordinates are clamped instead of repeated (`-clamp on`).
-    pub clamp: bool,
-    /// Scale (two numbers) and offset (two numbers) of the coordinates (`-s`, `-o`).
-    pub scale_offset: [f32; 4],
+    /// How it lies on surfaces.
+    pub placement: Placement,
 }
 
 impl Texture {
@@ -370,8 +369,7 @@ impl Texture {
             mips: Arc::new(mips),
             has_alpha: false,
             is_color: true,
-            clamp: false,
-            scale_offset: [1.0, 1.0, 0.0, 0.0],
+            placement: Placement::default(),
         }
     }
 
@@ -416,7 +414,12 @@ impl Texture {
         let level = if level > finest { level.min(last) } else { finest };
         let low = level as usize;
         let f = level - low as f32;
-        let p = self.wrapped(uv);
+        let p = self.placement.place(uv);
+        if self.placement.nearest && level <= finest {
+            let [w, h] = self.size(low);
+            let at = |v: f32, n: usize| ((v * n as f32) as usize).min(n - 1);
+            return self.texel(low, at(p.x, w), at(p.y, h));
+        }
         let a = self.bilinear(p, low);
         if f <= 0.0 {
             return a;
@@ -437,15 +440,6 @@ impl Texture {
         self.texel(self.mips.levels.len() - 1, 0, 0)
     }
 
-    /// Position in [0, 1]² from the upper left.
-    #[inline]
-    fn wrapped(&self, uv: Vec2) -> Vec2 {
-        let [su, sv, ou, ov] = self.scale_offset;
-        let p = Vec2::new(uv.x * su + ou, 1.0 - (uv.y * sv + ov));
-        let p = if self.clamp { p.clamp(Vec2::ZERO, Vec2::ONE) } else { p - p.floor() };
-        if p.is_finite() { p } else { Vec2::ZERO }
-    }
-
     #[inline]
     fn bilinear(&self, p: Vec2, level: usize) -> [f32; 4] {
         let l = &self.mips.levels[level];
@@ -456,18 +450,9 @@ impl Texture {
         let (fx, fy) = (x - x0, y - y0);
         let (x0, y0) = (x0 as i32, y0 as i32);
         // p is in [0, 1], so a position leaves the level by at most one texel.
-        let fold = |i: i32, n: i32| -> usize {
-            let i = if i < 0 {
-                if self.clamp { 0 } else { n - 1 }
-            } else if i >= n {
-                if self.clamp { n - 1 } else { 0 }
-            } else {
-                i
-            };
-            i as usize
-        };
-        let (xa, xb) = (fold(x0, w), fold(x0 + 1, w));
-        let (ya, yb) = (fold(y0, h) * w as usize, fold(y0 + 1, h) * w as usize);
+        let [u, v] = self.placement.wrap;
+        let (xa, xb) = (u.texel(x0, w), u.texel(x0 + 1, w));
+        let (ya, yb) = (v.texel(y0, h) * w as usize, v.texel(y0 + 1, h) * w as usize);
         let at = |x: usize, y: usize| self.mips.fetch(l, y + x);
         let (a, b, c, d) = (at(xa, ya), at(xb, ya), at(xa, yb), at(xb, yb));
         std::array::from_fn(|i| {
@@ -543,7 +528,7 @@ mod tests {
         assert_eq!(t.sample(Vec2::new(1.25, -0.75), 0.0)[0], 3.0);
         // The corner blends all four where the texture repeats, and is the nearest where it is clamped.
         assert_eq!(t.sample(Vec2::ZERO, 0.0)[0], 2.5);
-        t.clamp = true;
+        t.placement = Placement::clamped(true);
         assert_eq!(t.sample(Vec2::ZERO, 0.0)[0], 3.0);
         assert_eq!(t.sample(Vec2::new(-9.0, 9.0), 0.0)[0], 1.0);
         // Half way between the levels.
@@ -554,7 +539,7 @@ mod tests {
     fn any_number_gives_a_colour() {
         let mut t = checker();
         for clamp in [false, true] {
-            t.clamp = clamp;
+            t.placement = Placement::clamped(clamp);
             for v in [
                 f32::NAN,
                 f32::INFINITY,
@@ -579,9 +564,9 @@ mod tests {
     #[test]
     fn scale_and_offset_move_the_picture() {
         let mut t = checker();
-        t.scale_offset = [2.0, 2.0, 0.25, 0.0];
+        t.placement.scale_offset = [2.0, 2.0, 0.25, 0.0];
         let moved = t.sample(Vec2::new(0.0625, 0.0625), 0.0);
-        t.scale_offset = [1.0, 1.0, 0.0, 0.0];
+        t.placement.scale_offset = [1.0, 1.0, 0.0, 0.0];
         assert_eq!(moved, t.sample(Vec2::new(0.375, 0.125), 0.0));
     }
 

@@ -13,6 +13,7 @@ use glam::Vec3;
 
 use super::bidirectional::{End, geometric_cosine, scattering};
 use super::bsdf::Bsdf;
+use super::bsdf::bands::Band;
 use super::direct::{goes_straight, visibility};
 use super::interaction::Interaction;
 use super::light::Lights;
@@ -257,7 +258,7 @@ impl<'a> Caustics<'a> {
                 flight.flux *= now / left;
                 left = now;
             }
-            let bsdf = Bsdf::at(self.scene, &at);
+            let bsdf = flight.media.banded(Bsdf::at(self.scene, &at));
             let arrives = match self.sources.class {
                 // Whatever its colour there: a black texel is lit as its neighbours are.
                 Class::All => at.material(self.scene).has_diffuse(),
@@ -282,6 +283,8 @@ impl<'a> Caustics<'a> {
     ) -> Option<Onwards> {
         let (u, u_lobe, roulette) = (stream.next_2d(), stream.next_f32(), stream.next_f32());
         let class = self.sources.class;
+        let band = bsdf.is_dispersive().then(|| Band::chosen(stream.next_f32()));
+        let bsdf = &band.map_or(*bsdf, |band| bsdf.where_band_crosses(band, 3.0));
         let over_all_lobes = class == Class::Unfound && flight.vertices > 0;
         let sample =
             if over_all_lobes { bsdf.sample_all(at.wo, u, u_lobe) } else { bsdf.sample(at.wo, u, u_lobe) }?;
@@ -311,7 +314,7 @@ impl<'a> Caustics<'a> {
             return None;
         }
         if sample.transmitted {
-            flight.media = flight.media.crossed(self.scene, at);
+            flight.media = flight.media.crossed(self.scene, at).with_band(band);
         }
         flight.vertices += u32::from(!passed);
         flight.flux *= weight / survival;

@@ -29,6 +29,7 @@ use std::f32::consts::{FRAC_1_PI, PI};
 
 use glam::Vec3;
 
+use super::bsdf::bands::Band;
 use super::bsdf::{Bsdf, cosine_hemisphere};
 use super::direct::{arriving, goes_straight, mis_weight};
 use super::interaction::Interaction;
@@ -103,9 +104,10 @@ enum Dimension {
     Direction,
     Roulette,
     Lobe = 6,
+    Band = 7,
 }
 
-/// Dimensions of a vertex; one is left for directions that are learnt.
+/// Dimensions of a vertex.
 const DIMENSIONS: u32 = 8;
 /// Vertices whose numbers are stratified over the samples of a pixel; of later ones none matters much.
 const STRATIFIED: u32 = 4;
@@ -198,13 +200,13 @@ impl<'a> Gather<'a> {
         self.arriving_at(at, &Bsdf::at(self.scene, at), media, stream, 0)
     }
 
-    /// One sample of what arrives at the ray's origin against its direction, seen through a cone that widens by `spread`
+    /// One sample of what an eye at the ray's origin sees along it, seen through a cone that widens by `spread`
     /// per unit of length. Finite.
     pub fn seen(&self, ray: &Ray, spread: f32, stream: Stream) -> Seen {
         let Some(direction) = ray.direction.try_normalize() else { return Seen::default() };
         let scale = ray.direction.length();
         let ray = Ray { direction, t_min: ray.t_min * scale, t_max: ray.t_max * scale, ..*ray };
-        let Some(hit) = self.accel.intersect(self.scene, &ray) else {
+        let Some(hit) = self.accel.intersect_seen(self.scene, &ray) else {
             return Seen { emission: finite(self.lights.escaped(self.scene, direction)), ..Seen::default() };
         };
         let at = Interaction::at(self.scene, &ray, &hit).with_footprint(spread * hit.t);
@@ -219,6 +221,9 @@ impl<'a> Gather<'a> {
             seen.light = self.without_named().arriving_at(&at, &bsdf, Media::EMPTY, stream, 0);
             seen.light.sharp += named;
         }
+        if bsdf.passed_albedo() != Vec3::ZERO {
+            self.add_passed(&mut seen, &at, &bsdf, absorbed, { stream }.split(2));
+        }
         if bsdf.has_view_dependent() {
             // Numbers of its own: both parts are followed here.
             let stream = { stream }.split(1);
@@ -230,6 +235,27 @@ impl<'a> Gather<'a> {
             seen.lobes = finite(sum);
         }
         seen
+    }
+
+    /// Adds the light that falls on the other side and leaves on the one that is seen: as part of the light on one surface of
+    /// both albedos together.
+    #[cold]
+    fn add_passed(&self, seen: &mut Seen, at: &Interaction, bsdf: &Bsdf, absorbed: Vec3, stream: Stream) {
+        let passed = finite(bsdf.passed_albedo() * bsdf.coat_factor(at.wo) * absorbed);
+        let behind = at.turned(self.scene);
+        let other = Bsdf::at(self.scene, &behind);
+        let named = self.named(&behind, &other, Media::EMPTY);
+        let map = self.shown_at(&behind, named);
+        let mut light = self.without_named().arriving_at(&behind, &other, Media::EMPTY, stream, 0);
+        light.sharp += named;
+        let all = seen.albedo + passed;
+        let share =
+            Vec3::from_array(std::array::from_fn(|c| if all[c] > 0.0 { passed[c] / all[c] } else { 0.0 }));
+        let mixed = |a: Vec3, b: Vec3| a + (b - a) * share;
+        seen.map = mixed(seen.map, map);
+        seen.light.sharp = mixed(seen.light.sharp, light.sharp);
+        seen.light.soft = mixed(seen.light.soft, light.soft);
+        seen.albedo = all;
     }
 
     /// One sample of the radiance that arrives at the ray's origin against its direction. Finite.
@@ -276,7 +302,7 @@ impl<'a> Gather<'a> {
             let absorbed = path.media.transmittance_to(self.scene, &at, hit.t);
             path.weigh(absorbed);
             self.shine(at.point().emission(self.scene), &path, Some(hit), &mut sum);
-            let bsdf = Bsdf::at(self.scene, &at);
+            let bsdf = path.media.banded(Bsdf::at(self.scene, &at));
             let lobes = bsdf.lobe_share(at.wo);
             let chosen = path.numbers(stream, Dimension::Part).next_f32();
             if chosen < lobes {
@@ -286,7 +312,20 @@ impl<'a> Gather<'a> {
                     None => break,
                 }
             } else {
-                let diffuse = bsdf.diffuse_albedo() * bsdf.coat_factor(at.wo);
+                let (mut at, mut bsdf) = (at, bsdf);
+                let factor = bsdf.coat_factor(at.wo);
+                let passes = bsdf.passed_share();
+                // What is left of the number chooses the side.
+                let diffuse = if passes > 0.0 && (chosen - lobes) / (1.0 - lobes) < passes {
+                    let passed = bsdf.passed_albedo() * (factor / passes);
+                    at = at.turned(self.scene);
+                    bsdf = Bsdf::at(self.scene, &at);
+                    passed
+                } else if passes > 0.0 {
+                    bsdf.diffuse_albedo() * (factor / (1.0 - passes))
+                } else {
+                    bsdf.diffuse_albedo() * factor
+                };
                 path.weigh(diffuse / (1.0 - lobes));
                 path.throughput *= FRAC_1_PI;
                 let lit = path.throughput.max_element() > 0.0;
@@ -412,6 +451,9 @@ impl<'a> Gather<'a> {
         sum: &mut Vec3,
     ) -> Option<Path> {
         let normal = at.facing_shading();
+        let band =
+            bsdf.is_dispersive().then(|| Band::chosen(path.numbers(stream, Dimension::Band).next_f32()));
+        let bsdf = &band.map_or(*bsdf, |band| bsdf.where_band_crosses(band, 3.0));
         path.narrow &= !bsdf.is_wide();
         if !(bsdf.is_delta() || self.drops_caustics && path.narrow) {
             let light = self.light_samples(at, &path, stream, true, |wi| {
@@ -427,7 +469,7 @@ impl<'a> Gather<'a> {
         path.weigh(sample.weight);
         path.index_scale *= sample.radiance_scale;
         if sample.transmitted {
-            path.media = path.media.crossed(self.scene, at);
+            path.media = path.media.crossed(self.scene, at).with_band(band);
         }
         // Light samples of the vertex before see through panes.
         if !goes_straight(self.scene, at, &sample) {

@@ -6,7 +6,7 @@ use super::bsdf::{Bsdf, BsdfSample};
 use super::surface::{SurfacePoint, area_normal, texture_coordinates};
 use crate::geometry::{Hit, Ray, gamma, offset_origin};
 use crate::math;
-use crate::scene::{Material, MaterialId, Scene};
+use crate::scene::{Material, MaterialId, Scene, TextureId};
 
 /// A point on a surface, seen along a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,10 +19,12 @@ pub struct Interaction {
     pub geometric_normal: Vec3,
     /// Unit shading normal, with bumps, in the hemisphere of `geometric_normal`.
     pub shading_normal: Vec3,
+    /// Unit shading normal without bumps, in the same hemisphere.
+    pub smooth_normal: Vec3,
     /// Unit tangent, perpendicular to the shading normal; along ∂p/∂u where the material has a direction or bumps, any
     /// that changes smoothly with the normal elsewhere.
     pub tangent: Vec3,
-    /// shading_normal × tangent.
+    /// shading_normal × tangent, or against it where coordinates are mirrored.
     pub bitangent: Vec3,
     /// Texture coordinates.
     pub uv: Vec2,
@@ -92,6 +94,7 @@ impl Interaction {
             error,
             geometric_normal,
             shading_normal,
+            smooth_normal: shading_normal,
             tangent: Vec3::ZERO,
             bitangent: Vec3::ZERO,
             uv,
@@ -113,11 +116,15 @@ impl Interaction {
             let (d1, d2) = (tb - ta, tc - ta);
             let determinant = d1.perp_dot(d2);
             let along_u = if determinant != 0.0 { (e1 * d2.y - e2 * d1.y) / determinant } else { e1 };
-            at.set_frame(along_u);
-            at.perturb(scene, along_u);
-            at.keep_visible();
+            let (along_u, sign) = match mesh.tangent(hit.triangle, b1, b2) {
+                None => (along_u, 1.0),
+                Some(tangent) => (tangent.truncate(), tangent.w),
+            };
+            at.set_frame(along_u, sign);
+            at.perturb(scene, along_u, sign);
+            at.keep_visible(sign);
         } else {
-            at.keep_visible();
+            at.keep_visible(1.0);
             (at.tangent, at.bitangent) = at.shading_normal.any_orthonormal_pair();
         }
         at
@@ -131,6 +138,22 @@ impl Interaction {
         let hit = Hit { t: self.t, triangle: self.triangle, b1: self.b1, b2: self.b2 };
         let ray = Ray::new(self.position + direction, -direction);
         Some(Self::at(scene, &ray, &hit).with_footprint(self.footprint))
+    }
+
+    /// The other side of the same point, as a viewer there sees it who looks the opposite way.
+    pub fn turned(&self, scene: &Scene) -> Self {
+        let hit = Hit { t: self.t, triangle: self.triangle, b1: self.b1, b2: self.b2 };
+        Self::at(scene, &Ray::new(self.position - self.wo, self.wo), &hit).with_footprint(self.footprint)
+    }
+
+    /// [`Self::turned`] of a point of which no direction is known: as it is seen straight on.
+    pub fn turned_to(scene: &Scene, point: &SurfacePoint) -> Self {
+        let [a, b, c] = scene.mesh.corners(point.triangle);
+        let normal = area_normal(b - a, c - a).normalize_or(Vec3::Z);
+        let from = if point.back { normal } else { -normal };
+        let position = a * (1.0 - point.b1 - point.b2) + b * point.b1 + c * point.b2;
+        let hit = Hit { t: 1.0, triangle: point.triangle, b1: point.b1, b2: point.b2 };
+        Self::at(scene, &Ray::new(position + from, -from), &hit).with_footprint(point.footprint)
     }
 
     /// Whether a direction on either side is so close to the surface that the shading normal would be tilted for it.
@@ -183,21 +206,51 @@ impl Interaction {
         if self.back { -self.shading_normal } else { self.shading_normal }
     }
 
-    fn set_frame(&mut self, along_u: Vec3) {
+    fn set_frame(&mut self, along_u: Vec3, sign: f32) {
         let n = self.shading_normal;
         self.tangent =
             (along_u - n * n.dot(along_u)).try_normalize().unwrap_or_else(|| n.any_orthonormal_vector());
-        self.bitangent = n.cross(self.tangent);
+        self.bitangent = n.cross(self.tangent) * sign;
+    }
+
+    /// The normal that a map says in a frame of tangent, bitangent and normal; not of unit length.
+    fn mapped(&self, scene: &Scene, map: TextureId, frame: [Vec3; 3]) -> Vec3 {
+        let texture = &scene.textures[map.0 as usize];
+        let uv = if texture.placement.second {
+            scene.mesh.coordinates(self.triangle, self.b1, self.b2, true)
+        } else {
+            self.uv
+        };
+        let [x, y, z, _] = texture.sample(uv, 0.0);
+        let (x, y, z) = (2.0 * x - 1.0, 2.0 * y - 1.0, 2.0 * z - 1.0);
+        let [tangent, bitangent, normal] = frame;
+        tangent * x + bitangent * y + normal * z.max(0.05)
+    }
+
+    /// The normal of a coat, which bumps of what is below leave as it is: the smooth one, or what its own map says; on the
+    /// viewer's side, tilted to be visible.
+    pub(super) fn coat_normal(&self, scene: &Scene, map: Option<TextureId>) -> Vec3 {
+        let n = self.smooth_normal;
+        let own = map.and_then(|map| {
+            // Along the tangent that is there, which bumps turned a little.
+            let tangent = (self.tangent - n * n.dot(self.tangent)).try_normalize()?;
+            let sign = self.shading_normal.cross(self.tangent).dot(self.bitangent).signum();
+            self.mapped(scene, map, [tangent, n.cross(tangent) * sign, n]).try_normalize()
+        });
+        let side = if self.back { -1.0 } else { 1.0 };
+        let normal = own.filter(|n| n.is_finite() && n.dot(self.geometric_normal) > 0.0).unwrap_or(n) * side;
+        let cosine = normal.dot(self.wo);
+        let tilted = normal + self.wo * (GRAZING - cosine).max(0.0);
+        tilted.try_normalize().unwrap_or(normal)
     }
 
     /// Normal maps and height fields.
-    fn perturb(&mut self, scene: &Scene, along_u: Vec3) {
+    fn perturb(&mut self, scene: &Scene, along_u: Vec3, sign: f32) {
         let m = &scene.materials[self.material.0 as usize];
         let mut normal = self.shading_normal;
         if let Some(map) = m.normal_map {
-            let [x, y, z, _] = scene.textures[map.0 as usize].sample(self.uv, 0.0);
-            let (x, y, z) = (2.0 * x - 1.0, 2.0 * y - 1.0, 2.0 * z - 1.0);
-            normal = self.tangent * x + self.bitangent * y + self.shading_normal * z.max(0.05);
+            let frame = [self.tangent, self.bitangent, self.shading_normal];
+            normal = self.mapped(scene, map, frame);
         } else if let Some(map) = m.bump_map {
             let texture = &scene.textures[map.0 as usize];
             let [w, h] = texture.size(0);
@@ -218,13 +271,13 @@ impl Interaction {
             && normal.dot(self.geometric_normal) > 0.0
         {
             self.shading_normal = normal;
-            self.set_frame(along_u);
+            self.set_frame(along_u, sign);
         }
     }
 
     /// Where interpolation or bumps turned the shading normal away from the viewer, tilts it back until
     /// the view just grazes it, so that reflections do not go black (as Keller et al. 2017 do for bumps).
-    fn keep_visible(&mut self) {
+    fn keep_visible(&mut self, sign: f32) {
         let side = if self.back { -1.0 } else { 1.0 };
         let cosine = side * self.shading_normal.dot(self.wo);
         if cosine < GRAZING {
@@ -232,7 +285,7 @@ impl Interaction {
             let tilted = self.shading_normal + self.wo * (side * (GRAZING - cosine));
             if let Some(n) = tilted.try_normalize() {
                 self.shading_normal = n;
-                self.set_frame(self.tangent);
+                self.set_frame(self.tangent, sign);
             }
         }
     }

@@ -2,6 +2,8 @@
 
 use glam::Vec3;
 
+use super::bsdf::Bsdf;
+use super::bsdf::bands::Band;
 use super::interaction::Interaction;
 use crate::geometry::{Accel, Ray};
 use crate::math;
@@ -16,11 +18,13 @@ const REMEMBERED: usize = 8;
 pub struct Media {
     inside: [MaterialId; REMEMBERED],
     count: u8,
+    /// The band that a path carries alone since it was bent by its colour.
+    band: Option<Band>,
 }
 
 impl Media {
     /// Outside of everything.
-    pub const EMPTY: Self = Self { inside: [MaterialId(0); REMEMBERED], count: 0 };
+    pub const EMPTY: Self = Self { inside: [MaterialId(0); REMEMBERED], count: 0, band: None };
 }
 
 /// Transmittance per band after `distance` in a material; 1 for what is not a solid dielectric.
@@ -63,6 +67,20 @@ impl Media {
             media.count += 1;
         }
         media
+    }
+
+    /// A surface as a path in here meets it: by its band, where it carries one alone.
+    #[inline]
+    pub fn banded(&self, bsdf: Bsdf) -> Bsdf {
+        match self.band {
+            Some(band) if bsdf.is_dispersive() => bsdf.of_band(band),
+            _ => bsdf,
+        }
+    }
+
+    /// The same for a path that carries `band` alone from now on, unless it carried one before.
+    pub fn with_band(self, band: Option<Band>) -> Self {
+        Self { band: self.band.or(band), ..self }
     }
 
     /// Whether no dielectric is around.

@@ -4,7 +4,8 @@ use glam::{Vec2, Vec3};
 
 use super::interaction::mip_level;
 use crate::geometry::Hit;
-use crate::scene::{Material, MaterialId, Model, Reflectance, Scene, Texture, TextureId};
+use crate::scene::recipe::{Made, Recipe};
+use crate::scene::{Material, MaterialId, MetalRough, Model, Reflectance, Scene, Texture, TextureId};
 
 /// A point on a surface, as far as its diffuse part and its emission go.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,7 +59,8 @@ impl SurfacePoint {
             uv_density: 0.0,
             footprint,
         };
-        if point.material(scene).picture().is_some() {
+        let m = point.material(scene);
+        if m.picture().is_some() || m.model.recipe().is_some() {
             let uvs = vertices.map(|v| mesh.uvs[v]);
             let (uv, density) = texture_coordinates(uvs, hit.b1, hit.b2, (b - a).cross(c - a).length());
             (point.uv, point.uv_density) = (uv, density);
@@ -76,14 +78,29 @@ impl SurfacePoint {
     /// the same.
     #[inline]
     pub fn texture_level(&self, texture: &Texture) -> f32 {
-        let [su, sv, ..] = texture.scale_offset;
-        mip_level(self.uv_density * (su * sv).abs().sqrt(), self.footprint, texture.size(0))
+        mip_level(self.uv_density * texture.placement.density(), self.footprint, texture.size(0))
+    }
+
+    /// The same point with the mesh's second set of coordinates in the place of the first.
+    #[cold]
+    fn on_second_set(&self, scene: &Scene) -> Self {
+        let mesh = &scene.mesh;
+        let [a, b, c] = mesh.corners(self.triangle);
+        let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)];
+        let uvs = corners.map(|(b1, b2)| mesh.coordinates(self.triangle, b1, b2, true));
+        let area = (b - a).cross(c - a).length();
+        let (uv, uv_density) = texture_coordinates(uvs, self.b1, self.b2, area);
+        Self { uv, uv_density, ..*self }
     }
 
     /// A texture's colour here, linear RGB and alpha.
     #[inline]
     pub fn texel(&self, scene: &Scene, map: TextureId) -> [f32; 4] {
         let texture = &scene.textures[map.0 as usize];
+        if texture.placement.second {
+            let other = self.on_second_set(scene);
+            return texture.sample(other.uv, other.texture_level(texture));
+        }
         texture.sample(self.uv, self.texture_level(texture))
     }
 
@@ -98,6 +115,29 @@ impl SurfacePoint {
             }
         };
         color.clamp(Vec3::ZERO, Vec3::ONE)
+    }
+
+    /// What a recipe makes here.
+    pub fn made(&self, scene: &Scene, recipe: &Recipe) -> Made {
+        recipe.at(|map| self.texel(scene, map))
+    }
+
+    /// Albedo for light that falls on the other side and leaves on this one, per band: of leaves, paper, shades of lamps.
+    /// 0 for nearly everything.
+    #[inline]
+    pub fn passed_albedo(&self, scene: &Scene) -> Vec3 {
+        match &self.material(scene).model {
+            Model::MetalRough(m) if m.recipe.is_some() => self.passed_by_recipe(scene, m),
+            _ => Vec3::ZERO,
+        }
+    }
+
+    #[cold]
+    fn passed_by_recipe(&self, scene: &Scene, m: &MetalRough) -> Vec3 {
+        match m.recipe.as_deref().filter(|r| r.passes.is_some()) {
+            Some(recipe) => self.made(scene, recipe).passed,
+            None => Vec3::ZERO,
+        }
     }
 
     /// Emitted radiance on the front side; zero on the back.
@@ -125,7 +165,10 @@ impl SurfacePoint {
         }
         match &m.model {
             Model::Lambert { albedo } => self.reflectance(scene, albedo),
-            Model::MetalRough(m) => self.reflectance(scene, &m.diffuse),
+            Model::MetalRough(m) => match &m.recipe {
+                None => self.reflectance(scene, &m.diffuse),
+                Some(recipe) => self.made(scene, recipe).diffuse,
+            },
             Model::CookTorrance { diffuse, .. } | Model::Ward { diffuse, .. } => {
                 self.reflectance(scene, diffuse)
             }

@@ -16,6 +16,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec3;
 
+use super::bsdf::bands::Band;
 use super::bsdf::{Bsdf, BsdfSample};
 use super::direct::{Found, arriving, goes_straight, mis_weight};
 use super::gather::{Gather, Trust};
@@ -90,6 +91,8 @@ struct Branch {
     depth: u32,
     /// Where it travels.
     media: Media,
+    /// The band that what crosses the surface it is at carries alone.
+    entering: Option<Band>,
     /// How it was found, if lights are sampled there too.
     found: Option<Found>,
     /// Whether a glossy lobe lies on its way.
@@ -108,6 +111,7 @@ impl Branch {
         contribution: 1.0,
         depth: 0,
         media: Media::EMPTY,
+        entering: None,
         found: None,
         blurred: false,
         repeats: false,
@@ -148,7 +152,14 @@ impl<'a> Tracer<'a> {
                 rest + self.named(&at, &Bsdf::over(self.scene, &at, diffuse), Media::EMPTY)
             }
         };
-        self.finite(point.emission(self.scene) + diffuse * (irradiance * FRAC_1_PI))
+        let shown = point.emission(self.scene) + diffuse * (irradiance * FRAC_1_PI);
+        let passed = point.passed_albedo(self.scene);
+        if passed == Vec3::ZERO {
+            return self.finite(shown);
+        }
+        let behind = Interaction::turned_to(self.scene, point);
+        let bsdf = Bsdf::at(self.scene, &behind);
+        self.finite(shown + passed * self.light_on(&behind, &bsdf, Media::EMPTY))
     }
 
     fn named(&self, at: &Interaction, bsdf: &Bsdf, media: Media) -> Vec3 {
@@ -197,6 +208,11 @@ impl<'a> Tracer<'a> {
         if bsdf.diffuse_albedo() == Vec3::ZERO {
             return Vec3::ZERO;
         }
+        self.light_on(at, bsdf, media)
+    }
+
+    /// Irradiance / π on the side that `at` shows.
+    fn light_on(&self, at: &Interaction, bsdf: &Bsdf, media: Media) -> Vec3 {
         let &Interaction { triangle, b1, b2, back, .. } = at;
         let irradiance = match self.illumination.unnamed(triangle, b1, b2, back) {
             Unnamed { rest, is_lit: false } => rest,
@@ -239,10 +255,15 @@ impl<'a> Tracer<'a> {
         };
         branch.width += branch.spread * hit.t;
         let at = Interaction::at(self.scene, ray, hit).with_footprint(branch.width);
-        let bsdf = Bsdf::at(self.scene, &at);
+        let bsdf = branch.media.banded(Bsdf::at(self.scene, &at));
         let mut radiance = share(at.point().emission(self.scene));
         radiance +=
             bsdf.diffuse_albedo() * self.diffuse_light(&at, &bsdf, branch.media) * bsdf.coat_factor(at.wo);
+        if bsdf.passed_albedo() != Vec3::ZERO {
+            let behind = at.turned(self.scene);
+            let light = self.light_on(&behind, &Bsdf::at(self.scene, &behind), branch.media);
+            radiance += bsdf.passed_albedo() * light * bsdf.coat_factor(at.wo);
+        }
         let absorbed = branch.media.transmittance_to(self.scene, &at, hit.t);
         if bsdf.has_view_dependent() {
             branch.contribution *= absorbed.max_element();
@@ -263,6 +284,9 @@ impl<'a> Tracer<'a> {
     fn scatter(&self, at: &Interaction, bsdf: &Bsdf, branch: Branch, mut stream: Stream) -> Vec3 {
         if bsdf.is_layered() {
             return self.scatter_layers(at, bsdf, branch, stream);
+        }
+        if bsdf.is_dispersive() {
+            return self.scatter_bands(at, bsdf, branch, stream);
         }
         let mut sum = Vec3::ZERO;
         let lobes = bsdf.delta_lobes(at.wo);
@@ -316,6 +340,30 @@ impl<'a> Tracer<'a> {
         }
         let part = |(k, part)| self.scatter(at, &part, branch, stream.split(0x1a7e_0000 + k as u64));
         bsdf.parts().enumerate().map(part).sum()
+    }
+
+    /// Glass that bends bands of light apart: each is followed, or where little is seen of them one by chance.
+    fn scatter_bands(&self, at: &Interaction, bsdf: &Bsdf, branch: Branch, mut stream: Stream) -> Vec3 {
+        let entering = |band| Branch { entering: Some(band), ..branch };
+        if branch.contribution <= self.settings.min_contribution {
+            let band = Band::chosen(stream.next_f32());
+            return self.scatter(at, &bsdf.where_band_crosses(band, 3.0), entering(band), stream);
+        }
+        let mut sum = Vec3::ZERO;
+        let [reflected, _] = bsdf.delta_lobes(at.wo);
+        if let Some(sample) = &reflected {
+            sum += self.follow_sample(at, sample, branch, None, stream.split(0));
+        }
+        for (k, band) in Band::ALL.into_iter().enumerate() {
+            let stream = stream.split(1 + k as u64);
+            if reflected.is_none() {
+                // Rough glass: reflection and refraction are one sample.
+                sum += self.scatter(at, &bsdf.of_band(band), entering(band), stream) * band.color();
+            } else if let [_, Some(sample)] = bsdf.where_band_crosses(band, 1.0).delta_lobes(at.wo) {
+                sum += self.follow_sample(at, &sample, entering(band), None, stream);
+            }
+        }
+        sum
     }
 
     /// One estimate of lobes that are not of Dirac's kind, by samples of the lobes and of the lights; with it the most
@@ -396,9 +444,10 @@ impl<'a> Tracer<'a> {
             return Vec3::ZERO;
         }
         let blurred = branch.blurred || !sample.delta;
-        let mut next = Branch { contribution, depth: branch.depth + 1, found, blurred, ..branch };
+        let depth = branch.depth + 1;
+        let mut next = Branch { contribution, depth, found, blurred, entering: None, ..branch };
         if sample.transmitted {
-            next.media = branch.media.crossed(self.scene, at);
+            next.media = branch.media.crossed(self.scene, at).with_band(branch.entering);
             // Through a pane the ray goes on as it was found, and light samples were weighed so.
             if goes_straight(self.scene, at, sample) {
                 next.found = branch.found;

@@ -49,6 +49,7 @@ const HAS_ALBEDO_MAP: u32 = 4u;
 const HAS_EMISSION_MAP: u32 = 8u;
 const HAS_OPACITY_MAP: u32 = 16u;
 const SHADELESS: u32 = 32u;
+const CULLED: u32 = 64u;
 // Whether any material has a texture.
 override TEXTURED: bool = true;
 const NO_TEXTURE: u32 = 0xffffffffu;
@@ -105,6 +106,14 @@ fn uv_at(t: u32, b1: f32, b2: f32) -> vec2f {
     return first.xy * (1.0 - b1 - b2) + first.zw * b1 + third * b2;
 }
 
+// Whether the eye is behind a triangle.
+fn is_back(t: u32) -> bool {
+    let a = bitcast<vec3f>(triangle(t, 0u).xyz);
+    let b = bitcast<vec3f>(triangle(t, 1u).xyz);
+    let c = bitcast<vec3f>(triangle(t, 2u).xyz);
+    return dot(cross(b - a, c - a), view.eye.xyz - a) < 0.0;
+}
+
 @fragment
 fn visible_through_mask(in: Corner) -> @location(0) u32 {
     let m = triangle(in.record, 1u).w;
@@ -116,7 +125,7 @@ fn visible_through_mask(in: Corner) -> @location(0) u32 {
         let texel = textureSampleLevel(opacity_map, opacity_sampler, p, 0.0);
         opacity *= select((texel.r + texel.g + texel.b) / 3.0, texel.a, (flags & OPACITY_IS_ALPHA) != 0u);
     }
-    if opacity < 0.5 {
+    if opacity < 0.5 || ((flags & CULLED) != 0u && is_back(in.record)) {
         discard;
     }
     return in.record;

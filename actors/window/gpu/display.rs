@@ -83,6 +83,7 @@ impl GpuDisplay {
         let binding = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
         size.iter().all(|s| (1..=limits.max_texture_dimension_2d).contains(s))
             && splat::largest_buffer(size) <= binding
+            && geometry::shows(scene)
             && geometry::most_rows(scene) <= limits.max_texture_dimension_2d as usize
     }
 

@@ -8,7 +8,7 @@ use bytemuck::{Pod, Zeroable};
 use foveal::illumination::stored::Illumination;
 use foveal::illumination::{Irradiance, atlas::Corners};
 use foveal::scene::camera::CameraFrame;
-use foveal::scene::{Mesh, Reflectance, Scene, TextureId};
+use foveal::scene::{Mesh, Placement, Reflectance, Scene, TextureId, Wrap};
 use glam::Vec3;
 
 /// Triangles under one leaf of the tree.
@@ -52,6 +52,17 @@ pub struct TriangleRecord {
 pub const TRIANGLE_TEXELS: usize = size_of::<TriangleRecord>() / 16;
 /// Texels in a row of the textures that hold records and light, as in `base.wgsl`.
 pub const ROW: usize = 4096;
+
+/// Whether the passes show all of a scene's surfaces: not those whose maps lie on a second set of coordinates, are turned,
+/// or are read point by point. The processor draws these.
+pub fn shows(scene: &Scene) -> bool {
+    let plain = |t: &foveal::scene::Texture| {
+        let wrap = t.placement.wrap;
+        let p = Placement { scale_offset: t.placement.scale_offset, wrap, ..Placement::default() };
+        t.placement == p && wrap[0] == wrap[1] && wrap[0] != Wrap::Mirror
+    };
+    scene.textures.iter().all(plain) && scene.materials.iter().all(|m| m.model.recipe().is_none())
+}
 
 /// Rows of the largest texture that a scene's geometry is bound as.
 pub fn most_rows(scene: &Scene) -> usize {
@@ -341,7 +352,7 @@ fn morton(point: Vec3, bounds: [Vec3; 2]) -> u32 {
 
 /// Whether the shader leaves out pixels of a material: as it asks there.
 fn is_masked(material: &foveal::scene::Material) -> bool {
-    material.opacity_map.is_some() || material.opacity < 0.5
+    material.opacity_map.is_some() || material.opacity < 0.5 || material.culled
 }
 
 fn texture_set(material: &foveal::scene::Material) -> TextureSet {
@@ -415,7 +426,7 @@ fn material_record(scene: &Scene, firsts: &[usize], material: &foveal::scene::Ma
     let texture = |map: Option<TextureId>| map.and_then(|id| scene.textures.get(id.0 as usize));
     let alpha = texture(maps[2]).is_some_and(|t| t.has_alpha);
     let mut flags = u32::from(material.two_sided) | (u32::from(alpha) << 1);
-    flags |= u32::from(material.shadeless) << 5;
+    flags |= u32::from(material.shadeless) << 5 | u32::from(material.culled) << 6;
     for (i, map) in maps.iter().enumerate() {
         flags |= u32::from(map.is_some()) << (2 + i);
     }
@@ -433,13 +444,12 @@ fn material_record(scene: &Scene, firsts: &[usize], material: &foveal::scene::Ma
         coat,
         opacity: material.opacity,
         padding: 0,
-        scale_offset: maps.map(|m| texture(m).map_or([1.0, 1.0, 0.0, 0.0], |t| t.scale_offset)),
+        scale_offset: maps.map(|m| texture(m).map_or([1.0, 1.0, 0.0, 0.0], |t| t.placement.scale_offset)),
         texels: [maps[0], maps[1], maps[2], material.picture()].map(|map| match (map, texture(map)) {
             (Some(id), Some(t)) => {
-                let [su, sv, ..] = t.scale_offset;
                 let [width, height] = t.size(0);
                 let first = firsts.get(id.0 as usize).copied().unwrap_or_default();
-                [width.max(height) as f32 * (su * sv).abs().sqrt(), first as f32, 0.0, 0.0]
+                [width.max(height) as f32 * t.placement.density(), first as f32, 0.0, 0.0]
             }
             _ => [0.0; 4],
         }),

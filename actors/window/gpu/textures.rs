@@ -5,7 +5,7 @@
 
 use foveal::image::Map2d;
 use foveal::scene::texture::MipChain;
-use foveal::scene::{Texture, TextureId};
+use foveal::scene::{Texture, TextureId, Wrap};
 use half::f16;
 
 use super::adapter::{Gpu, flat_texture};
@@ -203,7 +203,7 @@ fn upload(gpu: &Gpu, texture: &Texture, first: usize) -> Held {
         );
     }
     let view = target.create_view(&wgpu::TextureViewDescriptor::default());
-    Held { texture: target, view, first, clamps: texture.clamp, bytes }
+    Held { texture: target, view, first, clamps: texture.placement.wrap == [Wrap::Clamp; 2], bytes }
 }
 
 /// A level's texels as half floats.

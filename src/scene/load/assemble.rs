@@ -8,7 +8,7 @@ use glam::Vec3;
 use super::Library;
 use super::error::{Place, SceneError, Warning};
 use super::obj::ObjFile;
-use crate::scene::{CameraPath, Light, MaterialId, Mesh, NamedCamera, TriangleIndex};
+use crate::scene::{CameraPath, ExtensionUse, Light, MaterialId, Mesh, NamedCamera, TriangleIndex};
 
 /// Coordinates beyond this are left out: the square of an area must fit into single precision.
 const COORDINATE_MAX: f32 = 1e9;
@@ -66,6 +66,7 @@ pub(super) struct Own {
     pub lights: Vec<Light>,
     pub cameras: Vec<NamedCamera>,
     pub paths: Vec<CameraPath>,
+    pub extensions: Vec<ExtensionUse>,
 }
 
 /// What is known of triangles besides the mesh.
@@ -141,8 +142,14 @@ impl Joined {
             self.mesh.positions = file.positions;
             self.mesh.normals = file.normals;
             self.mesh.uvs = file.uvs;
+            self.mesh.uvs1 = file.uvs1;
+            self.mesh.tangents = file.tangents;
             self.mesh.triangles = file.triangles;
         } else {
+            let (before, after) =
+                (self.mesh.positions.len(), self.mesh.positions.len() + file.positions.len());
+            append(&mut self.mesh.uvs1, file.uvs1, before, after);
+            append(&mut self.mesh.tangents, file.tangents, before, after);
             self.mesh.positions.extend(file.positions);
             self.mesh.normals.extend(file.normals);
             self.mesh.uvs.extend(file.uvs);
@@ -261,6 +268,15 @@ impl Joined {
             }
         }
         Ok((mesh, Labels { name_of, names: self.names }))
+    }
+}
+
+/// Appends what vertices may have or not: zeros stand where they have not, unless none has.
+fn append<T: Copy + Default>(all: &mut Vec<T>, more: Vec<T>, before: usize, after: usize) {
+    if !(all.is_empty() && more.is_empty()) {
+        all.resize(before, T::default());
+        all.extend(more);
+        all.resize(after, T::default());
     }
 }
 

@@ -47,6 +47,7 @@ pub(super) fn promises(scene: &Scene) {
     let n = m.positions.len();
     assert!(!m.triangles.is_empty() && !scene.materials.is_empty() && !scene.cameras.is_empty());
     assert!(m.normals.len() == n && m.uvs.len() == n);
+    assert!([0, n].contains(&m.uvs1.len()) && [0, n].contains(&m.tangents.len()));
     assert!(m.materials.len() == m.triangles.len() && m.objects.len() == m.triangles.len());
     assert!(m.positions.iter().all(|p| p.is_finite()) && m.uvs.iter().all(|p| p.is_finite()));
     assert!(m.normals.iter().all(|v| *v == Vec3::ZERO || (v.length() - 1.0).abs() < 1e-3));

@@ -147,6 +147,8 @@ pub(super) fn material(
         normal_map: m.norm.as_ref().map(|s| texture(s, false)),
         two_sided: true,
         shadeless: false,
+        culled: false,
+        dispersion: 0.0,
         tint: crate::scene::Reflectance::constant(glam::Vec3::ONE),
     }
 }

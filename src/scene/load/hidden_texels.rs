@@ -9,7 +9,8 @@ use std::sync::Arc;
 
 use glam::Vec2;
 
-use crate::scene::{Material, Model, Reflectance, Texture, TextureId};
+use crate::scene::recipe::Recipe;
+use crate::scene::{Material, Model, Placement, Reflectance, Texture, TextureId};
 
 /// Texels that show less count as cut away.
 const VISIBLE: f32 = 0.5;
@@ -49,6 +50,7 @@ pub fn recolor(materials: &mut [Material], textures: &mut Vec<Texture>) {
 
 /// All that a material reads but its mask.
 fn pictures(m: &Material) -> impl Iterator<Item = TextureId> {
+    let others = m.model.recipe().map_or_else(Vec::new, Recipe::maps);
     let [a, b] = match &m.model {
         Model::Lambert { albedo } | Model::Plastic { albedo, .. } => [albedo.map, None],
         Model::Mirror { specular } | Model::Metal { specular, .. } => [specular.map, None],
@@ -58,7 +60,7 @@ fn pictures(m: &Material) -> impl Iterator<Item = TextureId> {
         Model::MetalRough(m) => [m.diffuse.map, m.specular.map],
         Model::Conductor { .. } | Model::Dielectric { .. } => [None, None],
     };
-    [a, b, m.emission.map, m.bump_map, m.normal_map].into_iter().flatten()
+    [a, b, m.emission.map, m.bump_map, m.normal_map].into_iter().flatten().chain(others)
 }
 
 fn diffuse(model: &mut Model) -> Option<&mut Reflectance> {
@@ -74,16 +76,19 @@ fn diffuse(model: &mut Model) -> Option<&mut Reflectance> {
 
 /// The picture with new colours; `None` where all or nothing of it is seen, or the two do not lie on each other.
 fn recolored(picture: &Texture, mask: &Texture) -> Option<Texture> {
-    if picture.scale_offset != mask.scale_offset || picture.clamp != mask.clamp {
+    if !picture.placement.agrees(&mask.placement) {
         return None;
     }
     let [width, height] = picture.size(0);
-    let [scale_u, scale_v, offset_u, offset_v] = picture.scale_offset;
+    // Where texels lie in the picture is known: look-ups are not to move it.
+    let mask = Texture {
+        placement: Placement { wrap: mask.placement.wrap, ..Placement::default() },
+        ..mask.clone()
+    };
     let shown = |i: usize| {
         let at = Vec2::new((i % width) as f32 + 0.5, (height - 1 - i / width) as f32 + 0.5)
             / Vec2::new(width as f32, height as f32);
-        // Look-ups scale and move: here the place inside of the picture is known.
-        mask.mask((at - Vec2::new(offset_u, offset_v)) / Vec2::new(scale_u, scale_v), 0.0)
+        mask.mask(at, 0.0)
     };
     let shown: Vec<f32> = (0..width * height).map(shown).collect();
     let hidden = shown.iter().filter(|s| **s < VISIBLE).count();
@@ -181,7 +186,9 @@ mod tests {
     fn the_rest_stays() {
         let [leaf, mask] = leaf();
         let of = |value| Texture::new("", MipChain::from_rgba8(1, 1, vec![value], false));
-        for mask in [of([255; 4]), of([0, 0, 0, 255]), Texture { clamp: !mask.clamp, ..mask }] {
+        for mask in
+            [of([255; 4]), of([0, 0, 0, 255]), Texture { placement: Placement::clamped(true), ..mask }]
+        {
             assert!(recolored(&leaf, &mask).is_none());
         }
     }

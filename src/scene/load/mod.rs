@@ -179,6 +179,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         up: sidecar.up,
         display: sidecar.display,
         budget: sidecar.budget,
+        extensions: own.extensions,
         content_hash: content_hash(&folder, options),
     }
     .with_textures(textures);
@@ -290,6 +291,7 @@ fn read_mesh(
         joined.own.lights.extend(file.lights);
         joined.own.cameras.extend(file.cameras);
         joined.own.paths.extend(file.paths);
+        joined.own.extensions.extend(file.extensions);
         let library =
             Library { relative, shown: shown.clone(), materials: Definitions::Gltf(file.materials) };
         joined.add(file.mesh, shown, base, vec![library]);

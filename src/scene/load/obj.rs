@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
-use glam::{Vec2, Vec3};
+use glam::{Vec2, Vec3, Vec4};
 
 use super::error::{Place, SceneError, Warning};
 use super::obj_lines::{CORNERS_MAX, ObjLines, Oddity, Segment, Tally};
@@ -30,6 +30,9 @@ pub(super) struct ObjFile {
     pub normals: Vec<Vec3>,
     /// Finite.
     pub uvs: Vec<Vec2>,
+    /// [`crate::scene::Mesh::uvs1`] and [`crate::scene::Mesh::tangents`], which OBJ has not.
+    pub uvs1: Vec<Vec2>,
+    pub tangents: Vec<Vec4>,
     pub triangles: Vec<[u32; 3]>,
     pub runs: Vec<Run>,
     pub names: Vec<String>,

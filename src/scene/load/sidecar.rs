@@ -189,6 +189,10 @@ fn gltf(t: &Table<'_>) -> Result<Choices, SceneError> {
         light_scale: t.number_in("light_scale", good, "between 1e-9 and 1e9")?.unwrap_or(1.0),
         play: t.string("play")?.map(str::to_owned),
         time: t.number_in("time", |v| (-1e6..=1e6).contains(&v), "between -1e6 and 1e6 seconds")?,
+        cull: t.boolean("cull")?.unwrap_or(true),
+        gloss_floor: t
+            .number_in("gloss_floor", |v| (0.0..=2.0).contains(&v), "between 0 and 2")?
+            .unwrap_or(Choices::default().gloss_floor),
         ignored: t.strings("ignore")?.unwrap_or_default().into_iter().map(|(n, _)| n.to_owned()).collect(),
     };
     t.finish()?;

@@ -15,7 +15,7 @@ use super::folder::{Contents, Folder, read_file};
 use super::mtl::MapStatement;
 use crate::image::Map2d;
 use crate::scene::texture::MipChain;
-use crate::scene::{Texture, TextureId};
+use crate::scene::{Placement, Texture, TextureId};
 
 /// A picture that a material asks for.
 struct Request {
@@ -25,8 +25,7 @@ struct Request {
     found: Result<PathBuf, String>,
     asked_by: Place,
     is_color: bool,
-    clamp: bool,
-    scale_offset: [f32; 4],
+    placement: Placement,
 }
 
 /// All pictures that are asked for. Their ids are places in this list until [`Self::load`].
@@ -40,7 +39,7 @@ pub(super) struct TextureRequests {
 
 /// What makes two requests the same: where the picture is, or its name where it is nowhere, and how
 /// it is read.
-type Key = (PathBuf, bool, bool, bool, [u32; 4]);
+type Key = (PathBuf, bool, bool, [u32; 7]);
 
 impl TextureRequests {
     /// Asks for a picture of `folder`, looked for in `bases` in turn.
@@ -60,19 +59,18 @@ impl TextureRequests {
             }
         }
         let found = found.map_err(|p| p.to_string());
-        self.ask_for(&map.file, found, None, is_color, map.clamp, map.scale_offset, asked_by)
+        let placement = Placement { scale_offset: map.scale_offset, ..Placement::clamped(map.clamp) };
+        self.ask_for(&map.file, found, None, is_color, placement, asked_by)
     }
 
     /// Asks for a picture that is at `found` (or nowhere, for the reason given), or in `bytes`, for which `found` stands.
-    #[allow(clippy::too_many_arguments)]
     pub fn ask_for(
         &mut self,
         name: &str,
         found: Result<PathBuf, String>,
         bytes: Option<Arc<Vec<u8>>>,
         is_color: bool,
-        clamp: bool,
-        scale_offset: [f32; 4],
+        placement: Placement,
         asked_by: Place,
     ) -> TextureId {
         let (place, there) = match &found {
@@ -82,13 +80,13 @@ impl TextureRequests {
         if let Some(bytes) = bytes {
             self.in_memory.insert(place.clone(), bytes);
         }
-        let key = (place, there, is_color, clamp, scale_offset.map(f32::to_bits));
+        let key = (place, there, is_color, placement.bits());
         let id = self.list.len() as u32;
         if let Some(&known) = self.known.get(&key) {
             return TextureId(known);
         }
         self.known.insert(key, id);
-        self.list.push(Request { name: name.to_owned(), found, asked_by, is_color, clamp, scale_offset });
+        self.list.push(Request { name: name.to_owned(), found, asked_by, is_color, placement });
         TextureId(id)
     }
 
@@ -168,8 +166,7 @@ impl TextureRequests {
                         mips,
                         has_alpha,
                         is_color: r.is_color,
-                        clamp: r.clamp,
-                        scale_offset: r.scale_offset,
+                        placement: r.placement,
                     });
                     ids.push(Some(TextureId(textures.len() as u32 - 1)));
                 }

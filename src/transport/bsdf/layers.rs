@@ -12,31 +12,46 @@ use super::{Bsdf, BsdfSample, Coat, Facet, Lobe, cosine_hemisphere};
 use crate::image::luminance;
 use crate::math;
 use crate::scene::metal_rough;
+use crate::scene::metal_rough::{Grain, Over};
 use crate::scene::microfacet::Microfacet;
-use crate::scene::{Distribution, LobeAlbedo, MetalRough, Roughness, Scene};
+use crate::scene::recipe::{Made, Recipe};
+use crate::scene::{Distribution, LobeAlbedo, MetalRough, Roughness, Scene, TextureId};
 use crate::transport::interaction::Interaction;
 use crate::transport::surface::SurfacePoint;
 
 /// Lobes beside the first: through, coat, fibres.
 pub(super) const MORE: usize = 3;
 
+/// What lies over a layer and beside it.
+struct Around {
+    /// The share of the surface that is there.
+    there: f32,
+    over: Option<Over>,
+    /// What passes below the layer in a line.
+    through: Vec3,
+    /// f₀ and f₉₀ of the layer.
+    layer: [f32; 2],
+}
+
 fn isotropic(alpha: f32) -> Roughness {
     Roughness { alpha_x: alpha, alpha_y: alpha, distribution: Distribution::Ggx }
 }
 
-/// f₀ and f₉₀ with what single scattering loses, for metal and dielectric apart, so that a mix is their mean.
-fn regained(m: &MetalRough, f0: Vec3, metallic: Option<f32>, gain: f32) -> [Vec3; 2] {
+/// f₀ and f₉₀ with what single scattering loses, for metal and dielectric apart, so that a mix is their mean. `layer` has
+/// those of the dielectric.
+fn regained(layer: [f32; 2], f0: Vec3, metallic: Option<f32>, gain: f32) -> [Vec3; 2] {
+    let [layer_f0, layer_f90] = layer;
     let Some(metallic) = metallic.map(|v| v.clamp(0.0, 1.0)).filter(|v| *v > 0.0 && *v < 1.0) else {
         let gain = Vec3::ONE + f0 * gain;
-        let f90 = if metallic == Some(1.0) { 1.0 } else { m.layer.f90 };
+        let f90 = if metallic == Some(1.0) { 1.0 } else { layer_f90 };
         return [f0 * gain, gain * f90];
     };
     // f₀ = (1 − m) f_d + m b; bands of f_d differ only where somebody tinted it.
-    let dielectric = f0.min(Vec3::splat(m.layer.f0));
+    let dielectric = f0.min(Vec3::splat(layer_f0));
     let metal = ((f0 - dielectric * (1.0 - metallic)) / metallic).clamp(Vec3::ZERO, Vec3::ONE);
     let (of_dielectric, of_metal) = (Vec3::ONE + dielectric * gain, Vec3::ONE + metal * gain);
     let (d, m_share) = (of_dielectric * (1.0 - metallic), of_metal * metallic);
-    [dielectric * d + metal * m_share, d * m.layer.f90 + m_share]
+    [dielectric * d + metal * m_share, d * layer_f90 + m_share]
 }
 
 impl Bsdf {
@@ -47,6 +62,9 @@ impl Bsdf {
         at: &Interaction,
         point: &SurfacePoint,
     ) {
+        if let Some(recipe) = &m.recipe {
+            return self.set_made(scene, recipe, &point.made(scene, recipe), at);
+        }
         let (f0, r) = match m.specular.map {
             None => (m.specular.color, m.roughness),
             Some(map) => {
@@ -61,24 +79,27 @@ impl Bsdf {
         let table = LobeAlbedo::table();
         let mut kept = 1.0;
         if !m.is_plain() {
-            kept = self.set_around(scene, m, point, cosine, r);
+            let there = match m.diffuse.map.filter(|_| m.coverage_in_alpha) {
+                Some(map) => m.coverage * point.texel(scene, map)[3],
+                None => m.coverage,
+            };
+            let through = match m.through.color.max_element() > 0.0 {
+                true => point.reflectance(scene, &m.through),
+                false => Vec3::ZERO,
+            };
+            let around = Around { there, over: m.over, through, layer: [m.layer.f0, m.layer.f90] };
+            kept = self.set_around(&around, cosine, r);
+            self.set_coat_normal(scene, m.over.as_ref(), None, at);
         }
-        let [alpha_x, alpha_y] = m.grain.map_or([alpha; 2], |g| g.alphas(r));
-        if let Some(grain) = m.grain {
-            let (s, c) = math::sin_cos(grain.rotation);
-            let tangent = self.tangent * c + self.bitangent * s;
-            self.bitangent = self.bitangent * c - self.tangent * s;
-            self.tangent = tangent;
-        }
-        let rough = Roughness { alpha_x, alpha_y, distribution: Distribution::Ggx };
+        let rough = self.grained(m.grain, r, alpha);
         // As much as the mean of both loses.
-        let wide = (alpha_x * alpha_y).sqrt();
+        let wide = (rough.alpha_x * rough.alpha_y).sqrt();
         let gain = if rough.is_smooth() { 0.0 } else { table.gain(cosine, wide) };
         let metallic = match m.diffuse.map.filter(|_| m.metallic_in_alpha) {
             Some(map) => Some(point.texel(scene, map)[3]),
             None => m.metallic,
         };
-        let [f0, f90] = regained(m, f0, metallic, gain);
+        let [f0, f90] = regained([m.layer.f0, m.layer.f90], f0, metallic, gain);
         let facet = Facet::Between { f0: f0 * kept, f90: f90 * kept };
         self.lobe = match Microfacet::of(&rough) {
             None => Lobe::Smooth { facet },
@@ -90,26 +111,75 @@ impl Bsdf {
         }
     }
 
-    /// Sets what lies beside the layer; returns the share of light that is left for it.
-    fn set_around(
+    /// What a recipe made of the surface.
+    #[cold]
+    fn set_made(&mut self, scene: &Scene, recipe: &Recipe, made: &Made, at: &Interaction) {
+        let r = made.roughness;
+        let alpha = MetalRough::alpha(r);
+        let cosine = at.wo.dot(self.normal).max(0.0);
+        let table = LobeAlbedo::table();
+        let [layer_f0, layer_f90, mean] = made.layer;
+        let rough = self.grained(made.grain, r, alpha);
+        let wide = (rough.alpha_x * rough.alpha_y).sqrt();
+        let gain = if rough.is_smooth() { 0.0 } else { table.gain(cosine, wide) };
+        let [mut f0, f90] = regained([layer_f0, layer_f90], made.f0, Some(made.metallic), gain);
+        let mut layer = [layer_f0, layer_f90];
+        if let Some(film) = made.film.filter(|f| f.strength > 0.0) {
+            f0 = film.normal_reflectance(cosine, f0, f90);
+            let plain = Vec3::splat(layer_f0);
+            layer[0] = film.normal_reflectance(cosine, plain, Vec3::splat(layer_f90)).max_element();
+        }
+        let around = Around { there: made.coverage, over: made.over, through: made.through, layer };
+        let kept = self.set_around(&around, cosine, r);
+        self.set_coat_normal(scene, made.over.as_ref(), recipe.coat_normal, at);
+        let facet = Facet::Between { f0: f0 * kept, f90: f90 * kept };
+        self.lobe = match Microfacet::of(&rough) {
+            None => Lobe::Smooth { facet },
+            Some(microfacet) => Lobe::Glossy { facet, microfacet },
+        };
+        self.passed = made.passed;
+        if self.diffuse != Vec3::ZERO || self.passed != Vec3::ZERO {
+            let [f0, f90] = layer;
+            self.coat = Coat::Layer { f0, f90, alpha, kept: 1.0 - mean, over: made.over };
+        }
+    }
+
+    /// Turns the frame along the grooves, if there are any; returns how rough the surface is along it and across.
+    fn grained(&mut self, grain: Option<Grain>, r: f32, alpha: f32) -> Roughness {
+        let [alpha_x, alpha_y] = grain.map_or([alpha; 2], |g| g.alphas(r));
+        if let Some(grain) = grain {
+            let (s, c) = math::sin_cos(grain.rotation);
+            let tangent = self.tangent * c + self.bitangent * s;
+            self.bitangent = self.bitangent * c - self.tangent * s;
+            self.tangent = tangent;
+        }
+        Roughness { alpha_x, alpha_y, distribution: Distribution::Ggx }
+    }
+
+    /// Gives a coat the normal of its own: that of its map, else the one without bumps.
+    fn set_coat_normal(
         &mut self,
         scene: &Scene,
-        m: &MetalRough,
-        point: &SurfacePoint,
-        cosine: f32,
-        r: f32,
-    ) -> f32 {
-        let there = match m.diffuse.map.filter(|_| m.coverage_in_alpha) {
-            Some(map) => m.coverage * point.texel(scene, map)[3],
-            None => m.coverage,
-        };
-        let there = there.clamp(0.0, 1.0);
+        over: Option<&Over>,
+        map: Option<TextureId>,
+        at: &Interaction,
+    ) {
+        if over.is_none_or(|o| o.coat.is_none()) || map.is_none() && at.smooth_normal == at.shading_normal {
+            return;
+        }
+        self.apart = at.coat_normal(scene, map);
+        self.is_apart = true;
+    }
+
+    /// Sets what lies beside the layer; returns the share of light that is left for it.
+    fn set_around(&mut self, around: &Around, cosine: f32, r: f32) -> f32 {
+        let there = around.there.clamp(0.0, 1.0);
         let mut kept = there;
         let mut push = |lobe: Lobe| {
             self.more[usize::from(self.layers)] = lobe;
             self.layers += 1;
         };
-        if let Some(over) = m.over {
+        if let Some(over) = around.over {
             if let Some(coat) = over.coat {
                 let gain = coat.strength * there;
                 let f0 = Vec3::splat(metal_rough::Coat::F0 * gain);
@@ -126,10 +196,11 @@ impl Bsdf {
             kept *= over.kept(cosine);
         }
         let mut straight = Vec3::splat(1.0 - there);
-        if m.through.color.max_element() > 0.0 {
+        if around.through.max_element() > 0.0 {
             let alpha = MetalRough::alpha(r);
-            let reflected = LobeAlbedo::table().layer(m.layer.f0, m.layer.f90, cosine, alpha);
-            let weight = point.reflectance(scene, &m.through) * (kept * (1.0 - reflected));
+            let [f0, f90] = around.layer;
+            let reflected = LobeAlbedo::table().layer(f0, f90, cosine, alpha);
+            let weight = around.through * (kept * (1.0 - reflected));
             match Microfacet::of(&isotropic(alpha)) {
                 None => straight += weight,
                 // One of both: the blurred one where it is more.
@@ -157,8 +228,20 @@ impl Bsdf {
 
     /// Each lobe as if it were alone, the first one first.
     pub fn parts(&self) -> impl Iterator<Item = Self> + '_ {
-        let alone = |lobe: Lobe| Self { lobe, layers: 0, ..*self };
-        std::iter::once(self.lobe).chain(self.beside().iter().copied()).map(alone)
+        let alone = |(k, lobe): (usize, Lobe)| {
+            let part = Self { lobe, layers: 0, is_apart: false, ..*self };
+            // The coat is the first of those beside.
+            if self.is_apart && k == 1 { part.with_normal_apart() } else { part }
+        };
+        std::iter::once(self.lobe).chain(self.beside().iter().copied()).enumerate().map(alone)
+    }
+
+    /// The same about the coat's own normal.
+    #[cold]
+    fn with_normal_apart(&self) -> Self {
+        let normal = self.apart;
+        let (tangent, bitangent) = normal.any_orthonormal_pair();
+        Self { normal, tangent, bitangent, apart: self.normal, is_apart: true, ..*self }
     }
 
     /// What passes in a straight line.
@@ -202,13 +285,12 @@ impl Bsdf {
     }
 
     pub(super) fn evaluate_layered(&self, wo: Vec3, wi: Vec3) -> (Vec3, f32) {
-        let (o, i) = (self.local(wo), self.local(wi));
         let (mut value, mut density, mut all) = (Vec3::ZERO, 0.0, 0.0);
         for part in self.parts() {
             let share = luminance(part.view_dependent_albedo(wo)).max(0.0);
             all += share;
             if !part.is_delta() {
-                let (f, pdf) = part.glossy(o, i);
+                let (f, pdf) = part.evaluate_and_pdf(wo, wi);
                 value += f;
                 density += share * pdf;
             }

@@ -6,8 +6,9 @@
 //! more or less than that ([`Bsdf::coat_factor`] − 1) belongs to the view-dependent rest.
 //!
 //! Directions are world space, unit, and point away from the surface. Absent on purpose: subsurface
-//! scattering, layers beyond one coat, dispersion.
+//! scattering, layers beyond one coat.
 
+pub mod bands;
 mod layers;
 pub mod peaks;
 
@@ -98,10 +99,12 @@ enum Lobe {
         microfacet: Microfacet,
     },
     /// `eta` = n_t / n_i seen from the viewer's side. Rough where there is a microfacet; `tint` of what crosses.
+    /// `spread` is how far `eta`'s index lies from those of the outer bands, on the inside.
     Glass {
         eta: f32,
         microfacet: Option<Microfacet>,
         tint: Vec3,
+        spread: f32,
     },
     Pane {
         eta: f32,
@@ -148,8 +151,13 @@ pub struct Bsdf {
     bitangent: Vec3,
     geometric: Vec3,
     diffuse: Vec3,
+    /// Of light that falls on the other side and leaves diffusely on this one.
+    passed: Vec3,
     coat: Coat,
     lobe: Lobe,
+    /// Of a coat, where that is not `normal`; of the coat alone: the normal that is `normal` of what lies below.
+    apart: Vec3,
+    is_apart: bool,
     /// Lobes beside that one, as many as `layers` says.
     more: [Lobe; layers::MORE],
     layers: u8,
@@ -174,8 +182,11 @@ impl Bsdf {
             bitangent: at.bitangent * side,
             geometric: at.facing_geometric(),
             diffuse,
+            passed: Vec3::ZERO,
             coat: Coat::None,
             lobe: Lobe::None,
+            apart: Vec3::ZERO,
+            is_apart: false,
             more: [Lobe::None; layers::MORE],
             layers: 0,
         };
@@ -203,7 +214,8 @@ impl Bsdf {
                     Lobe::Pane { eta: ior, transmittance: *transmittance }
                 } else {
                     let eta = if at.back { 1.0 / ior } else { ior };
-                    Lobe::Glass { eta, microfacet: Microfacet::of(roughness), tint: lookup(&m.tint) }
+                    let spread = (ior - 1.0) * 0.025 * m.dispersion;
+                    Lobe::Glass { eta, microfacet: Microfacet::of(roughness), tint: lookup(&m.tint), spread }
                 };
             }
             Model::Plastic { coat, .. } => {
@@ -212,7 +224,7 @@ impl Bsdf {
                     bsdf.lobe = facet_lobe(Facet::Dielectric { eta: coat.ior }, &coat.roughness, false);
                 }
             }
-            Model::MetalRough(m) if m.is_diffuse => {}
+            Model::MetalRough(m) if m.is_diffuse => bsdf.passed = point.passed_albedo(scene),
             Model::MetalRough(m) => bsdf.set_metal_rough(scene, m, at, &point),
             Model::CookTorrance { specular, roughness, .. } => {
                 let f0 = lookup(specular);
@@ -243,6 +255,11 @@ impl Bsdf {
     /// Albedo of the view-independent part, per band.
     pub fn diffuse_albedo(&self) -> Vec3 {
         self.diffuse
+    }
+
+    /// Albedo of light that falls on the other side and leaves diffusely on this one, per band.
+    pub fn passed_albedo(&self) -> Vec3 {
+        self.passed
     }
 
     /// How much more or less of the diffuse light leaves towards `wo` than on average: T(wo) / T̄ under a coat that lets
@@ -296,7 +313,7 @@ impl Bsdf {
 
     /// Whether light from any direction is scattered in many, so that points on a surface can be connected.
     pub fn is_connectible(&self) -> bool {
-        self.diffuse != Vec3::ZERO || !self.is_delta()
+        self.diffuse != Vec3::ZERO || self.passed != Vec3::ZERO || !self.is_delta()
     }
 
     /// Whether light that comes back along a sample of a Dirac lobe goes back to `wo`: not where the mirrored direction
@@ -348,7 +365,7 @@ impl Bsdf {
         match self.lobe {
             Lobe::Mirror { reflectance } => [reflection(reflectance), None],
             Lobe::Smooth { facet } => [reflection(facet.reflectance(cosine)), None],
-            Lobe::Glass { eta, microfacet: None, tint } => {
+            Lobe::Glass { eta, microfacet: None, tint, .. } => {
                 let f = fresnel::dielectric(cosine, eta);
                 let through = self.refracted(wo, eta).filter(|wi| f < 1.0 && wi.dot(self.geometric) < 0.0);
                 let refraction = through.map(|wi| BsdfSample {
@@ -436,7 +453,7 @@ impl Bsdf {
                     radiance_scale: 1.0,
                 })
             }
-            Lobe::Glass { eta, microfacet: Some(microfacet), tint } => {
+            Lobe::Glass { eta, microfacet: Some(microfacet), tint, .. } => {
                 let sample = self.sample_rough_glass(wo, u, u_lobe, eta, &microfacet)?;
                 let weight = if sample.transmitted { sample.weight * tint } else { sample.weight };
                 Some(BsdfSample { weight, ..sample })
@@ -501,7 +518,14 @@ impl Bsdf {
         if self.is_layered() {
             return self.evaluate_layered(wo, wi);
         }
-        self.glossy(self.local(wo), self.local(wi))
+        let (f, pdf) = self.glossy(self.local(wo), self.local(wi));
+        if self.is_apart {
+            // Whoever asks multiplies by the cosine of the surface below.
+            let cosine = wi.dot(self.apart);
+            let ratio = if cosine > 0.0 { wi.dot(self.normal) / cosine } else { 0.0 };
+            return (f * ratio, pdf);
+        }
+        (f, pdf)
     }
 
     /// f and the sampled density in the local frame.
@@ -555,12 +579,34 @@ impl Bsdf {
     /// Probability of choosing the view-dependent lobes where one part is chosen: about their share of what is reflected.
     pub fn lobe_share(&self, wo: Vec3) -> f32 {
         let specular = luminance(self.view_dependent_albedo(wo));
-        let diffuse = luminance(self.diffuse);
+        let diffuse = luminance(self.diffuse + self.passed);
         match (specular > 0.0, diffuse > 0.0) {
             (false, _) => 0.0,
             (true, false) => 1.0,
             (true, true) => (specular / (specular + diffuse)).clamp(0.1, 0.9),
         }
+    }
+
+    /// Probability of choosing the other side where the diffuse part is chosen.
+    #[inline]
+    pub fn passed_share(&self) -> f32 {
+        if self.passed == Vec3::ZERO {
+            return 0.0;
+        }
+        luminance(self.passed) / luminance(self.passed + self.diffuse)
+    }
+
+    /// A direction of light that leaves diffusely on the other side. No light sampling finds it.
+    fn sample_passed(&self, wo: Vec3, u: [f32; 2], probability: f32) -> Option<BsdfSample> {
+        let wi = -self.world(cosine_hemisphere(u)).normalize_or_zero();
+        (wi.dot(self.geometric) < 0.0).then_some(BsdfSample {
+            wi,
+            weight: self.passed * (self.coat_factor(wo) * self.coat_factor(-wi) / probability),
+            pdf: probability,
+            delta: true,
+            transmitted: true,
+            radiance_scale: 1.0,
+        })
     }
 
     /// f of the diffuse part as paths see it: reciprocal, with the coat crossed on both sides.
@@ -581,7 +627,7 @@ impl Bsdf {
         let share = self.lobe_share(wo);
         let cosine = wi.dot(self.normal);
         let diffuse = if cosine > 0.0 && wi.dot(self.geometric) > 0.0 { cosine * FRAC_1_PI } else { 0.0 };
-        share * self.pdf(wo, wi) + (1.0 - share) * diffuse
+        share * self.pdf(wo, wi) + (1.0 - share) * (1.0 - self.passed_share()) * diffuse
     }
 
     /// A direction of any lobe.
@@ -594,6 +640,11 @@ impl Bsdf {
             }
             s.wi
         } else {
+            let passes = self.passed_share();
+            // What is left of the number chooses the side.
+            if passes > 0.0 && (u_lobe - share) / (1.0 - share) < passes {
+                return self.sample_passed(wo, u, (1.0 - share) * passes);
+            }
             if self.diffuse == Vec3::ZERO {
                 return None;
             }

@@ -83,12 +83,13 @@ impl Bsdf {
             Lobe::Blurred { weight, .. } => Self { lobe: Lobe::Straight { weight }, ..*self }.delta_lobes(wo),
             // Too wide to have one.
             Lobe::Fibres { .. } => [None, None],
-            Lobe::Glass { eta, microfacet: Some(microfacet), tint } => {
+            Lobe::Glass { eta, microfacet: Some(microfacet), tint, spread } => {
                 let alpha = microfacet.ax.max(microfacet.ay);
                 let f0 = fresnel::dielectric(1.0, eta);
                 let reflected = rough(Vec3::splat(f0), alpha, Vec3::ONE).x;
                 let [reflection, through] =
-                    Self { lobe: Lobe::Glass { eta, microfacet: None, tint }, ..*self }.delta_lobes(wo);
+                    Self { lobe: Lobe::Glass { eta, microfacet: None, tint, spread }, ..*self }
+                        .delta_lobes(wo);
                 let weighted =
                     |sample: Option<BsdfSample>, weight| sample.map(|s| BsdfSample { weight, ..s });
                 let passed = tint * (1.0 - reflected);

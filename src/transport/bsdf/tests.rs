@@ -9,8 +9,11 @@ fn bsdf(diffuse: Vec3, coat: Coat, lobe: Lobe) -> Bsdf {
         bitangent: Vec3::Y,
         geometric: Vec3::Z,
         diffuse,
+        passed: Vec3::ZERO,
         coat,
         lobe,
+        apart: Vec3::ZERO,
+        is_apart: false,
         more: [Lobe::None; layers::MORE],
         layers: 0,
     }
@@ -137,7 +140,8 @@ fn sampling_agrees_with_evaluation() {
 #[test]
 fn glass_conserves_energy_and_obeys_snell() {
     for eta in [1.5f32, 1.0 / 1.5, 3.0, 1.0] {
-        let b = bsdf(Vec3::ZERO, Coat::None, Lobe::Glass { eta, microfacet: None, tint: Vec3::ONE });
+        let b =
+            bsdf(Vec3::ZERO, Coat::None, Lobe::Glass { eta, microfacet: None, tint: Vec3::ONE, spread: 0.0 });
         for theta in [0.0, 30.0, 60.0, 89.0] {
             let wo = direction(theta, 0.3);
             let lobes = b.delta_lobes(wo);
@@ -212,8 +216,8 @@ fn extremes_stay_finite() {
                     specular: Vec3::ONE,
                     microfacet: Microfacet { distribution: Distribution::Beckmann, ..m },
                 },
-                Lobe::Glass { eta: 1.0, microfacet: Some(m), tint: Vec3::ONE },
-                Lobe::Glass { eta: 1.0 / 3.0, microfacet: Some(m), tint: Vec3::ONE },
+                Lobe::Glass { eta: 1.0, microfacet: Some(m), tint: Vec3::ONE, spread: 0.0 },
+                Lobe::Glass { eta: 1.0 / 3.0, microfacet: Some(m), tint: Vec3::ONE, spread: 0.0 },
             ] {
                 let b = bsdf(Vec3::splat(0.3), Coat::None, lobe);
                 for i in 0..2000u64 {
@@ -278,6 +282,7 @@ fn white_metal_rough(metal: f32, r: f32) -> crate::scene::MetalRough {
         coverage_in_alpha: false,
         over: None,
         grain: None,
+        recipe: None,
         is_diffuse: false,
     }
 }

@@ -375,8 +375,8 @@ fn emitted(scene: &Scene, t: TriangleIndex, b1: f32, b2: f32) -> Vec3 {
     }
     let color = material.emission.color;
     let Some(map) = material.emission.map else { return color };
-    let [i, j, k] = scene.mesh.triangles[t as usize].map(|v| scene.mesh.uvs[v as usize]);
-    let [r, g, b, _] = scene.textures[map.0 as usize].sample(i * (1.0 - b1 - b2) + j * b1 + k * b2, 0.0);
+    let texture = &scene.textures[map.0 as usize];
+    let [r, g, b, _] = texture.sample(scene.mesh.coordinates(t, b1, b2, texture.placement.second), 0.0);
     color * Vec3::new(r, g, b)
 }
 

@@ -219,7 +219,7 @@ fn textured_light_is_exact_where_it_is_read() {
     // Left half dark, right half bright.
     let texels = (0..64).map(|i| if i % 8 < 4 { [0.0; 4] } else { [1.0; 4] }).collect();
     let mut texture = Texture::new("half", MipChain::from_linear(8, 8, texels));
-    texture.clamp = true;
+    texture.placement = crate::scene::Placement::clamped(true);
     s.textures.push(texture);
     s.materials[1].emission.map = Some(TextureId(0));
     let lights = Lights::build(&s);

@@ -6,8 +6,9 @@ use std::collections::HashMap;
 
 use super::accessor::Accessors;
 use super::buffers::Buffers;
-use super::document::{Animation, Document};
+use super::document::{Animation, Channel, Document};
 use super::number::Index;
+use super::pointers::{self, Place, Value};
 use super::{Oddities, Problem, get};
 use crate::math;
 
@@ -20,12 +21,14 @@ const MOMENTS_MAX: usize = 1 << 14;
 /// Moments per second of what does not move straight from key to key.
 const RATE: f32 = 60.0;
 
-/// What a channel moves.
+/// What a channel moves of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-enum Property {
+pub(super) enum Property {
     Translation,
     Rotation,
     Scale,
+    /// Of the morph targets of its mesh.
+    Weights,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,18 +41,22 @@ enum Interpolation {
 /// Values over time.
 #[derive(Debug)]
 struct Track {
-    property: Property,
+    /// Whether values are unit quaternions.
+    turns: bool,
     interpolation: Interpolation,
     /// Rising strictly, seconds.
     times: Vec<f32>,
-    /// One for each time; three where the interpolation is cubic: in-tangent, value, out-tangent.
-    values: Vec<[f32; 4]>,
+    /// Numbers of one value.
+    width: usize,
+    /// One value for each time; three where the interpolation is cubic: in-tangent, value, out-tangent.
+    values: Vec<f32>,
 }
 
-/// What animations make of nodes.
+/// What animations make of nodes, and of other values.
 #[derive(Debug, Default)]
 pub(super) struct Motion {
-    tracks: HashMap<u32, Vec<Track>>,
+    tracks: HashMap<u32, Vec<(Property, Track)>>,
+    pointed: Vec<(Value, Track)>,
 }
 
 /// Translation, rotation and scale of a node at a moment, where a channel sets them.
@@ -87,25 +94,10 @@ pub(super) fn read<'d>(
     let mut accessors = Accessors::new(document, buffers);
     let mut keys = 0;
     for channel in animation.channels.iter() {
-        if channel.target.extensions.pointer.is_some() {
-            odd.count("KHR_animation_pointer", "not played");
-            continue;
+        let Some(moves) = moved_by(channel, odd) else { continue };
+        if let Place::Node(node, _) = moves {
+            get(&document.nodes, Index(node), "nodes")?;
         }
-        let property = match channel.target.path.as_str() {
-            "translation" => Property::Translation,
-            "rotation" => Property::Rotation,
-            "scale" => Property::Scale,
-            "weights" => {
-                odd.count("an animation of morph targets", "not played");
-                continue;
-            }
-            _ => {
-                odd.count("an animation of something unknown", "not played");
-                continue;
-            }
-        };
-        let Some(node) = channel.target.node else { continue };
-        get(&document.nodes, node, "nodes")?;
         let place = format!("animations/{number}/samplers");
         let sampler = get(&animation.samplers, channel.sampler, &place)?;
         let interpolation = match sampler.interpolation.as_deref() {
@@ -119,11 +111,20 @@ pub(super) fn read<'d>(
         };
         let each = if interpolation == Interpolation::Cubic { 3 } else { 1 };
         let count = accessors.count(sampler.input)?;
-        if accessors.count(sampler.output)? != each * count || count == 0 {
+        let found = accessors.count(sampler.output)?;
+        let per_key = found.checked_div(count).unwrap_or(0);
+        // Of morph targets there are as many numbers as targets.
+        let (width, fits) = match moves {
+            Place::Node(_, Property::Rotation) => (4, per_key == each),
+            Place::Node(_, Property::Translation | Property::Scale) => (3, per_key == each),
+            Place::Node(_, Property::Weights) => (per_key / each, per_key.is_multiple_of(each)),
+            Place::Value(value) => (value.width() as u64, per_key == each),
+        };
+        if count == 0 || width == 0 || !fits || found != per_key * count {
             odd.count("an animation with more or fewer values than times", "left out");
             continue;
         }
-        keys += count as usize;
+        keys += found.max(count) as usize;
         if keys > KEYS_MAX {
             let message = format!("has more than {KEYS_MAX} keys; export with fewer");
             return Err(Problem::new(format!("/animations/{number}"), message));
@@ -131,27 +132,53 @@ pub(super) fn read<'d>(
         let times =
             accessors.floats::<1>(sampler.input, "times")?.into_iter().map(|[t]| t).collect::<Vec<_>>();
         let rises = times.windows(2).all(|t| t[0] < t[1]) && times.iter().all(|t| t.is_finite());
-        let values = values(&mut accessors, sampler.output, property)?;
-        if !rises || !values.iter().flatten().all(|v| v.is_finite()) {
+        let turns = matches!(moves, Place::Node(_, Property::Rotation));
+        let is_scalar = matches!(moves, Place::Node(_, Property::Weights));
+        let values = values(&mut accessors, sampler.output, if is_scalar { 1 } else { width })?;
+        if !rises || !values.iter().all(|v| v.is_finite()) {
             odd.count("an animation whose times do not rise, or whose values are no numbers", "left out");
             continue;
         }
-        let track = Track { property, interpolation, times, values };
-        motion.tracks.entry(node.0).or_default().push(track);
+        let track = Track { turns, interpolation, times, width: width as usize, values };
+        match moves {
+            Place::Node(node, property) => motion.tracks.entry(node).or_default().push((property, track)),
+            Place::Value(value) => motion.pointed.push((value, track)),
+        }
     }
     Ok(motion)
 }
 
-fn values(
-    accessors: &mut Accessors<'_, '_>,
-    output: Index,
-    property: Property,
-) -> Result<Vec<[f32; 4]>, Problem> {
-    if property == Property::Rotation {
-        return accessors.floats::<4>(output, "rotations");
+/// What a channel moves; `None` with a line where that is not shown.
+fn moved_by(channel: &Channel, odd: &mut Oddities) -> Option<Place> {
+    if let Some(pointer) = &channel.target.extensions.pointer {
+        let named = pointers::named(&pointer.pointer);
+        if named.is_none() {
+            let what = format!("an animation of {}", super::buffers::shortened(&pointer.pointer));
+            odd.count(&what, "not played");
+        }
+        return named;
     }
-    let read = accessors.floats::<3>(output, "values of this channel")?;
-    Ok(read.into_iter().map(|[x, y, z]| [x, y, z, 0.0]).collect())
+    let property = match channel.target.path.as_str() {
+        "translation" => Property::Translation,
+        "rotation" => Property::Rotation,
+        "scale" => Property::Scale,
+        "weights" => Property::Weights,
+        _ => {
+            odd.count("an animation of something unknown", "not played");
+            return None;
+        }
+    };
+    Some(Place::Node(channel.target.node?.0, property))
+}
+
+/// Vectors of `width` numbers, one after the other.
+fn values(accessors: &mut Accessors<'_, '_>, output: Index, width: u64) -> Result<Vec<f32>, Problem> {
+    const OF: &str = "values of this channel";
+    Ok(match width {
+        1 => accessors.floats::<1>(output, OF)?.into_flattened(),
+        3 => accessors.floats::<3>(output, OF)?.into_flattened(),
+        _ => accessors.floats::<4>(output, OF)?.into_flattened(),
+    })
 }
 
 impl Motion {
@@ -163,21 +190,32 @@ impl Motion {
     /// What a node's transform is at a time, seconds.
     pub fn at(&self, node: usize, time: f32) -> Moved {
         let mut moved = Moved::default();
-        for track in self.tracks.get(&(node as u32)).into_iter().flatten() {
-            let [x, y, z, w] = track.at(time);
-            match track.property {
-                Property::Translation => moved.translation = Some([x, y, z]),
-                Property::Rotation => moved.rotation = Some([x, y, z, w]),
-                Property::Scale => moved.scale = Some([x, y, z]),
+        for (property, track) in self.tracks.get(&(node as u32)).into_iter().flatten() {
+            match (property, track.at(time).as_slice()) {
+                (Property::Translation, &[x, y, z]) => moved.translation = Some([x, y, z]),
+                (Property::Rotation, &[x, y, z, w]) => moved.rotation = Some([x, y, z, w]),
+                (Property::Scale, &[x, y, z]) => moved.scale = Some([x, y, z]),
+                _ => {}
             }
         }
         moved
     }
 
+    /// The weights of a node's morph targets at a time, where a channel sets them.
+    pub fn weights(&self, node: usize, time: f32) -> Option<Vec<f32>> {
+        let tracks = self.tracks.get(&(node as u32))?;
+        tracks.iter().rfind(|(property, _)| *property == Property::Weights).map(|(_, track)| track.at(time))
+    }
+
+    /// What else is to be changed, and to what, at a time.
+    pub fn values(&self, time: f32) -> impl Iterator<Item = (Value, Vec<f32>)> + '_ {
+        self.pointed.iter().map(move |(value, track)| (*value, track.at(time)))
+    }
+
     /// The moments at which what hangs from these nodes is to be looked at, rising.
     pub fn moments(&self, nodes: &[usize], odd: &mut Oddities) -> Vec<f32> {
         let mut moments: Vec<f32> = Vec::new();
-        for track in nodes.iter().flat_map(|&n| self.tracks.get(&(n as u32)).into_iter().flatten()) {
+        for (_, track) in nodes.iter().flat_map(|&n| self.tracks.get(&(n as u32)).into_iter().flatten()) {
             moments.extend(&track.times);
             let (Some(&first), Some(&last)) = (track.times.first(), track.times.last()) else { continue };
             if track.interpolation != Interpolation::Linear {
@@ -198,37 +236,42 @@ impl Motion {
 }
 
 impl Track {
-    fn at(&self, time: f32) -> [f32; 4] {
+    fn at(&self, time: f32) -> Vec<f32> {
         let each = if self.interpolation == Interpolation::Cubic { 3 } else { 1 };
-        let value = |i: usize| self.values[i * each + each / 2];
+        let part = |i: usize| &self.values[i * self.width..(i + 1) * self.width];
+        let value = |i: usize| part(i * each + each / 2);
         let passed = self.times.partition_point(|&t| t <= time);
         let last = self.times.len() - 1;
         if passed == 0 || passed > last {
-            return self.unit(value(passed.min(last)));
+            return self.unit(value(passed.min(last)).to_vec());
         }
         let (a, b) = (passed - 1, passed);
         let step = self.times[b] - self.times[a];
         let s = (time - self.times[a]) / step;
+        let (from, to) = (value(a), value(b));
+        let each_of = |f: &dyn Fn(usize) -> f32| (0..self.width).map(f).collect();
         self.unit(match self.interpolation {
-            Interpolation::Step => value(a),
-            Interpolation::Linear if self.property == Property::Rotation => slerp(value(a), value(b), s),
-            Interpolation::Linear => std::array::from_fn(|c| value(a)[c] + (value(b)[c] - value(a)[c]) * s),
+            Interpolation::Step => from.to_vec(),
+            Interpolation::Linear => match (from, to) {
+                (&[x, y, z, w], &[i, j, k, l]) if self.turns => slerp([x, y, z, w], [i, j, k, l], s).to_vec(),
+                _ => each_of(&|c| from[c] + (to[c] - from[c]) * s),
+            },
             Interpolation::Cubic => {
-                let (out, into) = (self.values[3 * a + 2], self.values[3 * b]);
+                let (out, into) = (part(3 * a + 2), part(3 * b));
                 let (s2, s3) = (s * s, s * s * s);
-                std::array::from_fn(|c| {
-                    value(a)[c] * (2.0 * s3 - 3.0 * s2 + 1.0)
+                each_of(&|c| {
+                    from[c] * (2.0 * s3 - 3.0 * s2 + 1.0)
                         + out[c] * (step * (s3 - 2.0 * s2 + s))
-                        + value(b)[c] * (3.0 * s2 - 2.0 * s3)
+                        + to[c] * (3.0 * s2 - 2.0 * s3)
                         + into[c] * (step * (s3 - s2))
                 })
             }
         })
     }
 
-    fn unit(&self, v: [f32; 4]) -> [f32; 4] {
+    fn unit(&self, v: Vec<f32>) -> Vec<f32> {
         let length = v.iter().map(|c| c * c).sum::<f32>().sqrt();
-        if self.property == Property::Rotation && length > 0.0 { v.map(|c| c / length) } else { v }
+        if self.turns && length > 0.0 { v.into_iter().map(|c| c / length).collect() } else { v }
     }
 }
 
@@ -253,20 +296,25 @@ mod tests {
     use super::*;
 
     fn track(property: Property, interpolation: Interpolation, values: &[[f32; 4]]) -> Track {
-        Track { property, interpolation, times: vec![1.0, 3.0], values: values.to_vec() }
+        let turns = property == Property::Rotation;
+        let values = values.as_flattened().to_vec();
+        Track { turns, interpolation, times: vec![1.0, 3.0], width: 4, values }
     }
 
     #[test]
     fn values_are_those_of_the_text() {
         let (a, b) = ([1.0, 2.0, 3.0, 0.0], [3.0, 2.0, -1.0, 0.0]);
         let straight = track(Property::Translation, Interpolation::Linear, &[a, b]);
-        assert_eq!([0.0, 2.0, 9.0].map(|t| straight.at(t)), [a, [2.0, 2.0, 1.0, 0.0], b]);
+        assert_eq!([0.0, 2.0, 9.0].map(|t| straight.at(t)), [a, [2.0, 2.0, 1.0, 0.0], b].map(|v| v.to_vec()));
         let step = track(Property::Translation, Interpolation::Step, &[a, b]);
-        assert_eq!([2.99, 3.0].map(|t| step.at(t)), [a, b]);
+        assert_eq!([2.99, 3.0].map(|t| step.at(t)), [a, b].map(|v| v.to_vec()));
         // With the tangents of a straight line a cubic is one; half way tangents count an eighth of the time between.
         let slope = [1.0, 0.0, -2.0, 0.0];
         let cubic = track(Property::Translation, Interpolation::Cubic, &[slope, a, slope, slope, b, slope]);
-        assert_eq!([1.0, 2.0, 2.5].map(|t| cubic.at(t)), [a, [2.0, 2.0, 1.0, 0.0], straight.at(2.5)]);
+        assert_eq!(
+            [1.0, 2.0, 2.5].map(|t| cubic.at(t)),
+            [a.to_vec(), vec![2.0, 2.0, 1.0, 0.0], straight.at(2.5)]
+        );
         let flat = track(Property::Scale, Interpolation::Cubic, &[[0.0; 4], a, slope, [0.0; 4], b, slope]);
         assert_eq!(flat.at(2.0)[0], 2.0 + 2.0 / 8.0);
     }

@@ -1,9 +1,12 @@
 //! What of a document (glTF 2.0 §5) is read. Everything else in it is passed over without being kept.
 
+mod materials;
+
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
 use super::number::{Index, List, Whole};
+pub(super) use materials::{EmissiveStrength, Material, TextureInfo, TextureTransform, Volume};
 
 /// Joints of a skin, and targets of a primitive.
 pub(super) const JOINTS_MAX: usize = 4096;
@@ -197,6 +200,8 @@ pub(super) struct Attributes {
     pub position: Option<Index>,
     #[serde(rename = "NORMAL")]
     pub normal: Option<Index>,
+    #[serde(rename = "TANGENT")]
+    pub tangent: Option<Index>,
     #[serde(rename = "TEXCOORD_0")]
     pub uv0: Option<Index>,
     #[serde(rename = "TEXCOORD_1")]
@@ -331,6 +336,8 @@ pub(super) struct Texture {
 pub(super) struct TextureExtensions {
     #[serde(rename = "EXT_texture_webp")]
     pub webp: Option<OtherSource>,
+    #[serde(rename = "KHR_texture_basisu")]
+    pub basisu: Option<OtherSource>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -343,193 +350,7 @@ pub(super) struct OtherSource {
 pub(super) struct Sampler {
     pub wrap_s: Option<Index>,
     pub wrap_t: Option<Index>,
-}
-
-#[derive(Debug, Default, Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct Material {
-    pub name: Option<String>,
-    #[serde(default)]
-    pub pbr_metallic_roughness: MetallicRoughness,
-    pub normal_texture: Option<TextureInfo>,
-    pub occlusion_texture: Option<TextureInfo>,
-    pub emissive_texture: Option<TextureInfo>,
-    #[serde(default)]
-    pub emissive_factor: [f32; 3],
-    pub alpha_mode: Option<String>,
-    pub alpha_cutoff: Option<f32>,
-    #[serde(default)]
-    pub double_sided: bool,
-    #[serde(default)]
-    pub extensions: MaterialExtensions,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct MetallicRoughness {
-    #[serde(default = "opaque_white")]
-    pub base_color_factor: [f32; 4],
-    pub base_color_texture: Option<TextureInfo>,
-    #[serde(default = "one")]
-    pub metallic_factor: f32,
-    #[serde(default = "one")]
-    pub roughness_factor: f32,
-    pub metallic_roughness_texture: Option<TextureInfo>,
-}
-
-impl Default for MetallicRoughness {
-    fn default() -> Self {
-        Self {
-            base_color_factor: opaque_white(),
-            base_color_texture: None,
-            metallic_factor: 1.0,
-            roughness_factor: 1.0,
-            metallic_roughness_texture: None,
-        }
-    }
-}
-
-/// A texture where it is used. `scale` is that of normals.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct TextureInfo {
-    pub index: Index,
-    #[serde(default)]
-    pub tex_coord: Index,
-    #[serde(default = "one")]
-    pub scale: f32,
-    #[serde(default)]
-    pub extensions: TextureInfoExtensions,
-}
-
-#[derive(Clone, Debug, Default, Deserialize)]
-pub(super) struct TextureInfoExtensions {
-    #[serde(rename = "KHR_texture_transform")]
-    pub transform: Option<TextureTransform>,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct TextureTransform {
-    #[serde(default)]
-    pub offset: [f32; 2],
-    #[serde(default)]
-    pub rotation: f32,
-    #[serde(default = "ones2")]
-    pub scale: [f32; 2],
-    pub tex_coord: Option<Index>,
-}
-
-#[derive(Debug, Default, Deserialize)]
-pub(super) struct MaterialExtensions {
-    #[serde(rename = "KHR_materials_emissive_strength")]
-    pub emissive_strength: Option<EmissiveStrength>,
-    #[serde(rename = "KHR_materials_unlit")]
-    pub unlit: Option<IgnoredAny>,
-    #[serde(rename = "KHR_materials_ior")]
-    pub ior: Option<Ior>,
-    #[serde(rename = "KHR_materials_specular")]
-    pub specular: Option<Specular>,
-    #[serde(rename = "KHR_materials_transmission")]
-    pub transmission: Option<Transmission>,
-    #[serde(rename = "KHR_materials_volume")]
-    pub volume: Option<Volume>,
-    #[serde(rename = "KHR_materials_pbrSpecularGlossiness")]
-    pub glossiness: Option<Glossiness>,
-    #[serde(rename = "KHR_materials_clearcoat")]
-    pub clearcoat: Option<Clearcoat>,
-    #[serde(rename = "KHR_materials_sheen")]
-    pub sheen: Option<SheenObject>,
-    #[serde(rename = "KHR_materials_anisotropy")]
-    pub anisotropy: Option<Anisotropy>,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct Clearcoat {
-    #[serde(default)]
-    pub clearcoat_factor: f32,
-    #[serde(default)]
-    pub clearcoat_roughness_factor: f32,
-    pub clearcoat_texture: Option<TextureInfo>,
-    pub clearcoat_roughness_texture: Option<TextureInfo>,
-    pub clearcoat_normal_texture: Option<TextureInfo>,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct SheenObject {
-    #[serde(default)]
-    pub sheen_color_factor: [f32; 3],
-    #[serde(default)]
-    pub sheen_roughness_factor: f32,
-    pub sheen_color_texture: Option<TextureInfo>,
-    pub sheen_roughness_texture: Option<TextureInfo>,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct Anisotropy {
-    #[serde(default)]
-    pub anisotropy_strength: f32,
-    #[serde(default)]
-    pub anisotropy_rotation: f32,
-    pub anisotropy_texture: Option<TextureInfo>,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct EmissiveStrength {
-    #[serde(default = "one")]
-    pub emissive_strength: f32,
-}
-
-#[derive(Debug, Deserialize)]
-pub(super) struct Ior {
-    #[serde(default = "glass")]
-    pub ior: f32,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct Specular {
-    #[serde(default = "one")]
-    pub specular_factor: f32,
-    #[serde(default = "ones")]
-    pub specular_color_factor: [f32; 3],
-    pub specular_texture: Option<TextureInfo>,
-    pub specular_color_texture: Option<TextureInfo>,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct Transmission {
-    #[serde(default)]
-    pub transmission_factor: f32,
-    pub transmission_texture: Option<TextureInfo>,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct Volume {
-    #[serde(default)]
-    pub thickness_factor: f32,
-    pub attenuation_distance: Option<f32>,
-    #[serde(default = "ones")]
-    pub attenuation_color: [f32; 3],
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct Glossiness {
-    #[serde(default = "opaque_white")]
-    pub diffuse_factor: [f32; 4],
-    pub diffuse_texture: Option<TextureInfo>,
-    #[serde(default = "ones")]
-    pub specular_factor: [f32; 3],
-    #[serde(default = "one")]
-    pub glossiness_factor: f32,
-    pub specular_glossiness_texture: Option<TextureInfo>,
+    pub mag_filter: Option<Index>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -570,7 +391,6 @@ pub(super) struct TargetExtensions {
 
 #[derive(Debug, Deserialize)]
 pub(super) struct Pointer {
-    #[expect(dead_code, reason = "has to be there")]
     pub pointer: String,
 }
 
@@ -604,24 +424,12 @@ fn one() -> f32 {
     1.0
 }
 
-fn glass() -> f32 {
-    1.5
-}
-
 fn yes() -> bool {
     true
 }
 
 fn ones() -> [f32; 3] {
     [1.0; 3]
-}
-
-fn ones2() -> [f32; 2] {
-    [1.0; 2]
-}
-
-fn opaque_white() -> [f32; 4] {
-    [1.0; 4]
 }
 
 fn quarter_turn_half() -> f32 {

@@ -1,43 +1,62 @@
 //! What becomes of extensions: those that are read, those that change nothing that is shown, and the rest.
 
+use std::collections::BTreeSet;
+
 use super::Oddities;
 use super::document::Document;
+use crate::scene::ExtensionUse;
 use crate::scene::load::error::{Place, SceneError};
 
-/// Extensions whose effect is shown, or which say by a line of their own what of it is not.
-const READ: [&str; 18] = [
-    "EXT_mesh_gpu_instancing",
-    "EXT_meshopt_compression",
-    "EXT_texture_webp",
-    "KHR_lights_punctual",
-    "KHR_materials_anisotropy",
-    "KHR_materials_clearcoat",
-    "KHR_materials_emissive_strength",
-    "KHR_materials_ior",
-    "KHR_materials_pbrSpecularGlossiness",
-    "KHR_materials_sheen",
-    "KHR_materials_specular",
-    "KHR_materials_transmission",
-    "KHR_materials_unlit",
-    "KHR_materials_variants",
-    "KHR_materials_volume",
-    "KHR_mesh_quantization",
-    "KHR_meshopt_compression",
-    "KHR_texture_transform",
+/// Extensions that are known, in order, and what becomes of them.
+const KNOWN: [(&str, &str); 30] = [
+    ("EXT_mesh_gpu_instancing", "shown"),
+    ("EXT_meshopt_compression", "decoded"),
+    ("EXT_texture_webp", "shown"),
+    (
+        "KHR_animation_pointer",
+        "transforms, weights, visibility, lights, colours and fields of view at the chosen time",
+    ),
+    ("KHR_lights_punctual", "shown"),
+    ("KHR_materials_anisotropy", "shown"),
+    ("KHR_materials_clearcoat", "shown"),
+    ("KHR_materials_diffuse_transmission", "shown"),
+    ("KHR_materials_dispersion", "shown in bodies of glass"),
+    ("KHR_materials_emissive_strength", "shown"),
+    ("KHR_materials_ior", "shown"),
+    ("KHR_materials_iridescence", "shown"),
+    ("KHR_materials_pbrSpecularGlossiness", "shown"),
+    ("KHR_materials_sheen", "shown"),
+    ("KHR_materials_specular", "shown"),
+    ("KHR_materials_transmission", "shown"),
+    ("KHR_materials_unlit", "shown"),
+    ("KHR_materials_variants", "the chosen one is shown"),
+    ("KHR_materials_volume", "shown; rays find their own way through, whatever thickness is said"),
+    ("KHR_mesh_quantization", "shown"),
+    ("KHR_meshopt_compression", "decoded"),
+    ("KHR_node_hoverability", NOTHING),
+    ("KHR_node_selectability", NOTHING),
+    ("KHR_node_visibility", "what is invisible is left out"),
+    ("KHR_texture_transform", "shown"),
+    ("KHR_xmp", NOTHING),
+    ("KHR_xmp_json_ld", NOTHING),
+    ("MSFT_lod", "the finest level is shown"),
+    // Known only where they are not required.
+    ("KHR_draco_mesh_compression", "not decoded; the uncompressed mesh beside it is shown"),
+    ("KHR_texture_basisu", "not decoded; the other picture beside it is shown"),
 ];
 
-/// Known, and nothing to show.
-const WITHOUT_EFFECT: [&str; 6] = [
-    "KHR_node_hoverability",
-    "KHR_node_selectability",
-    "KHR_node_visibility",
-    "KHR_xmp",
-    "KHR_xmp_json_ld",
-    "MSFT_lod",
-];
+/// Those of [`KNOWN`] that a file may not require.
+const OPTIONAL: usize = 2;
+
+const NOTHING: &str = "nothing to show";
 
 fn known(name: &str) -> bool {
-    READ.contains(&name) || WITHOUT_EFFECT.contains(&name)
+    KNOWN[..KNOWN.len() - OPTIONAL].iter().any(|(n, _)| *n == name)
+}
+
+/// Whether what becomes of it is known, required or not.
+fn listed(name: &str) -> bool {
+    KNOWN.iter().any(|(n, _)| *n == name)
 }
 
 /// Whether what an extension adds is a detail of what is there without it.
@@ -59,12 +78,33 @@ fn remedy(names: &[String]) -> String {
     "export it again without, or name them after --ignore-extension".to_owned()
 }
 
-/// Whether a document has an object of this name anywhere.
-fn has_object(json: &[u8], name: &str) -> bool {
+/// How often a document has an object of this name.
+fn objects(json: &[u8], name: &str) -> usize {
     let key = format!("\"{name}\"");
     memchr::memmem::find_iter(json, key.as_bytes())
-        .any(|at| json[at + key.len()..].iter().find(|b| !b.is_ascii_whitespace()) == Some(&b':'))
+        .filter(|at| json[at + key.len()..].iter().find(|b| !b.is_ascii_whitespace()) == Some(&b':'))
+        .count()
 }
+
+/// What becomes of each extension that a document names or has objects of, in the order of their names.
+fn used(document: &Document, json: &[u8], ignored: &[String]) -> Vec<ExtensionUse> {
+    let named = document.extensions_used.iter().chain(document.extensions_required.iter());
+    let mut names: BTreeSet<String> = named.take(NAMES_MAX).map(|n| super::buffers::shortened(n)).collect();
+    names.extend(KNOWN.iter().filter(|(n, _)| objects(json, n) > 0).map(|(n, _)| (*n).to_owned()));
+    let of = |name: String| {
+        let known = KNOWN.iter().find(|(n, _)| *n == name);
+        let became = match known {
+            _ if ignored.contains(&name) => "ignored, as was asked for",
+            Some((_, became)) => became,
+            None => "not known to this build; shown without",
+        };
+        ExtensionUse { times: objects(json, &name), became: became.to_owned(), name }
+    };
+    names.into_iter().map(of).collect()
+}
+
+/// Names of extensions that are listed.
+const NAMES_MAX: usize = 256;
 
 /// Refuses a document that requires what this build does not know, and says what of the rest is not shown.
 /// `json` is the document's text.
@@ -74,10 +114,10 @@ pub(super) fn check(
     ignored: &[String],
     place: &Place,
     odd: &mut Oddities,
-) -> Result<(), SceneError> {
+) -> Result<Vec<ExtensionUse>, SceneError> {
     // What is required by mistake, since nothing says that it is used and nothing does, is not missed.
     let unused =
-        |name: &String| !document.extensions_used.iter().any(|u| u == name) && !has_object(json, name);
+        |name: &String| !document.extensions_used.iter().any(|u| u == name) && objects(json, name) == 0;
     let ignores = |name: &String| ignored.iter().any(|i| i == name) || unused(name);
     let required = || document.extensions_required.iter().filter(|n| !known(n));
     let names: Vec<String> =
@@ -86,7 +126,7 @@ pub(super) fn check(
         return Err(SceneError::RequiredExtension { place: place.clone(), remedy: remedy(&names), names });
     }
     let mut unknown: Vec<String> = Vec::new();
-    for name in document.extensions_used.iter().chain(required()).filter(|n| !known(n)) {
+    for name in document.extensions_used.iter().chain(required()).filter(|n| !listed(n)) {
         let name = super::buffers::shortened(name);
         if !unknown.contains(&name) && unknown.len() < 32 {
             unknown.push(name);
@@ -95,7 +135,18 @@ pub(super) fn check(
     if !unknown.is_empty() {
         odd.count(&unknown.join(", "), "not known to this build; shown without");
     }
-    Ok(())
+    let used = used(document, json, ignored);
+    for extension in &used {
+        if !document
+            .extensions_used
+            .iter()
+            .chain(document.extensions_required.iter())
+            .any(|n| *n == extension.name)
+        {
+            odd.count(&extension.name, "not declared by the file; shown all the same");
+        }
+    }
+    Ok(used)
 }
 
 #[cfg(test)]
@@ -130,5 +181,26 @@ mod tests {
         assert_eq!(checked(r#""extensionsRequired": ["KHR_materials_fur"]"#, &[]), Ok(true));
         assert_eq!(checked(r#""extensionsUsed": ["KHR_lights_punctual", "KHR_xmp"]"#, &[]), Ok(false));
         assert_eq!(checked(r#""extensionsUsed": ["ADOBE_magic"]"#, &[]), Ok(true));
+    }
+
+    #[test]
+    fn each_extension_is_listed_with_what_became_of_it() {
+        let text = r#"{"asset": {"version": "2.0"}, "extensionsUsed": ["KHR_materials_wax", "KHR_xmp", "KHR_materials_ior"],
+            "materials": [{"extensions": {"KHR_materials_ior": {}}}, {"extensions": {"KHR_materials_ior" : {"ior": 1.3},
+            "KHR_materials_sheen": {}, "KHR_materials_wax": {}}}]}"#;
+        let document: Document = serde_json::from_str(text).unwrap();
+        let mut odd = Oddities::default();
+        let used =
+            check(&document, text.as_bytes(), &["KHR_materials_wax".into()], &Place::new("a", 0), &mut odd);
+        let used: Vec<_> = used.unwrap().into_iter().map(|u| (u.name, u.times, u.became)).collect();
+        let expected = [
+            ("KHR_materials_ior", 2, "shown"),
+            ("KHR_materials_sheen", 1, "shown"),
+            ("KHR_materials_wax", 1, "ignored, as was asked for"),
+            ("KHR_xmp", 0, NOTHING),
+        ];
+        assert_eq!(used, expected.map(|(n, t, b)| (n.to_owned(), t, b.to_owned())));
+        // The sheen was not declared, and wax is not known.
+        assert!(odd.0.keys().any(|(what, done)| what.contains("sheen") && done.contains("not declared")));
     }
 }

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-use glam::{DMat3, DMat4, Vec2, Vec3};
+use glam::{DMat3, DMat4, Vec2, Vec3, Vec4};
 
 use super::accessor::Accessors;
 use super::document::Primitive;
@@ -20,7 +20,18 @@ pub(super) struct Part {
     pub uvs: [Vec<Vec2>; 2],
     /// Factors of the base colour, linear, in [0, 1]; empty where there are none.
     pub colors: Vec<[f32; 4]>,
+    /// Unit, with the sign of the bitangent; empty where there are none.
+    pub tangents: Vec<Vec4>,
     pub triangles: Vec<[u32; 3]>,
+}
+
+/// Where a node puts a part.
+pub(super) struct Stands {
+    pub positions: Vec<Vec3>,
+    pub normals: Vec<Vec3>,
+    pub tangents: Vec<Vec4>,
+    /// Whether triangles are turned round.
+    pub turned: bool,
 }
 
 /// Reads a primitive; `None` where it draws no triangles.
@@ -61,7 +72,8 @@ pub(super) fn read(
         Ok(None)
     };
     let a = &primitive.attributes;
-    let (normal, uv0, uv1) = (vertices(a.normal, odd)?, vertices(a.uv0, odd)?, vertices(a.uv1, odd)?);
+    let (normal, tangent) = (vertices(a.normal, odd)?, vertices(a.tangent, odd)?);
+    let (uv0, uv1) = (vertices(a.uv0, odd)?, vertices(a.uv1, odd)?);
     let colors = match vertices(a.color, odd)? {
         None => Vec::new(),
         Some(index) => accessors.colors(index)?,
@@ -72,6 +84,18 @@ pub(super) fn read(
         Some(n) => {
             let read = accessors.floats::<3>(n, "normals")?;
             read.into_iter().map(|n| Vec3::from(n).normalize_or_zero()).collect()
+        }
+    };
+    let tangents = match tangent {
+        None => Vec::new(),
+        Some(index) => {
+            let read = accessors.floats::<4>(index, "tangents")?;
+            let unit = |t: [f32; 4]| {
+                let [x, y, z, w] = t;
+                let along = Vec3::new(x, y, z).normalize_or_zero();
+                along.extend(if along == Vec3::ZERO { 0.0 } else { w.signum() })
+            };
+            read.into_iter().map(unit).collect()
         }
     };
     let mut set = |index: Option<Index>| -> Result<Vec<Vec2>, Problem> {
@@ -93,7 +117,7 @@ pub(super) fn read(
     if triangles.len() < all {
         odd.add("triangle with an index that is no vertex", "left out", all - triangles.len());
     }
-    Ok(Some(Part { positions, normals, uvs, colors, triangles }))
+    Ok(Some(Part { positions, normals, uvs, colors, tangents, triangles }))
 }
 
 /// As texture coordinates are kept: what is not finite is zero.
@@ -160,33 +184,66 @@ impl Part {
         vec![(WHITE, Cow::Borrowed(self))]
     }
 
+    /// Whether it is no body: more than a hundredth of its edges has a triangle on one side only.
+    pub fn is_open(&self) -> bool {
+        /// Edges with a triangle on one side, to all of them.
+        const OPEN: f32 = 0.01;
+        /// Parts of the body's size within which vertices are at one place.
+        const PLACES: f32 = 65_536.0;
+        let (low, high) = self
+            .positions
+            .iter()
+            .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
+        let step = PLACES / (high - low).max_element().max(f32::MIN_POSITIVE);
+        // Vertices at one place are one, whatever else they have.
+        let place = |v: u32| ((self.positions[v as usize] - low) * step).round().to_array().map(|c| c as i64);
+        let mut sides: HashMap<[[i64; 3]; 2], u32> = HashMap::new();
+        for &[a, b, c] in &self.triangles {
+            for (from, to) in [(a, b), (b, c), (c, a)] {
+                let mut edge = [place(from), place(to)];
+                edge.sort_unstable();
+                *sides.entry(edge).or_default() += 1;
+            }
+        }
+        let open = sides.values().filter(|n| **n == 1).count();
+        open as f32 > OPEN * sides.len() as f32
+    }
+
     /// These triangles, and the vertices that they use.
     fn only(&self, triangles: &[[u32; 3]]) -> Self {
         let mut place: HashMap<u32, u32> = HashMap::new();
-        let mut kept: Vec<usize> = Vec::new();
+        let mut kept: Vec<u32> = Vec::new();
         let mut renamed = |v: u32| {
             *place.entry(v).or_insert_with(|| {
-                kept.push(v as usize);
+                kept.push(v);
                 kept.len() as u32 - 1
             })
         };
         let triangles = triangles.iter().map(|t| t.map(&mut renamed)).collect();
-        let uvs = |set: &Vec<Vec2>| kept.iter().filter_map(|&v| set.get(v).copied()).collect();
+        Self { triangles, colors: Vec::new(), ..self.vertices(&kept) }
+    }
+
+    /// These vertices, without triangles.
+    pub fn vertices(&self, kept: &[u32]) -> Self {
+        fn some<T: Copy>(all: &[T], kept: &[u32]) -> Vec<T> {
+            kept.iter().filter_map(|&v| all.get(v as usize).copied()).collect()
+        }
         Self {
-            positions: kept.iter().map(|&v| self.positions[v]).collect(),
-            normals: kept.iter().map(|&v| self.normals[v]).collect(),
-            uvs: [uvs(&self.uvs[0]), uvs(&self.uvs[1])],
-            colors: Vec::new(),
-            triangles,
+            positions: some(&self.positions, kept),
+            normals: some(&self.normals, kept),
+            uvs: [some(&self.uvs[0], kept), some(&self.uvs[1], kept)],
+            colors: some(&self.colors, kept),
+            tangents: some(&self.tangents, kept),
+            triangles: Vec::new(),
         }
     }
 
-    /// Positions and normals where a node puts them, and whether that turns triangles round; `None` where the node
-    /// leaves nothing of their area.
-    pub fn placed(&self, world: &DMat4) -> Option<(Vec<Vec3>, Vec<Vec3>, bool)> {
+    /// Its vertices where a node puts them; `None` where the node leaves nothing of their area.
+    pub fn placed(&self, world: &DMat4) -> Option<Stands> {
         // So that what stays where it is keeps its bits.
         if *world == DMat4::IDENTITY {
-            return Some((self.positions.clone(), self.normals.clone(), false));
+            let (positions, normals) = (self.positions.clone(), self.normals.clone());
+            return Some(Stands { positions, normals, tangents: self.tangents.clone(), turned: false });
         }
         let linear = DMat3::from_mat4(*world);
         let determinant = linear.determinant();
@@ -202,7 +259,14 @@ impl Part {
         let positions =
             self.positions.iter().map(|p| world.transform_point3(p.as_dvec3()).as_vec3()).collect();
         let turn = |n: &Vec3| (cofactors * n.as_dvec3()).normalize_or_zero().as_vec3();
-        Some((positions, self.normals.iter().map(turn).collect(), determinant < 0.0))
+        let normals = self.normals.iter().map(turn).collect();
+        // A mirror turns normal × tangent round.
+        let along = |t: &Vec4| {
+            let moved = (linear * t.truncate().as_dvec3()).normalize_or_zero().as_vec3();
+            moved.extend(t.w * determinant.signum() as f32)
+        };
+        let tangents = self.tangents.iter().map(along).collect();
+        Some(Stands { positions, normals, tangents, turned: determinant < 0.0 })
     }
 }
 
@@ -221,14 +285,32 @@ mod tests {
     }
 
     #[test]
+    fn a_body_has_no_edges_with_one_side() {
+        let corners = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z];
+        let closed = vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
+        let body = |triangles| Part { positions: corners.to_vec(), triangles, ..Part::default() };
+        assert!(!body(closed.clone()).is_open() && body(closed[..3].to_vec()).is_open());
+        // As exporters write it, with corners of their own for each face.
+        let apart = Part {
+            positions: closed.iter().flatten().map(|&v| corners[v as usize]).collect(),
+            triangles: (0..4).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
+            ..Part::default()
+        };
+        assert!(!apart.is_open());
+    }
+
+    #[test]
     fn normals_stay_perpendicular_and_mirrors_turn_triangles() {
         let part = Part {
             positions: vec![Vec3::ZERO, Vec3::new(1.0, -1.0, 0.0), Vec3::Z],
             normals: vec![Vec3::new(1.0, 1.0, 0.0).normalize(); 3],
+            tangents: vec![Vec3::Z.extend(1.0); 3],
             ..Part::default()
         };
         for (scale, mirrored) in [(DVec3::new(4.0, 1.0, 1.0), false), (DVec3::new(-4.0, 1.0, 1.0), true)] {
-            let (p, n, turned) = part.placed(&DMat4::from_scale(scale)).unwrap();
+            let Stands { positions: p, normals: n, turned, tangents } =
+                part.placed(&DMat4::from_scale(scale)).unwrap();
+            assert_eq!(tangents[0], Vec3::Z.extend(if mirrored { -1.0 } else { 1.0 }));
             assert!(n[0].dot(p[1]).abs() < 1e-6 && n[0].is_normalized());
             // The normal's image has to stay on the side that its own space says.
             assert!(n[0].dot(Vec3::new(scale.x as f32, 1.0, 0.0)) > 0.0);

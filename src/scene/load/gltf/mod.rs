@@ -10,48 +10,44 @@ mod buffers;
 mod container;
 mod document;
 mod extensions;
+mod joined;
 mod lights;
 mod materials;
 mod meshes;
 mod meshopt;
 mod nodes;
 mod number;
+mod pictures;
+mod pointers;
+mod reader;
 mod skins;
 pub(super) mod surfaces;
+mod tangents;
 #[cfg(test)]
 mod tests;
+mod texels;
 #[cfg(test)]
 mod verdict_tests;
 mod whole;
 
-use std::borrow::Cow;
-use std::collections::hash_map::Entry;
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::BTreeMap;
 use std::path::Path;
-
-use glam::{DMat4, Vec2};
 
 use super::LoadOptions;
 use super::error::{Place, SceneError, Warning};
 use super::folder::Folder;
-use super::obj::{ObjFile, Run};
-use crate::scene::camera::PathKey;
-use crate::scene::{CameraPath, Light, NamedCamera};
-use accessor::Accessors;
-use animation::{Motion, Moved};
+use super::obj::ObjFile;
+use crate::scene::{CameraPath, ExtensionUse, Light, NamedCamera};
 use buffers::Buffers;
-use document::{Document, Instancing, Primitive};
-use materials::{Coordinates, Pictures};
-use meshes::Part;
+use document::Document;
 use number::{Index, List};
+use reader::Reader;
 
 pub(super) use materials::Source;
 
-/// Things that are drawn: nodes with a mesh, and instances of them.
-const INSTANCES_MAX: usize = 1 << 22;
-
-/// Letters of a name.
-const NAME_MAX: usize = 200;
+/// r from which on a dielectric counts as diffuse: in the mirrored direction of a small lamp straight above, its layer
+/// adds 3 % to a grey base.
+const GLOSS_FLOOR: f32 = 0.9;
 
 /// What is wrong with a document: where, as a JSON pointer, what, and what to do.
 #[derive(Clone, Debug, PartialEq)]
@@ -116,11 +112,24 @@ pub(super) struct Choices {
     pub play: Option<String>,
     /// The time at which the scene stands, seconds; before its animation begins where there is none.
     pub time: Option<f32>,
+    /// Whether eyes see through the backs of what is not double-sided.
+    pub cull: bool,
+    /// Roughness from which on what is no metal counts as diffuse; beyond 1 nothing does.
+    pub gloss_floor: f32,
 }
 
 impl Default for Choices {
     fn default() -> Self {
-        Self { scene: None, variant: None, light_scale: 1.0, ignored: Vec::new(), play: None, time: None }
+        Self {
+            scene: None,
+            variant: None,
+            light_scale: 1.0,
+            ignored: Vec::new(),
+            play: None,
+            time: None,
+            cull: true,
+            gloss_floor: GLOSS_FLOOR,
+        }
     }
 }
 
@@ -135,6 +144,8 @@ pub(super) struct GltfFile {
     pub cameras: Vec<NamedCamera>,
     /// Of cameras that an animation moves, by their names.
     pub paths: Vec<CameraPath>,
+    /// Its extensions.
+    pub extensions: Vec<ExtensionUse>,
 }
 
 /// Reads a file. `shown` names it in messages; `base` is its folder, relative to the scene's.
@@ -169,22 +180,19 @@ pub(super) fn parse(
         return Err(refuse(Problem::new("/asset/version", message)));
     }
     let mut odd = Oddities::default();
-    extensions::check(&document, json, &choices.ignored, &place, &mut odd)?;
+    let used = extensions::check(&document, json, &choices.ignored, &place, &mut odd)?;
+    let mut document = document;
+    if let Some(time) = choices.time {
+        let changes = {
+            let mut buffers = Buffers::new(&document, folder, base, bytes, container.bin.clone());
+            pointed(&document, choices, time, &mut buffers).map_err(refuse)?
+        };
+        changes.into_iter().for_each(|(value, to)| pointers::set(&mut document, value, &to));
+    }
     let mut buffers = Buffers::new(&document, folder, base, bytes, container.bin);
-    let mut reader = Reader {
-        document: &document,
-        choices,
-        triangles_max: options.triangles_max,
-        variant: None,
-        odd: &mut odd,
-        out: GltfFile::default(),
-        names: HashSet::new(),
-        material_of: HashMap::new(),
-        coordinates: Vec::new(),
-        pictures: Pictures::new(&document),
-    };
-    reader.read(&mut buffers).map_err(refuse)?;
-    let out = reader.out;
+    let reader = Reader::new(&document, choices, options.triangles_max, &mut odd);
+    let mut out = reader.read(&mut buffers).map_err(refuse)?;
+    out.extensions = used;
     if out.mesh.triangles.is_empty() {
         whole::check(&document, json, &mut buffers, &mut odd).map_err(refuse)?;
         odd.count("no triangle", "nothing is drawn but the sky");
@@ -193,309 +201,20 @@ pub(super) fn parse(
     Ok(out)
 }
 
-struct Reader<'d, 'o> {
+/// What the chosen animation makes of values that are no transforms.
+fn pointed<'d>(
     document: &'d Document,
-    choices: &'d Choices,
-    triangles_max: usize,
-    variant: Option<u32>,
-    odd: &'o mut Oddities,
-    out: GltfFile,
-    /// Names of materials so far.
-    names: HashSet<String>,
-    /// Slot of a material of the document, times a colour; `u32::MAX` is the one of what has none.
-    material_of: HashMap<(u32, [u8; 4]), u32>,
-    /// Of each slot.
-    coordinates: Vec<Coordinates>,
-    pictures: Pictures<'d>,
-}
-
-impl<'d> Reader<'d, '_> {
-    fn read(&mut self, buffers: &mut Buffers<'d>) -> Result<(), Problem> {
-        let document = self.document;
-        self.choose_variant();
-        let every: Vec<Index>;
-        let roots: &[Index] = match self.scene()? {
-            Some(scene) => &get(&document.scenes, scene, "scenes")?.nodes,
-            None => {
-                every = (0..document.nodes.len() as u32).map(Index).collect();
-                &every
-            }
-        };
-        let motion = match animation::chosen(document, self.choices.play.as_deref(), self.odd) {
-            None => Motion::default(),
-            Some(animation) => animation::read(animation, document, buffers, self.odd)?,
-        };
-        let time = self.choices.time;
-        let placed = nodes::placed(document, roots, |n| time.map_or(Moved::default(), |t| motion.at(n, t)))?;
-        if !document.animations.is_empty() && time.is_none() {
-            self.odd.count("animation", "not played; things stand as they do before it begins");
-        }
-        let mut viewers: Vec<(usize, String)> = Vec::new();
-        let mut worlds = vec![None; if document.skins.is_empty() { 0 } else { document.nodes.len() }];
-        if !worlds.is_empty() {
-            placed.iter().for_each(|p| worlds[p.node] = Some(p.world));
-        }
-        let mut parts: HashMap<u32, Vec<Option<Part>>> = HashMap::new();
-        let mut things = 0usize;
-        for p in &placed {
-            let node = &document.nodes[p.node];
-            if let Some(camera) = node.camera {
-                let camera = get(&document.cameras, camera, "cameras")?;
-                if let Some(view) = lights::camera(camera, &p.world, self.odd) {
-                    let name =
-                        node.name.as_deref().or(camera.name.as_deref()).map_or_else(String::new, named);
-                    viewers.extend(self.add_camera(name, view).map(|name| (p.node, name)));
-                }
-            }
-            let extensions = node.extensions.as_deref();
-            if let (Some(light), Some(all)) =
-                (extensions.and_then(|e| e.light.as_ref()), &document.extensions.lights)
-            {
-                let light = get(&all.lights, light.light, "extensions/KHR_lights_punctual/lights")?;
-                self.out.lights.extend(lights::light(light, &p.world, self.choices.light_scale, self.odd));
-            }
-            let Some(index) = node.mesh else { continue };
-            let mesh = get(&document.meshes, index, "meshes")?;
-            let instances = match extensions.and_then(|e| e.instancing.as_ref()) {
-                None => vec![p.world],
-                Some(of) => instances(of, &p.world, document, buffers)?,
-            };
-            things = things.saturating_add(instances.len());
-            if things > INSTANCES_MAX {
-                let message = format!("is one more than {INSTANCES_MAX} things to draw; split the file");
-                return Err(Problem::new(format!("/nodes/{}", p.node), message));
-            }
-            let name = node.name.as_deref().or(mesh.name.as_deref());
-            let name = name.map_or_else(|| format!("node {}", p.node), named);
-            let name_index = self.out.mesh.names.len() as u32;
-            self.out.mesh.names.push(name);
-            let read = match parts.entry(index.0) {
-                Entry::Occupied(known) => known.into_mut(),
-                Entry::Vacant(place) => {
-                    let mut accessors = Accessors::new(document, buffers);
-                    let read: Result<Vec<_>, Problem> =
-                        mesh.primitives.iter().map(|q| meshes::read(q, &mut accessors, self.odd)).collect();
-                    place.insert(read?)
-                }
-            };
-            let weights = if node.weights.is_empty() { &mesh.weights } else { &node.weights };
-            let joints = match node.skin {
-                None => None,
-                Some(skin) => {
-                    let skin = get(&document.skins, skin, "skins")?;
-                    skins::joints(skin, document, &worlds, &mut Accessors::new(document, buffers), self.odd)?
-                }
-            };
-            for (primitive, part) in mesh.primitives.iter().zip(read.iter()) {
-                let Some(part) = part else { continue };
-                let mut accessors = Accessors::new(document, buffers);
-                let mut part = Cow::Borrowed(part);
-                if !primitive.targets.is_empty() && weights.iter().any(|w| *w != 0.0) {
-                    skins::morph(part.to_mut(), primitive, weights, &mut accessors, self.odd)?;
-                }
-                let mut stands = instances.as_slice();
-                let moved = match &joints {
-                    None => None,
-                    Some(joints) => skins::skinned(&part, primitive, joints, &mut accessors, self.odd)?,
-                };
-                if let Some(moved) = moved {
-                    // Joints put it into the world; where its own node is does not matter.
-                    (part, stands) = (Cow::Owned(moved), &[DMat4::IDENTITY]);
-                }
-                for (color, part) in part.shades() {
-                    let slot = self.material(primitive, color, buffers)?;
-                    for world in stands {
-                        self.add(&part, world, slot, name_index)
-                            .map_err(|message| Problem::new(format!("/nodes/{}", p.node), message))?;
-                    }
-                }
-            }
-        }
-        self.add_paths(&viewers, &motion)
-    }
-
-    /// Adds the paths of cameras that move.
-    fn add_paths(&mut self, viewers: &[(usize, String)], motion: &Motion) -> Result<(), Problem> {
-        let document = self.document;
-        let chains = nodes::chains(document, &viewers.iter().map(|v| v.0).collect::<Vec<_>>());
-        for ((node, name), chain) in viewers.iter().zip(chains) {
-            let moving: Vec<usize> = chain.iter().copied().filter(|&n| motion.moves(n)).collect();
-            let Some(camera) = document.nodes[*node].camera.filter(|_| !moving.is_empty()) else { continue };
-            let camera = get(&document.cameras, camera, "cameras")?;
-            let mut unheard = Oddities::default();
-            let keys: Vec<PathKey> = motion
-                .moments(&moving, self.odd)
-                .into_iter()
-                .filter_map(|t| {
-                    let world = nodes::world(document, &chain, |n| motion.at(n, t));
-                    let view = lights::camera(camera, &world, &mut unheard)?;
-                    Some(PathKey { t, eye: view.eye, target: view.target })
-                })
-                .collect();
-            if !keys.is_empty() {
-                self.out.paths.push(CameraPath { name: name.clone(), keys });
-            }
-        }
-        Ok(())
-    }
-
-    /// The scene to show; `None` where the document has none, and all nodes are.
-    fn scene(&mut self) -> Result<Option<Index>, Problem> {
-        let document = self.document;
-        if let Some(wanted) = &self.choices.scene {
-            let found = document.scenes.iter().position(|s| s.name.as_ref() == Some(wanted));
-            if let Some(i) = found {
-                return Ok(Some(Index(i as u32)));
-            }
-            self.odd
-                .count(&format!("scene \"{wanted}\" of the sidecar"), "not in the file; its own is shown");
-        }
-        match document.scene {
-            Some(scene) => get(&document.scenes, scene, "scenes").map(|_| Some(scene)),
-            None if document.scenes.is_empty() => Ok(None),
-            None => Ok(Some(Index(0))),
-        }
-    }
-
-    fn choose_variant(&mut self) {
-        let Some(wanted) = &self.choices.variant else { return };
-        let all = self.document.extensions.variants.as_ref();
-        let found = all.and_then(|v| v.variants.iter().position(|v| v.name == *wanted));
-        self.variant = found.map(|i| i as u32);
-        if found.is_none() {
-            let names: Vec<&str> =
-                all.map_or(Vec::new(), |v| v.variants.iter().take(16).map(|v| v.name.as_str()).collect());
-            let what = format!("variant \"{wanted}\" (there are: {})", names.join(", "));
-            self.odd.count(&what, "not in the file; shown without");
-        }
-    }
-
-    /// Adds a camera; returns the name that it has got.
-    fn add_camera(&mut self, name: String, camera: crate::scene::Camera) -> Option<String> {
-        let name = if name.is_empty() { "camera".to_owned() } else { name };
-        let taken = |n: &str| self.out.cameras.iter().any(|c| c.name == n);
-        // A document of a million cameras is no reason to look long for a name.
-        if self.out.cameras.len() >= 1024 {
-            self.odd.count("a camera beyond the first 1024", "left out");
-            return None;
-        }
-        let unique = (2..).map(|n| format!("{name} ({n})"));
-        let name = std::iter::once(name.clone()).chain(unique).find(|n| !taken(n)).unwrap_or(name);
-        self.out.cameras.push(NamedCamera { name: name.clone(), camera });
-        Some(name)
-    }
-
-    /// The slot of the material of a primitive.
-    fn material(
-        &mut self,
-        primitive: &Primitive,
-        color: [u8; 4],
-        buffers: &mut Buffers<'d>,
-    ) -> Result<u32, Problem> {
-        let mapped = self.variant.and_then(|variant| {
-            let all = primitive.extensions.variants.as_ref()?;
-            all.mappings.iter().find(|m| m.variants.contains(&Index(variant))).map(|m| m.material)
-        });
-        let index = mapped.or(primitive.material);
-        let key = (index.map_or(u32::MAX, |i| i.0), color);
-        if let Some(&slot) = self.material_of.get(&key) {
-            return Ok(slot);
-        }
-        let default = document::Material::default();
-        let material = match index {
-            None => &default,
-            Some(i) => get(&self.document.materials, i, "materials")?,
-        };
-        let plain = material.name.as_deref().map_or_else(String::new, named);
-        let plain = match (plain.is_empty(), index) {
-            (false, _) => plain,
-            (true, Some(i)) => format!("material {}", i.0),
-            (true, None) => "default".to_owned(),
-        };
-        let mut name = plain.clone();
-        if !self.names.insert(name.clone()) {
-            name = format!("{plain} #{}", self.out.materials.len());
-            self.names.insert(name.clone());
-        }
-        let (mut source, coordinates) =
-            materials::read(material, name.clone(), &mut self.pictures, buffers, self.odd)?;
-        let [r, g, b, opacity] = color.map(|v| f32::from(v) / 255.0);
-        source.base *= glam::Vec3::new(r, g, b);
-        source.base_alpha *= opacity;
-        let slot = self.out.materials.len() as u32;
-        self.out.materials.push(source);
-        self.coordinates.push(coordinates);
-        self.out.mesh.materials.push((name, 0));
-        self.material_of.insert(key, slot);
-        Ok(slot)
-    }
-
-    /// Adds a part where an instance puts it.
-    fn add(&mut self, part: &Part, world: &DMat4, slot: u32, name: u32) -> Result<(), String> {
-        let mesh = &mut self.out.mesh;
-        let all = mesh.triangles.len() + part.triangles.len();
-        let vertices = mesh.positions.len() + part.positions.len();
-        if all > self.triangles_max || vertices > 3 * self.triangles_max {
-            return Err(format!(
-                "makes more than {} triangles of the scene; split the file",
-                self.triangles_max
-            ));
-        }
-        let Some((positions, normals, turned)) = part.placed(world) else {
-            self.odd.count("a thing whose transform leaves no volume", "left out");
-            return Ok(());
-        };
-        let first = mesh.positions.len() as u32;
-        mesh.positions.extend(positions);
-        mesh.normals.extend(normals);
-        let coordinates = self.coordinates[slot as usize];
-        let set = &part.uvs[coordinates.set];
-        let moved = |uv: Vec2| match coordinates.moved {
-            None => uv,
-            Some((linear, offset)) => meshes::finite(linear * uv + offset),
-        };
-        // From the upper left to the lower left.
-        mesh.uvs.extend(set.iter().map(|&uv| moved(uv)).map(|uv| Vec2::new(uv.x, 1.0 - uv.y)));
-        mesh.uvs.resize(mesh.positions.len(), Vec2::ZERO);
-        mesh.runs.push(Run { first: mesh.triangles.len(), name, material: Some(slot) });
-        mesh.triangles.extend(part.triangles.iter().map(|&[a, b, c]| {
-            if turned { [first + a, first + c, first + b] } else { [first + a, first + b, first + c] }
-        }));
-        Ok(())
-    }
-}
-
-/// As much of a name as is kept.
-fn named(name: &str) -> String {
-    if name.len() <= NAME_MAX { name.to_owned() } else { name.chars().take(NAME_MAX / 4).collect() }
-}
-
-/// Where the instances of a node stand (`EXT_mesh_gpu_instancing`).
-fn instances<'d>(
-    of: &Instancing,
-    world: &DMat4,
-    document: &'d Document,
+    choices: &Choices,
+    time: f32,
     buffers: &mut Buffers<'d>,
-) -> Result<Vec<DMat4>, Problem> {
-    let a = &of.attributes;
-    let mut accessors = Accessors::new(document, buffers);
-    let mut count = None;
-    for index in [a.translation, a.rotation, a.scale].into_iter().flatten() {
-        let n = accessors.count(index)?;
-        if n > INSTANCES_MAX as u64 || count.is_some_and(|c| c != n) {
-            let message = format!("has {n} instances, others more or fewer, or more than {INSTANCES_MAX}");
-            return Err(Problem::new(format!("/accessors/{}/count", index.0), message));
-        }
-        count = Some(n);
-    }
-    let translations = a.translation.map(|i| accessors.floats::<3>(i, "translations")).transpose()?;
-    let rotations = a.rotation.map(|i| accessors.floats::<4>(i, "rotations")).transpose()?;
-    let scales = a.scale.map(|i| accessors.floats::<3>(i, "scales")).transpose()?;
-    let at = |i: usize| {
-        let translation = translations.as_ref().map_or([0.0; 3], |t| t[i]);
-        let rotation = rotations.as_ref().map_or([0.0, 0.0, 0.0, 1.0], |r| r[i]);
-        let scale = scales.as_ref().map_or([1.0; 3], |s| s[i]);
-        *world * nodes::transform(translation, rotation, scale)
+) -> Result<Vec<(pointers::Value, Vec<f32>)>, Problem> {
+    // What is odd is said when everything else is read.
+    let mut unheard = Oddities::default();
+    let Some(animation) = animation::chosen(document, choices.play.as_deref(), &mut unheard) else {
+        return Ok(Vec::new());
     };
-    Ok((0..count.unwrap_or(1) as usize).map(at).collect())
+    if animation.1.channels.iter().all(|c| c.target.extensions.pointer.is_none()) {
+        return Ok(Vec::new());
+    }
+    Ok(animation::read(animation, document, buffers, &mut unheard)?.values(time).collect())
 }

@@ -109,6 +109,7 @@ pub(super) fn skinned(
         return Ok(None);
     }
     let mut out = part.clone();
+    let mut tangents = out.tangents.iter_mut();
     for ((position, normal), bones) in out.positions.iter_mut().zip(&mut out.normals).zip(&bones) {
         let all: f64 = bones.iter().map(|(_, w)| w).sum();
         let mut sum = DMat4::ZERO;
@@ -121,6 +122,10 @@ pub(super) fn skinned(
         // The inverse transpose, up to a factor.
         let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y)) * linear.determinant().signum();
         *normal = (cofactors * DVec3::from(*normal)).normalize_or_zero().as_vec3();
+        if let Some(tangent) = tangents.next() {
+            let along = (linear * tangent.truncate().as_dvec3()).normalize_or_zero().as_vec3();
+            *tangent = along.extend(tangent.w * linear.determinant().signum() as f32);
+        }
     }
     Ok(Some(out))
 }

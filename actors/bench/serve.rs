@@ -67,7 +67,8 @@ pub fn run(a: &ServeArguments, progress: Progress) -> Result<(), Failure> {
     let make: Make = Arc::new(move |_| {
         let probes = Some(Arc::clone(&loaded.probes));
         let options = Options { probes, ..Options::interactive(settings) };
-        Ok(Box::new(Engine::start(loaded.opened.clone(), options)?) as Box<dyn FrameSource>)
+        let engine = Engine::start(loaded.opened.clone(), options)?;
+        Ok((Box::new(engine) as Box<dyn FrameSource>).into())
     });
     let bar = progress.bar(4, "serve");
     let inputs = 4 * a.common.runs.max(1);
@@ -209,6 +210,7 @@ impl Served {
             watch_token: None,
             limits: Limits { walks: None, viewers: 16, bytes: None, idle: 600.0 },
             recorded: false,
+            tls: None,
         })?;
         let port = server.address().port();
         let stops = Arc::new(AtomicBool::new(false));

@@ -39,6 +39,7 @@
 struct Readme;
 
 pub mod bake_clock;
+pub mod change;
 pub mod controls;
 pub mod edit;
 pub mod engine;

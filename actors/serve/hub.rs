@@ -11,12 +11,14 @@ use std::collections::BTreeMap;
 use std::net::IpAddr;
 use std::sync::Arc;
 
+use foveal_engine::foveal::scene::Camera;
 use foveal_engine::thread::{Command, Shown};
-use foveal_engine::walk::Notice;
+use foveal_engine::walk::{Act, Notice};
 
+pub use self::driving::SIDE_MAX;
 use crate::coding::{Coded, Coding};
 use crate::gate::{Gate, Pass, Token};
-use crate::protocol::{self, Described, FromPage, Malformed, TEXT_MAX, VERSION, Why};
+use crate::protocol::{self, Described, FromPage, Malformed, TEXT_MAX, VERSION, Why, camera_from};
 use crate::room::{PAUSE, Room};
 use crate::viewer::{RoomId, Standing, Viewer, ViewerId};
 
@@ -51,6 +53,8 @@ pub enum Event {
     Gone(ViewerId),
     /// A walk that was to be opened stands, or why not.
     Opened(RoomId, Result<Described, String>),
+    /// A walk has begun anew.
+    Described(RoomId, Described),
     /// A walk shows something new.
     Shown(RoomId, Arc<Shown>),
     /// A walk has something to say.
@@ -151,6 +155,7 @@ impl Hub {
             Event::Input(id, bytes) => self.on_input(id, &bytes, now),
             Event::Gone(id) => self.forget(id, now),
             Event::Opened(room, described) => self.on_opened(room, described, now),
+            Event::Described(room, described) => self.on_described(room, described),
             Event::Shown(room, shown) => self.on_shown(room, shown, now),
             Event::Said(room, notice) => self.on_said(room, &notice),
             Event::Over(room) => self.on_over(room, now),
@@ -191,8 +196,8 @@ impl Hub {
         let message = if text.len() > TEXT_MAX { Err(Malformed) } else { FromPage::parse(text) };
         match (viewer.standing, message) {
             (_, Err(Malformed)) => self.dismiss(id, Why::Rude, now),
-            (Standing::Greeting, Ok(FromPage::Hello { v, token, resume })) => {
-                self.on_hello(id, v, &token, resume.as_deref(), now);
+            (Standing::Greeting, Ok(FromPage::Hello { v, token, resume, camera })) => {
+                self.on_hello(id, v, &token, resume.as_deref(), camera.and_then(camera_from), now);
             }
             (Standing::Greeting, Ok(_)) | (_, Ok(FromPage::Hello { .. })) => {
                 self.dismiss(id, Why::Rude, now);
@@ -201,13 +206,15 @@ impl Hub {
             (Standing::In(..), Ok(FromPage::Kept)) => viewer.fetches = false,
             (Standing::In(..), Ok(FromPage::Here)) => {}
             (Standing::In(room, _), Ok(FromPage::Set { key, value })) => {
+                viewer.set += 1;
                 if !viewer.rates[2].take(now) {
                     self.dismiss(id, Why::Rude, now);
                 } else if self.is_driving(room, id, now) {
-                    self.effects.push(Effect::Tell(room, Command::Put { key, value }));
+                    self.tell(room, Command::Put { key, value });
                 }
             }
             (Standing::In(room, pass), Ok(FromPage::Do(deed))) => {
+                viewer.set += u64::from(deed.sets());
                 if viewer.rates[3].take(now) {
                     self.on_deed(id, room, pass, deed, now);
                 } else {
@@ -217,7 +224,15 @@ impl Hub {
         }
     }
 
-    fn on_hello(&mut self, id: ViewerId, v: u32, token: &str, known: Option<&str>, now: f64) {
+    fn on_hello(
+        &mut self,
+        id: ViewerId,
+        v: u32,
+        token: &str,
+        known: Option<&str>,
+        camera: Option<Camera>,
+        now: f64,
+    ) {
         let Some(viewer) = self.viewers.get(&id) else { return };
         if v != VERSION {
             return self.dismiss(id, Why::Version, now);
@@ -258,16 +273,40 @@ impl Hub {
             return self.dismiss(id, Why::Full, now);
         };
         viewer.standing = Standing::In(room_id, pass);
+        let resume = viewer.resume.clone();
         let Some(room) = self.rooms.get_mut(&room_id) else { return };
         room.empty = None;
         if pass == Pass::Drive {
-            room.enter(id, &viewer.resume, now);
+            room.enter(id, &resume, now);
+            if back.is_none() && room.drives(id) && !room.walked {
+                // It was somewhere when a server ended that this one follows.
+                room.stands = camera;
+            }
         }
         if room.paused {
             room.paused = false;
             self.effects.push(Effect::Tell(room_id, Command::Resume));
         }
         self.welcome(id);
+        self.stand(room_id, now);
+    }
+
+    /// Goes to where a walk stood that another server served, once there is one.
+    fn stand(&mut self, room_id: RoomId, now: f64) {
+        let Some(room) = self.rooms.get_mut(&room_id).filter(|room| room.described.is_some()) else { return };
+        let Some(camera) = room.stands.take() else { return };
+        room.walked = true;
+        self.tell(room_id, Command::Act { act: Act::Stand(camera), at: now, mark: 0.0 });
+        let text = "the server has begun anew; the walk stands where it was".to_owned();
+        self.on_said(room_id, &Notice { text, failed: false });
+    }
+
+    /// Tells a walk something.
+    fn tell(&mut self, room_id: RoomId, command: Command) {
+        if let Some(room) = self.rooms.get_mut(&room_id) {
+            room.set += u64::from(command.sets());
+            self.effects.push(Effect::Tell(room_id, command));
+        }
     }
 
     /// Says what there is to know, once the walk stands.
@@ -291,11 +330,21 @@ impl Hub {
                 for id in self.inside(room_id) {
                     self.welcome(id);
                 }
+                self.stand(room_id, now);
             }
             Err(why) => {
                 self.on_said(room_id, &Notice { text: why, failed: true });
                 self.on_over(room_id, now);
             }
+        }
+    }
+
+    fn on_described(&mut self, room_id: RoomId, described: Described) {
+        let Some(room) = self.rooms.get_mut(&room_id) else { return };
+        room.described = Some(described);
+        for id in self.inside(room_id) {
+            self.welcome(id);
+            self.viewers.get_mut(&id).into_iter().for_each(Viewer::welcomed);
         }
     }
 

@@ -5,14 +5,15 @@
 
 mod connection;
 mod listen;
+mod tls;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use foveal_engine::source::FrameSource;
-use foveal_engine::thread::{Command, EngineHandle, EngineThread};
+use foveal_engine::change::Begun;
+use foveal_engine::thread::{Command, EngineHandle, EngineThread, Opening};
 use foveal_engine::walk::Act;
 use foveal_engine::{Failure, screenshot};
 use tokio::sync::mpsc::error::TrySendError;
@@ -20,6 +21,7 @@ use tokio::sync::{Notify, mpsc};
 use tokio::time::MissedTickBehavior;
 
 use self::connection::Out;
+pub use self::tls::Tls;
 use crate::coding::encode;
 use crate::gate::{Gate, Hosts, Token};
 use crate::hub::{Effect, Event, Hub, Limits};
@@ -34,7 +36,7 @@ const FAREWELL: Duration = Duration::from_millis(200);
 const EVENTS: usize = 1024;
 
 /// Makes a walk on the thread that it will live on; they are counted from 1.
-pub type Make = Arc<dyn Fn(u32) -> Result<Box<dyn FrameSource>, Failure> + Send + Sync>;
+pub type Make = Arc<dyn Fn(u32) -> Result<Begun, Failure> + Send + Sync>;
 
 /// How a server is opened.
 #[derive(Clone, Debug)]
@@ -53,6 +55,8 @@ pub struct Options {
     pub limits: Limits,
     /// Whether walks are recorded.
     pub recorded: bool,
+    /// By what connections are encrypted.
+    pub tls: Option<Tls>,
 }
 
 /// A server that listens.
@@ -116,7 +120,7 @@ impl Server {
         let listener = tokio::net::TcpListener::from_std(listener)
             .map_err(|e| Failure::Environment(format!("cannot listen: {e}")))?;
         let hosts = Hosts::new(address, &options.hosts);
-        tokio::spawn(listen::listen(listener, listen::Door::new(hosts, options.behind_proxy, sender)));
+        tokio::spawn(listen::listen(listener, listen::Door::new(hosts, options.behind_proxy, options.tls, sender)));
         ready();
         let mut tick = tokio::time::interval(TICK);
         tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -201,9 +205,8 @@ impl Glue {
         move || EngineThread::spawn(move || make(number), move || wake.notify_one())
     }
 
-    fn described(&self, thread: &EngineThread) -> Described {
-        let opening = thread.opening();
-        Described::new(&opening.place, opening.size, &opening.ranges, self.recorded)
+    fn described(&self, opening: &Opening) -> Described {
+        Described::new(opening, self.recorded)
     }
 
     fn keep(&mut self, room: RoomId, thread: EngineThread) {
@@ -217,7 +220,7 @@ impl Glue {
     /// One walk for all, from the start.
     fn share(&mut self) -> Result<(), Failure> {
         let thread = self.maker()()?;
-        let room = self.hub.open(self.described(&thread), self.now());
+        let room = self.hub.open(self.described(thread.opening()), self.now());
         self.keep(room, thread);
         Ok(())
     }
@@ -234,7 +237,7 @@ impl Glue {
                 tracing::debug!("nobody waited for walk {room}");
             }
             Message::Opened(room, Ok(thread)) => {
-                let described = self.described(&thread);
+                let described = self.described(thread.opening());
                 self.keep(room, thread);
                 self.on(Event::Opened(room, Ok(described)));
             }
@@ -249,6 +252,8 @@ impl Glue {
     fn look(&mut self) {
         let mut events = Vec::new();
         for (room, walk) in &self.walks {
+            let anew = walk.handle.opening().map(|o| Event::Described(*room, self.described(&o)));
+            events.extend(anew);
             events.extend(walk.handle.shown().map(|shown| Event::Shown(*room, shown)));
             events.extend(std::iter::from_fn(|| walk.handle.notice()).map(|n| Event::Said(*room, n)));
             while let Some(shot) = walk.handle.shot() {

@@ -11,10 +11,11 @@ use super::served::Served;
 use crate::support::browser::{Browser, Page};
 use crate::support::{Foveal, folder, root, scene};
 
-const STILL: &str = "document.getElementById('state').textContent.startsWith('exact')";
+/// The picture is exact.
+pub const STILL: &str = "document.getElementById('state').textContent.startsWith('exact')";
 
 /// The server's page, in a tab of its own, once the picture is exact.
-fn opened(browser: &Browser, served: &Served) -> Page {
+pub fn opened(browser: &Browser, served: &Served) -> Page {
     let mut page = browser.page();
     page.resize(1280, 800, "dark", false);
     page.go(&served.address());
@@ -25,7 +26,7 @@ fn opened(browser: &Browser, served: &Served) -> Page {
 }
 
 /// Pixels of the canvas, RGB.
-fn pixels(page: &mut Page) -> Vec<u8> {
+pub fn pixels(page: &mut Page) -> Vec<u8> {
     let all = page.eval(
         "(() => { const c = document.getElementById('picture');
          return [...c.getContext('2d').getImageData(0, 0, c.width, c.height).data].filter((_, i) => i % 4 < 3) })()",
@@ -34,7 +35,7 @@ fn pixels(page: &mut Page) -> Vec<u8> {
 }
 
 /// Waits until something holds.
-fn until(what: &str, mut holds: impl FnMut() -> bool) {
+pub fn until(what: &str, mut holds: impl FnMut() -> bool) {
     let end = Instant::now() + Duration::from_secs(60);
     while !holds() {
         assert!(Instant::now() < end, "never: {what}");
@@ -43,7 +44,7 @@ fn until(what: &str, mut holds: impl FnMut() -> bool) {
 }
 
 /// Sets a slider as a hand would, to a share of its length.
-fn slide(page: &mut Page, key: &str, share: f64) {
+pub fn slide(page: &mut Page, key: &str, share: f64) {
     page.eval(&format!(
         "(() => {{ const i = document.getElementById('c-{key}'); i.value = {share} * 1000;
          i.dispatchEvent(new Event('input', {{ bubbles: true }})) }})()"
@@ -240,7 +241,8 @@ fn the_page_fits_every_screen_and_names_all_that_can_be_used() {
     let served = Served::start("--size 320x240");
     let mut page = opened(&browser, &served);
     for scheme in ["dark", "light"] {
-        for (width, height) in [(1280, 800), (768, 1024), (360, 740), (320, 640)] {
+        // (The last is the first at 400 %.)
+        for (width, height) in [(1280, 800), (768, 1024), (360, 740), (320, 640), (320, 200)] {
             page.resize(width, height, scheme, width < 700);
             let over = page.eval("document.documentElement.scrollWidth - innerWidth");
             assert!(over.as_f64() <= Some(0.0), "{width}: {over} pixels too wide");

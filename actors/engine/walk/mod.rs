@@ -22,6 +22,7 @@ pub use self::ways::BOOKMARKS;
 use self::ways::Ways;
 use crate::look::Mirror;
 use crate::navigation::Navigator;
+use crate::opened::Opened;
 use crate::source::{Controls, FrameSource, Names, Place, Ranges, Status};
 
 /// Longest stretch of work between two looks at the input.
@@ -141,6 +142,11 @@ impl Walk {
         self.leaving.retain(|ending| !ending.is_over());
         let before = std::mem::replace(&mut self.source, source);
         self.leaving.push(before.leave());
+    }
+
+    /// What it is made of; nothing where it is a recording.
+    pub fn opened(&self) -> Option<Opened> {
+        self.source.opened()
     }
 
     /// The scene.

@@ -1,6 +1,6 @@
 // The panel: made of the controls that the server knows, which it made of the table that the window uses.
 
-const make = (tag, properties = {}, ...children) => {
+export const make = (tag, properties = {}, ...children) => {
   const element = Object.assign(document.createElement(tag), properties);
   element.append(...children);
   return element;

@@ -71,5 +71,6 @@ pub fn apart<T: Send>(work: impl FnOnce() -> Result<T, String> + Send) -> Result
         Ok(threads) => threads.install(work),
         Err(_) => work(),
     };
-    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| Err("loading the scene failed unexpectedly".into()))
+    catch_unwind(AssertUnwindSafe(work))
+        .unwrap_or_else(|_| Err("loading the scene failed unexpectedly".into()))
 }

@@ -8,12 +8,12 @@ use foveal_actors::renderer::overlay::Overlay;
 use glam::Vec3;
 
 use super::*;
+use crate::change::Changer;
 use crate::engine::Engine;
 use crate::navigation::{Motion, Navigator};
 use crate::opened::Opened;
-use crate::change::Changer;
-use crate::source::FrameSource;
 use crate::options::Options;
+use crate::source::FrameSource;
 use crate::{Settings, test_scene};
 
 fn make() -> Result<Box<dyn FrameSource>, Failure> {
@@ -149,7 +149,8 @@ fn a_walk_begins_anew_where_it_stands() {
             _ => size,
         };
         Ok(Box::new(move || {
-            let options = Options { fps: Some(30.0), ..Options::interactive(Settings::new(width, height, 2)) };
+            let options =
+                Options { fps: Some(30.0), ..Options::interactive(Settings::new(width, height, 2)) };
             Ok(Box::new(Engine::start(opened, options).map_err(|e| e.to_string())?))
         }))
     });

@@ -54,7 +54,8 @@ fn serving() -> (serde_json::Value, String) {
     let listens = std::net::TcpListener::bind("127.0.0.1:0").map_err(|e| e.to_string());
     let on_path = |command: &std::process::Command| {
         let folders = std::env::var_os("PATH").unwrap_or_default();
-        let found = std::env::split_paths(&folders).any(|folder| folder.join(command.get_program()).is_file());
+        let found =
+            std::env::split_paths(&folders).any(|folder| folder.join(command.get_program()).is_file());
         found.then(|| command.get_program().to_string_lossy().into_owned())
     };
     let browser = open::commands("http://127.0.0.1").iter().find_map(on_path);

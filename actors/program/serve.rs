@@ -147,7 +147,13 @@ impl ServeArguments {
             (false, Some(_)) => {
                 let host = name.map_or_else(
                     || listens.to_string(),
-                    |name| if listens.port() == 443 { name.clone() } else { format!("{name}:{}", listens.port()) },
+                    |name| {
+                        if listens.port() == 443 {
+                            name.clone()
+                        } else {
+                            format!("{name}:{}", listens.port())
+                        }
+                    },
                 );
                 Some(format!("https://{host}/"))
             }
@@ -217,7 +223,9 @@ fn serve(server: Server, make: Make, told: &Told) -> Result<(), Failure> {
                 print_line(&format!("to watch: {}", address(watch)));
             }
         }
-        if told.opens && let Err(e) = open::that_detached(address(&told.token)) {
+        if told.opens
+            && let Err(e) = open::that_detached(address(&told.token))
+        {
             tracing::warn!("no browser can be opened ({e}); open the address by hand");
         }
     };

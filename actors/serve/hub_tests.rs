@@ -4,8 +4,9 @@ use foveal::image::Map2d;
 use foveal::scene::Display;
 use foveal_actors::renderer::overlay::Overlay;
 use foveal_actors::settings::{Adjustment, Settings};
-use foveal_engine::controls::Value;
 use foveal_engine::change::Change;
+use foveal_engine::controls::Value;
+use foveal_engine::foveal::scene::Camera;
 use foveal_engine::glam::Vec3;
 use foveal_engine::navigation::Motion;
 use foveal_engine::source::{Controls, NamedLamp, Status};
@@ -17,6 +18,7 @@ use serde_json::json;
 
 use super::*;
 use crate::coding::encode;
+use crate::protocol::VERSION;
 
 const LIMITS: Limits = Limits { walks: None, viewers: 4, bytes: None, idle: 60.0 };
 
@@ -312,9 +314,10 @@ fn nothing_is_exact_before_it_has_what_was_set() {
     };
     let effects = played.shows(&after(1, 0));
     assert_eq!(still(&effects, 1), Some((Some(1), true, Some(0))));
+    played.coded(effects);
     played.now = 0.3;
     let effects = played.on(Event::Tick);
-    assert_eq!(frames(&played.coded(effects), 1).len(), 2, "one for looking at, one exact");
+    assert_eq!(frames(&played.coded(effects), 1)[0][1], 3);
     // It is said at once, to all, that it is so no more.
     let effects = played.say(1, json!({"type": "set", "key": "fps", "value": 5}));
     assert_eq!(still(&effects, 1), Some((Some(1), false, Some(1))));
@@ -371,9 +374,7 @@ fn a_walk_is_changed_within_bounds() {
 fn a_server_that_began_anew_goes_on_where_the_page_was() {
     let camera = Camera { eye: Vec3::ONE, target: Vec3::ZERO, up: Vec3::Y, fov_y: 1.0 };
     let numbers = protocol::camera_numbers(&camera);
-    let hello = |token: &str| {
-        json!({"type": "hello", "v": VERSION, "token": token, "resume": "unknown", "camera": numbers})
-    };
+    let hello = |token: &str| json!({"type": "hello", "v": VERSION, "token": token, "resume": "unknown", "camera": numbers});
     let mut played = Played::new(LIMITS);
     let token = played.token.clone();
     played.connect(1);

@@ -35,6 +35,9 @@ const FAREWELL: Duration = Duration::from_millis(200);
 /// Events that may wait for the hub; connections wait with more.
 const EVENTS: usize = 1024;
 
+/// What the names of threads beside the one that serves begin with.
+pub const THREADS: &str = "serve";
+
 /// Makes a walk on the thread that it will live on; they are counted from 1.
 pub type Make = Arc<dyn Fn(u32) -> Result<Begun, Failure> + Send + Sync>;
 
@@ -90,7 +93,7 @@ impl Server {
     /// # Errors
     /// If a walk cannot be made, or ends by itself.
     pub fn run(self, make: Make, stop: impl Fn() -> bool, ready: impl FnOnce()) -> Result<(), Failure> {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let runtime = tokio::runtime::Builder::new_current_thread().thread_name(THREADS).enable_all().build();
         let runtime =
             runtime.map_err(|e| Failure::Environment(format!("the server cannot be started: {e}")))?;
         runtime.block_on(self.serve(make, stop, ready))
@@ -120,7 +123,10 @@ impl Server {
         let listener = tokio::net::TcpListener::from_std(listener)
             .map_err(|e| Failure::Environment(format!("cannot listen: {e}")))?;
         let hosts = Hosts::new(address, &options.hosts);
-        tokio::spawn(listen::listen(listener, listen::Door::new(hosts, options.behind_proxy, options.tls, sender)));
+        tokio::spawn(listen::listen(
+            listener,
+            listen::Door::new(hosts, options.behind_proxy, options.tls, sender),
+        ));
         ready();
         let mut tick = tokio::time::interval(TICK);
         tick.set_missed_tick_behavior(MissedTickBehavior::Delay);

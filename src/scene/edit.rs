@@ -147,7 +147,8 @@ impl AsRead {
     /// All that can be dimmed.
     pub fn lamps(&self) -> impl Iterator<Item = Lamp> {
         let emits = |(_, emission): &(usize, &Vec3)| emission.max_element() > 0.0;
-        let materials = self.emissions.iter().enumerate().filter(emits).map(|(i, _)| Lamp::Material(i as u32));
+        let materials =
+            self.emissions.iter().enumerate().filter(emits).map(|(i, _)| Lamp::Material(i as u32));
         let lights = (0..self.lights.len()).map(|i| Lamp::Light(i as u32));
         materials.chain(lights).chain(self.surrounding.map(|_| Lamp::Surrounding))
     }

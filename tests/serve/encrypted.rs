@@ -18,7 +18,8 @@ use crate::support::{Foveal, folder, scene};
 
 /// A certificate for this machine and its key.
 fn pair() -> [PathBuf; 2] {
-    let made = rcgen::generate_simple_self_signed(["localhost".to_owned(), "127.0.0.1".into()]).expect("a pair");
+    let made =
+        rcgen::generate_simple_self_signed(["localhost".to_owned(), "127.0.0.1".into()]).expect("a pair");
     let folder = folder("pair");
     let [certificate, key] = ["cert.pem", "key.pem"].map(|name| folder.join(name));
     fs::write(&certificate, made.cert.pem()).expect("a file");
@@ -57,8 +58,9 @@ fn a_certificate_encrypts_the_page_and_the_walk() {
     assert!(page.starts_with("HTTP/1.1 200") && page.contains("<canvas"), "{page}");
     // The walk, from the page that came by https and from no other.
     for (origin, is_let_in) in [(format!("https://{host}"), true), ("https://evil.example".into(), false)] {
-        let mut request = tungstenite::client::IntoClientRequest::into_client_request(format!("wss://{host}/walk"))
-            .expect("a request");
+        let mut request =
+            tungstenite::client::IntoClientRequest::into_client_request(format!("wss://{host}/walk"))
+                .expect("a request");
         request.headers_mut().insert("Origin", origin.parse().expect("a header"));
         let opened = tungstenite::client(request, connect(&certificate, served.port));
         assert_eq!(opened.is_ok(), is_let_in, "{origin}");
@@ -106,11 +108,13 @@ fn what_is_wrong_with_a_certificate_is_said_with_its_file() {
         (&key, &key, &["key.pem", "BEGIN CERTIFICATE"]),
         (&certificate, &other, &["key.pem", "cert.pem", "one pair"]),
     ] {
-        let run = Foveal::new("serve --listen 127.0.0.1:0 --tls-cert").arg(certificate).arg("--tls-key").arg(key);
+        let run =
+            Foveal::new("serve --listen 127.0.0.1:0 --tls-cert").arg(certificate).arg("--tls-key").arg(key);
         let ended = run.arg(scene("box")).fails(3, words);
         assert_eq!(ended.err.trim().lines().count(), 1, "{}", ended.err);
     }
-    let files = |run: Foveal| run.arg("--tls-cert").arg(&certificate).arg("--tls-key").arg(&key).arg(scene("box"));
+    let files =
+        |run: Foveal| run.arg("--tls-cert").arg(&certificate).arg("--tls-key").arg(&key).arg(scene("box"));
     files(Foveal::new("serve --listen 0.0.0.0:0")).fails(2, &["--host"]);
     files(Foveal::new("serve --behind-proxy")).fails(2, &["--behind-proxy", "cannot be used with"]);
     Foveal::new("serve --tls-cert").arg(&certificate).arg(scene("box")).fails(2, &["--tls-key"]);

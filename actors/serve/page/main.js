@@ -12,7 +12,8 @@ const $ = (id) => document.getElementById(id);
 let title = "foveal", scales = null, role = "watches", mayDrive = false, state = null, drawn = null, still = null, said = 0;
 
 // Exact is what was drawn without loss, is what its view converges to, and has all that was set here.
-const isExact = () => Boolean(drawn?.lossless && still?.exact) && still.picture === drawn.number && still.set === connection.set;
+const isExact = () => Boolean(drawn?.lossless && still?.exact) && still.picture === drawn.number
+  && still.set === connection.set && !panel.due.size;
 const picture = new Picture($("picture"), (frame, could) => {
   connection.say({ type: "shown", frame: frame.number });
   if (!could) tell(`This browser cannot decode ${frame.lossless ? "WebP: it shows no exact pictures" : "JPEG"}.`, true);
@@ -23,8 +24,7 @@ const picture = new Picture($("picture"), (frame, could) => {
 });
 const panel = new Panel($("controls"), (key, value) => {
   connection.change({ type: "set", key, value });
-  badge();
-});
+}, () => badge());
 const deed = (message) => connection.say({ type: "do", ...message });
 const world = new Scene($("scene"), $("stage"), (message) => {
   connection.change({ type: "do", ...message });

@@ -44,12 +44,7 @@ pub(super) struct Door {
 }
 
 impl Door {
-    pub(super) fn new(
-        hosts: Hosts,
-        behind_proxy: bool,
-        tls: Option<Tls>,
-        hub: Sender<Message>,
-    ) -> Arc<Self> {
+    pub(super) fn new(hosts: Hosts, behind_proxy: bool, tls: Option<Tls>, hub: Sender<Message>) -> Arc<Self> {
         Arc::new(Self { hosts, behind_proxy, tls, hub, connected: AtomicU64::new(0) })
     }
 }

@@ -53,12 +53,17 @@ impl Tls {
         let mut config = config.map_err(|e| match e {
             Error::InconsistentKeys(_) => Failure::file(
                 key,
-                format!("is not the key of the certificate in {}; give both of one pair", certificate.display()),
+                format!(
+                    "is not the key of the certificate in {}; give both of one pair",
+                    certificate.display()
+                ),
             ),
             e @ Error::InvalidCertificate(_) => {
                 Failure::file(certificate, format!("{e}; have the certificate made anew"))
             }
-            e => Failure::file(key, format!("{e}; have the key made anew: ECDSA, Ed25519 or RSA, in PKCS #8")),
+            e => {
+                Failure::file(key, format!("{e}; have the key made anew: ECDSA, Ed25519 or RSA, in PKCS #8"))
+            }
         })?;
         config.alpn_protocols = vec![b"http/1.1".to_vec()];
         Ok(Self(TlsAcceptor::from(Arc::new(config))))

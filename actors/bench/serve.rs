@@ -9,6 +9,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use foveal::image::Map2d;
 use foveal::metrics::quantile;
 use foveal_engine::Settings;
 use foveal_engine::failure::Failure;
@@ -40,6 +41,8 @@ const PATIENCE: Duration = Duration::from_secs(60);
 const REST: Duration = Duration::from_millis(400);
 /// Viewers of the walk that is to notice nothing.
 const VIEWERS: usize = 8;
+
+type Picture = Arc<Map2d<[u8; 3]>>;
 
 /// Connects of which some are made before memory is looked at.
 const CONNECTS: [usize; 2] = [100, 1000];
@@ -86,8 +89,9 @@ pub fn run(a: &ServeArguments, progress: Progress) -> Result<(), Failure> {
 
     let own = Arc::clone(&make);
     let engine = EngineThread::spawn(move || own(1), || {})?;
-    let alone = (0..inputs).map(|i| look_at(&engine, i)).collect::<Result<Vec<f64>, Failure>>()?;
-    let picture = wait(&engine, |shown| shown.exact)?.picture;
+    let mut picture = wait(&engine, |shown| shown.exact)?.picture;
+    let mut look = |i| look_at(&engine, i, &mut picture);
+    let alone = (0..inputs).map(&mut look).collect::<Result<Vec<f64>, Failure>>()?;
     bar.inc(1);
     let served = Served::start(&make)?;
     let mut driver = served.viewer()?;
@@ -193,21 +197,19 @@ fn wait(engine: &EngineThread, wanted: impl Fn(&Shown) -> bool) -> Result<Shown,
     Err(never("it was not shown"))
 }
 
-/// From a still view a turn of the head: milliseconds until a picture knows of it.
-fn look_at(engine: &EngineThread, number: u32) -> Result<f64, Failure> {
+/// From a still view a turn of the head: milliseconds until a picture knows of it, and the still one that it leads to.
+fn look_at(engine: &EngineThread, number: u32, picture: &mut Picture) -> Result<f64, Failure> {
     let handle = engine.handle();
     let act = Act::Look(1.0 + (number % 3) as f32, 0.0);
-    if number == 0 {
-        wait(engine, |shown| shown.exact)?;
-    }
     std::thread::sleep(REST);
     let (begin, mark) = (Instant::now(), f64::from(number) + 1.0);
     let _ = handle.send(Command::Act { act, at: handle.now(), mark });
-    let shown = wait(engine, |shown| shown.mark == Some(mark))?;
+    let mut shown = wait(engine, |shown| shown.mark == Some(mark))?;
     let took = begin.elapsed().as_secs_f64() * 1e3;
     if !shown.exact {
-        wait(engine, |shown| shown.exact)?;
+        shown = wait(engine, |shown| shown.exact)?;
     }
+    *picture = shown.picture;
     Ok(took)
 }
 

@@ -22,9 +22,9 @@ use tokio::time::MissedTickBehavior;
 
 use self::connection::Out;
 pub use self::tls::Tls;
-use crate::coding::encode;
+use crate::coding::{Coding, encode};
 use crate::gate::{Gate, Hosts, Token};
-use crate::hub::{Effect, Event, Hub, Limits};
+use crate::hub::{Effect, Event, Hub, Limits, Order};
 use crate::protocol::Described;
 use crate::viewer::{RoomId, ViewerId};
 
@@ -32,6 +32,8 @@ use crate::viewer::{RoomId, ViewerId};
 const TICK: Duration = Duration::from_millis(50);
 /// How long connections have to hear of the end.
 const FAREWELL: Duration = Duration::from_millis(200);
+/// Pixels that are coded as JPEG within two milliseconds.
+const SOON: usize = 512 * 512;
 /// Events that may wait for the hub; connections wait with more.
 const EVENTS: usize = 1024;
 
@@ -183,6 +185,12 @@ impl Walk {
     }
 }
 
+/// Whether coding a picture takes no longer than having it done beside: while a walk has all cores, each thread that is to
+/// be woken waits for milliseconds.
+fn is_soon_coded(order: &Order) -> bool {
+    order.coding != Coding::Lossless && order.shown.picture.data().len() <= SOON
+}
+
 /// The hub with its hands.
 struct Glue {
     hub: Hub,
@@ -237,7 +245,12 @@ impl Glue {
                 self.outs.insert(id, out);
                 self.on(Event::Connected(id, address));
             }
-            Message::Event(event) => self.on(event),
+            Message::Event(event) => {
+                if let Event::Gone(id) = event {
+                    self.outs.remove(&id);
+                }
+                self.on(event);
+            }
             Message::Opened(room, Ok(thread)) if !self.hub.has(room) => {
                 tokio::task::spawn_blocking(move || thread.end());
                 tracing::debug!("nobody waited for walk {room}");
@@ -303,6 +316,11 @@ impl Glue {
                 let _ = out.try_send(Out::Close(why.code()));
             }
             Effect::Tell(room, command) => self.walks.get_mut(&room)?.tell(command),
+            Effect::Code(order) if is_soon_coded(&order) => {
+                let before = order.before.as_ref().map(|before| &*before.picture);
+                let coded = encode(&order.shown.picture, before, order.coding);
+                return Some(Event::Coded(order, coded));
+            }
             Effect::Code(order) => {
                 let sender = self.sender.clone();
                 tokio::task::spawn_blocking(move || {

@@ -22,6 +22,8 @@ const picture = new Picture($("picture"), (frame, could) => {
   $("keep").disabled = false;
   badge();
 });
+const fingers = matchMedia("(pointer: coarse)");
+fingers.addEventListener("change", () => hints(state?.timeline));
 const panel = new Panel($("controls"), (key, value) => {
   connection.change({ type: "set", key, value });
 }, () => badge());
@@ -75,7 +77,7 @@ function hints(recorded) {
   world.allow(drives, recorded);
   $("places").hidden = !drives || Boolean(recorded) || !$("places").children.length;
   $("pad").hidden = !drives || Boolean(recorded);
-  const how = matchMedia("(pointer: coarse)").matches
+  const how = fingers.matches
     ? "Drag the picture with one finger to look around, walk with the arrows or two fingers."
     : "Drag the picture to look around, walk with W A S D or the arrows.";
   $("hint").textContent = !drives ? "Somebody else walks; you see what they see."

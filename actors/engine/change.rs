@@ -74,3 +74,32 @@ pub fn apart<T: Send>(work: impl FnOnce() -> Result<T, String> + Send) -> Result
     catch_unwind(AssertUnwindSafe(work))
         .unwrap_or_else(|_| Err("loading the scene failed unexpectedly".into()))
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+    use std::thread;
+
+    use foveal::scene::edit::Lamp;
+    use glam::Vec3;
+
+    use super::*;
+
+    #[test]
+    fn what_is_loaded_leaves_alone_the_threads_that_frames_are_drawn_on() {
+        let here = || rayon::broadcast(|_| thread::current().id());
+        let shared: HashSet<_> = here().into_iter().collect();
+        let own = apart(|| Ok(here())).expect("threads");
+        assert!(!own.is_empty() && own.iter().all(|id| !shared.contains(id)));
+        assert!(apart(|| -> Result<(), String> { panic!("as a reader would") }).is_err());
+    }
+
+    #[test]
+    fn the_newer_change_of_a_thing_is_enough() {
+        let dim = |i| Change::Edit(SceneEdit::LampDimmed { lamp: Lamp::Light(i), gain: Vec3::ZERO });
+        assert!(Change::Size([2, 2]).replaces(&Change::Size([4, 4])) && dim(1).replaces(&dim(1)));
+        assert!(!dim(1).replaces(&dim(2)) && !dim(1).replaces(&Change::Reload));
+        // What is read again has lamps as the files say.
+        assert!(Change::Reload.replaces(&dim(1)) && !Change::Reload.replaces(&Change::Size([2, 2])));
+    }
+}

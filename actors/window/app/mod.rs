@@ -360,19 +360,3 @@ impl ApplicationHandler<Wake> for App {
         });
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use std::collections::HashSet;
-    use std::thread;
-
-    use super::*;
-
-    #[test]
-    fn what_is_loaded_leaves_alone_the_threads_that_frames_are_drawn_on() {
-        let here = || rayon::broadcast(|_| thread::current().id());
-        let shared: HashSet<_> = here().into_iter().collect();
-        let own = apart(here);
-        assert!(!own.is_empty() && own.iter().all(|id| !shared.contains(id)));
-    }
-}

@@ -39,6 +39,8 @@ use super::timed;
 const PATIENCE: Duration = Duration::from_secs(60);
 /// How long a still view is left alone before the next turn of the head, so that no frame is under way.
 const REST: Duration = Duration::from_millis(400);
+/// How long a walk is left to converge before another one begins.
+const SETTLING: Duration = Duration::from_secs(2);
 /// Viewers of the walk that is to notice nothing.
 const VIEWERS: usize = 8;
 
@@ -83,20 +85,22 @@ pub fn run(a: &ServeArguments, progress: Progress) -> Result<(), Failure> {
         let loaded = Loaded { opened: loaded.opened.clone(), probes: Arc::clone(&loaded.probes) };
         Ok((Box::new(recipe.start(loaded, number)?) as Box<dyn FrameSource>).into())
     });
-    let bar = progress.bar(u64::from(a.common.runs) + 3, "serve");
+    let bar = progress.bar(u64::from(a.common.runs) + 1, "serve");
     let inputs = 8 * a.common.runs;
     let name = format!("{}, {}×{}", Subject::name(&a.scene), a.size.width, a.size.height);
 
     let own = Arc::clone(&make);
     let engine = EngineThread::spawn(move || own(1), || {})?;
     let mut picture = wait(&engine, |shown| shown.exact)?.picture;
-    let mut look = |i| look_at(&engine, i, &mut picture);
-    let alone = (0..inputs).map(&mut look).collect::<Result<Vec<f64>, Failure>>()?;
-    bar.inc(1);
     let served = Served::start(&make)?;
     let mut driver = served.viewer()?;
     let first = driver.began.elapsed().as_secs_f64() * 1e3;
-    let waits = (0..inputs).map(|i| driver.look(i)).collect::<Result<Vec<f64>, Failure>>()?;
+    // In turn, so that whatever else the machine does meets both.
+    let (mut alone, mut waits) = (Vec::new(), Vec::new());
+    for i in 0..inputs {
+        alone.push(look_at(&engine, i, &mut picture)?);
+        waits.push(driver.look(i)?);
+    }
     bar.inc(1);
     let (mut none, mut one, mut crowd) = (Vec::new(), Vec::new(), Vec::new());
     for _ in 0..a.common.runs {
@@ -112,6 +116,8 @@ pub fn run(a: &ServeArguments, progress: Progress) -> Result<(), Failure> {
             let _ = other.join();
         }
         drop(stalled);
+        // What is still to be traced is not to be in the next walk's way.
+        std::thread::sleep(SETTLING);
         bar.inc(1);
     }
     let memory = connects(&served, a.common.runs)?;
@@ -229,6 +235,8 @@ fn walk_alone(engine: &EngineThread, time: Duration) -> Result<f64, Failure> {
         std::thread::sleep(Duration::from_millis(2));
     }
     let _ = handle.send(Command::Act { act: Act::ReleaseAll, at: handle.now(), mark: 0.0 });
+    // What it still has to do is not to be in the next one's way.
+    wait(engine, |shown| shown.exact && !shown.moving)?;
     Ok(p99)
 }
 
@@ -388,8 +396,9 @@ impl Viewer {
             self.hear()?;
         }
         self.act(6, 0.0, self.began.elapsed().as_secs_f64() * 1e3)?;
-        let cpu = door_cpu().zip(taken).map(|(now, then)| (now - then) / self.bytes.len().max(1) as f64);
-        Ok(Walked { bytes: std::mem::take(&mut self.bytes), p99: self.p99, cpu })
+        let (bytes, p99) = (std::mem::take(&mut self.bytes), self.p99);
+        let cpu = door_cpu().zip(taken).map(|(now, then)| (now - then) / bytes.len().max(1) as f64);
+        Ok(Walked { bytes, p99, cpu })
     }
 
     /// Draws what comes until it `stops`.

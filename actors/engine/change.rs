@@ -40,7 +40,7 @@ impl Change {
 }
 
 /// Begins the walk that takes the place of one with pictures of this size that is made of this, after a change. Called
-/// [apart](apart) from the walk, which goes on meanwhile.
+/// [apart] from the walk, which goes on meanwhile.
 pub type Changer = Arc<dyn Fn(Change, Opened, [u32; 2]) -> Result<Build, String> + Send + Sync>;
 
 /// A walk that has begun.

@@ -103,7 +103,7 @@ impl Foveal {
     }
 
     /// In another environment.
-    #[cfg(feature = "window")]
+    #[cfg(any(feature = "serve", feature = "window"))]
     pub fn env(mut self, name: &str, value: impl AsRef<OsStr>) -> Self {
         self.command.env(name, value);
         self
@@ -151,7 +151,7 @@ impl Foveal {
     }
 
     /// Runs it; it must end with this code, say why in words that hold each of `told`, and print no result.
-    pub fn fails(self, code: i32, told: &[&str]) {
+    pub fn fails(self, code: i32, told: &[&str]) -> Ended {
         let ended = self.run();
         assert_eq!(ended.code, Some(code), "{}\n{}", ended.line, ended.err);
         for word in told {
@@ -159,6 +159,7 @@ impl Foveal {
         }
         assert!(!ended.err.contains("panicked"), "{}\n{}", ended.line, ended.err);
         assert_eq!(ended.out, "", "{}", ended.line);
+        ended
     }
 }
 

@@ -399,13 +399,18 @@ impl Engine {
         if [width, height] == [self.settings.width, self.settings.height] {
             return Ok(());
         }
+        let cache_capacity = Settings::new(width, height, 1).cache_capacity;
+        self.go_on_in(self.as_lit(), Settings { width, height, cache_capacity, ..self.settings })
+    }
+
+    /// The scene under the light that it has by now.
+    pub(crate) fn as_lit(&self) -> Opened {
         let mut opened = self.opened.clone();
         if let Some((illumination, lit)) = self.look(|r| (r.world().illumination.clone(), r.is_lit())) {
             opened.world = World { illumination, ..opened.world };
             opened.refinement = opened.refinement.filter(|_| !lit);
         }
-        let cache_capacity = Settings::new(width, height, 1).cache_capacity;
-        self.go_on_in(opened, Settings { width, height, cache_capacity, ..self.settings })
+        opened
     }
 
     /// Goes on with other actors, around another scene or picture.

@@ -25,6 +25,7 @@
 //! | [`thread`], [`controls`] | the same on a thread of its own, for a door that serves many; what can be set, as a table |
 //! | [`look`], [`screenshot`] | overlays, pictures, other displays |
 //! | [`recording`], [`replay`] | what a recording says of its run; the same run again, from any moment |
+//! | [`change`] | what a walk begins anew for |
 //! | [`reference`](mod@reference) | the gold standards |
 //! | [`failure`], [`interrupt`], [`files`], [`process`] | how things end, Ctrl-C, files, what the process takes |
 //!
@@ -39,6 +40,7 @@
 struct Readme;
 
 pub mod bake_clock;
+pub mod change;
 pub mod controls;
 pub mod edit;
 pub mod engine;

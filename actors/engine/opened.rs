@@ -10,11 +10,13 @@ use foveal::illumination::Irradiance;
 use foveal::illumination::bake::{BakeSettings, Baked, Baker, cache_key};
 use foveal::illumination::cache::{load_illumination, save};
 use foveal::illumination::first::first_picture;
-use foveal::scene::edit::{AsRead, SceneEdit};
+use foveal::scene::edit::{AsRead, Lamp, SceneEdit};
 use foveal::scene::{NamedCamera, Scene, edit, load};
 use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
 use foveal::world::{World, metered};
+
+use glam::Vec3;
 
 use foveal_actors::illuminator::Refinement;
 use foveal_actors::textures::TextureStore;
@@ -24,6 +26,7 @@ use crate::edit::EditError;
 use crate::failure::Failure;
 use crate::interrupt::interrupted;
 use crate::light::{Light, Reading};
+use crate::source::NamedLamp;
 
 /// A scene that is ready for a picture.
 #[derive(Clone)]
@@ -76,6 +79,24 @@ impl Opened {
         let lights = Arc::new(Lights::build(&scene));
         let (path, scene, as_read) = (self.path.clone(), Arc::new(scene), self.as_read.clone());
         Ok(Unlit { path, scene, accel, lights, as_read, warnings }.lit(kept, &light, watch)?)
+    }
+
+    /// All that emits light and can be dimmed, and how far that is.
+    pub fn lamps(&self) -> Vec<NamedLamp> {
+        let scene = &self.world.scene;
+        let named = |lamp: Lamp| {
+            let name = match lamp {
+                Lamp::Material(i) => scene.materials[i as usize].name.clone(),
+                Lamp::Light(i) => format!("{} {}", scene.lights[i as usize].kind(), i + 1),
+                Lamp::Surrounding => "surrounding".to_owned(),
+            };
+            let gain = |edit: &SceneEdit| match edit {
+                SceneEdit::LampDimmed { lamp: of, gain } if *of == lamp => Some(*gain),
+                _ => None,
+            };
+            NamedLamp { name, lamp, gain: self.light.edits.iter().find_map(gain).unwrap_or(Vec3::ONE) }
+        };
+        self.as_read.lamps().map(named).collect()
     }
 
     /// Keeps the textures within `limit` bytes, if they are more; their levels lie in the cache folder.

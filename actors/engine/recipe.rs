@@ -9,6 +9,7 @@ use foveal_actors::settings::Settings;
 use foveal_runtime::{Hashing, Record};
 
 use crate::bake_clock::Watch;
+use crate::change::{Change, Changer};
 use crate::engine::{Engine, Stalled};
 use crate::failure::Failure;
 use crate::light::Light;
@@ -102,6 +103,31 @@ impl Recipe {
     /// As [`Recipe::load`] and [`Recipe::start`].
     pub fn walk(&self, watch: &dyn Watch) -> Result<Engine, Failure> {
         self.start(self.load(&self.scene, watch)?, 1)
+    }
+
+    /// Changes walks that began by this recipe; `walks` have begun so far.
+    pub fn changer(self, walks: Arc<AtomicU32>) -> Changer {
+        let recipe = Arc::new(self);
+        Arc::new(move |change, opened, size| {
+            let mut recipe = Recipe::clone(&recipe);
+            let [width, height] = if let Change::Size(size) = change { size } else { size };
+            let cache_capacity = Settings::new(width, height, 1).cache_capacity;
+            recipe.settings = Settings { width, height, cache_capacity, ..recipe.settings };
+            let of = |opened: Opened| {
+                let probes = Arc::new(Probes::of_world(&opened.world));
+                Loaded { opened, probes }
+            };
+            let loaded = match change {
+                Change::Reload => recipe.load(&opened.path, &()).map_err(|e| e.to_string())?,
+                Change::Size(_) => of(opened),
+                Change::Edit(edit) => of(opened.edited(edit, &()).map_err(|e| e.to_string())?),
+            };
+            let number = walks.fetch_add(1, Ordering::Relaxed) + 1;
+            Ok(Box::new(move || {
+                let engine = recipe.start(loaded, number).map_err(|e| e.to_string())?;
+                Ok(Box::new(engine) as Box<dyn FrameSource>)
+            }))
+        })
     }
 
     /// Makes walks by this recipe. Scenes are read on the thread that asks, actors are started where they are shown.

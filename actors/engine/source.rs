@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use foveal::image::Map2d;
+use foveal::scene::edit::Lamp;
 use foveal::scene::{Camera, CameraPath, NamedCamera};
 use foveal_runtime::Ending;
 use glam::Vec3;
@@ -15,6 +16,7 @@ use foveal_actors::settings::Adjustment;
 
 use crate::engine::Event;
 use crate::look::Mirror;
+use crate::opened::Opened;
 
 /// What the user may change while walking.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -85,6 +87,19 @@ pub struct Place {
     pub cameras: Vec<NamedCamera>,
     /// Paths that can be played.
     pub paths: Vec<CameraPath>,
+    /// All that can be dimmed; of a recording nothing.
+    pub lamps: Vec<NamedLamp>,
+}
+
+/// Something that emits light.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NamedLamp {
+    /// For people.
+    pub name: String,
+    /// What it is.
+    pub lamp: Lamp,
+    /// By how much of what the files say it shines now, per band.
+    pub gain: Vec3,
 }
 
 /// Names for people.
@@ -201,6 +216,11 @@ pub trait FrameSource {
     }
     /// Where it stands.
     fn status(&self) -> Status;
+    /// What it is made of, for the walk that begins in its place after a [`Change`](crate::change::Change). `None` where it is
+    /// a recording, which stays as it was.
+    fn opened(&self) -> Option<Opened> {
+        None
+    }
     /// Names and values that say how a picture came to be, for a screenshot's metadata.
     fn facts(&self) -> Vec<(String, String)>;
     /// Its timeline, where it is a recording.

@@ -5,27 +5,29 @@
 //! [`EngineHandle`] finds it. Nothing waits for a reader: of pictures only the newest is kept, commands beyond the queue's
 //! length are refused.
 
+mod inside;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, Thread};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use crossbeam_queue::ArrayQueue;
 use foveal::image::Map2d;
 use foveal::scene::Camera;
 use foveal_actors::insight::Insight;
 
+use self::inside::Inside;
+use crate::change::{Begun, Change};
 use crate::controls::Value;
 use crate::failure::Failure;
-use crate::source::{Controls, FrameSource, Names, Place, Ranges, Status, TimelineShown, Wish};
-use crate::walk::{Act, Next, Notice, Walk};
+use crate::source::{Controls, Names, Place, Ranges, Status, TimelineShown, Wish};
+use crate::walk::{Act, Notice, Walk};
 
 /// Commands that may wait: what hands do in seconds, should a frame take that long.
 const COMMANDS: usize = 4096;
 /// Lines for people, and screenshots, that may wait.
 const SAID: usize = 64;
-/// Shortest time between two reports, but for news that nobody wants to wait for.
-const REPORT: Duration = Duration::from_millis(250);
 
 /// What a walk is told.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,6 +48,8 @@ pub enum Command {
         /// Its value.
         value: Value,
     },
+    /// The walk is to begin anew. It goes on until it can.
+    Change(Change),
     /// Something is wanted of a recording.
     Wish(Wish),
     /// The picture on show is wanted, with the facts of its making.
@@ -59,7 +63,14 @@ pub enum Command {
     Resume,
 }
 
-/// What a walk says once, when it begins.
+impl Command {
+    /// Whether pictures may be other ones after it although nobody moves.
+    pub fn sets(&self) -> bool {
+        matches!(self, Self::Put { .. } | Self::Change(_))
+    }
+}
+
+/// What a walk says when it begins, and again when it begins anew.
 #[derive(Clone, Debug)]
 pub struct Opening {
     /// The scene.
@@ -70,6 +81,20 @@ pub struct Opening {
     pub ranges: Ranges,
     /// What they begin with.
     pub controls: Controls,
+    /// Whether it can be [changed](Command::Change).
+    pub changes: bool,
+}
+
+impl Opening {
+    fn of(walk: &Walk, changes: bool) -> Self {
+        Self {
+            place: walk.place().clone(),
+            size: walk.size(),
+            ranges: walk.ranges(),
+            controls: *walk.controls(),
+            changes,
+        }
+    }
 }
 
 /// The newest picture, and how the walk stands.
@@ -86,6 +111,8 @@ pub struct Shown {
     /// It is what a still view converges to, or is refined to, each bit of it; of a recording that does not play, what that
     /// showed.
     pub exact: bool,
+    /// Commands that [set](Command::sets) something and were done before it was looked at.
+    pub set: u64,
     /// The camera moves.
     pub moving: bool,
     /// How the walk stands.
@@ -129,6 +156,8 @@ struct Shared {
     start: Instant,
     commands: ArrayQueue<Command>,
     newest: ArrayQueue<Arc<Shown>>,
+    /// What it has begun anew with.
+    opening: ArrayQueue<Opening>,
     notices: ArrayQueue<Notice>,
     shots: ArrayQueue<Shot>,
     /// It is to end.
@@ -158,15 +187,17 @@ impl EngineThread {
     ///
     /// # Errors
     /// If the walk cannot be made, or its thread cannot be started.
-    pub fn spawn<M, W>(make: M, wake: W) -> Result<Self, Failure>
+    pub fn spawn<B, M, W>(make: M, wake: W) -> Result<Self, Failure>
     where
-        M: FnOnce() -> Result<Box<dyn FrameSource>, Failure> + Send + 'static,
+        B: Into<Begun>,
+        M: FnOnce() -> Result<B, Failure> + Send + 'static,
         W: Fn() + Send + Sync + 'static,
     {
         let shared = Arc::new(Shared {
             start: Instant::now(),
             commands: ArrayQueue::new(COMMANDS),
             newest: ArrayQueue::new(1),
+            opening: ArrayQueue::new(1),
             notices: ArrayQueue::new(SAID),
             shots: ArrayQueue::new(SAID),
             ends: AtomicBool::new(false),
@@ -181,22 +212,17 @@ impl EngineThread {
             .spawn(move || {
                 // Also where it panics.
                 let over = Over(inside);
-                let source = match make() {
-                    Ok(source) => source,
+                let Begun { source, changer } = match make() {
+                    Ok(begun) => begun.into(),
                     Err(e) => {
                         let _ = stands.send(Err(e));
                         return Ok(());
                     }
                 };
                 let mut walk = Walk::new(source, over.0.now());
-                let _ = stands.send(Ok(Opening {
-                    place: walk.place().clone(),
-                    size: walk.size(),
-                    ranges: walk.ranges(),
-                    controls: *walk.controls(),
-                }));
+                let _ = stands.send(Ok(Opening::of(&walk, changer.is_some())));
                 drop(stands);
-                Inside::new(&over.0).run(&mut walk)
+                Inside::new(&over.0, changer).run(&mut walk)
             })
             .map_err(|e| failed(&e))?;
         let handle = EngineHandle { shared, thread: join.thread().clone() };
@@ -258,6 +284,11 @@ impl EngineHandle {
         Ok(())
     }
 
+    /// What the walk begins anew with, once for each time.
+    pub fn opening(&self) -> Option<Opening> {
+        self.shared.opening.pop()
+    }
+
     /// The newest picture, once.
     pub fn shown(&self) -> Option<Arc<Shown>> {
         self.shared.newest.pop()
@@ -292,164 +323,6 @@ impl Drop for Over {
     fn drop(&mut self) {
         self.0.over.store(true, Ordering::Release);
         (self.0.wake)();
-    }
-}
-
-/// The thread's side.
-struct Inside<'s> {
-    shared: &'s Shared,
-    /// What was published last, and when its report was made.
-    shown: Option<(Arc<Shown>, f64)>,
-    /// Mark of the last act; the same as it was when the frame began, and of the frame on show.
-    mark: Option<f64>,
-    frame_mark: Option<f64>,
-    shown_mark: Option<f64>,
-    paused: bool,
-    names: Option<Arc<Names>>,
-}
-
-impl<'s> Inside<'s> {
-    fn new(shared: &'s Shared) -> Self {
-        Self {
-            shared,
-            shown: None,
-            mark: None,
-            frame_mark: None,
-            shown_mark: None,
-            paused: false,
-            names: None,
-        }
-    }
-
-    fn run(mut self, walk: &mut Walk) -> Result<(), String> {
-        while !self.shared.ends.load(Ordering::Acquire) {
-            while let Some(command) = self.shared.commands.pop() {
-                self.obey(walk, command);
-            }
-            if self.paused {
-                std::thread::park();
-                continue;
-            }
-            let now = self.shared.now();
-            let was_in_frame = walk.is_in_frame();
-            let (is_new, next) = walk.tick(now);
-            if !was_in_frame && walk.is_in_frame() {
-                self.frame_mark = self.mark;
-            }
-            if is_new {
-                self.shown_mark = self.frame_mark;
-            }
-            if let Some(why) = walk.ended() {
-                self.say(Notice { text: why.clone(), failed: true });
-                return Err(why);
-            }
-            self.publish(walk, is_new, next == Next::Input);
-            match next {
-                Next::Now => {}
-                Next::At(at) => {
-                    std::thread::park_timeout(Duration::from_secs_f64((at - now).clamp(0.0, 1.0)))
-                }
-                Next::Input => std::thread::park(),
-            }
-        }
-        Ok(())
-    }
-
-    fn obey(&mut self, walk: &mut Walk, command: Command) {
-        match command {
-            Command::Act { act, at, mark } => {
-                self.mark = Some(mark);
-                // What comes from outside may be late, never of the future.
-                walk.act(act, at.min(self.shared.now()));
-            }
-            Command::Put { key, value } => {
-                let mut controls = *walk.controls();
-                match controls.put(&key, &value, &walk.ranges()) {
-                    Ok(()) => walk.set_controls(controls),
-                    Err(e) => walk.complain(e.to_string()),
-                }
-            }
-            Command::Wish(wish) => walk.wish(wish, self.shared.now()),
-            Command::Shot { tag } => {
-                let facts = walk.facts(self.shared.now());
-                if let Some(picture) = walk.picture() {
-                    let picture = Arc::new(picture.clone());
-                    let _ = self.shared.shots.force_push(Shot { tag, picture, facts });
-                    (self.shared.wake)();
-                }
-            }
-            Command::Pause => self.paused = true,
-            Command::Resume => self.paused = false,
-        }
-    }
-
-    fn say(&self, notice: Notice) {
-        self.shared.notices.force_push(notice);
-        (self.shared.wake)();
-    }
-
-    /// Leaves what is new for whoever looks. `rests`: nothing more comes until somebody does something.
-    fn publish(&mut self, walk: &mut Walk, is_new: bool, rests: bool) {
-        if let Some(notice) = walk.notice.take() {
-            self.say(notice);
-        }
-        let camera = walk.camera().copied();
-        let now = self.shared.now();
-        let before = self.shown.as_ref().map(|(shown, _)| shown);
-        let is_set = before.is_none_or(|b| b.report.controls != *walk.controls());
-        let pressing = rests || is_set;
-        let is_due = self.shown.as_ref().is_none_or(|(_, at)| now - at >= REPORT.as_secs_f64());
-        if !is_new && !pressing && !is_due {
-            return;
-        }
-        let Some(picture) = walk.picture() else { return };
-        // Frames of a view that has converged are the same.
-        let same = before.filter(|b| b.picture.data() == picture.data());
-        let status = walk.status();
-        let exact = match walk.timeline() {
-            Some((_, plays)) => !plays,
-            None => status.converged && walk.shows_all() && !walk.is_in_frame(),
-        };
-        let (number, kept) = match same {
-            Some(before) => (before.number, Arc::clone(&before.picture)),
-            None => (before.map_or(0, |b| b.number) + 1, Arc::new(picture.clone())),
-        };
-        // Whoever looks later still finds that an equal picture was exact.
-        let exact = exact || same.is_some_and(|b| b.exact && b.camera == camera);
-        let moving = walk.is_moving() && walk.timeline().is_none();
-        let was = before.map(|b| (b.number, b.exact, b.moving, b.mark));
-        let news = was != Some((number, exact, moving, self.shown_mark));
-        let state = |status: &Status| (status.converged, status.refined, status.lit);
-        let is_due = is_due || pressing || before.is_none_or(|b| state(&b.report.status) != state(&status));
-        if !news && !is_due {
-            return;
-        }
-        let (report, at) = match &self.shown {
-            Some((before, at)) if !is_due => (Arc::clone(&before.report), *at),
-            _ => (Arc::new(self.report(walk, status)), now),
-        };
-        let shown =
-            Arc::new(Shown { number, picture: kept, camera, mark: self.shown_mark, exact, moving, report });
-        self.shown = Some((Arc::clone(&shown), at));
-        self.shared.newest.force_push(shown);
-        (self.shared.wake)();
-    }
-
-    fn report(&mut self, walk: &Walk, status: Status) -> Report {
-        let insight = walk.insight().map(|(insight, names)| {
-            let names = self.names.get_or_insert_with(|| Arc::new(names.clone()));
-            (insight.clone(), Arc::clone(names))
-        });
-        Report {
-            controls: *walk.controls(),
-            status,
-            times: walk.times.median_p99(),
-            quality: walk.quality(),
-            speed: walk.navigator.speed(),
-            orbits: walk.navigator.orbits(),
-            insight,
-            timeline: walk.timeline(),
-        }
     }
 }
 

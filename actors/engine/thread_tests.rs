@@ -1,15 +1,19 @@
 //! A walk on a thread of its own, as a door drives it.
 
+use std::time::Duration;
+
 use foveal::illumination::Uniform;
 use foveal::world::World;
 use foveal_actors::renderer::overlay::Overlay;
 use glam::Vec3;
 
 use super::*;
+use crate::change::Changer;
 use crate::engine::Engine;
 use crate::navigation::{Motion, Navigator};
 use crate::opened::Opened;
 use crate::options::Options;
+use crate::source::FrameSource;
 use crate::{Settings, test_scene};
 
 fn make() -> Result<Box<dyn FrameSource>, Failure> {
@@ -106,6 +110,89 @@ fn controls_are_set_by_name_and_nonsense_is_told() {
 }
 
 #[test]
+fn what_is_set_is_exact_once_it_is_shown_and_not_before() {
+    let engine = spawned();
+    let handle = engine.handle();
+    let plain = wait(handle, |s| s.exact);
+    let put = Command::Put { key: "exposure".into(), value: Value::Number(-2.0) };
+    assert!(put.sets() && !Command::Pause.sets());
+    handle.send(put).expect("room");
+    let dark = wait(handle, |s| {
+        // (Exactness is lost with the command, whatever the picture on show.)
+        assert!(!(s.exact && s.set == 1) || s.picture != plain.picture);
+        s.exact && s.set == 1
+    });
+    assert!(dark.number > plain.number && dark.picture != plain.picture);
+    // What changes no picture is exact again, the same picture.
+    handle.send(Command::Put { key: "fps".into(), value: Value::Number(20.0) }).expect("room");
+    assert_eq!(wait(handle, |s| s.exact && s.set == 2).number, dark.number);
+}
+
+/// The next of what somebody waits for.
+fn next<T>(what: &str, mut found: impl FnMut() -> Option<T>) -> T {
+    let until = Instant::now() + Duration::from_secs(60);
+    while Instant::now() < until {
+        match found() {
+            Some(found) => return found,
+            None => std::thread::park_timeout(Duration::from_millis(20)),
+        }
+    }
+    panic!("{what} never comes");
+}
+
+#[test]
+fn a_walk_begins_anew_where_it_stands() {
+    let changer: Changer = Arc::new(|change, opened, size| {
+        let [width, height] = match change {
+            Change::Size([1, _]) => return Err("too narrow".into()),
+            Change::Size(size) => size,
+            _ => size,
+        };
+        Ok(Box::new(move || {
+            let options =
+                Options { fps: Some(30.0), ..Options::interactive(Settings::new(width, height, 2)) };
+            Ok(Box::new(Engine::start(opened, options).map_err(|e| e.to_string())?))
+        }))
+    });
+    let here = std::thread::current();
+    let begun = move || Ok(Begun { source: make()?, changer: Some(changer) });
+    let engine = EngineThread::spawn(begun, move || here.unpark()).expect("a walk");
+    let handle = engine.handle();
+    assert!(engine.opening().changes);
+    wait(handle, |s| s.exact);
+    let at = handle.now();
+    handle.send(Command::Act { act: Act::Look(30.0, 0.0), at, mark: 1.0 }).expect("room");
+    handle.send(Command::Put { key: "exposure".into(), value: Value::Number(-1.0) }).expect("room");
+    let turned = wait(handle, |s| s.exact && s.mark == Some(1.0) && s.set == 1);
+    handle.send(Command::Change(Change::Size([40, 56]))).expect("room");
+    let resized = wait(handle, |s| {
+        // No picture of the walk before is taken for one of the next.
+        assert!(!(s.exact && s.set == 2) || s.picture.width() == 40);
+        s.exact && s.set == 2
+    });
+    assert_eq!((resized.camera, resized.report.controls), (turned.camera, turned.report.controls));
+    assert_eq!([resized.picture.width(), resized.picture.height()], [40, 56]);
+    assert_eq!(next("an opening", || handle.opening()).size, [40, 56]);
+    assert!(!next("a notice", || handle.notice()).failed);
+    // What fails is told, and the walk goes on.
+    handle.send(Command::Change(Change::Size([1, 56]))).expect("room");
+    let told = next("a notice", || handle.notice());
+    assert_eq!((told.failed, &*told.text), (true, "too narrow"));
+    assert_eq!(next("an opening", || handle.opening()).size, [40, 56]);
+    assert_eq!(wait(handle, |s| s.exact && s.set == 3).picture, resized.picture);
+    engine.end().expect("a good end");
+}
+
+#[test]
+fn a_walk_without_a_changer_stays_as_it_is() {
+    let engine = spawned();
+    let handle = engine.handle();
+    wait(handle, |s| s.exact);
+    handle.send(Command::Change(Change::Reload)).expect("room");
+    assert!(next("a notice", || handle.notice()).failed && !engine.opening().changes);
+}
+
+#[test]
 fn nothing_is_shown_while_nobody_looks() {
     let engine = spawned();
     let handle = engine.handle();
@@ -121,9 +208,9 @@ fn nothing_is_shown_while_nobody_looks() {
 
 #[test]
 fn what_cannot_begin_or_go_on_says_so() {
-    let failed = EngineThread::spawn(|| Err(Failure::Input("no such scene".into())), || {});
+    let failed = EngineThread::spawn::<Begun, _, _>(|| Err(Failure::Input("no such scene".into())), || {});
     assert!(matches!(failed, Err(Failure::Input(why)) if why == "no such scene"));
-    let panicked = EngineThread::spawn(|| panic!("at once"), || {});
+    let panicked = EngineThread::spawn::<Begun, _, _>(|| panic!("at once"), || {});
     assert!(matches!(panicked, Err(Failure::Environment(_))));
     let engine = spawned();
     let handle = engine.handle().clone();

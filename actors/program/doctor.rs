@@ -48,10 +48,42 @@ fn adapter_json(_: &Result<AdapterInfo, String>) -> serde_json::Value {
     serde_json::Value::Null
 }
 
+/// What `foveal serve` finds here: whether it can listen, by what it encrypts, what would open a browser.
+#[cfg(feature = "serve")]
+fn serving() -> (serde_json::Value, String) {
+    let listens = std::net::TcpListener::bind("127.0.0.1:0").map_err(|e| e.to_string());
+    let on_path = |command: &std::process::Command| {
+        let folders = std::env::var_os("PATH").unwrap_or_default();
+        let found =
+            std::env::split_paths(&folders).any(|folder| folder.join(command.get_program()).is_file());
+        found.then(|| command.get_program().to_string_lossy().into_owned())
+    };
+    let browser = open::commands("http://127.0.0.1").iter().find_map(on_path);
+    let tls = foveal_serve::server::Tls::BY;
+    let line = format!(
+        "{}; encrypts by {tls}; {}",
+        match &listens {
+            Ok(_) => "can listen at 127.0.0.1".to_owned(),
+            Err(e) => format!("cannot listen at 127.0.0.1: {e}"),
+        },
+        match &browser {
+            Some(program) => format!("--open asks {program} for a browser"),
+            None => "nothing opens a browser here, so --open does not".to_owned(),
+        }
+    );
+    (json!({"listens": listens.is_ok(), "why_not": listens.err(), "tls": tls, "opens_by": browser}), line)
+}
+
+#[cfg(not(feature = "serve"))]
+fn serving() -> (serde_json::Value, String) {
+    (serde_json::Value::Null, "none: this build has no server; build it with the feature `serve`".into())
+}
+
 /// Runs the command.
 pub fn run(a: &DoctorArguments) -> Result<(), Failure> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let adapter = adapter();
+    let (served, serves) = serving();
     let document = json!({
         "schema": "foveal.doctor/1",
         "version": env!("CARGO_PKG_VERSION"),
@@ -62,6 +94,7 @@ pub fn run(a: &DoctorArguments) -> Result<(), Failure> {
         "adapter": adapter_json(&adapter),
         "adapter_missing": adapter.as_ref().err(),
         "display": display(),
+        "serve": served,
         "cache": foveal_engine::opened::cache_folder(None).map(|p| p.display().to_string()),
     });
     if a.json {
@@ -82,6 +115,7 @@ pub fn run(a: &DoctorArguments) -> Result<(), Failure> {
         "display   {}",
         display().unwrap_or_else(|| "none named by DISPLAY or WAYLAND_DISPLAY".into())
     ));
+    print_line(&format!("serve     {serves}"));
     let cache = document["cache"].as_str().unwrap_or("none (set FOVEAL_CACHE)");
     print_line(&format!("bakes     {cache}"));
     let endings = foveal::scene::load::MESHES.map(|e| format!(".{e}"));

@@ -7,6 +7,8 @@ mod compare;
 mod doctor;
 mod explain;
 mod figures;
+#[cfg(any(feature = "serve", feature = "window"))]
+mod interactive;
 mod log;
 mod pictures;
 mod reference;

@@ -5,36 +5,34 @@ use std::io::Write;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use foveal::splatting::supersampling::Supersampling;
+use foveal_engine::change::Begun;
 use foveal_engine::interrupt::interrupted;
 use foveal_engine::recipe::Loaded;
-use foveal_engine::recording::TRACERS_MAX;
 use foveal_engine::source::FrameSource;
-use foveal_engine::{Failure, Recipe, Settings};
+use foveal_engine::{Failure, Recipe};
 use foveal_serve::gate::Token;
-use foveal_serve::hub::Limits;
-use foveal_serve::server::{self, Make, Server};
-use foveal_terminal::arguments::{Size, bytes, duration, positive};
-use foveal_terminal::hashes::Hashes;
-use foveal_terminal::light::IlluminationArguments;
-use foveal_terminal::mode::ModeArguments;
+use foveal_serve::hub::{Limits, SIDE_MAX};
+use foveal_serve::server::{self, Make, Server, Tls};
+use foveal_terminal::arguments::{bytes, duration};
 use foveal_terminal::print::{print_json, print_line};
 use foveal_terminal::progress::{Progress, end_on_interrupt};
 use serde_json::json;
 
+use super::interactive::InteractiveArguments;
+
 /// Viewers at once.
 const VIEWERS: usize = 16;
-/// Longest side of a picture.
-const SIDE_MAX: u32 = 4096;
 
 /// Arguments of `foveal serve`.
 #[derive(Args, Clone, Debug)]
 pub struct ServeArguments {
-    /// An OBJ or glTF file or a sidecar
-    scene: PathBuf,
+    #[command(flatten)]
+    walk: InteractiveArguments,
     /// Where to listen; port 0 takes any that is free
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
     listen: SocketAddr,
@@ -47,32 +45,6 @@ pub struct ServeArguments {
     /// With --share each: a walk that nobody looks at ends after this time
     #[arg(long, value_name = "TIME", value_parser = duration, default_value = "10min")]
     idle: Duration,
-    /// Picture size, each side at most 4096
-    #[arg(long, value_name = "WxH", default_value = "512x512")]
-    size: Size,
-    /// Frames per second to aim at (default: the scene's, else 10)
-    #[arg(long, value_parser = positive)]
-    fps: Option<f32>,
-    #[command(flatten)]
-    mode: ModeArguments,
-    /// Number of tracers (default: one per core)
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(TRACERS_MAX)))]
-    workers: Option<u32>,
-    /// Refine what has converged until the standard error of displayed values, 0 to 1, is below this; 0 leaves it
-    #[arg(long, value_name = "NOISE", default_value_t = Supersampling::default().noise, value_parser = clap::value_parser!(f32))]
-    refine: f32,
-    /// Most samples of a pixel in that
-    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 16))]
-    refine_samples: u32,
-    /// Most bytes of textures in memory, e.g. 64MiB (default: the scene's, else no limit)
-    #[arg(long, value_name = "SIZE", value_parser = bytes)]
-    texture_budget: Option<u64>,
-    /// Record the walk, so that `foveal replay` can run it again; with --share each the next ones go to FILE-2, FILE-3, ...
-    #[arg(long, value_name = "FILE")]
-    record: Option<PathBuf>,
-    /// How densely hashes are recorded
-    #[arg(long, value_name = "WHICH", value_enum, default_value_t = Hashes::Each, requires = "record")]
-    hashes: Hashes,
     /// Keep the token in this file, so that the address stays the same; made where it is not there
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
@@ -86,11 +58,19 @@ pub struct ServeArguments {
     /// speaks for is believed
     #[arg(long)]
     behind_proxy: bool,
+    /// The server's certificate and those that lead to it, PEM: browsers come by https, also from elsewhere
+    #[arg(long, value_name = "FILE", requires = "tls_key", conflicts_with = "behind_proxy")]
+    tls_cert: Option<PathBuf>,
+    /// The certificate's private key, PEM
+    #[arg(long, value_name = "FILE", requires = "tls_cert")]
+    tls_key: Option<PathBuf>,
     /// Most bytes of pictures a second to one viewer, e.g. 500kB
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     limit: Option<u64>,
-    #[command(flatten)]
-    illumination: IlluminationArguments,
+    /// Open the address in this machine's browser; for a moment it stands on that one's command line, where other users of the
+    /// machine can read it
+    #[arg(long)]
+    open: bool,
     /// The address as one JSON document
     #[arg(long)]
     json: bool,
@@ -107,14 +87,21 @@ enum Share {
 
 impl ServeArguments {
     fn check(&self) -> Result<(), Failure> {
-        if !self.listen.ip().is_loopback() && !self.behind_proxy {
+        if !self.listen.ip().is_loopback() && !self.behind_proxy && self.tls_cert.is_none() {
             return Err(Failure::Usage(format!(
-                "{} can be reached from elsewhere, and what is said there is not encrypted; put a proxy with TLS before it \
-                 and say --behind-proxy, or listen at 127.0.0.1 and come by `ssh -L`",
+                "{} can be reached from elsewhere, and what is said there is not encrypted; give --tls-cert and --tls-key, put \
+                 a proxy with TLS before it and say --behind-proxy, or listen at 127.0.0.1 and come by `ssh -L`",
                 self.listen
             )));
         }
-        if self.size.width.max(self.size.height) > SIDE_MAX {
+        if self.listen.ip().is_unspecified() && self.tls_cert.is_some() && self.hosts.is_empty() {
+            return Err(Failure::Usage(format!(
+                "{} is no address that a browser could ask for; give --host NAME, as the certificate has it",
+                self.listen
+            )));
+        }
+        let size = self.walk.size;
+        if size.width.max(size.height) > SIDE_MAX {
             return Err(Failure::Usage(format!("--size: each side at most {SIDE_MAX}")));
         }
         if self.share == Share::Each && self.watch_token {
@@ -127,32 +114,51 @@ impl ServeArguments {
     }
 
     fn recipe(&self) -> Recipe {
-        let cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
-        let all = self.workers.unwrap_or(cores.min(TRACERS_MAX));
-        let tracers = if self.share == Share::Each { (all / self.walks).max(1) } else { all };
-        let rules = Supersampling { noise: self.refine, max_samples: self.refine_samples };
-        let settings = Settings {
-            supersampling: (self.refine > 0.0).then_some(rules),
-            ..Settings::new(self.size.width, self.size.height, tracers)
-        };
-        Recipe {
-            light: self.illumination.light(),
-            fps: self.fps,
-            quality: self.mode.least_quality(),
-            texture_bytes: self.texture_budget,
-            record: self.record.clone(),
-            command: "serve",
-            hashing: self.hashes.into(),
-            ..Recipe::new(&self.scene, settings)
+        let noise = Supersampling::default().noise;
+        let mut recipe = self.walk.recipe("serve", self.walk.illumination.light(), noise);
+        if self.share == Share::Each {
+            recipe.settings.tracers = (recipe.settings.tracers / self.walks).max(1);
         }
+        recipe
     }
 
     /// Makes walks: each with the scene as it was read.
     fn maker(&self, recipe: Recipe, loaded: Loaded) -> Make {
-        Arc::new(move |number| {
+        let walks = Arc::new(AtomicU32::new(0));
+        let changer = recipe.clone().changer(Arc::clone(&walks));
+        Arc::new(move |_| {
             let loaded = Loaded { opened: loaded.opened.clone(), probes: Arc::clone(&loaded.probes) };
-            Ok(Box::new(recipe.start(loaded, number)?) as Box<dyn FrameSource>)
+            let number = walks.fetch_add(1, Ordering::Relaxed) + 1;
+            let source: Box<dyn FrameSource> = Box::new(recipe.start(loaded, number)?);
+            Ok(Begun { source, changer: Some(Arc::clone(&changer)) })
         })
+    }
+
+    fn tls(&self) -> Result<Option<Tls>, Failure> {
+        let (Some(certificate), Some(key)) = (&self.tls_cert, &self.tls_key) else { return Ok(None) };
+        Tls::read(certificate, key).map(Some)
+    }
+
+    /// What addresses begin with, where that is not where the server listens.
+    fn base(&self, listens: SocketAddr) -> Option<String> {
+        let name = self.hosts.first();
+        match (self.behind_proxy, &self.tls_cert) {
+            (true, _) => name.map(|name| format!("https://{name}/")),
+            (false, Some(_)) => {
+                let host = name.map_or_else(
+                    || listens.to_string(),
+                    |name| {
+                        if listens.port() == 443 {
+                            name.clone()
+                        } else {
+                            format!("{name}:{}", listens.port())
+                        }
+                    },
+                );
+                Some(format!("https://{host}/"))
+            }
+            (false, None) => None,
+        }
     }
 
     fn server(&self) -> Result<server::Options, Failure> {
@@ -174,7 +180,8 @@ impl ServeArguments {
             token,
             watch_token: self.watch_token.then(random).transpose()?,
             limits,
-            recorded: self.record.is_some(),
+            recorded: self.walk.record.is_some(),
+            tls: self.tls()?,
         })
     }
 }
@@ -216,6 +223,11 @@ fn serve(server: Server, make: Make, told: &Told) -> Result<(), Failure> {
                 print_line(&format!("to watch: {}", address(watch)));
             }
         }
+        if told.opens
+            && let Err(e) = open::that_detached(address(&told.token))
+        {
+            tracing::warn!("no browser can be opened ({e}); open the address by hand");
+        }
     };
     server.run(make, interrupted, say)?;
     if interrupted() {
@@ -232,6 +244,8 @@ struct Told {
     watch_token: Option<Token>,
     token_file: Option<PathBuf>,
     json: bool,
+    /// A browser is opened.
+    opens: bool,
 }
 
 /// Serves a recording at an address of this machine's own.
@@ -251,8 +265,9 @@ pub fn recording(listen: SocketAddr, make: Make, json: bool) -> Result<(), Failu
         watch_token: None,
         limits,
         recorded: false,
+        tls: None,
     })?;
-    serve(server, make, &Told { base: None, token, watch_token: None, token_file: None, json })
+    serve(server, make, &Told { base: None, token, watch_token: None, token_file: None, json, opens: false })
 }
 
 /// Runs the command.
@@ -260,17 +275,13 @@ pub fn run(a: &ServeArguments, progress: Progress) -> Result<(), Failure> {
     a.check()?;
     end_on_interrupt();
     let options = a.server()?;
-    let told = Told {
-        base: a.hosts.first().filter(|_| a.behind_proxy).map(|name| format!("https://{name}/")),
-        token: options.token.clone(),
-        watch_token: options.watch_token.clone(),
-        token_file: a.token_file.clone(),
-        json: a.json,
-    };
+    let (token, watch_token) = (options.token.clone(), options.watch_token.clone());
     // Before minutes are spent on the scene.
     let server = Server::bind(options)?;
+    let (base, token_file) = (a.base(server.address()), a.token_file.clone());
+    let told = Told { base, token, watch_token, token_file, json: a.json, opens: a.open };
     let recipe = a.recipe();
-    let loaded = recipe.load(&a.scene, &progress.baking())?;
+    let loaded = recipe.load(&recipe.scene, &progress.baking())?;
     for warning in &loaded.opened.warnings {
         tracing::warn!("{warning}");
     }

@@ -10,35 +10,21 @@ use foveal::splatting::supersampling::Supersampling;
 use foveal_actors::renderer::overlay::Overlay;
 use foveal_engine::files::write_atomic;
 use foveal_engine::interrupt::interrupted;
-use foveal_engine::recording::TRACERS_MAX;
 use foveal_engine::source::{Controls, FrameSource};
 use foveal_engine::walk::{Next, Walk};
-use foveal_engine::{Failure, Light, Recipe, Settings, Stalled, screenshot};
-use foveal_terminal::arguments::{Size, bytes, positive};
-use foveal_terminal::hashes::Hashes;
-use foveal_terminal::light::IlluminationArguments;
-use foveal_terminal::mode::ModeArguments;
+use foveal_engine::{Failure, Light, Recipe, Stalled, screenshot};
 use foveal_terminal::print::{print_json, print_line};
 use foveal_terminal::progress::{Progress, end_on_interrupt};
 use foveal_window::{Backend, DrawnBy, WindowError};
 use serde_json::json;
 
+use super::interactive::InteractiveArguments;
+
 /// Arguments of `foveal view`.
 #[derive(Args, Clone, Debug)]
 pub struct ViewArguments {
-    /// An OBJ or glTF file or a sidecar
-    scene: PathBuf,
-    /// Picture size
-    #[arg(long, value_name = "WxH", default_value = "512x512")]
-    size: Size,
-    /// Frames per second to aim at (default: the scene's, else 10)
-    #[arg(long, value_parser = positive)]
-    fps: Option<f32>,
     #[command(flatten)]
-    mode: ModeArguments,
-    /// Number of tracers (default: one per core)
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(TRACERS_MAX)))]
-    workers: Option<u32>,
+    walk: InteractiveArguments,
     /// Who paints the window
     #[arg(long, value_enum, default_value_t = BackendName::Auto)]
     backend: BackendName,
@@ -54,22 +40,6 @@ pub struct ViewArguments {
     /// Somebody stops at once, to see that the walk goes on
     #[arg(long, value_enum, default_value = "nobody", hide = true)]
     stall: StalledName,
-    /// Refine what has converged until the standard error of displayed values, 0 to 1, is below this; 0 leaves it
-    /// (default: 0.01, with --headless 0)
-    #[arg(long, value_name = "NOISE", value_parser = clap::value_parser!(f32))]
-    refine: Option<f32>,
-    /// Most samples of a pixel in that
-    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 16))]
-    refine_samples: u32,
-    /// Most bytes of textures in memory, e.g. 64MiB (default: the scene's, else no limit)
-    #[arg(long, value_name = "SIZE", value_parser = bytes)]
-    texture_budget: Option<u64>,
-    /// Record the walk, so that `foveal replay` can run it again; another scene, or the same read again, begins FILE-2
-    #[arg(long, value_name = "FILE")]
-    record: Option<PathBuf>,
-    /// How densely hashes are recorded
-    #[arg(long, value_name = "WHICH", value_enum, default_value_t = Hashes::Each, requires = "record")]
-    hashes: Hashes,
     /// Folder for screenshots (F12)
     #[arg(long, value_name = "DIR", default_value = ".")]
     screenshots: PathBuf,
@@ -88,41 +58,19 @@ pub struct ViewArguments {
     /// With --headless: stop after so many frames, converged or not
     #[arg(long, value_name = "N", requires = "headless", value_parser = clap::value_parser!(u32).range(1..))]
     frames: Option<u32>,
-    #[command(flatten)]
-    illumination: IlluminationArguments,
     /// One JSON document, with --headless
     #[arg(long, requires = "headless")]
     json: bool,
 }
 
 impl ViewArguments {
-    /// Without a window nobody sees the light grow, so it is final at once.
-    fn light(&self) -> Light {
-        let baked = self.illumination.baked || self.headless && !self.illumination.quick;
-        Light { baked, ..self.illumination.light() }
-    }
-
     fn recipe(&self) -> Recipe {
-        let cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
-        let tracers = self.workers.unwrap_or(cores.min(TRACERS_MAX));
-        let noise = self.refine.unwrap_or(if self.headless { 0.0 } else { Supersampling::default().noise });
-        let rules = Supersampling { noise, max_samples: self.refine_samples };
-        let settings = Settings {
-            supersampling: (noise > 0.0).then_some(rules),
-            ..Settings::new(self.size.width, self.size.height, tracers)
-        };
-        Recipe {
-            scene: self.scene.clone(),
-            light: self.light(),
-            settings,
-            fps: self.fps,
-            quality: self.mode.least_quality(),
-            texture_bytes: self.texture_budget,
-            record: self.record.clone(),
-            command: "view",
-            hashing: self.hashes.into(),
-            stalled: self.stall.0,
-        }
+        // Without a window nobody sees the light grow, so it is final at once.
+        let illumination = &self.walk.illumination;
+        let baked = illumination.baked || self.headless && !illumination.quick;
+        let light = Light { baked, ..illumination.light() };
+        let noise = if self.headless { 0.0 } else { Supersampling::default().noise };
+        Recipe { stalled: self.stall.0, ..self.walk.recipe("view", light, noise) }
     }
 }
 

@@ -1,13 +1,16 @@
 //! A picture as bytes: JPEG of what has changed while it does, without loss once it is still.
+//!
+//! Tiles that have changed go out together, as one picture that has them side by side: so tables, which are as long as a
+//! small tile itself, are sent once, and a page decodes one picture.
 
 use foveal::image::Map2d;
 use image_webp::{ColorType as WebpColor, WebPEncoder};
-use jpeg_encoder::{ColorType, Encoder, EncodingError, SamplingFactor};
+use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 
 /// Where more than this share of the picture has changed, all of it is sent.
 const PART: f64 = 0.4;
-/// What is sent is cut at multiples of this: blocks of a JPEG whose colour has half the columns and rows.
-const BLOCK: usize = 16;
+/// Columns and rows of a tile: whole blocks of a JPEG, also where it has half of them.
+pub const TILE: usize = 32;
 
 /// How a picture is coded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,8 +29,10 @@ pub enum Coding {
 /// A coded picture.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Coded {
-    /// What it replaces: left, top, columns, rows.
-    pub part: [u16; 4],
+    /// Left and top of the tiles that it replaces, which lie in it row by row; none where it is the whole picture.
+    pub tiles: Vec<[u16; 2]>,
+    /// Tiles in a row of it.
+    pub columns: u16,
     /// The file.
     pub bytes: Vec<u8>,
 }
@@ -37,74 +42,63 @@ type Picture = Map2d<[u8; 3]>;
 /// Codes `picture` for somebody who sees `before`; of JPEGs only what is different. `None` where that is nothing, or the
 /// picture is too large to be coded.
 pub fn encode(picture: &Picture, before: Option<&Picture>, coding: Coding) -> Option<Coded> {
-    let whole = [0, 0, picture.width(), picture.height()];
-    let area = |part: [usize; 4]| (part[2] * part[3]) as f64;
-    let part = match (coding, before) {
-        (Coding::Jpeg { .. }, Some(before)) => {
-            let part = changed(before, picture)?;
-            if area(part) > PART * area(whole) { whole } else { part }
-        }
-        _ => whole,
-    };
-    let told = part.map(|v| u16::try_from(v).ok());
-    let [Some(x), Some(y), Some(width), Some(height)] = told else { return None };
-    let (mut columns, mut rows) = (width, height);
-    let mut pixels = cut(picture, part);
+    let size = [picture.width(), picture.height()];
+    let [Ok(width), Ok(height)] = size.map(u16::try_from) else { return None };
     let mut bytes = Vec::new();
-    match coding {
-        Coding::Jpeg { quality, half } => {
-            if half {
-                let [w, h] = [part[2].div_ceil(2), part[3].div_ceil(2)];
-                pixels = halved(&pixels, [part[2], part[3]]);
-                (columns, rows) = (w as u16, h as u16);
-            }
-            jpeg(&mut bytes, &pixels, [columns, rows], quality).ok()?;
-        }
-        Coding::Lossless => {
-            let encoder = WebPEncoder::new(&mut bytes);
-            encoder.encode(&pixels, columns.into(), rows.into(), WebpColor::Rgb8).ok()?;
-        }
+    let Coding::Jpeg { quality, half } = coding else {
+        let encoder = WebPEncoder::new(&mut bytes);
+        let pixels = picture.data().as_flattened();
+        encoder.encode(pixels, width.into(), height.into(), WebpColor::Rgb8).ok()?;
+        return Some(Coded { tiles: Vec::new(), columns: 0, bytes });
+    };
+    let before = before.filter(|before| [before.width(), before.height()] == size);
+    let tiles = before.map(|before| changed(before, picture));
+    if tiles.as_ref().is_some_and(Vec::is_empty) {
+        return None;
     }
-    Some(Coded { part: [x, y, width, height], bytes })
+    let tiles = tiles.filter(|tiles| (tiles.len() * TILE * TILE) as f64 <= PART * (size[0] * size[1]) as f64);
+    let jpeg = |bytes: &mut Vec<u8>, pixels: &[u8], size: [usize; 2], sampling| {
+        let small = half.then(|| halved(pixels, size));
+        let [columns, rows] = size.map(|side| if half { side.div_ceil(2) } else { side } as u16);
+        let mut encoder = Encoder::new(bytes, quality);
+        encoder.set_sampling_factor(sampling);
+        encoder.encode(small.as_deref().unwrap_or(pixels), columns, rows, ColorType::Rgb).ok()
+    };
+    let Some(tiles) = tiles else {
+        jpeg(&mut bytes, picture.data().as_flattened(), size, SamplingFactor::F_2_2)?;
+        return Some(Coded { tiles: Vec::new(), columns: 0, bytes });
+    };
+    let columns = (tiles.len() as f64).sqrt().ceil() as usize;
+    // With all of its colours: what decoders smooth of fewer would be mixed with that of the neighbours in here.
+    let sheet = sheet(picture, &tiles, columns);
+    jpeg(&mut bytes, sheet.data().as_flattened(), [sheet.width(), sheet.height()], SamplingFactor::F_1_1)?;
+    Some(Coded { tiles, columns: columns as u16, bytes })
 }
 
-fn jpeg(
-    bytes: &mut Vec<u8>,
-    pixels: &[u8],
-    [columns, rows]: [u16; 2],
-    quality: u8,
-) -> Result<(), EncodingError> {
-    let mut encoder = Encoder::new(bytes, quality);
-    encoder.set_sampling_factor(SamplingFactor::F_2_2);
-    encoder.encode(pixels, columns, rows, ColorType::Rgb)
-}
-
-/// The least rectangle of whole blocks outside of which both are the same. `None` where they are everywhere; all of it
-/// where they have not one size.
-fn changed(before: &Picture, picture: &Picture) -> Option<[usize; 4]> {
+/// Left and top of the tiles in which two pictures of one size are not the same.
+fn changed(before: &Picture, picture: &Picture) -> Vec<[u16; 2]> {
     let [width, height] = [picture.width(), picture.height()];
-    if [before.width(), before.height()] != [width, height] {
-        return Some([0, 0, width, height]);
+    let mut tiles = Vec::new();
+    for top in (0..height).step_by(TILE) {
+        for left in (0..width).step_by(TILE) {
+            let right = (left + TILE).min(width);
+            let mut rows = (top..(top + TILE).min(height)).map(|y| y * width + left..y * width + right);
+            if rows.any(|row| before.data()[row.clone()] != picture.data()[row]) {
+                tiles.push([left as u16, top as u16]);
+            }
+        }
     }
-    let rows = || before.data().chunks_exact(width.max(1)).zip(picture.data().chunks_exact(width.max(1)));
-    let top = rows().position(|(a, b)| a != b)?;
-    let bottom = height - rows().rev().position(|(a, b)| a != b)?;
-    let (mut left, mut right) = (width, 0);
-    for (a, b) in rows().skip(top).take(bottom - top) {
-        let differs = |x: &usize| a[*x] != b[*x];
-        left = (0..left).find(differs).unwrap_or(left);
-        right = (right..width).rev().find(differs).map_or(right, |x| x + 1);
-    }
-    let [left, top] = [left, top].map(|v| v / BLOCK * BLOCK);
-    let [right, bottom] =
-        [(right, width), (bottom, height)].map(|(v, end)| v.next_multiple_of(BLOCK).min(end));
-    Some([left, top, right - left, bottom - top])
+    tiles
 }
 
-/// Pixels of a rectangle.
-fn cut(picture: &Picture, [x, y, width, height]: [usize; 4]) -> Vec<u8> {
-    let rows = picture.data().chunks_exact(picture.width().max(1)).skip(y).take(height);
-    rows.flat_map(|row| row[x..x + width].as_flattened()).copied().collect()
+/// These tiles side by side; what of them is beyond the picture is as its edge.
+fn sheet(picture: &Picture, tiles: &[[u16; 2]], columns: usize) -> Picture {
+    let [last_x, last_y] = [picture.width() - 1, picture.height() - 1];
+    Map2d::from_fn(columns * TILE, tiles.len().div_ceil(columns) * TILE, |x, y| {
+        let Some(tile) = tiles.get(y / TILE * columns + x / TILE) else { return [0; 3] };
+        let [left, top] = tile.map(usize::from);
+        picture.at((left + x % TILE).min(last_x), (top + y % TILE).min(last_y))
+    })
 }
 
 /// Means of two by two pixels.
@@ -147,26 +141,45 @@ mod tests {
             let picture = picture(width, height);
             let coded = encode(&picture, Some(&picture), Coding::Lossless).expect("coded");
             assert_eq!(decoded(&coded), picture);
-            assert_eq!(coded.part, [0, 0, width as u16, height as u16]);
+            assert_eq!(coded.tiles, [[0; 2]; 0]);
         }
     }
 
     #[test]
     fn what_has_not_changed_is_not_sent() {
-        let before = picture(128, 96);
-        let coding = Coding::Jpeg { quality: 80, half: false };
+        let before = picture(130, 96);
+        let coding = Coding::Jpeg { quality: 90, half: false };
         assert_eq!(encode(&before, Some(&before), coding), None);
         let mut after = before.clone();
-        *after.at_mut(40, 33) = [255, 0, 0];
-        *after.at_mut(50, 50) = [255, 0, 0];
+        for (x, y) in [(40, 33), (129, 95)] {
+            for i in 0..50 {
+                *after.at_mut(x - i % 7, y - i / 7) = [255, 0, 0];
+            }
+        }
         let coded = encode(&after, Some(&before), coding).expect("coded");
-        assert_eq!(coded.part, [32, 32, 32, 32]);
-        assert_eq!((decoded(&coded).width(), decoded(&coded).height()), (32, 32));
-        *after.at_mut(0, 0) = [0, 255, 0];
-        *after.at_mut(127, 95) = [0, 255, 0];
-        assert_eq!(encode(&after, Some(&before), coding).expect("coded").part, [0, 0, 128, 96]);
-        // Another size is another picture.
-        assert_eq!(encode(&after, Some(&picture(64, 48)), coding).expect("coded").part, [0, 0, 128, 96]);
+        assert_eq!((&coded.tiles[..], coded.columns), (&[[32, 0], [32, 32], [96, 64], [128, 64]][..], 2));
+        // As a page does it: tiles out of the sheet, each to its place.
+        let sheet = decoded(&coded);
+        assert_eq!((sheet.width(), sheet.height()), (2 * TILE, 2 * TILE));
+        let mut seen = before.clone();
+        for (i, [left, top]) in coded.tiles.iter().enumerate() {
+            for (x, y) in (0..TILE * TILE).map(|i| (i % TILE, i / TILE)) {
+                let (to_x, to_y) = (usize::from(*left) + x, usize::from(*top) + y);
+                if to_x < 130 && to_y < 96 {
+                    *seen.at_mut(to_x, to_y) = sheet.at(i % 2 * TILE + x, i / 2 * TILE + y);
+                }
+            }
+        }
+        let apart = |a: &[u8; 3], b: &[u8; 3]| (0..3).map(|c| a[c].abs_diff(b[c])).max();
+        let far = seen.data().iter().zip(after.data()).filter(|(a, b)| apart(a, b) > Some(40)).count();
+        assert!(far < 40, "{far} pixels are far off");
+        // Where most has changed all of it is sent; another size is another picture.
+        for before in [Map2d::new(130, 96, [9; 3]), picture(64, 48)] {
+            let whole = encode(&after, Some(&before), coding).expect("coded");
+            assert_eq!((whole.tiles.len(), decoded(&whole).width()), (0, 130));
+        }
+        let half = encode(&after, Some(&before), Coding::Jpeg { quality: 80, half: true }).expect("coded");
+        assert_eq!((decoded(&half).width(), half.tiles), (TILE, coded.tiles));
     }
 
     #[test]
@@ -178,7 +191,7 @@ mod tests {
         let far = shown.data().iter().zip(picture.data()).filter(|(a, b)| apart(a, b) > Some(24)).count();
         assert!(far * 20 < picture.data().len(), "{far}");
         let half = encode(&picture, None, Coding::Jpeg { quality: 85, half: true }).expect("coded");
-        assert_eq!((half.part, decoded(&half).width(), decoded(&half).height()), ([0, 0, 96, 65], 48, 33));
+        assert_eq!((half.tiles.len(), decoded(&half).width(), decoded(&half).height()), (0, 48, 33));
         assert!(half.bytes.len() < whole.bytes.len());
     }
 }

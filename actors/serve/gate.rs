@@ -85,8 +85,8 @@ impl Hosts {
     /// Whether a request with this `Host` is for us.
     pub fn knows(&self, host: &str) -> bool {
         let host = host.to_ascii_lowercase();
-        // Browsers leave the usual port out.
-        self.0.contains(&host) || self.0.contains(&format!("{host}:80"))
+        // Browsers leave the usual ports out.
+        self.0.contains(&host) || ["80", "443"].iter().any(|port| self.0.contains(&format!("{host}:{port}")))
     }
 
     /// Whether a page of this `Origin` is one that this `Host` gave out.
@@ -175,6 +175,8 @@ mod tests {
         assert!(!hosts.is_own("evil.example", "http://evil.example"));
         let elsewhere = Hosts::new("192.0.2.1:80".parse().expect("an address"), &[]);
         assert!(!elsewhere.knows("localhost:80") && elsewhere.knows("192.0.2.1:80"));
+        let encrypted = Hosts::new("192.0.2.1:443".parse().expect("an address"), &[]);
+        assert!(encrypted.is_own("192.0.2.1", "https://192.0.2.1"));
     }
 
     #[test]

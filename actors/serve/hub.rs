@@ -5,6 +5,7 @@
 //! last but one.
 
 mod driving;
+mod entering;
 mod pictures;
 
 use std::collections::BTreeMap;
@@ -14,9 +15,10 @@ use std::sync::Arc;
 use foveal_engine::thread::{Command, Shown};
 use foveal_engine::walk::Notice;
 
+pub use self::driving::SIDE_MAX;
 use crate::coding::{Coded, Coding};
-use crate::gate::{Gate, Pass, Token};
-use crate::protocol::{self, Described, FromPage, Malformed, TEXT_MAX, VERSION, Why};
+use crate::gate::{Gate, Token};
+use crate::protocol::{self, Described, FromPage, Malformed, TEXT_MAX, Why, camera_from};
 use crate::room::{PAUSE, Room};
 use crate::viewer::{RoomId, Standing, Viewer, ViewerId};
 
@@ -51,6 +53,8 @@ pub enum Event {
     Gone(ViewerId),
     /// A walk that was to be opened stands, or why not.
     Opened(RoomId, Result<Described, String>),
+    /// A walk has begun anew.
+    Described(RoomId, Described),
     /// A walk shows something new.
     Shown(RoomId, Arc<Shown>),
     /// A walk has something to say.
@@ -113,6 +117,8 @@ pub struct Hub {
     next_room: RoomId,
     /// A picture is being coded.
     codes: bool,
+    /// Viewers that were closed for what they sent.
+    rude: u64,
     effects: Vec<Effect>,
 }
 
@@ -126,6 +132,7 @@ impl Hub {
             rooms: BTreeMap::new(),
             next_room: 0,
             codes: false,
+            rude: 0,
             effects: Vec::new(),
         }
     }
@@ -151,6 +158,7 @@ impl Hub {
             Event::Input(id, bytes) => self.on_input(id, &bytes, now),
             Event::Gone(id) => self.forget(id, now),
             Event::Opened(room, described) => self.on_opened(room, described, now),
+            Event::Described(room, described) => self.on_described(room, described),
             Event::Shown(room, shown) => self.on_shown(room, shown, now),
             Event::Said(room, notice) => self.on_said(room, &notice),
             Event::Over(room) => self.on_over(room, now),
@@ -191,8 +199,8 @@ impl Hub {
         let message = if text.len() > TEXT_MAX { Err(Malformed) } else { FromPage::parse(text) };
         match (viewer.standing, message) {
             (_, Err(Malformed)) => self.dismiss(id, Why::Rude, now),
-            (Standing::Greeting, Ok(FromPage::Hello { v, token, resume })) => {
-                self.on_hello(id, v, &token, resume.as_deref(), now);
+            (Standing::Greeting, Ok(FromPage::Hello { v, token, resume, camera })) => {
+                self.on_hello(id, v, &token, resume.as_deref(), camera.and_then(camera_from), now);
             }
             (Standing::Greeting, Ok(_)) | (_, Ok(FromPage::Hello { .. })) => {
                 self.dismiss(id, Why::Rude, now);
@@ -201,13 +209,15 @@ impl Hub {
             (Standing::In(..), Ok(FromPage::Kept)) => viewer.fetches = false,
             (Standing::In(..), Ok(FromPage::Here)) => {}
             (Standing::In(room, _), Ok(FromPage::Set { key, value })) => {
+                viewer.set += 1;
                 if !viewer.rates[2].take(now) {
                     self.dismiss(id, Why::Rude, now);
                 } else if self.is_driving(room, id, now) {
-                    self.effects.push(Effect::Tell(room, Command::Put { key, value }));
+                    self.tell(room, Command::Put { key, value });
                 }
             }
             (Standing::In(room, pass), Ok(FromPage::Do(deed))) => {
+                viewer.set += u64::from(deed.sets());
                 if viewer.rates[3].take(now) {
                     self.on_deed(id, room, pass, deed, now);
                 } else {
@@ -217,68 +227,11 @@ impl Hub {
         }
     }
 
-    fn on_hello(&mut self, id: ViewerId, v: u32, token: &str, known: Option<&str>, now: f64) {
-        let Some(viewer) = self.viewers.get(&id) else { return };
-        if v != VERSION {
-            return self.dismiss(id, Why::Version, now);
-        }
-        let Some(pass) = self.gate.pass(viewer.address, token, now) else {
-            tracing::warn!("{}: a wrong token", viewer.address);
-            return self.dismiss(id, Why::Token, now);
-        };
-        // Who comes again by another connection is gone from the one before.
-        let same = |other: &Viewer| known == Some(&*other.resume) && other.standing != Standing::Greeting;
-        let again = self.viewers.iter().find(|(_, other)| same(other)).map(|(other, _)| *other);
-        let again = again.and_then(|other| match self.viewers.get(&other)?.standing {
-            Standing::In(room, _) => Some((other, room)),
-            Standing::Greeting => None,
-        });
-        let mut back = self.rooms.iter().find(|(_, room)| room.is_known(known)).map(|(room, _)| *room);
-        if let Some((other, room)) = again {
-            back = Some(room);
-            self.dismiss(other, Why::Elsewhere, now);
-        }
-        let inside = self.viewers.values().filter(|v| v.standing != Standing::Greeting).count();
-        if inside >= self.limits.viewers {
-            return self.dismiss(id, Why::Full, now);
-        }
-        let room = match (self.limits.walks, back) {
-            (None, _) => self.rooms.keys().next().copied(),
-            (Some(_), Some(room)) => Some(room),
-            (Some(most), None) if self.rooms.len() < most => {
-                let room = self.next_room;
-                self.next_room += 1;
-                self.rooms.insert(room, Room::new(None, now));
-                self.effects.push(Effect::Open(room));
-                Some(room)
-            }
-            (Some(_), None) => None,
-        };
-        let (Some(room_id), Some(viewer)) = (room, self.viewers.get_mut(&id)) else {
-            return self.dismiss(id, Why::Full, now);
-        };
-        viewer.standing = Standing::In(room_id, pass);
-        let Some(room) = self.rooms.get_mut(&room_id) else { return };
-        room.empty = None;
-        if pass == Pass::Drive {
-            room.enter(id, &viewer.resume, now);
-        }
-        if room.paused {
-            room.paused = false;
-            self.effects.push(Effect::Tell(room_id, Command::Resume));
-        }
-        self.welcome(id);
-    }
-
-    /// Says what there is to know, once the walk stands.
-    fn welcome(&mut self, id: ViewerId) {
-        let Some(viewer) = self.viewers.get_mut(&id) else { return };
-        let Standing::In(room, pass) = viewer.standing else { return };
-        let Some(room) = self.rooms.get(&room) else { return };
-        if let Some(described) = &room.described {
-            let (role, may_drive) = (room.role(id).0, pass == Pass::Drive);
-            let text = protocol::welcome(id, &viewer.resume, role, may_drive, described);
-            self.effects.push(Effect::Text(id, text, false));
+    /// Tells a walk something.
+    fn tell(&mut self, room_id: RoomId, command: Command) {
+        if let Some(room) = self.rooms.get_mut(&room_id) {
+            room.set += u64::from(command.sets());
+            self.effects.push(Effect::Tell(room_id, command));
         }
     }
 
@@ -291,11 +244,21 @@ impl Hub {
                 for id in self.inside(room_id) {
                     self.welcome(id);
                 }
+                self.stand(room_id, now);
             }
             Err(why) => {
                 self.on_said(room_id, &Notice { text: why, failed: true });
                 self.on_over(room_id, now);
             }
+        }
+    }
+
+    fn on_described(&mut self, room_id: RoomId, described: Described) {
+        let Some(room) = self.rooms.get_mut(&room_id) else { return };
+        room.described = Some(described);
+        for id in self.inside(room_id) {
+            self.welcome(id);
+            self.viewers.get_mut(&id).into_iter().for_each(Viewer::welcomed);
         }
     }
 
@@ -355,6 +318,10 @@ impl Hub {
 
     /// Somebody is told why, and gone.
     fn dismiss(&mut self, id: ViewerId, why: Why, now: f64) {
+        if let (Why::Rude, Some(viewer)) = (why, self.viewers.get(&id)) {
+            self.rude += 1;
+            tracing::info!("{}: closed for what it sent, number {}", viewer.address, self.rude);
+        }
         self.effects.push(Effect::Text(id, protocol::bye(why), false));
         self.effects.push(Effect::Close(id, why));
         self.forget(id, now);

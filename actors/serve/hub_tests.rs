@@ -1,20 +1,24 @@
 //! The hub alone: viewers and walks are played, time is a number.
 
 use foveal::image::Map2d;
-use foveal::scene::{Camera, Display};
+use foveal::scene::Display;
 use foveal_actors::renderer::overlay::Overlay;
 use foveal_actors::settings::{Adjustment, Settings};
+use foveal_engine::change::Change;
 use foveal_engine::controls::Value;
+use foveal_engine::foveal::scene::Camera;
 use foveal_engine::glam::Vec3;
 use foveal_engine::navigation::Motion;
-use foveal_engine::source::{Controls, Status};
+use foveal_engine::source::{Controls, NamedLamp, Status};
 use foveal_engine::thread::Report;
 use foveal_engine::walk::Act;
+use foveal_engine::{Lamp, SceneEdit};
 use proptest::prelude::*;
 use serde_json::json;
 
 use super::*;
 use crate::coding::encode;
+use crate::protocol::VERSION;
 
 const LIMITS: Limits = Limits { walks: None, viewers: 4, bytes: None, idle: 60.0 };
 
@@ -105,6 +109,7 @@ fn shown(number: u64, exact: bool) -> Arc<Shown> {
         camera: Some(camera),
         mark: Some(7.5),
         exact,
+        set: 0,
         moving: false,
         report: report(),
     })
@@ -292,6 +297,105 @@ fn the_driver_s_input_reaches_the_walk_with_its_times_and_nobody_else_s() {
     assert!(matches!(told(&effects)[..], [Command::Act { act: Act::ReleaseAll, .. }]));
 }
 
+/// The same, once the walk has done so many commands that set something.
+fn after(number: u64, set: u64) -> Arc<Shown> {
+    Arc::new(Shown { set, ..(*shown(number, true)).clone() })
+}
+
+#[test]
+fn nothing_is_exact_before_it_has_what_was_set() {
+    let mut played = Played::new(LIMITS);
+    played.driver(1);
+    played.driver(2);
+    let still = |effects: &[Effect], id| {
+        texts(effects, id).into_iter().rfind(|text| text["type"] == "still").map(|text| {
+            (text["picture"].as_u64(), text["exact"].as_bool().expect("a word"), text["set"].as_u64())
+        })
+    };
+    let effects = played.shows(&after(1, 0));
+    assert_eq!(still(&effects, 1), Some((Some(1), true, Some(0))));
+    played.coded(effects);
+    played.now = 0.3;
+    let effects = played.on(Event::Tick);
+    assert_eq!(frames(&played.coded(effects), 1)[0][1], 3);
+    // It is said at once, to all, that it is so no more.
+    let effects = played.say(1, json!({"type": "set", "key": "fps", "value": 5}));
+    assert_eq!(still(&effects, 1), Some((Some(1), false, Some(1))));
+    assert_eq!(still(&effects, 2), Some((Some(1), false, Some(0))));
+    // What was shown before does not count; what was shown since does, without being sent again.
+    assert_eq!(still(&played.shows(&after(1, 0)), 1), None);
+    let effects = played.shows(&after(1, 1));
+    assert_eq!(still(&effects, 1), Some((Some(1), true, Some(1))));
+    played.now = 2.0;
+    let effects = played.on(Event::Tick);
+    assert!(frames(&played.coded(effects), 1).is_empty());
+    // Of who may not set anything the words are counted and do nothing.
+    let effects = played.say(2, json!({"type": "do", "name": "reload"}));
+    assert_eq!((still(&effects, 2), told(&effects)), (Some((Some(1), true, Some(1))), vec![]));
+}
+
+#[test]
+fn a_walk_is_changed_within_bounds() {
+    let mut played = Played::new(LIMITS);
+    let lamp = |lamp| NamedLamp { name: "a".into(), lamp, gain: Vec3::ONE };
+    let lamps = vec![lamp(Lamp::Material(4)), lamp(Lamp::Light(2))];
+    played.driver(1);
+    let mut described = Described::default();
+    described.lamps = lamps;
+    let room = played.room;
+    let effects = played.on(Event::Described(room, described));
+    assert_eq!(one(&effects, 1, "welcome")["lamps"][1]["moves"], true);
+    played.shows(&shown(1, true));
+    let edit = |edit| Some(Command::Change(Change::Edit(edit)));
+    let moved = SceneEdit::LightMoved { light: 2, position: Vec3::ZERO, direction: Vec3::NEG_Z };
+    let dimmed = SceneEdit::LampDimmed { lamp: Lamp::Material(4), gain: Vec3::splat(0.5) };
+    for (deed, expected) in [
+        (json!({"name": "size", "width": 640, "height": 16}), Some(Command::Change(Change::Size([640, 16])))),
+        (json!({"name": "size", "width": 15, "height": 100}), None),
+        (json!({"name": "size", "width": 100, "height": 4097}), None),
+        (json!({"name": "reload"}), Some(Command::Change(Change::Reload))),
+        (json!({"name": "dim", "lamp": 0, "gain": 0.5}), edit(dimmed)),
+        (json!({"name": "dim", "lamp": 0, "gain": -1}), None),
+        (json!({"name": "dim", "lamp": 2, "gain": 1}), None),
+        (json!({"name": "bring", "lamp": 1}), edit(moved)),
+        (json!({"name": "bring", "lamp": 0}), None),
+    ] {
+        played.now += 1.0;
+        let mut message = deed.clone();
+        message["type"] = json!("do");
+        let effects = played.say(1, message);
+        assert_eq!(told(&effects).first().copied(), expected.as_ref(), "{deed}");
+        let notices = texts(&effects, 1).iter().filter(|text| text["type"] == "notice").count();
+        assert_eq!(notices, usize::from(expected.is_none()), "{deed}");
+    }
+}
+
+#[test]
+fn a_server_that_began_anew_goes_on_where_the_page_was() {
+    let camera = Camera { eye: Vec3::ONE, target: Vec3::ZERO, up: Vec3::Y, fov_y: 1.0 };
+    let numbers = protocol::camera_numbers(&camera);
+    let hello = |token: &str| json!({"type": "hello", "v": VERSION, "token": token, "resume": "unknown", "camera": numbers});
+    let mut played = Played::new(LIMITS);
+    let token = played.token.clone();
+    played.connect(1);
+    let effects = played.say(1, hello(&token));
+    let stands = Command::Act { act: Act::Stand(camera), at: 0.0, mark: 0.0 };
+    assert!(told(&effects).contains(&&stands));
+    assert!(one(&effects, 1, "notice")["text"].as_str().is_some_and(|text| text.contains("begun anew")));
+    // Once; and not where somebody walks already.
+    played.on(Event::Gone(1));
+    played.connect(2);
+    assert!(!told(&played.say(2, hello(&token))).contains(&&stands));
+    // A walk of one's own is told when it stands.
+    let mut played = Played::new(Limits { walks: Some(2), ..LIMITS });
+    let token = played.token.clone();
+    played.connect(1);
+    let effects = played.say(1, hello(&token));
+    assert!(told(&effects).is_empty());
+    let effects = played.on(Event::Opened(0, Ok(Described::default())));
+    assert_eq!(told(&effects), [&stands]);
+}
+
 #[test]
 fn driving_is_taken_when_nobody_minds() {
     let mut played = Played::new(LIMITS);
@@ -455,6 +559,10 @@ fn anything() -> impl Strategy<Value = Event> {
         any::<i64>().prop_map(|n| json!({"type": "do", "name": "messages", "count": n})),
         any::<(u32, u32)>().prop_map(|(x, y)| json!({"type": "do", "name": "why", "x": x, "y": y})),
         Just(json!({"type": "do", "name": "branch"})),
+        Just(json!({"type": "do", "name": "reload"})),
+        any::<(u32, u32)>().prop_map(|(w, h)| json!({"type": "do", "name": "size", "width": w, "height": h})),
+        any::<(u16, f32)>().prop_map(|(l, g)| json!({"type": "do", "name": "dim", "lamp": l % 3, "gain": g})),
+        any::<u16>().prop_map(|lamp| json!({"type": "do", "name": "bring", "lamp": lamp % 3})),
         Just(json!({"type": "kept"})),
         any::<u32>().prop_map(|frame| json!({"type": "shown", "frame": frame % 12})),
         any::<f64>().prop_map(|value| json!({"type": "set", "key": "fps", "value": value})),

@@ -20,7 +20,7 @@ pub struct File {
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// All files, by path.
-const FILES: [(&str, File); 10] = [
+const FILES: [(&str, File); 11] = [
     ("/", File { kind: "text/html; charset=utf-8", bytes: include_str!("page/index.html") }),
     ("/style.css", File { kind: "text/css; charset=utf-8", bytes: include_str!("page/style.css") }),
     ("/icon.svg", File { kind: "image/svg+xml", bytes: include_str!("page/icon.svg") }),
@@ -29,6 +29,7 @@ const FILES: [(&str, File); 10] = [
     ("/picture.js", File { kind: SCRIPT, bytes: include_str!("page/picture.js") }),
     ("/input.js", File { kind: SCRIPT, bytes: include_str!("page/input.js") }),
     ("/panel.js", File { kind: SCRIPT, bytes: include_str!("page/panel.js") }),
+    ("/scene.js", File { kind: SCRIPT, bytes: include_str!("page/scene.js") }),
     ("/timeline.js", File { kind: SCRIPT, bytes: include_str!("page/timeline.js") }),
     ("/insight.js", File { kind: SCRIPT, bytes: include_str!("page/insight.js") }),
 ];

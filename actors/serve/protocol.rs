@@ -2,12 +2,18 @@
 //!
 //! The first message of a page is [`FromPage::Hello`]; everything from outside is parsed here and nowhere else.
 
+use foveal_engine::Lamp;
 use foveal_engine::controls::{Kind, Value, controls};
+use foveal_engine::foveal::scene::Camera;
+use foveal_engine::glam::Vec3;
 use foveal_engine::navigation::{Motion, Pace};
-use foveal_engine::source::{Controls, Place, Ranges, Wish};
+use foveal_engine::source::{Controls, NamedLamp, Wish};
+use foveal_engine::thread::Opening;
 use foveal_engine::walk::Act;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, json};
+
+use crate::coding::{Coded, TILE};
 
 /// Raised whenever a page of before could not talk to a server of after.
 pub const VERSION: u32 = 1;
@@ -17,8 +23,10 @@ pub const TEXT_MAX: usize = 4 << 10;
 pub const INPUT_MAX: usize = 8 << 10;
 /// Bytes of one input event: time, kind, two numbers.
 pub const INPUT_BYTES: usize = 17;
-/// Bytes in front of the picture of a frame.
+/// Bytes in front of the tiles and the picture of a frame.
 pub const HEAD_BYTES: usize = 32;
+/// Lamps that pages are told of.
+const LAMPS: usize = 64;
 
 /// What a page says.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -33,6 +41,9 @@ pub enum FromPage {
         /// What its last welcome said, where the connection was lost.
         #[serde(default)]
         resume: Option<String>,
+        /// Where the camera stood then ([`camera_from`]), should the server not know it any more.
+        #[serde(default)]
+        camera: Option<[f32; 10]>,
     },
     /// A control is set.
     Set {
@@ -55,7 +66,7 @@ pub enum FromPage {
 }
 
 /// What can be asked for beside moving.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(tag = "name", rename_all = "lowercase")]
 pub enum Deed {
     /// To drive.
@@ -75,6 +86,27 @@ pub enum Deed {
     Play,
     /// The picture on show with all bits, to keep.
     Screenshot,
+    /// Pictures of another size.
+    Size {
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+    },
+    /// The scene's files are read again.
+    Reload,
+    /// A lamp shines so much of what the files say.
+    Dim {
+        /// Which of the welcome's lamps.
+        lamp: u16,
+        /// How much.
+        gain: f32,
+    },
+    /// A light without area comes to where the camera stands.
+    Bring {
+        /// Which of the welcome's lamps.
+        lamp: u16,
+    },
     /// Of a recording: to go to a frame.
     Frame {
         /// Its number.
@@ -99,6 +131,11 @@ pub enum Deed {
 }
 
 impl Deed {
+    /// Whether pictures may be other ones after it although nobody moves; a page counts these.
+    pub fn sets(self) -> bool {
+        matches!(self, Self::Size { .. } | Self::Reload | Self::Dim { .. } | Self::Bring { .. })
+    }
+
     /// What is wanted of a recording, if this is about one.
     pub fn wish(self) -> Option<Wish> {
         Some(match self {
@@ -229,8 +266,12 @@ pub fn welcome(id: u64, resume: &str, role: Role, may_drive: bool, walk: &Descri
         "bookmarks": walk.bookmarks,
         "paths": walk.paths,
         "recorded": walk.recorded,
+        "changes": walk.changes,
         "controls": walk.controls,
         "ends": walk.ends,
+        "lamps": walk.lamps.iter().map(|lamp| {
+            json!({"name": lamp.name, "gain": lamp.gain.max_element(), "moves": matches!(lamp.lamp, Lamp::Light(_))})
+        }).collect::<Vec<_>>(),
     })
     .to_string()
 }
@@ -240,16 +281,20 @@ pub fn welcome(id: u64, resume: &str, role: Role, may_drive: bool, walk: &Descri
 pub struct Described {
     title: String,
     size: [u32; 2],
+    changes: bool,
     bookmarks: Vec<String>,
     paths: Vec<String>,
     recorded: bool,
     controls: serde_json::Value,
     ends: serde_json::Value,
+    /// What can be dimmed.
+    pub lamps: Vec<NamedLamp>,
 }
 
 impl Described {
-    /// Of a walk through `place`; `ends` is what each overlay's scale says at its ends.
-    pub fn new(place: &Place, size: [u32; 2], ranges: &Ranges, recorded: bool) -> Self {
+    /// Of a walk that begins so, and is `recorded` or not.
+    pub fn new(opening: &Opening, recorded: bool) -> Self {
+        let Opening { place, size, ranges, controls: _, changes } = opening;
         let row = |control: &foveal_engine::controls::Control| {
             let kind = match control.kind(ranges)? {
                 Kind::Slider { least, most, logarithmic, whole } => json!({
@@ -269,14 +314,37 @@ impl Described {
         };
         Self {
             title: place.title.clone(),
-            size,
+            size: *size,
+            changes: *changes,
             bookmarks: place.cameras.iter().map(|c| c.name.clone()).collect(),
             paths: place.paths.iter().map(|p| p.name.clone()).collect(),
             recorded,
             controls: controls().iter().filter_map(row).collect(),
             ends: crate::scales::scales(),
+            lamps: place.lamps.iter().take(LAMPS).cloned().collect(),
         }
     }
+}
+
+/// Whether a picture is what its view converges to, as everything is set that this viewer has set: it has said so many times
+/// that something is.
+pub fn still(picture: u64, exact: bool, set: u64) -> String {
+    json!({"type": "still", "picture": picture as u32, "exact": exact, "set": set}).to_string()
+}
+
+/// A camera as the ten numbers that pages keep: eye, target, up, field of view.
+pub fn camera_numbers(camera: &Camera) -> [f32; 10] {
+    let [e, t, u] = [camera.eye, camera.target, camera.up].map(|v| v.to_array());
+    [e[0], e[1], e[2], t[0], t[1], t[2], u[0], u[1], u[2], camera.fov_y]
+}
+
+/// The camera of ten numbers, if one can look through it.
+pub fn camera_from(numbers: [f32; 10]) -> Option<Camera> {
+    let [e0, e1, e2, t0, t1, t2, u0, u1, u2, fov_y] = numbers;
+    let (eye, target, up) = (Vec3::new(e0, e1, e2), Vec3::new(t0, t1, t2), Vec3::new(u0, u1, u2));
+    let is_near = numbers.iter().all(|v| v.is_finite() && v.abs() < 1e9);
+    let looks = (target - eye).cross(up).length() > 1e-6 && (0.01..3.0).contains(&fov_y);
+    (is_near && looks).then_some(Camera { eye, target, up, fov_y })
 }
 
 /// All values of the controls.
@@ -316,8 +384,6 @@ pub struct Head {
     pub view: u32,
     /// Columns and rows of the whole picture.
     pub size: [u16; 2],
-    /// What is replaced of it: left, top, columns, rows.
-    pub part: [u16; 4],
     /// Page's time of the newest input that it knows of, milliseconds; 0 for others than the driver.
     pub mark: f64,
 }
@@ -326,15 +392,18 @@ impl Head {
     /// Kind of a frame, beside [`FILE`].
     const FRAME: u8 = 1;
 
-    /// The head, and behind it the picture.
-    pub fn with(&self, picture: &[u8]) -> Vec<u8> {
-        let mut bytes = Vec::with_capacity(HEAD_BYTES + picture.len());
+    /// The head, and behind it where the tiles lie and the picture of them, or of all.
+    pub fn with(&self, coded: &Coded) -> Vec<u8> {
+        let Coded { tiles, columns, bytes: picture } = coded;
+        let mut bytes = Vec::with_capacity(HEAD_BYTES + 4 * tiles.len() + picture.len());
         let flags = u8::from(self.exact) | u8::from(self.lossless) << 1;
         bytes.extend([Self::FRAME, flags, self.quality, 0]);
         bytes.extend(self.number.to_le_bytes());
-        bytes.extend(self.size.into_iter().chain(self.part).flat_map(u16::to_le_bytes));
+        let sheet = [tiles.len() as u16, *columns, TILE as u16, 0];
+        bytes.extend(self.size.into_iter().chain(sheet).flat_map(u16::to_le_bytes));
         bytes.extend(self.view.to_le_bytes());
         bytes.extend(self.mark.to_le_bytes());
+        bytes.extend(tiles.as_flattened().iter().flat_map(|v| v.to_le_bytes()));
         bytes.extend(picture);
         bytes
     }
@@ -344,71 +413,5 @@ impl Head {
 pub const FILE: u8 = 2;
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn input(time: f64, kind: u8, a: f32, b: f32) -> Vec<u8> {
-        let mut bytes = time.to_le_bytes().to_vec();
-        bytes.push(kind);
-        bytes.extend(a.to_le_bytes());
-        bytes.extend(b.to_le_bytes());
-        bytes
-    }
-
-    #[test]
-    fn texts_are_parsed_and_nonsense_is_not() {
-        let hello = FromPage::parse(r#"{"type":"hello","v":1,"token":"x"}"#);
-        assert_eq!(hello, Ok(FromPage::Hello { v: 1, token: "x".into(), resume: None }));
-        let set = FromPage::parse(r#"{"type":"set","key":"fps","value":12.5}"#);
-        assert_eq!(set, Ok(FromPage::Set { key: "fps".into(), value: Value::Number(12.5) }));
-        let set = FromPage::parse(r#"{"type":"set","key":"refines","value":true}"#);
-        assert_eq!(set, Ok(FromPage::Set { key: "refines".into(), value: Value::Switch(true) }));
-        assert_eq!(FromPage::parse(r#"{"type":"do","name":"take"}"#), Ok(FromPage::Do(Deed::Take)));
-        let mark = FromPage::parse(r#"{"type":"do","name":"bookmark","number":2,"set":true}"#);
-        assert_eq!(mark, Ok(FromPage::Do(Deed::Bookmark { number: 2, set: true })));
-        for text in [
-            "",
-            "{}",
-            "[]",
-            r#"{"type":"hello"}"#,
-            r#"{"type":"do","name":"rm"}"#,
-            r#"{"type":"shown","frame":-1}"#,
-            r#"{"type":"set","key":"fps","value":[1]}"#,
-        ] {
-            assert_eq!(FromPage::parse(text), Err(Malformed), "{text}");
-        }
-    }
-
-    #[test]
-    fn input_is_parsed_and_nonsense_is_not() {
-        let bytes = [input(5.0, 1, 3.0, 0.0), input(6.0, 3, 4.0, -2.0), input(7.0, 6, 0.0, 0.0)].concat();
-        let events = parse_input(&bytes).expect("events");
-        assert_eq!(events[0], Input { time: 5.0, act: Act::Press(Motion::Right) });
-        assert_eq!(events[1], Input { time: 6.0, act: Act::Look(4.0, -2.0) });
-        assert_eq!(events[2].act, Act::ReleaseAll);
-        assert!(parse_input(&bytes[1..]).is_err() && parse_input(&[]).is_err());
-        assert!(parse_input(&input(1.0, 9, 0.0, 0.0)).is_err());
-        assert!(parse_input(&input(1.0, 1, 6.0, 0.0)).is_err());
-        assert!(parse_input(&input(1.0, 3, f32::NAN, 0.0)).is_err());
-        assert!(parse_input(&input(f64::INFINITY, 6, 0.0, 0.0)).is_err());
-        assert!(parse_input(&input(1.0, 6, 0.0, 0.0).repeat(500)).is_err());
-    }
-
-    #[test]
-    fn a_head_has_its_length() {
-        let head = Head {
-            exact: true,
-            lossless: true,
-            quality: 0,
-            number: 7,
-            view: 3,
-            size: [512, 384],
-            part: [0, 16, 512, 368],
-            mark: 1.5,
-        };
-        let bytes = head.with(&[9]);
-        assert_eq!((bytes.len(), bytes[..2].to_vec(), bytes[HEAD_BYTES]), (HEAD_BYTES + 1, vec![1, 3], 9));
-        assert_eq!(bytes[8..12], [0, 2, 128, 1]);
-        assert_eq!(f64::from_le_bytes(bytes[24..32].try_into().expect("eight bytes")), 1.5);
-    }
-}
+#[path = "protocol_tests.rs"]
+mod tests;

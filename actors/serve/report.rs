@@ -1,16 +1,19 @@
 //! How a walk stands, as pages show it.
 
 use foveal_actors::insight::ObjectInsight;
+use foveal_engine::foveal::scene::Camera;
 use foveal_engine::thread::Report;
 use serde_json::{Value, json};
+
+use crate::protocol;
 
 /// Lines of a list.
 const LINES: usize = 8;
 /// Bytes of a MiB.
 const MIB: f64 = (1 << 20) as f64;
 
-/// The message.
-pub fn state(report: &Report) -> String {
+/// The message; a recording has no `camera`.
+pub fn state(report: &Report, camera: Option<&Camera>) -> String {
     let Report { controls, status, times, quality, speed, orbits, insight, timeline } = report;
     let refinement =
         insight.as_ref().filter(|_| status.converged).and_then(|(insight, _)| insight.refinement);
@@ -40,6 +43,7 @@ pub fn state(report: &Report) -> String {
         "quality": quality.map(|q| rounded(f64::from(q), 3)),
         "speed": rounded(f64::from(*speed), 3),
         "orbits": orbits,
+        "camera": camera.map(protocol::camera_numbers),
         "error": refinement.and_then(|r| r.stated).map(|e| rounded(f64::from(e) * 100.0, 2)),
         "tiles": refinement.map(|r| [r.quiet, r.tiles]),
         "objects": objects(report),

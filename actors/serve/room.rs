@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use foveal_engine::foveal::scene::Camera;
 use foveal_engine::thread::{Report, Shown};
 
 use crate::protocol::{Described, Role};
@@ -33,6 +34,12 @@ pub struct Room {
     pub empty: Option<f64>,
     /// Whether it was told to pause.
     pub paused: bool,
+    /// How often it was told that something is set.
+    pub set: u64,
+    /// Whether anybody has driven.
+    pub walked: bool,
+    /// Where it is to stand once it does.
+    pub stands: Option<Camera>,
     /// The last report as a message.
     pub state: Option<(Arc<Report>, String)>,
 }
@@ -50,6 +57,11 @@ impl Room {
     /// A walk that nobody looks at; without a description it does not stand yet.
     pub fn new(described: Option<Described>, now: f64) -> Self {
         Self { described, since: now, empty: Some(now), ..Self::default() }
+    }
+
+    /// Whether what it shows is exact, with all that was set.
+    pub fn is_exact(&self) -> bool {
+        self.shown.as_ref().is_some_and(|shown| shown.exact && shown.set >= self.set)
     }
 
     /// Somebody comes who may drive, and does where nobody else is.
@@ -89,6 +101,7 @@ impl Room {
 
     /// The driver did something.
     pub fn is_driven(&mut self, now: f64) {
+        self.walked = true;
         self.driven = now;
     }
 

@@ -5,14 +5,15 @@
 
 mod connection;
 mod listen;
+mod tls;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use foveal_engine::source::FrameSource;
-use foveal_engine::thread::{Command, EngineHandle, EngineThread};
+use foveal_engine::change::Begun;
+use foveal_engine::thread::{Command, EngineHandle, EngineThread, Opening};
 use foveal_engine::walk::Act;
 use foveal_engine::{Failure, screenshot};
 use tokio::sync::mpsc::error::TrySendError;
@@ -20,9 +21,10 @@ use tokio::sync::{Notify, mpsc};
 use tokio::time::MissedTickBehavior;
 
 use self::connection::Out;
-use crate::coding::encode;
+pub use self::tls::Tls;
+use crate::coding::{Coding, encode};
 use crate::gate::{Gate, Hosts, Token};
-use crate::hub::{Effect, Event, Hub, Limits};
+use crate::hub::{Effect, Event, Hub, Limits, Order};
 use crate::protocol::Described;
 use crate::viewer::{RoomId, ViewerId};
 
@@ -30,11 +32,16 @@ use crate::viewer::{RoomId, ViewerId};
 const TICK: Duration = Duration::from_millis(50);
 /// How long connections have to hear of the end.
 const FAREWELL: Duration = Duration::from_millis(200);
+/// Pixels that are coded as JPEG within two milliseconds.
+const SOON: usize = 512 * 512;
 /// Events that may wait for the hub; connections wait with more.
 const EVENTS: usize = 1024;
 
+/// What the names of threads beside the one that serves begin with.
+pub const THREADS: &str = "serve";
+
 /// Makes a walk on the thread that it will live on; they are counted from 1.
-pub type Make = Arc<dyn Fn(u32) -> Result<Box<dyn FrameSource>, Failure> + Send + Sync>;
+pub type Make = Arc<dyn Fn(u32) -> Result<Begun, Failure> + Send + Sync>;
 
 /// How a server is opened.
 #[derive(Clone, Debug)]
@@ -53,6 +60,8 @@ pub struct Options {
     pub limits: Limits,
     /// Whether walks are recorded.
     pub recorded: bool,
+    /// By what connections are encrypted.
+    pub tls: Option<Tls>,
 }
 
 /// A server that listens.
@@ -86,7 +95,7 @@ impl Server {
     /// # Errors
     /// If a walk cannot be made, or ends by itself.
     pub fn run(self, make: Make, stop: impl Fn() -> bool, ready: impl FnOnce()) -> Result<(), Failure> {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let runtime = tokio::runtime::Builder::new_current_thread().thread_name(THREADS).enable_all().build();
         let runtime =
             runtime.map_err(|e| Failure::Environment(format!("the server cannot be started: {e}")))?;
         runtime.block_on(self.serve(make, stop, ready))
@@ -116,7 +125,10 @@ impl Server {
         let listener = tokio::net::TcpListener::from_std(listener)
             .map_err(|e| Failure::Environment(format!("cannot listen: {e}")))?;
         let hosts = Hosts::new(address, &options.hosts);
-        tokio::spawn(listen::listen(listener, listen::Door::new(hosts, options.behind_proxy, sender)));
+        tokio::spawn(listen::listen(
+            listener,
+            listen::Door::new(hosts, options.behind_proxy, options.tls, sender),
+        ));
         ready();
         let mut tick = tokio::time::interval(TICK);
         tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -173,6 +185,12 @@ impl Walk {
     }
 }
 
+/// Whether coding a picture takes no longer than having it done beside: while a walk has all cores, each thread that is to
+/// be woken waits for milliseconds.
+fn is_soon_coded(order: &Order) -> bool {
+    order.coding != Coding::Lossless && order.shown.picture.data().len() <= SOON
+}
+
 /// The hub with its hands.
 struct Glue {
     hub: Hub,
@@ -201,9 +219,8 @@ impl Glue {
         move || EngineThread::spawn(move || make(number), move || wake.notify_one())
     }
 
-    fn described(&self, thread: &EngineThread) -> Described {
-        let opening = thread.opening();
-        Described::new(&opening.place, opening.size, &opening.ranges, self.recorded)
+    fn described(&self, opening: &Opening) -> Described {
+        Described::new(opening, self.recorded)
     }
 
     fn keep(&mut self, room: RoomId, thread: EngineThread) {
@@ -217,7 +234,7 @@ impl Glue {
     /// One walk for all, from the start.
     fn share(&mut self) -> Result<(), Failure> {
         let thread = self.maker()()?;
-        let room = self.hub.open(self.described(&thread), self.now());
+        let room = self.hub.open(self.described(thread.opening()), self.now());
         self.keep(room, thread);
         Ok(())
     }
@@ -228,13 +245,18 @@ impl Glue {
                 self.outs.insert(id, out);
                 self.on(Event::Connected(id, address));
             }
-            Message::Event(event) => self.on(event),
+            Message::Event(event) => {
+                if let Event::Gone(id) = event {
+                    self.outs.remove(&id);
+                }
+                self.on(event);
+            }
             Message::Opened(room, Ok(thread)) if !self.hub.has(room) => {
                 tokio::task::spawn_blocking(move || thread.end());
                 tracing::debug!("nobody waited for walk {room}");
             }
             Message::Opened(room, Ok(thread)) => {
-                let described = self.described(&thread);
+                let described = self.described(thread.opening());
                 self.keep(room, thread);
                 self.on(Event::Opened(room, Ok(described)));
             }
@@ -249,6 +271,8 @@ impl Glue {
     fn look(&mut self) {
         let mut events = Vec::new();
         for (room, walk) in &self.walks {
+            let anew = walk.handle.opening().map(|o| Event::Described(*room, self.described(&o)));
+            events.extend(anew);
             events.extend(walk.handle.shown().map(|shown| Event::Shown(*room, shown)));
             events.extend(std::iter::from_fn(|| walk.handle.notice()).map(|n| Event::Said(*room, n)));
             while let Some(shot) = walk.handle.shot() {
@@ -292,6 +316,11 @@ impl Glue {
                 let _ = out.try_send(Out::Close(why.code()));
             }
             Effect::Tell(room, command) => self.walks.get_mut(&room)?.tell(command),
+            Effect::Code(order) if is_soon_coded(&order) => {
+                let before = order.before.as_ref().map(|before| &*before.picture);
+                let coded = encode(&order.shown.picture, before, order.coding);
+                return Some(Event::Coded(order, coded));
+            }
             Effect::Code(order) => {
                 let sender = self.sender.clone();
                 tokio::task::spawn_blocking(move || {

@@ -61,8 +61,12 @@ pub struct Viewer {
     pub clock: PageClock,
     /// Messages of input, single events, settings, deeds.
     pub rates: [Rate; 4],
+    /// How often it has said that something is set.
+    pub set: u64,
     /// What was said of who drives.
     pub told: Option<Told>,
+    /// What was said of the picture: its number, whether it is exact, and after which setting.
+    pub still: Option<(u64, bool, u64)>,
     /// A picture is being coded for it.
     pub waits: bool,
     /// A file is on its way.
@@ -89,7 +93,9 @@ impl Viewer {
             heard: now,
             clock: PageClock::default(),
             rates: [240.0, 2000.0, 60.0, 10.0].map(|rate| Rate::new(rate, now)),
+            set: 0,
             told: None,
+            still: None,
             waits: false,
             fetches: false,
             served: f64::NEG_INFINITY,
@@ -102,9 +108,15 @@ impl Viewer {
         }
     }
 
-    /// How the newest picture, which has been the same since `since`, is to be sent, and what it replaces. `None` while that
-    /// is not to be.
-    pub fn wants(&mut self, shown: &Shown, since: f64, now: f64) -> Option<(Coding, Option<Arc<Shown>>)> {
+    /// How the newest picture, which has been the same since `since` and may be `exact`, is to be sent, and what it replaces.
+    /// `None` while that is not to be.
+    pub fn wants(
+        &mut self,
+        shown: &Shown,
+        exact: bool,
+        since: f64,
+        now: f64,
+    ) -> Option<(Coding, Option<Arc<Shown>>)> {
         let has_room = self.sent.len() < FRAMES && self.sent.iter().map(|s| s.bytes).sum::<usize>() < BYTES;
         if self.waits || !has_room || self.limit.as_mut().is_some_and(|limit| !limit.is_open(now)) {
             return None;
@@ -117,7 +129,7 @@ impl Viewer {
             let coding = Coding::Jpeg { quality: self.quality.jpeg, half: self.quality.half };
             return Some((coding, before.cloned()));
         }
-        let is_still = shown.exact && !shown.moving && now - since >= STILL;
+        let is_still = exact && !shown.moving && now - since >= STILL;
         (is_still && !is_exact).then_some((Coding::Lossless, None))
     }
 
@@ -148,6 +160,11 @@ impl Viewer {
                 break;
             }
         }
+    }
+
+    /// It is welcomed once more: the walk has begun anew.
+    pub fn welcomed(&mut self) {
+        (self.told, self.values, self.report) = (None, None, None);
     }
 
     /// Whether it is to hear this report now.

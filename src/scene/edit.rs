@@ -85,7 +85,7 @@ impl std::error::Error for EditError {}
 
 impl SceneEdit {
     /// Whether it changes what `other` changed, so that nothing of the other one is left.
-    fn replaces(&self, other: &Self) -> bool {
+    pub fn replaces(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::LampDimmed { lamp: a, .. }, Self::LampDimmed { lamp: b, .. }) => a == b,
             (Self::LightMoved { light: a, .. }, Self::LightMoved { light: b, .. }) => a == b,
@@ -142,6 +142,15 @@ impl AsRead {
             lights: scene.lights.clone(),
             surrounding: scene.environment.as_ref().map(|e| e.radiance),
         }
+    }
+
+    /// All that can be dimmed.
+    pub fn lamps(&self) -> impl Iterator<Item = Lamp> {
+        let emits = |(_, emission): &(usize, &Vec3)| emission.max_element() > 0.0;
+        let materials =
+            self.emissions.iter().enumerate().filter(emits).map(|(i, _)| Lamp::Material(i as u32));
+        let lights = (0..self.lights.len()).map(|i| Lamp::Light(i as u32));
+        materials.chain(lights).chain(self.surrounding.map(|_| Lamp::Surrounding))
     }
 
     /// What [`SceneParts::content_hash`](super::SceneParts::content_hash) is after these edits.
@@ -228,6 +237,7 @@ mod tests {
     #[test]
     fn edits_are_absolute_and_taken_back() {
         let read = AsRead::of(&lit());
+        assert_eq!(read.lamps().collect::<Vec<_>>(), [Lamp::Material(1), Lamp::Light(0)]);
         let dim = |gain: f32| SceneEdit::LampDimmed { lamp: Lamp::Material(1), gain: Vec3::splat(gain) };
         let mut edits = Vec::new();
         let mut now = lit();

@@ -172,6 +172,15 @@ pub enum Light {
 }
 
 impl Light {
+    /// What it is, for people.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Point { .. } => "point light",
+            Self::Spot { .. } => "spot light",
+            Self::Directional { .. } => "sun",
+        }
+    }
+
     /// The factor by which glTF's `range` lets light end: 1 − (d / range)⁴, never below 0.
     pub fn window(range: f32, distance: f32) -> f32 {
         if range.is_infinite() {

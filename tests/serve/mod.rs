@@ -2,6 +2,8 @@
 //!
 //! What needs a browser is skipped, with the reason on the standard error, where there is no Chromium.
 
+mod changed;
+mod encrypted;
 mod page;
 mod recording;
 mod served;

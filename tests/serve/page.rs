@@ -9,12 +9,13 @@ use serde_json::{Value, json};
 use super::converged;
 use super::served::Served;
 use crate::support::browser::{Browser, Page};
-use crate::support::{Foveal, folder, root, scene};
+use crate::support::{CHEAP_BAKE, Foveal, folder, root, scene};
 
-const STILL: &str = "document.getElementById('state').textContent.startsWith('exact')";
+/// The picture is exact.
+pub const STILL: &str = "document.getElementById('state').textContent.startsWith('exact')";
 
 /// The server's page, in a tab of its own, once the picture is exact.
-fn opened(browser: &Browser, served: &Served) -> Page {
+pub fn opened(browser: &Browser, served: &Served) -> Page {
     let mut page = browser.page();
     page.resize(1280, 800, "dark", false);
     page.go(&served.address());
@@ -25,7 +26,7 @@ fn opened(browser: &Browser, served: &Served) -> Page {
 }
 
 /// Pixels of the canvas, RGB.
-fn pixels(page: &mut Page) -> Vec<u8> {
+pub fn pixels(page: &mut Page) -> Vec<u8> {
     let all = page.eval(
         "(() => { const c = document.getElementById('picture');
          return [...c.getContext('2d').getImageData(0, 0, c.width, c.height).data].filter((_, i) => i % 4 < 3) })()",
@@ -34,7 +35,7 @@ fn pixels(page: &mut Page) -> Vec<u8> {
 }
 
 /// Waits until something holds.
-fn until(what: &str, mut holds: impl FnMut() -> bool) {
+pub fn until(what: &str, mut holds: impl FnMut() -> bool) {
     let end = Instant::now() + Duration::from_secs(60);
     while !holds() {
         assert!(Instant::now() < end, "never: {what}");
@@ -43,7 +44,7 @@ fn until(what: &str, mut holds: impl FnMut() -> bool) {
 }
 
 /// Sets a slider as a hand would, to a share of its length.
-fn slide(page: &mut Page, key: &str, share: f64) {
+pub fn slide(page: &mut Page, key: &str, share: f64) {
     page.eval(&format!(
         "(() => {{ const i = document.getElementById('c-{key}'); i.value = {share} * 1000;
          i.dispatchEvent(new Event('input', {{ bubbles: true }})) }})()"
@@ -73,6 +74,15 @@ fn the_page_shows_each_bit_and_asks_nobody_else() {
     page.wait("document.getElementById('picture').ariaLabel.includes('object ids')");
     let plain = converged("").into_raw();
     until("an overlay is seen", || pixels(&mut page) != plain);
+    #[cfg(feature = "window")]
+    {
+        let out = folder("overlay").join("objects.png");
+        let view =
+            format!("view --headless --overlay objects --refine 0 --size 96x64 --baked {CHEAP_BAKE} --out");
+        Foveal::new(&view).arg(&out).arg(scene("box")).ok();
+        let painted = image::open(out).expect("a picture").to_rgb8().into_raw();
+        until("it is the window's", || pixels(&mut page) == painted);
+    }
     page.eval("document.querySelector('input[value=none]').click()");
     until("overlays leave nothing behind", || pixels(&mut page) == plain);
 }
@@ -240,7 +250,8 @@ fn the_page_fits_every_screen_and_names_all_that_can_be_used() {
     let served = Served::start("--size 320x240");
     let mut page = opened(&browser, &served);
     for scheme in ["dark", "light"] {
-        for (width, height) in [(1280, 800), (768, 1024), (360, 740), (320, 640)] {
+        // (The last is the first at 400 %.)
+        for (width, height) in [(1280, 800), (768, 1024), (360, 740), (320, 640), (320, 200)] {
             page.resize(width, height, scheme, width < 700);
             let over = page.eval("document.documentElement.scrollWidth - innerWidth");
             assert!(over.as_f64() <= Some(0.0), "{width}: {over} pixels too wide");
@@ -283,14 +294,7 @@ fn the_page_fits_every_screen_and_names_all_that_can_be_used() {
     page.eval("document.activeElement?.blur(); window.scrollTo(0, 0)");
     let mut order = Vec::new();
     for _ in 0..60 {
-        page.call(
-            "Input.dispatchKeyEvent",
-            json!({"type": "keyDown", "code": "Tab", "key": "Tab", "windowsVirtualKeyCode": 9}),
-        );
-        page.call(
-            "Input.dispatchKeyEvent",
-            json!({"type": "keyUp", "code": "Tab", "key": "Tab", "windowsVirtualKeyCode": 9}),
-        );
+        page.press("Tab", 9);
         let at = page.eval("document.activeElement.id || document.activeElement.textContent.trim()");
         if order.contains(&at) && at != "" {
             break;
@@ -306,6 +310,43 @@ fn the_page_fits_every_screen_and_names_all_that_can_be_used() {
     page.key("F1", "F1", true);
     page.wait("document.getElementById('keys').open");
     page.screenshot(&shots().join("keys.png"), "png");
+    assert_eq!(page.errors, Vec::<String>::new());
+}
+
+#[test]
+fn a_walk_goes_by_keyboard_alone() {
+    let Some(browser) = Browser::open() else { return };
+    let served = Served::start("--refine 0");
+    let mut page = opened(&browser, &served);
+    let start = pixels(&mut page);
+    let tab_to = |page: &mut Page, id: &str| {
+        for _ in 0..80 {
+            page.press("Tab", 9);
+            if page.eval(&format!("document.activeElement.matches('{id}')")) == true {
+                return;
+            }
+        }
+        panic!("{id} is never reached");
+    };
+    tab_to(&mut page, "#picture");
+    page.press("ArrowRight", 39);
+    until("an arrow walks", || pixels(&mut page) != start);
+    page.wait(STILL);
+    // On a control it is the control's.
+    tab_to(&mut page, "#c-exposure");
+    let (there, stops) = (pixels(&mut page), page.eval("document.getElementById('c-exposure').value"));
+    page.press("ArrowLeft", 37);
+    assert_ne!(page.eval("document.getElementById('c-exposure').value"), stops);
+    until("a slider goes by arrows", || pixels(&mut page) != there);
+    page.wait(STILL);
+    tab_to(&mut page, "#scene > summary");
+    page.press("Enter", 13);
+    page.wait("document.getElementById('scene').open");
+    tab_to(&mut page, "#size");
+    tab_to(&mut page, "#lamp-0");
+    let lit = pixels(&mut page);
+    page.press("ArrowLeft", 37);
+    until("a lamp goes by arrows", || pixels(&mut page) != lit);
     assert_eq!(page.errors, Vec::<String>::new());
 }
 

@@ -1,5 +1,6 @@
 //! A server that runs, and what talks to it without a browser.
 
+use std::ffi::OsStr;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
@@ -20,6 +21,8 @@ pub struct Served {
     running: Option<Running>,
     /// Where it listens.
     pub port: u16,
+    /// What its address begins with.
+    pub base: String,
     /// Of who may drive.
     pub token: String,
     /// Of who may look, where there is such a one.
@@ -34,6 +37,11 @@ impl Served {
 
     /// Serves a scene.
     pub fn of(scene: &Path, words: &str) -> Self {
+        Self::with(scene, words, &[])
+    }
+
+    /// The same in another environment.
+    pub fn with(scene: &Path, words: &str, environment: &[(&str, &OsStr)]) -> Self {
         let said = |option: &str, value: &str| match words.contains(option) {
             true => String::new(),
             false => format!("{option} {value}"),
@@ -41,7 +49,8 @@ impl Served {
         let (listen, size) = (said("--listen", "127.0.0.1:0"), said("--size", "96x64"));
         let light = if words.contains("--baked") { "" } else { &format!("--baked {CHEAP_BAKE}") };
         let words = format!("serve {listen} {size} --json {light} {words}");
-        Self::running(Foveal::new(&words).arg(scene).start())
+        let command = environment.iter().fold(Foveal::new(&words), |c, (name, value)| c.env(name, value));
+        Self::running(command.arg(scene).start())
     }
 
     /// Serves a recording.
@@ -66,8 +75,9 @@ impl Served {
         };
         let address = document["address"].as_str().expect("an address");
         let port = address.split(['/', ':']).find_map(|part| part.parse().ok()).expect("a port");
+        let base = address.split('#').next().unwrap_or_default().to_owned();
         let (drive, watch) = (token("address").expect("a token"), token("watch_address"));
-        Self { running: Some(running), port, token: drive, watch }
+        Self { running: Some(running), port, base, token: drive, watch }
     }
 
     /// What a user opens.

@@ -199,6 +199,16 @@ impl Page {
         self.call("Input.dispatchKeyEvent", json!({"type": kind, "code": code, "key": key}));
     }
 
+    /// A key that does something by itself, with the number that it has for the browser, goes down and up.
+    pub fn press(&mut self, key: &str, number: u32) {
+        for kind in ["keyDown", "keyUp"] {
+            let text = if key == "Enter" { "\r" } else { "" };
+            let event =
+                json!({"type": kind, "code": key, "key": key, "text": text, "windowsVirtualKeyCode": number});
+            self.call("Input.dispatchKeyEvent", event);
+        }
+    }
+
     /// The mouse does something.
     pub fn mouse(&mut self, kind: &str, x: f64, y: f64) {
         let button = if kind == "mouseMoved" { "none" } else { "left" };

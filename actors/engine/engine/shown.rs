@@ -12,6 +12,7 @@ use foveal_runtime::Ending;
 use super::{Engine, Event, Frame, LEAVING, Standing, quality_of};
 use crate::failure::Failure;
 use crate::look::{self, Mirror};
+use crate::opened::Opened;
 use crate::source::{Controls, FrameSource, Names, Place, Ranges, Status};
 
 /// What cannot be done is told to people, who see the picture stand still.
@@ -30,6 +31,7 @@ impl FrameSource for Engine {
             diagonal: scene.diagonal(),
             cameras: scene.cameras.clone(),
             paths: scene.paths.clone(),
+            lamps: self.opened.lamps(),
         }
     }
 
@@ -136,6 +138,11 @@ impl FrameSource for Engine {
             supersampled: counts.refined,
             actors: self.runtime.as_ref().map(look::actors).unwrap_or_default(),
         }
+    }
+
+    fn opened(&self) -> Option<Opened> {
+        // A recording begins with light that its replay finds by itself, too.
+        Some(if self.recorded { self.opened.clone() } else { self.as_lit() })
     }
 
     fn facts(&self) -> Vec<(String, String)> {

@@ -143,6 +143,7 @@ impl FrameSource for Player {
             diagonal: scene.diagonal(),
             cameras: scene.cameras.clone(),
             paths: scene.paths.clone(),
+            lamps: Vec::new(),
         }
     }
 

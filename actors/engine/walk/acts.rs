@@ -1,5 +1,7 @@
 //! What hands do to a walk, at a time: the one way in for keys, mice and fingers, whoever listens to them.
 
+use foveal::scene::Camera;
+
 use super::Walk;
 use crate::navigation::{Motion, Pace};
 
@@ -28,6 +30,8 @@ pub enum Act {
     GoTo(usize),
     /// A bookmark is set here, counted from 0.
     SetBookmark(usize),
+    /// To where this camera stands.
+    Stand(Camera),
 }
 
 impl Walk {
@@ -51,6 +55,10 @@ impl Walk {
             Act::TogglePlaying => self.toggle_playing(now),
             Act::GoTo(bookmark) => self.go_to(bookmark, now),
             Act::SetBookmark(bookmark) => self.set_bookmark(bookmark, now),
+            Act::Stand(camera) => {
+                self.take_over(now);
+                self.navigator.set_camera(&camera, now);
+            }
         }
     }
 
@@ -59,9 +67,9 @@ impl Walk {
         self.frame.is_some()
     }
 
-    /// Whether the picture on show is that of the camera as it is and has everything that arrived.
+    /// Whether the picture on show is that of the camera as it is and of all that was set, and has everything that arrived.
     pub fn shows_all(&self) -> bool {
-        self.source.is_shown() && self.shown.is_some() && self.shown == self.camera
+        !self.stale && self.source.is_shown() && self.shown.is_some() && self.shown == self.camera
     }
 
     /// Whether the camera moves by itself: a key is held, or a path is played.

@@ -23,6 +23,7 @@ use self::ways::Ways;
 use crate::engine::Event;
 use crate::look::Mirror;
 use crate::navigation::Navigator;
+use crate::opened::Opened;
 use crate::source::{Controls, FrameSource, Names, Place, Ranges, Status};
 
 /// Longest stretch of work between two looks at the input.
@@ -142,6 +143,11 @@ impl Walk {
         self.leaving.retain(|ending| !ending.is_over());
         let before = std::mem::replace(&mut self.source, source);
         self.leaving.push(before.leave());
+    }
+
+    /// What it is made of; nothing where it is a recording.
+    pub fn opened(&self) -> Option<Opened> {
+        self.source.opened()
     }
 
     /// The scene.

@@ -37,7 +37,14 @@ fn camera(x: f32) -> Camera {
 impl FrameSource for Scripted {
     fn place(&self) -> Place {
         let cameras = (0..2).map(|i| NamedCamera { name: i.to_string(), camera: camera(i as f32) }).collect();
-        Place { title: "scripted".into(), up: Vec3::Y, diagonal: 8.0, cameras, paths: Vec::new() }
+        Place {
+            title: "scripted".into(),
+            up: Vec3::Y,
+            diagonal: 8.0,
+            cameras,
+            paths: Vec::new(),
+            lamps: Vec::new(),
+        }
     }
     fn size(&self) -> [u32; 2] {
         [2, 2]

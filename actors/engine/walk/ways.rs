@@ -47,7 +47,7 @@ impl Walk {
                 self.ways.playing = None;
                 self.navigator.set_camera(&camera, now);
             }
-            None => self.tell(format!("bookmark {} is not set; Ctrl + {0} sets it", bookmark + 1)),
+            None => self.tell(format!("bookmark {} is not set", bookmark + 1)),
         }
     }
 

@@ -133,7 +133,7 @@ pub fn run(a: &ReplayArguments, progress: Progress) -> Result<(), Failure> {
         let (path, elsewhere) = (path.clone(), a.elsewhere.files());
         let make = move |_| {
             let source = Source::open(&path, &elsewhere, false, &())?;
-            Ok(Box::new(Player::new(source, workers)?) as Box<dyn FrameSource>)
+            Ok((Box::new(Player::new(source, workers)?) as Box<dyn FrameSource>).into())
         };
         return super::serve::recording(listen, Arc::new(make), a.json);
     }

@@ -1,13 +1,23 @@
 //! Who drives, and what they do.
 
+use foveal_engine::change::Change;
+use foveal_engine::glam::Vec3;
 use foveal_engine::thread::Command;
 use foveal_engine::walk::Act;
+use foveal_engine::{Lamp, SceneEdit};
 
 use super::{Effect, Hub};
 use crate::gate::Pass;
 use crate::protocol::{self, Deed, INPUT_MAX, Malformed, Why, parse_input};
 use crate::room::Taken;
 use crate::viewer::{RoomId, Standing, ViewerId};
+
+/// Least columns and rows of a picture.
+const SIDE_MIN: u32 = 16;
+/// Most columns and rows of a picture.
+pub const SIDE_MAX: u32 = 4096;
+/// Most by which a lamp is made brighter from a page.
+const GAIN_MAX: f32 = 1e4;
 
 impl Hub {
     /// Whether this one drives, who has just done something.
@@ -34,6 +44,18 @@ impl Hub {
                 }
                 return;
             }
+            Deed::Size { .. } | Deed::Reload | Deed::Dim { .. } | Deed::Bring { .. } => {
+                if self.is_driving(room, id, now) {
+                    match self.change(room, deed) {
+                        Some(change) => self.tell(room, Command::Change(change)),
+                        None => {
+                            let text = protocol::notice("that cannot be changed so", true);
+                            self.effects.push(Effect::Text(id, text, false));
+                        }
+                    }
+                }
+                return;
+            }
             Deed::Bookmark { number, set: true } => Act::SetBookmark(number.into()),
             Deed::Bookmark { number, set: false } => Act::GoTo(number.into()),
             Deed::Record => Act::ToggleRecording,
@@ -48,6 +70,31 @@ impl Hub {
         if self.is_driving(room, id, now) {
             self.effects.push(Effect::Tell(room, Command::Act { act, at: now, mark: 0.0 }));
         }
+    }
+
+    /// What is to be changed of a walk, if it has that.
+    fn change(&self, room: RoomId, deed: Deed) -> Option<Change> {
+        let room = self.rooms.get(&room)?;
+        let lamp = |number: u16| Some(room.described.as_ref()?.lamps.get(usize::from(number))?.lamp);
+        Some(match deed {
+            Deed::Size { width, height } => {
+                let fits = [width, height].iter().all(|side| (SIDE_MIN..=SIDE_MAX).contains(side));
+                fits.then_some(Change::Size([width, height]))?
+            }
+            Deed::Reload => Change::Reload,
+            Deed::Dim { lamp: number, gain } => {
+                let gain = (0.0..=GAIN_MAX).contains(&gain).then_some(Vec3::splat(gain))?;
+                Change::Edit(SceneEdit::LampDimmed { lamp: lamp(number)?, gain })
+            }
+            Deed::Bring { lamp: number } => {
+                let (Lamp::Light(light), Some(camera)) = (lamp(number)?, room.shown.as_ref()?.camera) else {
+                    return None;
+                };
+                let direction = camera.target - camera.eye;
+                Change::Edit(SceneEdit::LightMoved { light, position: camera.eye, direction })
+            }
+            _ => return None,
+        })
     }
 
     pub(super) fn on_take(&mut self, id: ViewerId, room_id: RoomId, pass: Pass, now: f64) {

@@ -20,7 +20,7 @@ impl Hub {
             let Standing::In(room, _) = viewer.standing else { continue };
             viewer.waits = false;
             let drives = self.rooms.get(&room).is_some_and(|room| room.drives(*id));
-            let frame = coded.map(|Coded { part, bytes }| {
+            let frame = coded.map(|coded| {
                 let head = Head {
                     exact: shown.exact,
                     lossless: *coding == Coding::Lossless,
@@ -28,10 +28,9 @@ impl Hub {
                     number: shown.number as u32,
                     view: shown.report.status.view,
                     size: [shown.picture.width(), shown.picture.height()].map(|side| side as u16),
-                    part: *part,
                     mark: shown.mark.filter(|_| drives).unwrap_or(0.0),
                 };
-                head.with(bytes)
+                head.with(coded)
             });
             viewer.sends(shown, *coding, frame.as_ref().map_or(0, Vec::len), now);
             self.effects.extend(frame.map(|frame| Effect::Binary(*id, frame)));
@@ -69,14 +68,20 @@ impl Hub {
             if viewer.hears(&shown.report, now) {
                 let is_same = room.state.as_ref().is_some_and(|(of, _)| Arc::ptr_eq(of, &shown.report));
                 if !is_same {
-                    room.state = Some((Arc::clone(&shown.report), report::state(&shown.report)));
+                    let text = report::state(&shown.report, shown.camera.as_ref());
+                    room.state = Some((Arc::clone(&shown.report), text));
                 }
                 self.effects.extend(room.state.iter().map(|(_, text)| Effect::Text(id, text.clone(), true)));
+            }
+            let exact = room.is_exact();
+            let still = (shown.number, exact, viewer.set);
+            if viewer.still.replace(still) != Some(still) {
+                self.effects.push(Effect::Text(id, protocol::still(still.0, still.1, still.2), false));
             }
             if self.codes {
                 continue;
             }
-            let Some((coding, before)) = viewer.wants(shown, room.since, now) else { continue };
+            let Some((coding, before)) = viewer.wants(shown, exact, room.since, now) else { continue };
             let number = |shown: &Option<Arc<Shown>>| shown.as_ref().map(|shown| shown.number);
             match &mut order {
                 None => {

@@ -24,11 +24,12 @@ function tokenOf() {
 }
 
 export class Connection {
-  // `on`: functions welcome, frame, file, state, values, role, notice, lost(text, willRetry).
+  // `on`: functions welcome, frame, file, state, still, values, role, notice, lost(text, willRetry).
   constructor(on) {
     this.on = on;
     this.token = tokenOf();
     this.wait = 0;
+    this.set = 0;
     this.socket = null;
     addEventListener("hashchange", () => {
       this.token = tokenOf();
@@ -57,7 +58,8 @@ export class Connection {
     let final = null;
     socket.onopen = () => {
       const resume = sessionStorage.getItem("foveal.resume");
-      this.say({ type: "hello", v: VERSION, token: this.token, ...(resume && { resume }) });
+      this.set = 0;
+      this.say({ type: "hello", v: VERSION, token: this.token, ...(resume && { resume, camera: this.camera }) });
     };
     socket.onmessage = ({ data }) => {
       if (socket !== this.socket) return;
@@ -68,6 +70,8 @@ export class Connection {
         this.wait = 0;
         sessionStorage.setItem("foveal.resume", message.resume);
       }
+      // A server that begins anew is told where the walk stood.
+      if (message.type === "state") this.camera = message.camera ?? undefined;
       this.on[message.type]?.(message);
     };
     socket.onclose = () => {
@@ -92,21 +96,28 @@ export class Connection {
       return this.on.file(new Uint8Array(data, 1));
     }
     const short = (at) => head.getUint16(at, true);
-    const flags = head.getUint8(1);
+    const count = short(12);
     this.on.frame({
-      exact: (flags & 3) === 3,
-      lossless: (flags & 2) > 0,
+      lossless: (head.getUint8(1) & 2) > 0,
       number: head.getUint32(4, true),
       width: short(8), height: short(10),
-      x: short(12), y: short(14), w: short(16), h: short(18),
+      // Of some tiles only: where they go; they lie in rows of so many in the picture.
+      tiles: Array.from({ length: count }, (_, i) => [short(32 + 4 * i), short(34 + 4 * i)]),
+      columns: short(14), side: short(16),
       mark: head.getFloat64(24, true),
-      bytes: new Uint8Array(data, 32),
+      bytes: new Uint8Array(data, 32 + 4 * count),
     });
   }
 
   get isOpen() { return this.socket?.readyState === WebSocket.OPEN; }
 
   say(message) { if (this.isOpen) this.socket.send(JSON.stringify(message)); }
+
+  // Something after which the picture may be another one. Both sides count, so that none is taken for exact before.
+  change(message) {
+    if (this.isOpen) this.set++;
+    this.say(message);
+  }
 
   // Events: [time, kind, a, b].
   input(events) {

@@ -5,23 +5,33 @@ import { Input, KEYS } from "./input.js";
 import { insight } from "./insight.js";
 import { Panel } from "./panel.js";
 import { Picture } from "./picture.js";
+import { Scene } from "./scene.js";
 import { Timeline } from "./timeline.js";
 
 const $ = (id) => document.getElementById(id);
-let scene = "foveal", scales = null, role = "watches", mayDrive = false, state = null, exact = false, said = 0;
+let title = "foveal", scales = null, role = "watches", mayDrive = false, state = null, drawn = null, still = null, said = 0;
 
-const picture = new Picture($("picture"), (frame, drawn) => {
+// Exact is what was drawn without loss, is what its view converges to, and has all that was set here.
+const isExact = () => Boolean(drawn?.lossless && still?.exact) && still.picture === drawn.number
+  && still.set === connection.set && !panel.due.size;
+const picture = new Picture($("picture"), (frame, could) => {
   connection.say({ type: "shown", frame: frame.number });
-  if (!drawn) tell("This browser could not decode a frame.", true);
-  exact = frame.exact;
+  if (!could) tell(`This browser cannot decode ${frame.lossless ? "WebP: it shows no exact pictures" : "JPEG"}.`, true);
+  drawn = could ? frame : null;
   $("veil").hidden = true;
   $("keep").disabled = false;
   badge();
 });
+const fingers = matchMedia("(pointer: coarse)");
+fingers.addEventListener("change", () => hints(state?.timeline));
 const panel = new Panel($("controls"), (key, value) => {
-  connection.say({ type: "set", key, value });
-});
+  connection.change({ type: "set", key, value });
+}, () => badge());
 const deed = (message) => connection.say({ type: "do", ...message });
+const world = new Scene($("scene"), $("stage"), (message) => {
+  connection.change({ type: "do", ...message });
+  badge();
+});
 const keep = () => deed({ name: "screenshot" });
 const help = () => { if (!$("keys").open) $("keys").showModal(); };
 const timeline = new Timeline($("timeline"), deed);
@@ -50,12 +60,13 @@ function tell(text, failed) {
 }
 
 function badge(lost) {
+  const exact = !lost && isExact();
   const recorded = state?.timeline && `recorded, frame ${state.timeline.frame ?? 0}`;
   const text = lost ?? recorded ?? (exact ? (state?.state === "refined" ? "exact, refined" : "exact") : state?.state ?? "waiting");
   if ($("state").textContent !== text) $("state").textContent = text;
   $("state").dataset.kind = lost ? "bad" : exact ? "good" : "";
   const overlay = panel.values.overlay && panel.values.overlay !== "none" ? `, overlay ${panel.values.overlay}` : "";
-  const label = `${scene}, view ${state?.view ?? 0}${overlay}: ${text}`;
+  const label = `${title}, view ${state?.view ?? 0}${overlay}: ${text}`;
   if ($("picture").ariaLabel !== label) $("picture").ariaLabel = label;
 }
 
@@ -63,9 +74,10 @@ function badge(lost) {
 function hints(recorded) {
   const drives = role === "drives";
   panel.allow(drives, recorded);
+  world.allow(drives, recorded);
   $("places").hidden = !drives || Boolean(recorded) || !$("places").children.length;
   $("pad").hidden = !drives || Boolean(recorded);
-  const how = matchMedia("(pointer: coarse)").matches
+  const how = fingers.matches
     ? "Drag the picture with one finger to look around, walk with the arrows or two fingers."
     : "Drag the picture to look around, walk with W A S D or the arrows.";
   $("hint").textContent = !drives ? "Somebody else walks; you see what they see."
@@ -87,12 +99,13 @@ function legend() {
 
 const connection = new Connection({
   welcome(message) {
-    scene = message.title;
+    title = message.title;
     scales = message.ends;
     mayDrive = message.may_drive;
-    $("title").textContent = scene;
-    document.title = `${scene} – foveal`;
+    $("title").textContent = title;
+    document.title = `${title} – foveal`;
     panel.build(message.controls);
+    world.show(message);
     $("picture").parentElement.style.setProperty("--ratio", message.size[0] / message.size[1]);
     $("veil-text").textContent = "Waiting for the first picture …";
     const places = message.bookmarks.slice(0, 9).map((name, number) => {
@@ -112,7 +125,7 @@ const connection = new Connection({
   file(bytes) {
     const link = document.createElement("a");
     link.href = URL.createObjectURL(new Blob([bytes], { type: "image/png" }));
-    link.download = `${scene.replace(/[^\w-]+/g, "-")}-view-${state?.view ?? 0}.png`;
+    link.download = `${title.replace(/[^\w-]+/g, "-")}-view-${state?.view ?? 0}.png`;
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
     tell(`${link.download} saved`);
@@ -123,6 +136,10 @@ const connection = new Connection({
     timeline.show(state.timeline, role === "drives");
     badge();
     insight($("insight"), state, picture.measured());
+  },
+  still(message) {
+    still = message;
+    badge();
   },
   values(message) {
     panel.put(message.values);
@@ -142,7 +159,7 @@ const connection = new Connection({
   },
   notice: (message) => tell(message.text, message.failed),
   lost(text, retries) {
-    exact = false;
+    drawn = still = null;
     $("veil").hidden = false;
     $("veil-text").textContent = text;
     $("again").hidden = retries;

@@ -1,6 +1,6 @@
 // The panel: made of the controls that the server knows, which it made of the table that the window uses.
 
-const make = (tag, properties = {}, ...children) => {
+export const make = (tag, properties = {}, ...children) => {
   const element = Object.assign(document.createElement(tag), properties);
   element.append(...children);
   return element;
@@ -9,13 +9,14 @@ const OPEN = ["Picture", "Overlay"];
 const STEPS = 1000;
 
 export class Panel {
-  // `set(key, value)`: the user did.
-  constructor(form, set) {
+  // `set(key, value)`: the user did, which is soon said; `touched()`: it is about to be.
+  constructor(form, set, touched) {
     this.form = form;
     this.rows = new Map();
     this.values = {};
     this.due = new Map();
     this.set = set;
+    this.touched = touched;
     form.addEventListener("submit", (e) => e.preventDefault());
   }
 
@@ -105,6 +106,7 @@ export class Panel {
       this.due.clear();
     }, 33);
     this.due.set(key, value);
+    this.touched();
   }
 
   // The server's values; what is being dragged stays.

@@ -28,7 +28,11 @@ export class Picture {
         canvas.parentElement.style.setProperty("--ratio", frame.width / frame.height);
       }
       if (image) {
-        context.drawImage(image, frame.x, frame.y, frame.w, frame.h);
+        const { tiles, columns, side } = frame;
+        const own = image.width / (columns || 1);
+        tiles.forEach(([x, y], i) => context.drawImage(
+          image, i % columns * own, Math.floor(i / columns) * own, own, own, x, y, side, side));
+        if (!tiles.length) context.drawImage(image, 0, 0, frame.width, frame.height);
         image.close();
         if (!this.first) performance.mark(this.first = "first picture");
       }

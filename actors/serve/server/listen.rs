@@ -17,11 +17,13 @@ use axum::routing::get;
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
-use tokio::net::TcpListener;
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::mpsc::{self, Sender, UnboundedSender};
+use tokio::time::timeout;
 
-use super::Message;
 use super::connection::connection;
+use super::{Message, Tls};
 use crate::gate::Hosts;
 use crate::page;
 use crate::protocol::INPUT_MAX;
@@ -36,13 +38,14 @@ const REQUEST: Duration = Duration::from_secs(5);
 pub(super) struct Door {
     hosts: Hosts,
     behind_proxy: bool,
+    tls: Option<Tls>,
     hub: Sender<Message>,
     connected: AtomicU64,
 }
 
 impl Door {
-    pub(super) fn new(hosts: Hosts, behind_proxy: bool, hub: Sender<Message>) -> Arc<Self> {
-        Arc::new(Self { hosts, behind_proxy, hub, connected: AtomicU64::new(0) })
+    pub(super) fn new(hosts: Hosts, behind_proxy: bool, tls: Option<Tls>, hub: Sender<Message>) -> Arc<Self> {
+        Arc::new(Self { hosts, behind_proxy, tls, hub, connected: AtomicU64::new(0) })
     }
 }
 
@@ -91,14 +94,27 @@ pub(super) async fn listen(listener: TcpListener, door: Arc<Door>) {
                 *counts.entry(address).or_default() += 1;
                 let counted = Arc::new(Counted { address, over: over.clone() });
                 let _ = stream.set_nodelay(true);
-                tokio::spawn(requests(stream, counted, Arc::clone(&door)));
+                tokio::spawn(greet(stream, counted, Arc::clone(&door)));
             }
         }
     }
 }
 
+/// Agrees on keys, where there are any, and goes on.
+async fn greet(stream: TcpStream, counted: Arc<Counted>, door: Arc<Door>) {
+    let Some(tls) = &door.tls else { return requests(stream, counted, door).await };
+    match timeout(REQUEST, tls.accept(stream)).await {
+        Ok(Ok(stream)) => requests(stream, counted, Arc::clone(&door)).await,
+        Ok(Err(e)) => tracing::debug!("a connection was not encrypted: {e}"),
+        Err(_) => tracing::debug!("a connection was not encrypted in time"),
+    }
+}
+
 /// Answers the requests of a connection.
-async fn requests(stream: tokio::net::TcpStream, counted: Arc<Counted>, door: Arc<Door>) {
+async fn requests<S>(stream: S, counted: Arc<Counted>, door: Arc<Door>)
+where
+    S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
+{
     let router =
         Router::new().route("/walk", get(walk)).fallback(file).layer(Extension(counted)).with_state(door);
     let served = http1::Builder::new()

@@ -20,6 +20,7 @@ use self::shots::Asked;
 use super::presenter::{Backend, DrawnBy};
 use super::probe::{Measured, Probe};
 use foveal_engine::Recipe;
+use foveal_engine::change::apart;
 use foveal_engine::navigation::Pace;
 use foveal_engine::source::{Build, Loader};
 use foveal_engine::walk::{Next, Walk};
@@ -121,19 +122,6 @@ fn no_display(reason: &str) -> String {
     )
 }
 
-/// Does `work` on threads of its own, which give way. On those that all share each frame would wait until they have done
-/// all that was begun there before, however long that takes.
-fn apart<T: Send>(work: impl FnOnce() -> T + Send) -> T {
-    let threads = rayon::ThreadPoolBuilder::new()
-        .thread_name(|i| format!("loader-{i}"))
-        .start_handler(|_| foveal_runtime::give_way())
-        .build();
-    match threads {
-        Ok(threads) => threads.install(work),
-        Err(_) => work(),
-    }
-}
-
 /// A scene that is being loaded.
 struct Loading {
     result: Receiver<Result<Build, String>>,
@@ -192,9 +180,7 @@ impl App {
         let (loader, proxy) = (self.options.loader.clone(), self.proxy.clone());
         self.loading = Some(Loading { result, stays: path.is_none() && self.walk.is_some() });
         let started = std::thread::Builder::new().name("loader".into()).spawn(move || {
-            let loaded = catch_unwind(AssertUnwindSafe(|| apart(|| loader(path.as_deref()))))
-                .unwrap_or_else(|_| Err("loading the scene failed unexpectedly".into()));
-            let _ = sender.send(loaded);
+            let _ = sender.send(apart(|| loader(path.as_deref())));
             let _ = proxy.send_event(Wake::Loaded);
         });
         if let Err(e) = started {
@@ -372,21 +358,5 @@ impl ApplicationHandler<Wake> for App {
             (Next::Input, Some(r)) => ControlFlow::WaitUntil(r),
             (Next::Input, None) => ControlFlow::Wait,
         });
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::collections::HashSet;
-    use std::thread;
-
-    use super::*;
-
-    #[test]
-    fn what_is_loaded_leaves_alone_the_threads_that_frames_are_drawn_on() {
-        let here = || rayon::broadcast(|_| thread::current().id());
-        let shared: HashSet<_> = here().into_iter().collect();
-        let own = apart(here);
-        assert!(!own.is_empty() && own.iter().all(|id| !shared.contains(id)));
     }
 }

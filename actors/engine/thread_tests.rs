@@ -217,3 +217,15 @@ fn what_cannot_begin_or_go_on_says_so() {
     engine.end().expect("a good end");
     assert!(handle.is_over());
 }
+
+/// What a program with threads of its own hands about. An engine stays on its thread, since a runtime's main thread is
+/// part of its scheduling: [`EngineThread`] has one for those who have other things to do.
+#[test]
+fn all_but_the_engine_crosses_threads() {
+    fn crosses<T: Send>() {}
+    crosses::<EngineHandle>();
+    crosses::<EngineThread>();
+    crosses::<Opened>();
+    crosses::<crate::Frame>();
+    crosses::<crate::engine::Event>();
+}

@@ -295,10 +295,11 @@ impl Saved for Arc<EnvironmentMap> {
     }
 }
 
-/// The job that loads texels hashes the file; that there are any is news.
+/// Levels come seldom, and from files that others may change.
 impl Hashed for Option<LevelTexels> {
     fn digest(&self, digest: &mut Digest) {
-        digest.value(&self.as_ref().map(|texels| texels.as_bytes().len() as u64));
+        digest.value(&self.is_some());
+        self.iter().for_each(|texels| digest.bytes(texels.as_bytes()));
     }
 }
 

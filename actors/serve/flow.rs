@@ -2,6 +2,8 @@
 
 use std::collections::VecDeque;
 
+use foveal::metrics::quantile;
+
 /// Lets so many through a second, with a second's worth at once.
 #[derive(Clone, Copy, Debug)]
 pub struct Rate {
@@ -121,9 +123,7 @@ impl Quality {
 
     /// Median time of the last frames until they were drawn, seconds.
     pub fn median(&self) -> Option<f64> {
-        let mut ages: Vec<f64> = self.ages.iter().copied().collect();
-        ages.sort_by(f64::total_cmp);
-        ages.get(ages.len() / 2).copied()
+        Some(quantile(self.ages.iter().copied(), 0.5)).filter(|median| median.is_finite())
     }
 
     fn worse(&mut self) {

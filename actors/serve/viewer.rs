@@ -183,6 +183,7 @@ impl Viewer {
     }
 
     /// Frames that were sent and not drawn yet.
+    #[cfg(test)]
     pub fn on_the_way(&self) -> usize {
         self.sent.len()
     }

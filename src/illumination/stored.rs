@@ -213,7 +213,8 @@ impl Illumination {
     }
 
     /// Values of the front, per element, without what is kept apart.
-    pub fn front_values(&self) -> &[[f32; 4]] {
+    #[cfg(test)]
+    pub(crate) fn front_values(&self) -> &[[f32; 4]] {
         &self.front
     }
 

@@ -314,7 +314,8 @@ impl TileSums {
     }
 
     /// Share of the light of all pixels that was cut off.
-    pub fn cut_share(&self) -> f32 {
+    #[cfg(test)]
+    fn cut_share(&self) -> f32 {
         let [mut all, mut excess] = [0.0; 2];
         for pixel in self.pixels() {
             let [mean, cut] = pixel.total().map(luminance);

@@ -36,7 +36,7 @@ use foveal_engine::source::{Controls, FrameSource, Ranges};
 use foveal_engine::{Clock, Engine, Failure, Opened, Options, Recording, Standing};
 use foveal_runtime::simulate::{Fault, FaultKind, Faults, Simulation, Work, shrink};
 use foveal_runtime::{
-    ActorId, Config, Hashing, Incident, JobPool, NodeInfo, Record, Runtime, Trace, TraceError,
+    ActorId, Config, Content, Hashing, Incident, JobPool, NodeInfo, Record, Runtime, Trace, TraceError,
 };
 use glam::Vec3;
 
@@ -187,7 +187,11 @@ impl Scenario {
         if let (Some(correction), Some(pool)) = (engine.actors().correction, &engine.actors().pool) {
             let texture_limit = self.opened.textures.as_ref().map(|store| store.limit);
             let (pool, settings) = (pool.clone(), self.settings);
-            let _ = watched.set(Watched { correction, pool, settings, texture_limit });
+            let actors = engine.actors();
+            let senders = [actors.renderer.id(), correction.cache_ager.id()];
+            let senders =
+                senders.into_iter().chain(actors.tracers.iter().map(|tracer| tracer.id())).collect();
+            let _ = watched.set(Watched { correction, senders, pool, settings, texture_limit });
         }
         let walked = self.walk(&mut engine, seed);
         let ran = match (walked, engine.runtime().ended()) {
@@ -425,6 +429,8 @@ impl Write for Disk {
 /// What is looked at after each step.
 struct Watched {
     correction: Correction,
+    /// Who keeps what is not accepted and sends it again.
+    senders: Vec<ActorId>,
     pool: JobPool<TraceJob>,
     /// As the walk began: no limit is ever set higher.
     settings: Settings,
@@ -433,13 +439,24 @@ struct Watched {
 
 impl Watched {
     fn check(&self, runtime: &Runtime) -> Result<(), String> {
-        let Self { correction, pool, settings, texture_limit } = self;
+        let Self { correction, senders, pool, settings, texture_limit } = self;
         let stats = pool.stats();
         let out = stats.pushed.saturating_sub(stats.completed + stats.stale + stats.dead);
         if let Some(in_flight) = runtime.inspect(correction.allocator, Allocator::in_flight)
             && (u64::from(in_flight) < out || in_flight > settings.jobs_in_flight() + 4)
         {
             return Err(format!("the allocator counts {in_flight} jobs in flight, {out} are out"));
+        }
+        // What waits to be sent comes of jobs, and of views that nobody has taken up yet.
+        let most = (4 * settings.jobs_in_flight() + 64) as f64;
+        for sender in senders {
+            let state = runtime.content(*sender);
+            let waiting = state.as_ref().and_then(|state| state.at("outbox")).and_then(Content::number);
+            if waiting.is_some_and(|waiting| waiting > most) {
+                return Err(format!(
+                    "{sender}: {waiting:?} messages wait to be sent again, at most {most} may"
+                ));
+            }
         }
         let maps = runtime.inspect(correction.allocator, |a| a.environments().bytes());
         if let Some(bytes) = maps.filter(|bytes| *bytes > settings.environment_bytes) {

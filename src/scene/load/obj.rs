@@ -1,5 +1,6 @@
 //! One OBJ file: triangles, and which name, material and smoothing group each has.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
@@ -47,7 +48,9 @@ pub(super) fn parse(bytes: &[u8], path: &Path, warnings: &mut Vec<Warning>) -> R
     if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
         return Err(SceneError::invalid(Place::new(path, 1), "the text is UTF-16; save it as UTF-8"));
     }
-    let text = String::from_utf8_lossy(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes));
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    // Nearly all files are sound, and to see that takes less time than to look for what is not.
+    let text = std::str::from_utf8(bytes).map_or_else(|_| String::from_utf8_lossy(bytes), Cow::Borrowed);
     // Text of an old Macintosh ends its lines with a carriage return.
     let text = if text.contains('\n') { text } else { text.replace('\r', "\n").into() };
     let mut lines = ObjLines::new(&text);

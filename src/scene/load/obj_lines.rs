@@ -67,9 +67,10 @@ struct Lines<'a> {
 
 impl<'a> Lines<'a> {
     fn physical(&mut self) -> Option<&'a str> {
-        let (line, rest) = match self.rest?.split_once('\n') {
-            Some((line, rest)) => (line, Some(rest)),
-            None => (self.rest?, None),
+        let text = self.rest?;
+        let (line, rest) = match memchr::memchr(b'\n', text.as_bytes()) {
+            Some(at) => (&text[..at], Some(&text[at + 1..])),
+            None => (text, None),
         };
         (self.rest, self.line) = (rest, self.line + 1);
         Some(line)
@@ -101,8 +102,30 @@ fn is_space(c: char) -> bool {
 }
 
 /// Words of a line. NUL bytes count as blanks, `#` at the start of a word ends the line.
-fn words(line: &str) -> impl Iterator<Item = &str> {
-    line.split(is_space).filter(|w| !w.is_empty()).take_while(|w| !w.starts_with('#'))
+fn words(line: &str) -> Words<'_> {
+    Words(line)
+}
+
+/// What is left of a line. By bytes, since blanks are ASCII and most of reading a file is this.
+struct Words<'a>(&'a str);
+
+impl<'a> Iterator for Words<'a> {
+    type Item = &'a str;
+
+    #[inline]
+    fn next(&mut self) -> Option<&'a str> {
+        let bytes = self.0.as_bytes();
+        let begin = bytes.iter().position(|b| !is_space(*b as char))?;
+        if bytes[begin] == b'#' {
+            self.0 = "";
+            return None;
+        }
+        let length = bytes[begin..].iter().position(|b| is_space(*b as char));
+        let end = length.map_or(bytes.len(), |length| begin + length);
+        let word = &self.0[begin..end];
+        self.0 = &self.0[end..];
+        Some(word)
+    }
 }
 
 /// Counts of v, vt and vn.

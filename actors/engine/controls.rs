@@ -3,12 +3,14 @@
 //! A row says what a value is called, how far it goes, and how it is read from and written to [`Controls`]. What comes from
 //! outside goes through [`Controls::put`], which lets nothing through that no panel could have set.
 
+mod setting;
 mod table;
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+pub use self::setting::{Setting, help};
 use crate::source::{Controls, Ranges};
 
 /// One value that can be set.

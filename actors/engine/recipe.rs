@@ -10,6 +10,7 @@ use foveal_runtime::{Hashing, Record};
 
 use crate::bake_clock::Watch;
 use crate::change::{Change, Changer};
+use crate::controls::Setting;
 use crate::engine::{Engine, Stalled};
 use crate::failure::Failure;
 use crate::light::Light;
@@ -39,6 +40,8 @@ pub struct Recipe {
     pub command: &'static str,
     /// How densely hashes are recorded.
     pub hashing: Hashing,
+    /// What is set at once, in this order.
+    pub set: Vec<Setting>,
     /// Who stops at once, to see that the walk goes on.
     pub stalled: Stalled,
 }
@@ -56,6 +59,7 @@ impl Recipe {
             command: "view",
             record: None,
             hashing: Hashing::Exact,
+            set: Vec::new(),
             stalled: Stalled::Nobody,
         }
     }
@@ -74,7 +78,7 @@ impl Recipe {
     /// Starts walk `number`, counted from 1, on this thread.
     ///
     /// # Errors
-    /// If threads cannot be started.
+    /// If threads cannot be started, or the walk has no use for what is to be set.
     pub fn start(&self, loaded: Loaded, number: u32) -> Result<Engine, Failure> {
         let Loaded { opened, probes } = loaded;
         let file = opened.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -92,7 +96,10 @@ impl Recipe {
             facts: vec![("Software".to_owned(), program()), ("foveal file".to_owned(), file)],
             ..Options::interactive(self.settings)
         };
-        let engine = Engine::start(opened, options)?;
+        let mut engine = Engine::start(opened, options)?;
+        let (mut controls, ranges) = (engine.controls(), engine.ranges());
+        controls.put_all(&self.set, &ranges).map_err(|e| Failure::Usage(e.to_string()))?;
+        engine.set(&controls)?;
         engine.stall(self.stalled);
         Ok(engine)
     }

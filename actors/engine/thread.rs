@@ -108,6 +108,8 @@ pub struct Shown {
     pub camera: Option<Camera>,
     /// The newest mark of an act that had been done when its frame began.
     pub mark: Option<f64>,
+    /// From when that act was done until the first picture that knows of it stood here, seconds.
+    pub took: f64,
     /// It is what a still view converges to, or is refined to, each bit of it; of a recording that does not play, what that
     /// showed.
     pub exact: bool,

@@ -66,6 +66,7 @@ fn acts_reach_the_walk_at_their_times_and_a_still_view_becomes_exact() {
     // No picture says that it knows of what it does not show.
     handle.send(Command::Act { act: Act::Look(30.0, 0.0), at: handle.now(), mark: 5.0 }).expect("room");
     let turned = wait(handle, |s| s.mark == Some(5.0));
+    assert!(turned.took > 0.0 && turned.took < 60.0, "{}", turned.took);
     assert!(turned.camera != walked.camera && turned.picture != walked.picture);
 
     // Nothing is of the future.

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use foveal::splatting::supersampling::Supersampling;
+use foveal_engine::controls::Setting;
 use foveal_engine::recording::TRACERS_MAX;
 use foveal_engine::{Light, Recipe, Settings};
 use foveal_terminal::arguments::{Size, bytes, positive};
@@ -44,6 +45,9 @@ pub struct InteractiveArguments {
     /// How densely hashes are recorded
     #[arg(long, value_name = "WHICH", value_enum, default_value_t = Hashes::Each, requires = "record")]
     hashes: Hashes,
+    /// Set a control of the panel from the start, e.g. exposure=-1; may be given again. --help lists them
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<Setting>,
     #[command(flatten)]
     pub illumination: IlluminationArguments,
 }
@@ -71,6 +75,7 @@ impl InteractiveArguments {
             record: self.record.clone(),
             command,
             hashing: self.hashes.into(),
+            set: self.set.clone(),
             ..Recipe::new(&self.scene, settings)
         }
     }

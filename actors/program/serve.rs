@@ -30,6 +30,7 @@ const VIEWERS: usize = 16;
 
 /// Arguments of `foveal serve`.
 #[derive(Args, Clone, Debug)]
+#[command(after_long_help = foveal_engine::controls::help())]
 pub struct ServeArguments {
     #[command(flatten)]
     walk: InteractiveArguments,

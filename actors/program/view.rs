@@ -22,6 +22,7 @@ use super::interactive::InteractiveArguments;
 
 /// Arguments of `foveal view`.
 #[derive(Args, Clone, Debug)]
+#[command(after_long_help = foveal_engine::controls::help())]
 pub struct ViewArguments {
     #[command(flatten)]
     walk: InteractiveArguments,
@@ -50,8 +51,8 @@ pub struct ViewArguments {
     #[arg(long, value_name = "FILE", requires = "headless")]
     out: Option<PathBuf>,
     /// What --headless paints over the picture
-    #[arg(long, value_enum, default_value_t = OverlayName::None, requires = "headless")]
-    overlay: OverlayName,
+    #[arg(long, value_enum, requires = "headless")]
+    overlay: Option<OverlayName>,
     /// With --headless: the picture with the panel beside it, as in the window
     #[arg(long, requires = "headless")]
     panel: bool,
@@ -217,7 +218,9 @@ fn options(a: ViewArguments) -> foveal_window::Options {
 fn headless(a: &ViewArguments, progress: Progress) -> Result<(), Failure> {
     end_on_interrupt();
     let mut source = a.recipe().walk(&progress.baking())?;
-    source.set(&Controls { overlay: a.overlay.into(), ..source.controls() })?;
+    if let Some(overlay) = a.overlay {
+        source.set(&Controls { overlay: overlay.into(), ..source.controls() })?;
+    }
     let begin = Instant::now();
     let mut walk = Walk::new(Box::new(source), 0.0);
     let mut frames = 0u32;
@@ -246,7 +249,7 @@ fn headless(a: &ViewArguments, progress: Progress) -> Result<(), Failure> {
     let picture = if a.panel {
         let [width, height] = [picture.width() + foveal_window::panel::WIDTH as usize + 20, picture.height()];
         foveal_window::interface::paint(&walk, [width, height])
-    } else if a.overlay == OverlayName::All {
+    } else if a.overlay == Some(OverlayName::All) {
         sheet(&mut walk)
     } else {
         picture

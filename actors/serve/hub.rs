@@ -88,6 +88,15 @@ pub enum Effect {
     End(RoomId),
 }
 
+/// Why there is no picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Without {
+    /// The token is wrong.
+    Token,
+    /// No walk shows anything.
+    Picture,
+}
+
 /// A picture to be coded, and for whom.
 #[derive(Clone, Debug)]
 pub struct Order {

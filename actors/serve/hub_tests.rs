@@ -107,6 +107,7 @@ fn shown(number: u64, exact: bool) -> Arc<Shown> {
         number,
         picture,
         camera: Some(camera),
+        took: 0.0,
         mark: Some(7.5),
         exact,
         set: 0,

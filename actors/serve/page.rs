@@ -2,7 +2,11 @@
 
 /// What a browser may do with the page: run our modules and talk to us, nothing else.
 pub const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; \
-     connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+     connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'";
+
+/// The same of a picture by itself, around which browsers put a page with a style of their own.
+pub const PICTURE_POLICY: &str =
+    "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'; frame-ancestors 'none'";
 
 /// Most bytes of all files together.
 #[cfg(test)]

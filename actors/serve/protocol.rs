@@ -386,6 +386,8 @@ pub struct Head {
     pub size: [u16; 2],
     /// Page's time of the newest input that it knows of, milliseconds; 0 for others than the driver.
     pub mark: f64,
+    /// How much of the time since then the walk took, seconds; tenths of milliseconds are told, at most 6.5 s.
+    pub took: f64,
 }
 
 impl Head {
@@ -399,7 +401,7 @@ impl Head {
         let flags = u8::from(self.exact) | u8::from(self.lossless) << 1;
         bytes.extend([Self::FRAME, flags, self.quality, 0]);
         bytes.extend(self.number.to_le_bytes());
-        let sheet = [tiles.len() as u16, *columns, TILE as u16, 0];
+        let sheet = [tiles.len() as u16, *columns, TILE as u16, (self.took * 1e4) as u16];
         bytes.extend(self.size.into_iter().chain(sheet).flat_map(u16::to_le_bytes));
         bytes.extend(self.view.to_le_bytes());
         bytes.extend(self.mark.to_le_bytes());

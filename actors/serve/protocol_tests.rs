@@ -68,13 +68,26 @@ fn cameras_come_back_as_they_went_and_no_others() {
 
 #[test]
 fn a_head_has_its_length() {
-    let head =
-        Head { exact: true, lossless: true, quality: 0, number: 7, view: 3, size: [512, 384], mark: 1.5 };
+    let head = Head {
+        exact: true,
+        lossless: true,
+        quality: 0,
+        number: 7,
+        view: 3,
+        size: [512, 384],
+        mark: 1.5,
+        took: 0.0256,
+    };
     let bytes = head.with(&Coded { tiles: vec![], columns: 0, bytes: vec![9] });
     assert_eq!((bytes.len(), bytes[..2].to_vec(), bytes[HEAD_BYTES]), (HEAD_BYTES + 1, vec![1, 3], 9));
     assert_eq!(bytes[8..12], [0, 2, 128, 1]);
     let some = head.with(&Coded { tiles: vec![[32, 0], [64, 288]], columns: 2, bytes: vec![9] });
     assert_eq!(some[12..18], [2, 0, 2, 0, TILE as u8, 0]);
+    assert_eq!(some[18..20], [0, 1]);
+    assert_eq!(
+        Head { took: 60.0, ..head }.with(&Coded { tiles: vec![], columns: 0, bytes: vec![] })[18..20],
+        [255; 2]
+    );
     assert_eq!(some[HEAD_BYTES..], [32, 0, 0, 0, 64, 0, 32, 1, 9]);
     assert_eq!(f64::from_le_bytes(bytes[24..32].try_into().expect("eight bytes")), 1.5);
 }

@@ -5,6 +5,7 @@
 
 mod connection;
 mod listen;
+mod still;
 mod tls;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -21,6 +22,7 @@ use tokio::sync::{Notify, mpsc};
 use tokio::time::MissedTickBehavior;
 
 use self::connection::Out;
+use self::still::Asked;
 pub use self::tls::Tls;
 use crate::coding::{Coding, encode};
 use crate::gate::{Gate, Hosts, Token};
@@ -153,6 +155,8 @@ enum Message {
     Connected(ViewerId, std::net::IpAddr, mpsc::Sender<Out>),
     /// Something else happened.
     Event(Event),
+    /// Somebody wants one picture.
+    Still(Asked),
     /// A walk stands, or does not.
     Opened(RoomId, Result<EngineThread, Failure>),
 }
@@ -250,6 +254,10 @@ impl Glue {
                     self.outs.remove(&id);
                 }
                 self.on(event);
+            }
+            Message::Still(Asked { address, token, answer }) => {
+                // Whoever asked may have left.
+                let _ = answer.send(self.hub.still(address, &token, self.now()));
             }
             Message::Opened(room, Ok(thread)) if !self.hub.has(room) => {
                 tokio::task::spawn_blocking(move || thread.end());

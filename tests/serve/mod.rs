@@ -36,15 +36,8 @@ fn a_still_picture_is_what_a_walk_converges_to_byte_for_byte() {
     let picture = image::load_from_memory(&frame[32..]).expect("a picture").to_rgb8();
     assert!(picture == converged(""), "not what a walk converges to");
     // The same, to keep.
-    viewer.say(&json!({"type": "do", "name": "screenshot"}));
-    let file = loop {
-        if let tungstenite::Message::Binary(bytes) = viewer.socket.read().expect("a file")
-            && bytes[0] == 2
-        {
-            break bytes;
-        }
-    };
-    assert!(image::load_from_memory(&file[1..]).expect("a picture").to_rgb8() == picture);
+    let file = viewer.keeps();
+    assert!(image::load_from_memory(&file).expect("a picture").to_rgb8() == picture);
     let text = String::from_utf8_lossy(&file);
     assert!(text.contains("foveal camera") && text.contains("foveal controls"));
     assert_eq!(served.interrupt().code, Some(130));

@@ -67,24 +67,85 @@ fn the_page_shows_each_bit_and_asks_nobody_else() {
     assert!(page.requests.iter().skip(1).all(|r| r.ends_with(&served.token) || !r.contains(&served.token)));
     assert_eq!(page.errors, Vec::<String>::new());
     assert!(page.eval("document.title").as_str().is_some_and(|title| title.ends_with("– foveal")));
+}
 
-    // Overlays are what the engine paints: another picture, exact as well.
-    page.eval("document.querySelector('input[value=\"object ids\"]').click()");
-    page.wait("!document.getElementById('legend').hidden");
-    page.wait("document.getElementById('picture').ariaLabel.includes('object ids')");
-    let plain = converged("").into_raw();
-    until("an overlay is seen", || pixels(&mut page) != plain);
-    #[cfg(feature = "window")]
-    {
-        let out = folder("overlay").join("objects.png");
-        let view =
-            format!("view --headless --overlay objects --refine 0 --size 96x64 --baked {CHEAP_BAKE} --out");
-        Foveal::new(&view).arg(&out).arg(scene("box")).ok();
-        let painted = image::open(out).expect("a picture").to_rgb8().into_raw();
-        until("it is the window's", || pixels(&mut page) == painted);
+#[test]
+fn every_overlay_is_what_the_walk_paints() {
+    let Some(browser) = Browser::open() else { return };
+    let served = Served::start("--refine 0");
+    let mut page = opened(&browser, &served);
+    let plain = pixels(&mut page);
+    // Somebody else looks on, who asks the walk itself for its picture.
+    let mut other = served.hello(&served.token);
+    other.hears("welcome");
+    let all = page.eval("[...document.querySelectorAll('input[name=overlay]')].map(i => i.value)");
+    let all: Vec<&str> = all.as_array().expect("radio buttons").iter().filter_map(Value::as_str).collect();
+    assert_eq!(all.len(), 11, "{all:?}");
+    // These are the same in each walk of a view; others tell of how this one went.
+    let of_any = ["object ids", "sample level", "mip wanted", "mip given"];
+    let mut painted = BTreeSet::new();
+    for name in all {
+        page.eval(&format!("document.querySelector('input[name=overlay][value=\"{name}\"]').click()"));
+        if name == "none" {
+            until("overlays leave nothing behind", || pixels(&mut page) == plain);
+            continue;
+        }
+        page.wait("!document.getElementById('legend').hidden");
+        page.wait(&format!("document.getElementById('picture').ariaLabel.includes('{name}')"));
+        page.wait(STILL);
+        until(&format!("{name} is seen as it was painted"), || {
+            let kept = image::load_from_memory(&other.keeps()).expect("a picture").to_rgb8();
+            pixels(&mut page) == kept.into_raw()
+        });
+        let shown = pixels(&mut page);
+        #[cfg(feature = "window")]
+        if of_any.contains(&name) {
+            let out = folder("overlay").join("painted.png");
+            let view =
+                Foveal::new(&format!("view --headless --refine 0 --size 96x64 --baked {CHEAP_BAKE} --set"));
+            view.arg(format!("overlay={name}")).arg("--out").arg(&out).arg(scene("box")).ok();
+            assert!(
+                shown == image::open(out).expect("a picture").to_rgb8().into_raw(),
+                "{name} is not the window's"
+            );
+        }
+        painted.insert(shown);
     }
-    page.eval("document.querySelector('input[value=none]').click()");
-    until("overlays leave nothing behind", || pixels(&mut page) == plain);
+    assert!(painted.len() >= 6, "{} different pictures", painted.len());
+}
+
+#[test]
+fn without_scripts_there_is_one_picture_for_who_has_the_token() {
+    let served = Served::start("--refine 0");
+    let mut viewer = served.hello(&served.token);
+    viewer.sees(|flags| flags == 3);
+    let host = format!("Host: 127.0.0.1:{}", served.port);
+    let form = format!("t={}", served.token);
+    let (head, picture) = served.post("/still", &host, &form);
+    assert!(head.starts_with("HTTP/1.1 200") && head.contains("image/webp"), "{head}");
+    assert!(image::load_from_memory(&picture).expect("a picture").to_rgb8() == converged(""));
+    for (host, form, status) in [
+        ("Host: evil.example", form.as_str(), 403),
+        (&host, "t=AAAAAAAAAAAAAAAAAAAAAA", 403),
+        (&host, "x", 400),
+        (&host, &"x".repeat(1000), 400),
+    ] {
+        let (head, _) = served.post("/still", host, form);
+        assert!(head.starts_with(&format!("HTTP/1.1 {status}")), "{head}");
+    }
+    assert!(served.get("/still", &host).starts_with("HTTP/1.1 405"));
+
+    let Some(browser) = Browser::open() else { return };
+    let mut page = browser.page();
+    page.resize(360, 740, "light", false);
+    page.call("Emulation.setScriptExecutionDisabled", json!({"value": true}));
+    page.go(&served.address());
+    page.wait("document.querySelector('noscript form') !== null");
+    page.screenshot(&shots().join("without-scripts.png"), "png");
+    page.eval(&format!("document.querySelector('noscript input').value = '{}'", served.token));
+    page.eval("document.querySelector('noscript button').click()");
+    page.wait("document.contentType === 'image/webp' && document.images[0].naturalWidth === 96");
+    assert_eq!(page.errors, Vec::<String>::new());
 }
 
 #[test]

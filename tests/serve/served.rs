@@ -118,6 +118,21 @@ impl Served {
         String::from_utf8_lossy(&answer).into_owned()
     }
 
+    /// The answer to a form that somebody sends without a script: its head, and what it holds.
+    pub fn post(&self, path: &str, headers: &str, form: &str) -> (String, Vec<u8>) {
+        let mut stream = TcpStream::connect(("127.0.0.1", self.port)).expect("it listens");
+        stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+        let length = form.len();
+        let _ = write!(
+            stream,
+            "POST {path} HTTP/1.1\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n\r\n{form}"
+        );
+        let mut answer = Vec::new();
+        let _ = stream.read_to_end(&mut answer);
+        let head = answer.windows(4).position(|four| four == b"\r\n\r\n").expect("a head") + 4;
+        (String::from_utf8_lossy(&answer[..head]).into_owned(), answer[head..].to_vec())
+    }
+
     /// The WebSocket, as a page of this origin would open it at this host.
     pub fn socket(&self, host: &str, origin: Option<&str>) -> Result<Viewer, Box<tungstenite::Error>> {
         let mut request =
@@ -197,6 +212,21 @@ impl Viewer {
                 if wanted(frame[1]) {
                     return frame.to_vec();
                 }
+            }
+        }
+    }
+
+    /// The picture that the walk gives to keep, a file.
+    pub fn keeps(&mut self) -> Vec<u8> {
+        self.say(&json!({"type": "do", "name": "screenshot"}));
+        loop {
+            match self.socket.read().expect("a file") {
+                Message::Binary(file) if file[0] == 2 => {
+                    self.say(&json!({"type": "kept"}));
+                    return file[1..].to_vec();
+                }
+                Message::Binary(frame) => self.draws(&frame),
+                _ => {}
             }
         }
     }

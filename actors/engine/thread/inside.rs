@@ -22,14 +22,21 @@ struct Changing {
     result: Receiver<Result<Build, String>>,
 }
 
+/// An act by its mark, and when it was done.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Mark {
+    mark: f64,
+    at: f64,
+}
+
 pub(super) struct Inside<'s> {
     shared: &'s Shared,
     /// What was published last, and when its report was made.
     shown: Option<(Arc<Shown>, f64)>,
-    /// Mark of the last act; the same as it was when the frame began, and of the frame on show.
-    mark: Option<f64>,
-    frame_mark: Option<f64>,
-    shown_mark: Option<f64>,
+    /// The last act; the same as it was when the frame began, and of the frame on show.
+    mark: Option<Mark>,
+    frame_mark: Option<Mark>,
+    shown_mark: Option<Mark>,
     paused: bool,
     names: Option<Arc<Names>>,
     changer: Option<Changer>,
@@ -101,7 +108,7 @@ impl<'s> Inside<'s> {
         }
         match command {
             Command::Act { act, at, mark } => {
-                self.mark = Some(mark);
+                self.mark = Some(Mark { mark, at: self.shared.now() });
                 // What comes from outside may be late, never of the future.
                 walk.act(act, at.min(self.shared.now()));
             }
@@ -211,8 +218,10 @@ impl<'s> Inside<'s> {
             None => (before.map_or(0, |b| b.number) + 1, Arc::new(picture.clone())),
         };
         let moving = walk.is_moving() && walk.timeline().is_none();
+        let mark = self.shown_mark.map(|m| m.mark);
         let was = before.map(|b| (b.number, b.exact, b.moving, b.mark));
-        let news = was != Some((number, exact, moving, self.shown_mark));
+        let news = was != Some((number, exact, moving, mark));
+        let took = before.filter(|b| b.mark == mark).map(|b| b.took);
         let state = |status: &Status| (status.converged, status.refined, status.lit);
         let is_due = is_due || pressing || before.is_none_or(|b| state(&b.report.status) != state(&status));
         if !news && !is_due {
@@ -222,8 +231,9 @@ impl<'s> Inside<'s> {
             Some((before, at)) if !is_due => (Arc::clone(&before.report), *at),
             _ => (Arc::new(self.report(walk, status)), now),
         };
-        let (mark, set) = (self.shown_mark, self.set);
-        let shown = Arc::new(Shown { number, picture: kept, camera, mark, exact, set, moving, report });
+        let set = self.set;
+        let took = took.unwrap_or_else(|| self.shown_mark.map_or(0.0, |m| self.shared.now() - m.at));
+        let shown = Arc::new(Shown { number, picture: kept, camera, mark, took, exact, set, moving, report });
         self.was_exact = exact;
         self.shown = Some((Arc::clone(&shown), at));
         self.shared.newest.force_push(shown);

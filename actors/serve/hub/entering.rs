@@ -1,10 +1,13 @@
 //! Who comes in, and what they are told first.
 
+use std::net::IpAddr;
+use std::sync::Arc;
+
 use foveal_engine::foveal::scene::Camera;
-use foveal_engine::thread::Command;
+use foveal_engine::thread::{Command, Shown};
 use foveal_engine::walk::{Act, Notice};
 
-use super::{Effect, Hub};
+use super::{Effect, Hub, Without};
 use crate::gate::Pass;
 use crate::protocol::{self, VERSION, Why};
 use crate::room::Room;
@@ -76,6 +79,18 @@ impl Hub {
         }
         self.welcome(id);
         self.stand(room_id, now);
+    }
+
+    /// What the first walk that shows anything does show, to somebody with this token, who stays outside.
+    ///
+    /// # Errors
+    /// If the token is wrong, or there is nothing.
+    pub fn still(&mut self, address: IpAddr, token: &str, now: f64) -> Result<Arc<Shown>, Without> {
+        if self.gate.pass(address, token, now).is_none() {
+            tracing::warn!("{address}: a wrong token");
+            return Err(Without::Token);
+        }
+        self.rooms.values().find_map(|room| room.shown.clone()).ok_or(Without::Picture)
     }
 
     /// Goes to where a walk stood that another server served, once there is one.

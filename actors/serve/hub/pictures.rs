@@ -29,6 +29,7 @@ impl Hub {
                     view: shown.report.status.view,
                     size: [shown.picture.width(), shown.picture.height()].map(|side| side as u16),
                     mark: shown.mark.filter(|_| drives).unwrap_or(0.0),
+                    took: shown.took,
                 };
                 head.with(coded)
             });

@@ -104,6 +104,7 @@ export class Connection {
       // Of some tiles only: where they go; they lie in rows of so many in the picture.
       tiles: Array.from({ length: count }, (_, i) => [short(32 + 4 * i), short(34 + 4 * i)]),
       columns: short(14), side: short(16),
+      took: short(18) / 10,
       mark: head.getFloat64(24, true),
       bytes: new Uint8Array(data, 32 + 4 * count),
     });

@@ -17,7 +17,7 @@ export function insight(root, state, { latency, rate }) {
     ["view", state.view],
     ["frame, median and 99 %", state.times && `${state.times[0]}, ${state.times[1]} ms`],
     ["frame, aim", `${state.deadline} ms`],
-    ["from input to picture", latency && `${latency.toFixed(0)} ms`],
+    ["from input to picture", latency ? `${latency[0].toFixed(0)} ms, ${latency[1].toFixed(0)} of them on the way` : null],
     ["received", rate ? `${(rate / 1000).toFixed(1)} Mbit/s` : "nothing new"],
     ["samples traced", state.traced],
     ["samples reused", state.reused],

@@ -38,18 +38,18 @@ export class Picture {
       }
       if (frame.mark && frame.mark !== this.mark) {
         this.mark = frame.mark;
-        this.latencies = [...this.latencies.slice(-59), now() - frame.mark];
+        this.latencies = [...this.latencies.slice(-59), [now() - frame.mark, now() - frame.mark - frame.took]];
       }
       this.shown(frame, Boolean(image));
     });
   }
 
-  // Median time from input to canvas, ms; kilobits a second of the last two.
+  // Median time from input to canvas, all of it and without the walk's, ms; kilobits a second of the last two.
   measured() {
-    const sorted = [...this.latencies].sort((a, b) => a - b);
+    const middle = (part) => this.latencies.map((both) => both[part]).sort((a, b) => a - b)[this.latencies.length >> 1];
     this.bytes = this.bytes.filter(([at]) => now() - at < 2000);
     return {
-      latency: sorted[sorted.length >> 1],
+      latency: this.latencies.length && [0, 1].map(middle),
       rate: this.bytes.reduce((sum, [, bytes]) => sum + bytes, 0) * 8 / 2000,
     };
   }

@@ -13,7 +13,7 @@ use axum::extract::{Extension, State};
 use axum::http::header::{HOST, ORIGIN};
 use axum::http::{HeaderMap, Method, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{get, post};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
@@ -23,6 +23,7 @@ use tokio::sync::mpsc::{self, Sender, UnboundedSender};
 use tokio::time::timeout;
 
 use super::connection::connection;
+use super::still::still;
 use super::{Message, Tls};
 use crate::gate::Hosts;
 use crate::page;
@@ -36,10 +37,10 @@ const REQUEST: Duration = Duration::from_secs(5);
 
 /// What answers requests.
 pub(super) struct Door {
-    hosts: Hosts,
+    pub hosts: Hosts,
     behind_proxy: bool,
     tls: Option<Tls>,
-    hub: Sender<Message>,
+    pub hub: Sender<Message>,
     connected: AtomicU64,
 }
 
@@ -47,11 +48,21 @@ impl Door {
     pub(super) fn new(hosts: Hosts, behind_proxy: bool, tls: Option<Tls>, hub: Sender<Message>) -> Arc<Self> {
         Arc::new(Self { hosts, behind_proxy, tls, hub, connected: AtomicU64::new(0) })
     }
+
+    /// Whose request it is that came from `address`: behind a proxy that one says it.
+    pub(super) fn speaks_for(&self, headers: &HeaderMap, address: IpAddr) -> IpAddr {
+        if !self.behind_proxy {
+            return address;
+        }
+        // The proxy adds whom it speaks for at the end.
+        let forwarded = header(headers, "x-forwarded-for");
+        forwarded.rsplit(',').next().and_then(|last| last.trim().parse().ok()).unwrap_or(address)
+    }
 }
 
 /// A connection, counted as long as anybody holds it.
-struct Counted {
-    address: IpAddr,
+pub(super) struct Counted {
+    pub address: IpAddr,
     over: UnboundedSender<IpAddr>,
 }
 
@@ -115,8 +126,8 @@ async fn requests<S>(stream: S, counted: Arc<Counted>, door: Arc<Door>)
 where
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
 {
-    let router =
-        Router::new().route("/walk", get(walk)).fallback(file).layer(Extension(counted)).with_state(door);
+    let router = Router::new().route("/walk", get(walk)).route("/still", post(still)).fallback(file);
+    let router = router.layer(Extension(counted)).with_state(door);
     let served = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(REQUEST)
@@ -129,12 +140,12 @@ where
     }
 }
 
-fn header(headers: &HeaderMap, name: impl axum::http::header::AsHeaderName) -> &str {
+pub(super) fn header(headers: &HeaderMap, name: impl axum::http::header::AsHeaderName) -> &str {
     headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default()
 }
 
 /// What every answer says to a browser.
-fn answer(status: StatusCode, kind: &'static str, body: impl Into<Body>) -> Response {
+pub(super) fn answer(status: StatusCode, kind: &'static str, body: impl Into<Body>) -> Response {
     let headers = [
         ("content-type", kind),
         ("content-security-policy", page::POLICY),
@@ -147,7 +158,7 @@ fn answer(status: StatusCode, kind: &'static str, body: impl Into<Body>) -> Resp
     (status, headers, body.into()).into_response()
 }
 
-fn refused(why: &'static str) -> Response {
+pub(super) fn refused(why: &'static str) -> Response {
     answer(StatusCode::FORBIDDEN, "text/plain; charset=utf-8", why)
 }
 
@@ -175,13 +186,7 @@ async fn walk(
     if !door.hosts.is_own(header(&headers, HOST), header(&headers, ORIGIN)) {
         return refused("only this server's own page may walk\n");
     }
-    let mut address = counted.address;
-    if door.behind_proxy {
-        // The proxy adds whom it speaks for at the end.
-        let forwarded = header(&headers, "x-forwarded-for");
-        let last = forwarded.rsplit(',').next().and_then(|last| last.trim().parse().ok());
-        address = last.unwrap_or(address);
-    }
+    let address = door.speaks_for(&headers, counted.address);
     let id = door.connected.fetch_add(1, Ordering::Relaxed);
     let hub = door.hub.clone();
     upgrade.max_message_size(INPUT_MAX).max_frame_size(INPUT_MAX).on_upgrade(move |socket| async move {

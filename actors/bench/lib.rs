@@ -13,6 +13,7 @@ mod error_walks;
 mod first_light;
 mod illumination;
 pub mod made;
+mod mathematics;
 mod messages;
 #[cfg(feature = "window")]
 mod motion;

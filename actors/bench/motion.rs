@@ -58,10 +58,8 @@ fn walk(made: &MadeScene, converges: bool) -> Result<Vec<Shown>, Failure> {
     let mut frames = Vec::new();
     for frame in 0..FRAMES {
         let camera = CameraPath::at(path, frame as f32 / FPS, scene.up, start.camera.fov_y);
-        walk.begin(&camera)?;
         let time = if converges { 60.0 } else { 1.0 / FPS };
-        walk.work_until(Duration::from_secs_f32(time), |r| converges && r.is_refined())?;
-        walk.end()?;
+        walk.frame_until(&camera, Duration::from_secs_f32(time), None, |r| converges && r.is_refined())?;
         frames.extend(walk.look(shown).flatten());
     }
     Ok(frames)

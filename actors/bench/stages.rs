@@ -27,6 +27,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::made::MadeScene;
+use super::mathematics;
 use super::timed;
 use foveal_engine::failure::Failure;
 use foveal_engine::light::BakeOptions;
@@ -58,7 +59,7 @@ const SAMPLES: usize = 50_000;
 
 /// Runs the benchmark.
 pub fn run(a: &StagesArguments, progress: Progress) -> Result<(), Failure> {
-    let bar = progress.bar(6, "stages");
+    let bar = progress.bar(7, "stages");
     let mut rows = Vec::new();
     let step = |rows: &mut Vec<Row>, made: Vec<Row>| {
         rows.extend(made);
@@ -74,6 +75,7 @@ pub fn run(a: &StagesArguments, progress: Progress) -> Result<(), Failure> {
     step(&mut rows, attention(a, &glass));
     step(&mut rows, correction(a, &glass)?);
     step(&mut rows, baking(a)?);
+    step(&mut rows, mathematics::rows(a.common.runs));
     bar.finish_and_clear();
     let notes = vec![
         "beside: what Haber et al. 2001 report for eight processors of their time; no aim of this run's"

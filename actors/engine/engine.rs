@@ -21,7 +21,7 @@ use foveal::scene::{Budget, Camera};
 use foveal::world::World;
 use foveal_actors::allocator::Allocator;
 use foveal_actors::foresight::Foresight;
-use foveal_actors::insight::{Insight, InsightSlot};
+use foveal_actors::insight::{Insight, InsightSlot, LONGEST_FRAME};
 use foveal_actors::message::{FrameIndex, FrameSnapshot, RendererInput, View};
 use foveal_actors::renderer::overlay::Overlay;
 use foveal_actors::renderer::{FrameCounts, FrameSink, Renderer, Splats};
@@ -231,10 +231,29 @@ impl Engine {
     /// # Errors
     /// If the walk has ended: an actor that nothing can go on without failed, or an invariant of a simulation broke.
     pub fn frame(&mut self, camera: &Camera, time: Duration) -> Result<Frame, Failure> {
+        self.frame_until(camera, time, None, |_| false)
+    }
+
+    /// The same, shown as soon as `enough` holds of the renderer; where a quality is named, not before the view is estimated
+    /// to be as good as `least` ([`Insight::quality`]), at most after [`LONGEST_FRAME`].
+    ///
+    /// # Errors
+    /// As [`Self::frame`].
+    pub fn frame_until(
+        &mut self,
+        camera: &Camera,
+        time: Duration,
+        least: Option<f32>,
+        mut enough: impl FnMut(&Renderer) -> bool,
+    ) -> Result<Frame, Failure> {
         let began = self.runtime().now();
         self.begin(camera)?;
         let taken = self.runtime().now().since(began);
-        self.work_until(time.saturating_sub(taken + self.showing()), |_| false)?;
+        self.work_until(time.saturating_sub(taken + self.showing()), &mut enough)?;
+        if let Some(least) = least {
+            let taken = self.runtime().now().since(began);
+            self.work_until_good(least, LONGEST_FRAME.saturating_sub(taken), enough)?;
+        }
         self.end()
     }
 
@@ -267,21 +286,17 @@ impl Engine {
         self.pump(Limit::time(time), |runtime| runtime.inspect(renderer, &mut enough) == Some(true)).map(drop)
     }
 
-    /// Works for at most `time`, or until the view is estimated to be as good as `least` ([`Insight::quality`]) or has
-    /// converged, or `enough` holds.
-    ///
-    /// # Errors
-    /// If the walk has ended.
-    pub fn work_until_good(
+    /// Works for at most `time`, or until the view is estimated to be as good as `least`, or `enough` holds.
+    fn work_until_good(
         &mut self,
         least: f32,
         time: Duration,
-        enough: impl Fn() -> bool,
+        mut enough: impl FnMut(&Renderer) -> bool,
     ) -> Result<(), Failure> {
         let (slot, mut insight) = (self.slot.clone(), self.insight.take());
         let worked = self.work_until(time, |renderer| {
             insight = slot.take().or(insight.take());
-            enough() || quality_of(renderer, insight.as_ref()) >= least
+            enough(renderer) || quality_of(renderer, insight.as_ref()) >= least
         });
         self.insight = insight;
         worked

@@ -9,7 +9,6 @@ use foveal::scene::texture::forget_most_held;
 use foveal::scene::{Camera, CameraPath};
 use foveal::splatting::Footprint;
 use foveal::splatting::supersampling::Supersampling;
-use foveal_actors::insight::LONGEST_FRAME;
 use foveal_actors::renderer::Renderer;
 use foveal_engine::files::{exr_bytes, make_folder, write_atomic};
 use foveal_engine::interrupt::interrupted;
@@ -307,18 +306,12 @@ fn walk(
         if !staying {
             pose = motion.at((began - start).as_secs_f32());
         }
-        engine.begin(&pose)?;
+        let least = a.mode.least_quality().filter(|_| !staying);
         // The camera has not moved and all is traced: nothing to wait for once the stay has begun.
-        engine.work_until(budget.saturating_sub(began.elapsed() + engine.showing()), |r| {
-            interrupted() || (staying && r.is_refined())
-        })?;
-        if let Some(least) = a.mode.least_quality().filter(|_| !staying) {
-            engine.work_until_good(least, LONGEST_FRAME.saturating_sub(began.elapsed()), interrupted)?;
-        }
-        let quality = engine.insight().map_or(0.0, |i| i.quality);
+        let enough = |r: &Renderer| interrupted() || (staying && r.is_refined());
+        let shown = engine.frame_until(&pose, budget, least, enough)?;
+        walked.took(&shown, began.elapsed(), engine.insight().map_or(0.0, |i| i.quality));
         walked.memory = walked.memory.max(memory_bytes());
-        let shown = engine.end()?;
-        walked.took(&shown, began.elapsed(), quality);
         // Of a stay only the last picture is kept; it takes the place of the last frame's.
         if let Some(pictures) = pictures {
             pictures.write(&format!("frame-{:04}.png", frame.min(frames - 1)), shown.snapshot)?;

@@ -20,6 +20,7 @@ enum Where {
     State,
     Size,
     Wording,
+    Lane,
 }
 
 /// Not a plain panic: that would fill the test's output.
@@ -45,6 +46,10 @@ impl Message for Word {
 
     fn kind(&self) -> &'static str {
         if self.0 == Where::Kind { panics("kind") } else { "Word" }
+    }
+
+    fn lane(&self) -> Lane {
+        if self.0 == Where::Lane { panics("lane") } else { Lane::Data }
     }
 
     fn size_bytes(&self) -> usize {
@@ -157,6 +162,49 @@ fn a_panic_costs_its_message_and_nothing_else_wherever_it_comes_from() {
         // Two never reached it, and one it panicked over.
         assert_eq!(shutdown.dead_letters, 3);
         assert_eq!(runtime.inspect(listener, |listener| listener.heard), Some(6));
+        let trace = read(&std::fs::read(&path).expect("a file"));
+        for threads in [0, 2] {
+            let config = Config::replay(Arc::clone(&trace), threads);
+            assert_complete(&Runtime::build(config, wired).expect("builds").0.replay());
+        }
+    }
+}
+
+/// Which way a message goes is asked where it is sent, so that a panic in there is the sender's.
+#[test]
+fn a_message_that_cannot_say_its_way_costs_its_sender_a_turn() {
+    struct Relay(Address<Word>);
+    impl Actor for Relay {
+        type Msg = Word;
+        const NAME: &'static str = "relay";
+        fn handle(&mut self, word: Word, cx: &mut Cx<'_, Word>) {
+            let way = if word.0 == Where::State { Where::Lane } else { Where::Nowhere };
+            cx.tell(&self.0, Word(way)).unwrap_or_else(|_| panics("refused"));
+        }
+    }
+    for threads in [0, 2] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("ways.fvlog");
+        let wired = |wiring: &mut Wiring| {
+            let (_, _, supervisor) = wire(wiring, OnPanic::Stop);
+            let hears = wiring.declare::<Listener>(Bounds::messages(100));
+            let relay = wiring.declare::<Relay>(Bounds::messages(100));
+            let port = wiring.port::<Word, Word>("more words", &relay.address());
+            wiring.spawn(relay, Relay(hears.address()), OnPanic::Resume);
+            (wiring.spawn(hears, Listener::default(), OnPanic::Stop), port, supervisor)
+        };
+        let config = Config::live(threads).record(&path);
+        let (mut runtime, (listener, port, supervisor)) = Runtime::build(config, wired).expect("builds");
+        for word in [Where::Nowhere, Where::State, Where::Nowhere] {
+            port.send(Word(word)).expect("room");
+        }
+        assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
+        let told = runtime.inspect(supervisor, |supervisor| supervisor.0.clone()).expect("pinned");
+        let is_relay = |told: &Incident| matches!(told, Incident::Panicked { name, message, .. } if name == "relay" && message == "lane");
+        assert!(told.len() == 1 && is_relay(&told[0]), "{told:?}");
+        let shutdown = runtime.end(WAIT);
+        assert!(shutdown.drained && shutdown.ended.is_none(), "{shutdown:?}");
+        assert_eq!(runtime.inspect(listener, |listener| listener.heard), Some(2));
         let trace = read(&std::fs::read(&path).expect("a file"));
         for threads in [0, 2] {
             let config = Config::replay(Arc::clone(&trace), threads);

@@ -42,14 +42,18 @@ pub(in crate::transport) struct Leaving {
 }
 
 impl Lights {
-    /// A particle as [`Self::sample_emission`] gives it, with its light. Lights from afar get the share that they have in
-    /// light samples.
+    /// A particle with its light: its ray and its flux per band in W, divided by the density of its choice, so that the mean
+    /// flux of many is the power of all lights. `None` is a particle without flux.
+    ///
+    /// Lights are chosen by power; triangles emit by area and cosine; the surrounding and directional lights
+    /// through a disk around the scene's bounds.
     pub(in crate::transport) fn begin(
         &self,
         scene: &Scene,
         stream: &mut Stream,
     ) -> Option<(Emitter, Ray, Vec3)> {
-        let (emitter, probability) = self.choose_emitter(stream.next_f64(), f64::from(self.distant_share))?;
+        // More bits than an f32 has: there may be millions of lights.
+        let (emitter, probability) = self.choose_emitter(stream.next_f64())?;
         let (ray, flux) = self.emit(scene, emitter, probability, stream)?;
         Some((emitter, ray, flux))
     }
@@ -82,19 +86,9 @@ impl Lights {
         Leaving { density: density * probability, cosine }
     }
 
-    /// A particle: its ray and its flux per band in W, divided by the density of its choice, so that the mean
-    /// flux of many is the power of all lights. `None` is a particle without flux.
-    ///
-    /// Lights are chosen by power; triangles emit by area and cosine; the surrounding and directional lights
-    /// through a disk around the scene's bounds.
-    pub fn sample_emission(&self, scene: &Scene, stream: &mut Stream) -> Option<(Ray, Vec3)> {
-        // More bits than an f32 has: there may be millions of lights.
-        let (emitter, probability) = self.choose_emitter(stream.next_f64(), self.distant_power_share)?;
-        self.emit(scene, emitter, probability, stream)
-    }
-
-    /// A light by power, where those from afar get this share of the choice, and its probability.
-    fn choose_emitter(&self, choice: f64, share: f64) -> Option<(Emitter, f64)> {
+    /// A light by power, where those from afar get the share that they have in light samples, and its probability.
+    fn choose_emitter(&self, choice: f64) -> Option<(Emitter, f64)> {
+        let share = f64::from(self.distant_share);
         if choice < share {
             let i = self.distant.sample(choice / share)?;
             Some((self.emitters[self.near_count + i], share * self.distant.probability(i)))

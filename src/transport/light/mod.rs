@@ -2,7 +2,7 @@
 //!
 //! In: a scene. Out: directions towards light with their densities ([`Lights::sample_towards`]), the densities of
 //! directions found otherwise ([`Lights::pdf_towards`]), and particles that leave the lights
-//! ([`Lights::sample_emission`]). Radiance in W·sr⁻¹·m⁻² per band, power in W.
+//! (`begin`). Radiance in W·sr⁻¹·m⁻² per band, power in W.
 //!
 //! Lights inside of the scene are chosen by what they may bring to the surface (`tree`). The tracer of corrections
 //! still chooses by power alone ([`Lights::sample_direct`]).
@@ -77,11 +77,9 @@ pub struct Lights {
     distant: Choice,
     /// Share of the distant lights in next-event samples and in particles.
     distant_share: f32,
-    distant_power_share: f64,
     environment: Option<EnvironmentDistribution>,
     centre: Vec3,
     radius: f32,
-    power: Vec3,
     /// Those inside of the scene, in their order.
     tree: LightTree,
     /// Places and ranges of lamps whose light ends somewhere.
@@ -125,22 +123,18 @@ impl Lights {
             near: Choice::default(),
             distant: Choice::default(),
             distant_share: 0.0,
-            distant_power_share: 0.0,
             environment,
             centre,
             radius,
-            power: Vec3::ZERO,
             tree: LightTree::default(),
             ending: scene.lights.iter().filter_map(Light::lamp).filter(|l| l.1.is_finite()).collect(),
         };
-        let mut power = glam::DVec3::ZERO;
         let mut weights: Vec<f64> = Vec::new();
         let mut add = |lights: &mut Self, emitter: Emitter, flux: Vec3| {
             let weight = f64::from(luminance(flux));
             if flux.is_finite() && weight > 0.0 {
                 lights.emitters.push(emitter);
                 weights.push(weight);
-                power += flux.as_dvec3();
             }
         };
         let radiant: Vec<Option<Vec3>> = scene
@@ -180,7 +174,6 @@ impl Lights {
         if lights.emitters.last() != Some(&Emitter::Surrounding) {
             lights.environment = None;
         }
-        lights.power = power.as_vec3();
         let (a, b) = weights.split_at(lights.near_count);
         lights.near = Choice::new(a.iter().copied());
         lights.tree =
@@ -189,7 +182,6 @@ impl Lights {
         let total = lights.near.total() + lights.distant.total();
         if total > 0.0 {
             let share = lights.distant.total() / total;
-            lights.distant_power_share = share;
             lights.distant_share = if a.is_empty() || b.is_empty() {
                 share as f32
             } else {
@@ -229,12 +221,6 @@ impl Lights {
     /// Whether nothing emits.
     pub fn is_empty(&self) -> bool {
         self.emitters.is_empty()
-    }
-
-    /// Power of all lights per band, W. Textured emission counts with its texture's mean; the surrounding and
-    /// directional lights with what passes the disk around the scene.
-    pub fn total_power(&self) -> Vec3 {
-        self.power
     }
 
     /// The light that `u` chooses for next-event estimation, and its probability.

@@ -235,7 +235,7 @@ fn unlit_things_show_their_colour_and_light_nothing() {
     assert!(m.shadeless && !m.is_emissive());
     assert_eq!(m.emission.color, Vec3::new(0.5, 0.25, 1.0));
     assert!(found.scene.environment.is_some(), "no light but that of the sky");
-    assert!(crate::transport::light::Lights::build(&found.scene).total_power().is_finite());
+    assert!(!crate::transport::light::Lights::build(&found.scene).is_empty());
 }
 
 #[test]

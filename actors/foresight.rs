@@ -26,6 +26,11 @@ impl Foresight {
             Some((mean + Self::MEAN * error, deviation + Self::DEVIATION * (error.abs() - deviation)));
     }
 
+    /// Whether it was seen at least once.
+    pub fn is_known(&self) -> bool {
+        self.known.is_some()
+    }
+
     /// How long it takes at most, nearly always; nothing before it was seen once.
     pub fn expected(&self) -> Duration {
         let (mean, deviation) = self.known.unwrap_or_default();
@@ -44,7 +49,7 @@ mod tests {
     #[test]
     fn what_is_always_the_same_is_foreseen_exactly_and_what_varies_with_room() {
         let mut foresight = Foresight::default();
-        assert_eq!(foresight.expected(), Duration::ZERO);
+        assert!(foresight.expected() == Duration::ZERO && !foresight.is_known());
         for _ in 0..60 {
             foresight.learn(ms(7.0));
         }

@@ -41,6 +41,8 @@ const PATIENCE: Duration = Duration::from_secs(60);
 const REST: Duration = Duration::from_millis(400);
 /// How long a walk is left to converge before another one begins.
 const SETTLING: Duration = Duration::from_secs(2);
+/// How long one walks in a direction.
+const TURNS: Duration = Duration::from_millis(500);
 /// Viewers of the walk that is to notice nothing.
 const VIEWERS: usize = 8;
 
@@ -81,6 +83,7 @@ pub fn run(a: &ServeArguments, progress: Progress) -> Result<(), Failure> {
         ..Recipe::new(subject.path(), Settings::new(a.size.width, a.size.height, cores))
     };
     let loaded = recipe.load(&recipe.scene, &())?;
+    let shown_in_window = recipe.clone();
     let make: Make = Arc::new(move |number| {
         let loaded = Loaded { opened: loaded.opened.clone(), probes: Arc::clone(&loaded.probes) };
         Ok((Box::new(recipe.start(loaded, number)?) as Box<dyn FrameSource>).into())
@@ -125,6 +128,7 @@ pub fn run(a: &ServeArguments, progress: Progress) -> Result<(), Failure> {
     let memory = connects(&served, a.common.runs)?;
     drop(driver);
     served.end()?;
+    let window = in_window(shown_in_window, a.walk)?;
     bar.finish_and_clear();
 
     let coded = |coding| -> Vec<f64> {
@@ -140,9 +144,14 @@ pub fn run(a: &ServeArguments, progress: Progress) -> Result<(), Failure> {
     // One of them reads nothing.
     let further: Vec<f64> =
         by_one.iter().zip(&by_all).map(|(one, all)| (all - one) / (VIEWERS - 2) as f64).collect();
-    let p99 = |walks: &[Walked]| walks.iter().map(|walked| walked.p99).collect::<Vec<f64>>();
+    let p99s = |walks: &[Walked]| walks.iter().map(|walked| walked.p99).collect::<Vec<f64>>();
     let high = |values: &[f64]| vec![quantile(values.iter().copied(), 0.95)];
-    let rows = [
+    let mut notes = vec!["viewers are threads of this process and take their part of its cores".to_owned()];
+    let window = window.map_err(|e| notes.push(format!("no window to hold it against: {e}"))).ok();
+    let beside_window = window.map(|p99| {
+        Row::new("  beside the window, which serves nobody", "ms", &p99s(&one)).against("window", Some(p99))
+    });
+    let rows: Vec<Row> = [
         Row::new(format!("connect → first frame, {name}"), "ms", &[first]).aim(Aim::AtMost(600.0)),
         Row::new("input → frame", "ms", &waits).against("without the door", middle(&alone)),
         Row::new("  the door's own part of it", "ms", &own).aim(Aim::AtMost(6.0)),
@@ -153,14 +162,38 @@ pub fn run(a: &ServeArguments, progress: Progress) -> Result<(), Failure> {
         Row::new("processor for one viewer at 30 frames a second", "% of a core", &by_one)
             .aim(Aim::AtMost(8.0)),
         Row::new("  for each further one", "% of a core", &further).aim(Aim::AtMost(1.0)),
-        Row::new("frame while walking, p99, one viewer", "ms", &p99(&one)).against("none", middle(&none)),
-        Row::new(format!("  {VIEWERS} viewers, one of whom reads nothing"), "ms", &p99(&crowd))
+        Row::new("frame while walking, p99, one viewer", "ms", &p99s(&one)).against("none", middle(&none)),
+        Row::new(format!("  {VIEWERS} viewers, one of whom reads nothing"), "ms", &p99s(&crowd))
             .against("none", middle(&none))
             .aim(Aim::RatioAtMost(1.05)),
         Row::new(format!("memory after {} more connects", CONNECTS[1]), "MiB", &memory).aim(Aim::AtMost(5.0)),
-    ];
-    let notes = ["viewers are threads of this process and take their part of its cores".to_owned()];
+    ]
+    .into_iter()
+    .chain(beside_window)
+    .collect();
     finish("serve", &rows, &notes, &a.common)
+}
+
+/// The 99th percentile of frame times in the window while one walks there, milliseconds; why there is none, where that is so.
+#[cfg(feature = "window")]
+fn in_window(recipe: Recipe, time: Duration) -> Result<Result<f64, String>, Failure> {
+    use foveal_window::{Options, WindowError, probe::Probe};
+    let options =
+        Options { probe: Some(Probe::new(time, Duration::ZERO).turning(TURNS)), ..Options::new(recipe) };
+    match foveal_window::run(options) {
+        Ok(measured) => {
+            Ok(measured.frames.map(|(_, p99)| f64::from(p99) * 1e3).ok_or("it showed nothing".into()))
+        }
+        Err(WindowError::Environment(e)) => Ok(Err(e)),
+        Err(WindowError::Scene(e)) => Err(Failure::Input(e)),
+        Err(WindowError::Ended(e)) => Err(Failure::ended(&e)),
+    }
+}
+
+/// There is none in this build.
+#[cfg(not(feature = "window"))]
+fn in_window(_: Recipe, _: Duration) -> Result<Result<f64, String>, Failure> {
+    Ok(Err("it is not built in".into()))
 }
 
 /// MiB that a thousand who come, look and go leave behind; fewer where there is one run, to see that it works.
@@ -244,7 +277,7 @@ fn walk_alone(engine: &EngineThread, time: Duration) -> Result<f64, Failure> {
 
 /// What hands do now, who turn round twice a second.
 fn to_and_fro(begin: Instant, way: &mut u32) -> Vec<Act> {
-    let now = (begin.elapsed().as_secs_f64() * 2.0) as u32 + 1;
+    let now = (begin.elapsed().as_secs_f64() / TURNS.as_secs_f64()) as u32 + 1;
     if now == *way {
         return Vec::new();
     }

@@ -249,7 +249,9 @@ impl Engine {
         let began = self.runtime().now();
         self.begin(camera)?;
         let taken = self.runtime().now().since(began);
-        self.work_until(time.saturating_sub(taken + self.showing()), &mut enough)?;
+        // Drawing the base layer and composing what is over it take times of one order.
+        let showing = if self.showing.is_known() { self.showing() } else { taken };
+        self.work_until(time.saturating_sub(taken + showing), &mut enough)?;
         if let Some(least) = least {
             let taken = self.runtime().now().since(began);
             self.work_until_good(least, LONGEST_FRAME.saturating_sub(taken), enough)?;

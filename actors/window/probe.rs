@@ -10,6 +10,8 @@ use foveal_engine::walk::{FrameTimes, Next, Walk};
 #[derive(Clone, Debug)]
 pub struct Probe {
     walk: Duration,
+    /// How long it goes one way before it turns round; `None`: it goes ahead.
+    turns: Option<Duration>,
     idle: Duration,
     stage: Stage,
     pub(super) measured: Measured,
@@ -22,7 +24,7 @@ pub struct Probe {
 #[derive(Clone, Copy, Debug)]
 enum Stage {
     Opening,
-    Walking { until: f64 },
+    Walking { since: f64, motion: Motion },
     Settling,
     Idle { until: f64, cpu: f64, frames: u32 },
 }
@@ -51,12 +53,18 @@ impl Probe {
     pub fn new(walk: Duration, idle: Duration) -> Self {
         Self {
             walk,
+            turns: None,
             idle,
             stage: Stage::Opening,
             measured: Measured::default(),
             last: None,
             pictures: FrameTimes::default(),
         }
+    }
+
+    /// One that walks to and fro, to the side, and so long each way.
+    pub fn turning(self, turns: Duration) -> Self {
+        Self { turns: Some(turns), ..self }
     }
 
     /// Something was presented: a new picture of the walk, or something else beside the one before.
@@ -71,20 +79,35 @@ impl Probe {
         }
     }
 
+    /// Where it goes after so many seconds.
+    fn motion(&self, after: f64) -> Motion {
+        match self.turns {
+            None => Motion::Forward,
+            Some(turns) if (after / turns.as_secs_f64()) as u64 % 2 == 0 => Motion::Left,
+            Some(_) => Motion::Right,
+        }
+    }
+
     /// Goes on. Returns when to be called again, unless it is over.
     pub(super) fn tick(&mut self, walk: &mut Walk, next: Next, now: f64) -> Option<Next> {
         match self.stage {
             Stage::Opening if self.measured.lit.is_some() => {
-                walk.navigator.press(Motion::Forward, now);
+                walk.navigator.press(self.motion(0.0), now);
                 walk.times.clear();
                 self.pictures.clear();
-                self.stage = Stage::Walking { until: now + self.walk.as_secs_f64() };
+                self.stage = Stage::Walking { since: now, motion: self.motion(0.0) };
             }
-            Stage::Walking { until } if now >= until => {
+            Stage::Walking { since, motion } if now - since >= self.walk.as_secs_f64() => {
                 self.measured.frames = walk.times.median_p99();
                 self.measured.pictures = self.pictures.median_p99();
-                walk.navigator.release(Motion::Forward, now);
+                walk.navigator.release(motion, now);
                 self.stage = Stage::Settling;
+            }
+            Stage::Walking { since, motion } if motion != self.motion(now - since) => {
+                walk.navigator.release(motion, now);
+                let motion = self.motion(now - since);
+                walk.navigator.press(motion, now);
+                self.stage = Stage::Walking { since, motion };
             }
             Stage::Settling if next == Next::Input => {
                 let until = now + self.idle.as_secs_f64();
@@ -93,7 +116,8 @@ impl Probe {
             }
             Stage::Idle { until, .. } if now < until => return Some(Next::At(until)),
             Stage::Idle { cpu, frames, .. } => {
-                self.measured.idle_cpu = Some((1e-9 * cpu_ns() - cpu) / self.idle.as_secs_f64());
+                let share = (1e-9 * cpu_ns() - cpu) / self.idle.as_secs_f64();
+                self.measured.idle_cpu = Some(share).filter(|share| share.is_finite());
                 self.measured.idle_frames = Some(self.measured.presented - frames);
                 return None;
             }

@@ -443,6 +443,8 @@ fn links_lead_somewhere() {
     let mut texts = vec![
         "README.md".to_owned(),
         "ARCHITECTURE.md".into(),
+        "CHANGELOG.md".into(),
+        "CONTRIBUTING.md".into(),
         "actors/engine/README.md".into(),
         "actors/runtime/README.md".into(),
         "scenes/README.md".into(),

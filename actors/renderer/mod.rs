@@ -457,7 +457,8 @@ impl Renderer {
                 twin::draw_in_cells(&self.world, &frame, self.passes, cell, &mut buffers);
             });
         };
-        let ((), took) = cx.measure(draw);
+        // Jobs for the view before are stale.
+        let ((), took) = cx.undisturbed(|cx| cx.measure(draw));
         self.drawing.learn(took * cell * cell);
         if self.neighbours.is_some() {
             self.layer.clear();

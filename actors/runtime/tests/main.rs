@@ -18,4 +18,5 @@ mod ring;
 mod simulation;
 mod snapshots;
 mod spawning;
+mod undisturbed;
 mod workshop;

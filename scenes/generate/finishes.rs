@@ -20,7 +20,7 @@ up = "+y"
 [[path]]
 name = "tour"
 keys = [
-  { t = 0.0, eye = [-0.5, 0.62, 1.25], target = [-0.1, 0.12, 0.0] },
+  { t = 0.0, eye = [-0.5, 0.7, 1.25], target = [-0.1, 0.12, 0.0] },
   { t = 3.0, eye = [0.1, 0.5, 1.0], target = [0.0, 0.12, 0.0] },
   { t = 6.0, eye = [0.6, 0.6, 1.2], target = [0.1, 0.12, 0.0] },
 ]
@@ -99,13 +99,15 @@ pub fn scene() -> ImageResult<SceneFiles> {
     let plaster = g.material("Plaster", &plain([0.7, 0.68, 0.64], [0.0, 1.0], ""));
     let [floor, ceiling, left, right, back, front] = room(v(-1.4, 0.0, -1.0), v(1.4, 1.6, 1.6));
     let hole = (DVec2::new(0.3, 0.35), DVec2::new(0.7, 0.85));
-    let window = quad_with_hole(v(-1.4, 0.0, 1.6), v(0.0, 0.0, -2.6), v(0.0, 1.6, 0.0), hole.0, hole.1, [1.0; 2]);
+    let window =
+        quad_with_hole(v(-1.4, 0.0, 1.6), v(0.0, 0.0, -2.6), v(0.0, 1.6, 0.0), hole.0, hole.1, [1.0; 2]);
     let _ = left;
     let walls = floor.with(ceiling).with(right).with(back).with(front).with(window);
     let walls = g.mesh("Room", &walls, plaster, "");
     roots.push(g.thing("Room", walls, 1, ""));
     for (i, (name, shape, color, extensions)) in BALLS.into_iter().enumerate() {
-        let material = g.material(name, &plain(color, shape, &format!(r#", "extensions": {{ {extensions} }}"#)));
+        let material =
+            g.material(name, &plain(color, shape, &format!(r#", "extensions": {{ {extensions} }}"#)));
         // Grain follows the coordinates of a ring as of something turned on a lathe.
         let of = if name == "Spun" { torus(0.085, 0.05, 64, 32) } else { sphere(DVec3::ZERO, 0.13, 48, 24) };
         let mesh = g.mesh(name, &of, material, "");
@@ -123,11 +125,12 @@ pub fn scene() -> ImageResult<SceneFiles> {
     );
     let paper = g.material("Paper", &paper);
     // Between the eye and the sun, so that what passes it is seen.
-    let shade = quad(v(-1.0, 0.001, -0.35), v(0.25, 0.0, -0.45), v(0.0, 0.5, 0.0), [1.0, 1.0]);
+    let shade = quad(v(-0.78, 0.001, 0.05), v(0.14, 0.0, -0.34), v(0.0, 0.42, 0.0), [1.0, 1.0]);
     let shade = g.mesh("Paper", &shade, paper, "");
     roots.push(g.thing("Paper", shade, 1, ""));
-    let light = |number: usize| format!(r#""extensions": {{ "KHR_lights_punctual": {{ "light": {number} }} }}"#);
-    let sun = Gltf::pose(v(-4.0, 3.0, -0.6), v(0.0, 0.1, 0.0));
+    let light =
+        |number: usize| format!(r#""extensions": {{ "KHR_lights_punctual": {{ "light": {number} }} }}"#);
+    let sun = Gltf::pose(v(-4.0, 3.0, 0.6), v(0.0, 0.1, 0.0));
     roots.push(g.node("Sun", &format!("{sun}, {}", light(0))));
     for (number, name, place, target) in [
         (1, "Spot", v(0.6, 1.5, 1.1), v(0.0, 0.1, 0.0)),
@@ -136,7 +139,7 @@ pub fn scene() -> ImageResult<SceneFiles> {
         roots.push(g.node(name, &format!("{}, {}", Gltf::pose(place, target), light(number))));
     }
     for (name, eye, target) in [
-        ("main", v(-0.1, 0.62, 1.25), v(0.0, 0.1, 0.0)),
+        ("main", v(-0.12, 0.86, 1.15), v(-0.06, 0.08, 0.0)),
         ("close", v(0.35, 0.3, 0.75), v(0.2, 0.12, 0.1)),
     ] {
         roots.push(g.node(name, &format!(r#"{}, "camera": 0"#, Gltf::pose(eye, target))));
@@ -146,7 +149,7 @@ pub fn scene() -> ImageResult<SceneFiles> {
         r#"
 "cameras": [{{ "type": "perspective", "perspective": {{ "yfov": 0.7, "znear": 0.05 }} }}],
 "extensions": {{ "KHR_lights_punctual": {{ "lights": [
-    {{ "type": "directional", "color": [1, 0.93, 0.82], "intensity": 8 }},
+    {{ "type": "directional", "color": [1, 0.93, 0.82], "intensity": 5 }},
     {{ "type": "spot", "color": [1, 0.96, 0.9], "intensity": 5, "spot": {{ "innerConeAngle": 0.4, "outerConeAngle": 0.7 }} }}] }} }},
 "extensionsUsed": [{}]
 "#,

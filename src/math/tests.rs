@@ -139,7 +139,9 @@ fn bits_are_known() {
 fn the_floor_is_the_one_of_the_standard_library() {
     let mut some: Vec<f32> = (0..20_000).map(|i| f32::from_bits(crate::rng::hash(1, i, 2) as u32)).collect();
     for whole in [0.0, 1.0, 2.0, 255.0, 8_388_607.0, 8_388_608.0, 16_777_216.0, f32::INFINITY] {
-        some.extend([whole, whole.next_down(), whole.next_up(), whole + 0.5].into_iter().flat_map(|v| [v, -v]));
+        some.extend(
+            [whole, whole.next_down(), whole.next_up(), whole + 0.5].into_iter().flat_map(|v| [v, -v]),
+        );
     }
     for x in some {
         let (ours, known) = (floor(x), x.floor());

@@ -35,9 +35,8 @@ fn gained([a, b]: [f32; 2]) -> f32 {
 }
 
 /// What either gains at the same places ([`LobeAlbedo::gain`]): one number to read where a surface is met.
-static GAINS: LazyLock<[[f32; COSINES]; ROUGHNESSES]> = LazyLock::new(|| {
-    std::array::from_fn(|y| std::array::from_fn(|x| gained(TABLE.0[y * COSINES + x])))
-});
+static GAINS: LazyLock<[[f32; COSINES]; ROUGHNESSES]> =
+    LazyLock::new(|| std::array::from_fn(|y| std::array::from_fn(|x| gained(TABLE.0[y * COSINES + x]))));
 
 /// Cosine-weighted means of A, of B, and of what either gains ([`LobeAlbedo::gain`]), by √α.
 static MEANS: LazyLock<Vec<[f32; 4]>> = LazyLock::new(|| {

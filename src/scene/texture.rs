@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::Vec2;
 
 use super::placement::Placement;
-use crate::image::{linear_from_srgb, srgb_from_linear};
+use crate::image::{linear_from_srgb, srgb_byte_from_linear};
 use crate::math;
 
 /// Bytes of texels that all chains of this process hold now, and the most they ever held.
@@ -109,7 +109,7 @@ impl LevelTexels {
     /// Texels of the same kind from linear values.
     fn encode(&self, texels: Vec<[f32; 4]>, gamma: bool) -> Self {
         let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
-        let color = |v: f32| if gamma { byte(srgb_from_linear(v)) } else { byte(v) };
+        let color = |v: f32| if gamma { srgb_byte_from_linear(v) } else { byte(v) };
         Self(match &self.0 {
             Texels::Byte(_) => {
                 let of = |v: [f32; 4]| [color(v[0]), color(v[1]), color(v[2]), byte(v[3])];

@@ -29,7 +29,9 @@ pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, String> {
     let unpacked = bytes.get(96..104).and_then(|b| b.try_into().ok()).map_or(0, u64::from_le_bytes);
     let (layers, faces) = (number(bytes, 32).unwrap_or(0), number(bytes, 36).unwrap_or(0));
     if unpacked > most || layers > 1 || faces != 1 {
-        return Err("is a KTX 2 file of several pictures, or of other than Basis Universal's blocks".to_owned());
+        return Err(
+            "is a KTX 2 file of several pictures, or of other than Basis Universal's blocks".to_owned()
+        );
     }
     // The decoder is young: what it did not think of ends here.
     let texels = catch_unwind(AssertUnwindSafe(|| {
@@ -67,7 +69,19 @@ pub(super) mod tests {
         let length = texels.len() as u32;
         push(&[148, 0, length, 0, length, 0]);
         // A descriptor: model 166 (UASTC), sRGB, blocks of 4 × 4, red to alpha in one sample.
-        push(&[44, 0, 2 | 40 << 16, 166 | 1 << 8 | 2 << 16, 0x0303, 16, 0, 127 << 16 | 3 << 24, 0, 0, u32::MAX]);
+        push(&[
+            44,
+            0,
+            2 | 40 << 16,
+            166 | 1 << 8 | 2 << 16,
+            0x0303,
+            16,
+            0,
+            127 << 16 | 3 << 24,
+            0,
+            0,
+            u32::MAX,
+        ]);
         out.extend(texels);
         out
     }

@@ -49,7 +49,11 @@ fn reflecting(facet: Facet, rough: &Roughness) -> Lobe {
 
 /// What a lobe gains that may be rougher along than across: as much as the mean of both loses.
 fn gain_along(rough: &Roughness, cosine: f32) -> f32 {
-    if rough.is_smooth() { 0.0 } else { LobeAlbedo::gain(cosine, (rough.alpha_x * rough.alpha_y).sqrt().sqrt()) }
+    if rough.is_smooth() {
+        0.0
+    } else {
+        LobeAlbedo::gain(cosine, (rough.alpha_x * rough.alpha_y).sqrt().sqrt())
+    }
 }
 
 /// f₀ and f₉₀ with what single scattering loses, for metal and dielectric apart, so that a mix is their mean. `layer` has

@@ -170,7 +170,8 @@ impl<'b, 'a> Accessors<'b, 'a> {
         let at = |key: &str| format!("/accessors/{}{key}", index.0);
         let count = accessor.count.0;
         if let Some(bytes) = self.buffers.values(index) {
-            return walk(bytes, 0, size, size, count, &mut each).map_err(|message| Problem::new(at(""), message));
+            return walk(bytes, 0, size, size, count, &mut each)
+                .map_err(|message| Problem::new(at(""), message));
         }
         if let Some(view) = accessor.buffer_view {
             let (bytes, stride) = self.buffers.view(view)?;

@@ -18,7 +18,8 @@ use super::number::Index;
 pub(super) fn decode(primitive: &Primitive, accessors: &mut Accessors<'_, '_>) -> Result<(), Problem> {
     let Some(packed) = &primitive.extensions.draco else { return Ok(()) };
     let at = format!("/bufferViews/{}", packed.buffer_view.0);
-    let wrong = |why: String| Problem::new(at.clone(), format!("{why}; export again without Draco compression"));
+    let wrong =
+        |why: String| Problem::new(at.clone(), format!("{why}; export again without Draco compression"));
     let (Some(position), Some(indices)) = (primitive.attributes.position, primitive.indices) else {
         return Err(wrong("is a compressed mesh without positions or indices".to_owned()));
     };

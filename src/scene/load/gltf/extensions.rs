@@ -43,8 +43,22 @@ const KNOWN: [(&str, &str); 31] = [
     // Known only where it is not required.
     (SURROUNDING, "not shown; the sidecar's [environment] may have a picture of it"),
     // Of builds without them known only where they are not required.
-    (DRACO, if cfg!(feature = "draco") { "decoded" } else { "not decoded; the uncompressed mesh beside it is shown" }),
-    (BASISU, if cfg!(feature = "basisu") { "decoded" } else { "not decoded; the other picture beside it is shown" }),
+    (
+        DRACO,
+        if cfg!(feature = "draco") {
+            "decoded"
+        } else {
+            "not decoded; the uncompressed mesh beside it is shown"
+        },
+    ),
+    (
+        BASISU,
+        if cfg!(feature = "basisu") {
+            "decoded"
+        } else {
+            "not decoded; the other picture beside it is shown"
+        },
+    ),
 ];
 
 const SURROUNDING: &str = "EXT_lights_image_based";
@@ -55,13 +69,8 @@ const NOTHING: &str = "nothing to show";
 
 /// Whether a file may require it.
 fn known(name: &str) -> bool {
-    let is_built = match name {
-        SURROUNDING => false,
-        DRACO => cfg!(feature = "draco"),
-        BASISU => cfg!(feature = "basisu"),
-        _ => true,
-    };
-    is_built && listed(name)
+    let is_built = (name != DRACO || cfg!(feature = "draco")) && (name != BASISU || cfg!(feature = "basisu"));
+    is_built && name != SURROUNDING && listed(name)
 }
 
 /// Whether what becomes of it is known, required or not.

@@ -1,5 +1,7 @@
 //! Two-dimensional maps, linear RGB and luminance.
 
+use std::sync::LazyLock;
+
 use glam::Vec3;
 
 use crate::math;
@@ -106,6 +108,45 @@ pub fn srgb_from_linear(v: f32) -> f32 {
     if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * math::powf(v, 1.0 / 2.4) - 0.055 }
 }
 
+/// [`srgb_from_linear`] of a value in [0, 1] as a byte, to the nearest, with the same bits as the formula has; what is beyond
+/// is the nearest, NaN is 0.
+pub fn srgb_byte_from_linear(v: f32) -> u8 {
+    /// Relative distance to the edge of a step within which the formula decides.
+    const CLOSE: f32 = 1e-4;
+    let v = v.clamp(0.0, 1.0);
+    let table = &*SRGB_STEPS;
+    let low = table.of_cell[(v * CELLS as f32) as usize];
+    let (edge, next) = (table.edges[usize::from(low)], table.edges[usize::from(low) + 1]);
+    let close = |edge: f32| (v - edge).abs() <= CLOSE * edge;
+    if close(edge) || close(next) || v.is_nan() {
+        return exact_byte(v);
+    }
+    low + u8::from(v >= next)
+}
+
+fn exact_byte(v: f32) -> u8 {
+    (srgb_from_linear(v).clamp(0.0, 1.0) * 255.0 + 0.5) as u8
+}
+
+/// Cells of [0, 1] that are narrower than any step of bytes.
+const CELLS: usize = 4096;
+
+struct SrgbSteps {
+    /// The byte of the least value of each cell.
+    of_cell: Vec<u8>,
+    /// About the least value of each byte, and one more that nothing reaches.
+    edges: Vec<f32>,
+}
+
+static SRGB_STEPS: LazyLock<SrgbSteps> = LazyLock::new(|| {
+    let of_cell = (0..=CELLS).map(|i| exact_byte(i as f32 / CELLS as f32)).collect();
+    let edge = |byte: u32| {
+        let display = (byte as f32 - 0.5) / 255.0;
+        if byte == 0 { 0.0 } else { linear_from_srgb(display) }
+    };
+    SrgbSteps { of_cell, edges: (0..=255).map(edge).chain([2.0]).collect() }
+});
+
 /// sRGB electro-optical transfer: display value [0, 1] to linear [0, 1].
 #[inline]
 pub fn linear_from_srgb(v: f32) -> f32 {
@@ -115,6 +156,21 @@ pub fn linear_from_srgb(v: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn bytes_by_steps_are_those_of_the_formula() {
+        let table = &*SRGB_STEPS;
+        let cells = (0..=CELLS).map(|i| i as f32 / CELLS as f32);
+        let mut some: Vec<f32> = cells.chain(table.edges.iter().copied()).collect();
+        some.extend((0..200_000).map(|i| crate::rng::Stream::new(7, i, 0).next_f32()));
+        some.extend((0..2_000).map(|i| i as f32 * 1e-6));
+        some.extend([f32::NAN, f32::INFINITY, -1.0, -0.0, 2.0, 1e-30]);
+        for v in some {
+            for v in [v, v.next_down(), v.next_up(), v * 1.00009, v * 1.00011, v * 0.99989, v * 0.99991] {
+                assert_eq!(srgb_byte_from_linear(v), exact_byte(v), "{v}");
+            }
+        }
+    }
 
     #[test]
     fn srgb_round_trips_every_byte() {

@@ -351,6 +351,67 @@ fn gltf_meshopt() {
     });
 }
 
+/// A sheet of eight triangles, higher by one half in its middle, as an encoder for Draco wrote it.
+const SHEET: &str = concat!(
+    "445241434f02020101000002090801080200ff0111ff0288400301020503ad2a07551503a07a81010101040b014001000101",
+    "01040b01400100010101050f0140010001010101014001000002ff0000000000010009030000020103090200010201010101",
+    "0380104928fffffffffffffffffffffffffffffff7dd0b6102fffffffffffffffffffffffffffffff77d0907538daac0f65e",
+    "a700000000ff070000000000000000000000000000000000400b01010101028008c931ffffffffffffffffffffffffffffff",
+    "f7390e04d2dd6d8c00000000ff03000000000000000000000000803f0a",
+);
+
+/// Edits of a mesh that Draco compressed; what its accessors declare stays right.
+#[test]
+fn gltf_draco() {
+    let sheet: Vec<u8> = (0..SHEET.len() / 2)
+        .map(|i| u8::from_str_radix(&SHEET[2 * i..2 * i + 2], 16).expect("digits"))
+        .collect();
+    fuzz(&[sheet], |bytes| {
+        let length = bytes.len();
+        let json = format!(
+            "{{{BEGINNING}\"extensionsUsed\": [\"KHR_draco_mesh_compression\"], \"buffers\": [{{\"byteLength\": {length}}}],
+            \"bufferViews\": [{{\"buffer\": 0, \"byteLength\": {length}}}],
+            \"accessors\": [{{\"componentType\": 5126, \"count\": 11, \"type\": \"VEC3\"}},
+            {{\"componentType\": 5126, \"count\": 11, \"type\": \"VEC2\"}}, {{\"componentType\": 5123, \"count\": 24, \"type\": \"SCALAR\"}}],
+            \"meshes\": [{{\"primitives\": [{{\"attributes\": {{\"POSITION\": 0, \"TEXCOORD_0\": 1}}, \"indices\": 2,
+            \"extensions\": {{\"KHR_draco_mesh_compression\": {{\"bufferView\": 0, \"attributes\": {{\"POSITION\": 0, \"TEXCOORD_0\": 1}}}}}}}}]}}],
+            \"nodes\": [{{\"mesh\": 0}}]}}"
+        );
+        scene_with("a.glb", &glb(json.as_bytes(), bytes), "a.glb");
+    });
+}
+
+/// Pictures of Basis Universal: one block in each of four corners, its colours as they come.
+#[test]
+fn basisu() {
+    let words = |words: &[u32]| -> Vec<u8> { words.iter().flat_map(|w| w.to_le_bytes()).collect() };
+    let mut file = b"\xabKTX 20\xbb\r\n\x1a\n".to_vec();
+    file.extend(words(&[0, 1, 8, 8, 0, 0, 1, 1, 0, 104, 44, 0, 0, 0, 0, 0, 0, 148, 0, 64, 0, 64, 0]));
+    file.extend(words(&[
+        44,
+        0,
+        2 | 40 << 16,
+        166 | 1 << 8 | 2 << 16,
+        0x0303,
+        16,
+        0,
+        127 << 16 | 3 << 24,
+        0,
+        0,
+        u32::MAX,
+    ]));
+    // Every first byte chooses a mode.
+    let corpus: Vec<Vec<u8>> = (0..32u8)
+        .map(|mode| {
+            file.iter()
+                .copied()
+                .chain((0..64u8).map(|i| if i % 16 == 0 { mode } else { i.wrapping_mul(37) }))
+                .collect()
+        })
+        .collect();
+    fuzz(&corpus, |bytes| scene_with("a.png", bytes, "a.obj"));
+}
+
 #[test]
 fn sidecar() {
     let corpus = [

@@ -9,6 +9,7 @@ mod atelier;
 mod chess;
 mod cornell;
 mod duck;
+mod finishes;
 mod gallery;
 mod gltf;
 mod implicit;
@@ -26,13 +27,14 @@ pub use obj::SceneFiles;
 pub type Make = fn() -> image::ImageResult<SceneFiles>;
 
 /// The bundled scenes by name.
-pub const BUNDLED: [(&str, Make); 8] = [
+pub const BUNDLED: [(&str, Make); 9] = [
     ("box", cornell::scene),
     ("duck", duck::scene),
     ("table", table::scene),
     ("gallery", gallery::scene),
     ("chess", chess::scene),
     ("atelier", atelier::scene),
+    ("finishes", finishes::scene),
     ("furnace", test_rooms::furnace),
     ("diffuse", test_rooms::diffuse),
 ];

@@ -134,3 +134,17 @@ fn bits_are_known() {
     let double = f64::from(one_by_one);
     assert_eq!(sin_cos(double), (sin(double), cos(double)));
 }
+
+#[test]
+fn the_floor_is_the_one_of_the_standard_library() {
+    let mut some: Vec<f32> = (0..20_000).map(|i| f32::from_bits(crate::rng::hash(1, i, 2) as u32)).collect();
+    for whole in [0.0, 1.0, 2.0, 255.0, 8_388_607.0, 8_388_608.0, 16_777_216.0, f32::INFINITY] {
+        some.extend(
+            [whole, whole.next_down(), whole.next_up(), whole + 0.5].into_iter().flat_map(|v| [v, -v]),
+        );
+    }
+    for x in some {
+        let (ours, known) = (floor(x), x.floor());
+        assert!(ours == known || ours.is_nan() && known.is_nan(), "{x}: {ours} {known}");
+    }
+}

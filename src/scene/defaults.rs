@@ -22,14 +22,14 @@ const FEELERS: usize = 96;
 
 /// A surface met by a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Hit {
-    distance: f32,
+pub(super) struct Hit {
+    pub distance: f32,
     front: bool,
 }
 
 /// Nearest surface from `origin` along each direction, by testing every triangle: this is done a few
 /// times while loading, before there is a BVH, and takes 0.1 s for a million triangles.
-fn nearest(mesh: &Mesh, origin: Vec3, directions: &[Vec3]) -> Vec<Option<Hit>> {
+pub(super) fn nearest(mesh: &Mesh, origin: Vec3, directions: &[Vec3]) -> Vec<Option<Hit>> {
     let chunks: Vec<Vec<Option<Hit>>> = mesh
         .triangles
         .par_chunks(1 << 15)
@@ -79,7 +79,7 @@ fn meet(origin: Vec3, [a, b, c]: [Vec3; 3], directions: &[Vec3], hits: &mut [Opt
 }
 
 /// Directions spread over the sphere (Fibonacci lattice, González 2010).
-fn feelers() -> Vec<Vec3> {
+pub(super) fn feelers() -> Vec<Vec3> {
     let golden = PI * (3.0 - 5f32.sqrt());
     (0..FEELERS)
         .map(|i| {

@@ -29,6 +29,15 @@ static TABLE: LazyLock<LobeAlbedo> = LazyLock::new(|| {
     LobeAlbedo((0..COSINES * ROUGHNESSES).into_par_iter().map(entry).collect())
 });
 
+/// What a lobe of these A and B and reflectance 1 gains by scattering more than once, less 1: 1 / (A + B) − 1.
+fn gained([a, b]: [f32; 2]) -> f32 {
+    (1.0 / (a + b).max(0.1) - 1.0).max(0.0)
+}
+
+/// What either gains at the same places ([`LobeAlbedo::gain`]): one number to read where a surface is met.
+static GAINS: LazyLock<[[f32; COSINES]; ROUGHNESSES]> =
+    LazyLock::new(|| std::array::from_fn(|y| std::array::from_fn(|x| gained(TABLE.0[y * COSINES + x]))));
+
 /// Cosine-weighted means of A, of B, and of what either gains ([`LobeAlbedo::gain`]), by √α.
 static MEANS: LazyLock<Vec<[f32; 4]>> = LazyLock::new(|| {
     const STEPS: usize = 96;
@@ -38,7 +47,8 @@ static MEANS: LazyLock<Vec<[f32; 4]>> = LazyLock::new(|| {
         let mut sums = [0.0; 4];
         for i in 0..STEPS {
             let cosine = (i as f32 + 0.5) / STEPS as f32;
-            let ([a, b], gain) = (table.at(cosine, r * r), table.gain(cosine, r * r));
+            let [a, b] = table.at(cosine, r * r);
+            let gain = gained([a, b]);
             for (sum, v) in sums.iter_mut().zip([a, b, a * gain, b * gain]) {
                 *sum += 2.0 * cosine * v / STEPS as f32;
             }
@@ -63,6 +73,15 @@ fn integrate(cosine: f32, alpha: f32) -> [f32; 2] {
     facets.albedo(cosine, SAMPLES, |vh| [1.0 - schlick(vh), schlick(vh)])
 }
 
+/// The row or column of a table below a position in [0, 1], and how far it lies on the way to the next.
+#[inline]
+fn position(v: f32, n: usize) -> (usize, f32) {
+    let p = v * (n - 1) as f32;
+    // By way of 32 bits, for which processors have an instruction; what is not a number is 0.
+    let low = (p as i32 as usize).min(n - 2);
+    (low, p - low as f32)
+}
+
 impl LobeAlbedo {
     /// The table, made once.
     pub fn table() -> &'static Self {
@@ -71,13 +90,8 @@ impl LobeAlbedo {
 
     /// (A, B) at a cosine and an α in [0, 1].
     pub fn at(&self, cosine: f32, alpha: f32) -> [f32; 2] {
-        let position = |v: f32, n: usize| {
-            let p = v.clamp(0.0, 1.0).sqrt() * (n - 1) as f32;
-            let low = (p as usize).min(n - 2);
-            (low, p - low as f32)
-        };
-        let (x, fx) = position(cosine, COSINES);
-        let (y, fy) = position(alpha, ROUGHNESSES);
+        let (x, fx) = position(cosine.clamp(0.0, 1.0).sqrt(), COSINES);
+        let (y, fy) = position(alpha.clamp(0.0, 1.0).sqrt(), ROUGHNESSES);
         let entry = |x: usize, y: usize| self.0[y * COSINES + x];
         std::array::from_fn(|i| {
             let row = |y: usize| entry(x, y)[i] + (entry(x + 1, y)[i] - entry(x, y)[i]) * fx;
@@ -85,10 +99,14 @@ impl LobeAlbedo {
         })
     }
 
-    /// What a lobe of reflectance 1 gains by scattering more than once, less 1: 1 / (A + B) − 1.
-    pub fn gain(&self, cosine: f32, alpha: f32) -> f32 {
-        let [a, b] = self.at(cosine, alpha);
-        (1.0 / (a + b).max(0.1) - 1.0).max(0.0)
+    /// What a lobe of reflectance 1 and roughness r = √α gains, less 1, from a table of its own.
+    #[inline]
+    pub fn gain(cosine: f32, r: f32) -> f32 {
+        let (x, fx) = position(cosine.clamp(0.0, 1.0).sqrt(), COSINES);
+        let (y, fy) = position(r.clamp(0.0, 1.0), ROUGHNESSES);
+        let row = |row: &[f32; COSINES]| row[x] + (row[x + 1] - row[x]) * fx;
+        let (low, high) = (row(&GAINS[y]), row(&GAINS[y + 1]));
+        low + (high - low) * fy
     }
 
     /// [`Self::layer_mean`] from a table.
@@ -104,7 +122,7 @@ impl LobeAlbedo {
     /// Reflectance towards `cosine` of a layer with `f0` at normal and `f90` at grazing incidence.
     pub fn layer(&self, f0: f32, f90: f32, cosine: f32, alpha: f32) -> f32 {
         let [a, b] = self.at(cosine, alpha);
-        ((f0 * a + f90 * b) * (1.0 + f0 * self.gain(cosine, alpha))).clamp(0.0, 1.0)
+        ((f0 * a + f90 * b) * (1.0 + f0 * gained([a, b]))).clamp(0.0, 1.0)
     }
 
     /// The cosine-weighted mean of [`Self::layer`] over the hemisphere.
@@ -139,7 +157,7 @@ mod tests {
             let (quick, exact) = (table.quick_mean(f0, f90, alpha), table.layer_mean(f0, f90, alpha));
             assert!((quick - exact).abs() < 2e-3, "{f0} {f90} {alpha}: {quick} {exact}");
         }
-        assert!(table.gain(1.0, 1.0) > 0.5 && table.gain(1.0, 0.0) < 1e-5);
+        assert!(LobeAlbedo::gain(1.0, 1.0) > 0.5 && LobeAlbedo::gain(1.0, 0.0) < 1e-5);
     }
 
     #[test]

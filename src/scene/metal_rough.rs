@@ -154,14 +154,22 @@ impl Over {
 
 impl MetalRough {
     /// α of the roughness r.
+    #[inline]
     pub fn alpha(r: f32) -> f32 {
         r * r
     }
 
     /// Whether light passes it, straight or blurred.
+    #[inline]
     pub fn is_seen_through(&self) -> bool {
         let by_recipe = self.recipe.as_ref().is_some_and(|r| r.through.factor > 0.0);
         self.coverage < 1.0 || self.coverage_in_alpha || self.through.color.max_element() > 0.0 || by_recipe
+    }
+
+    /// Whether the alpha of the map of `diffuse` says anything.
+    #[inline]
+    pub fn has_alpha(&self) -> bool {
+        (self.metallic_in_alpha || self.coverage_in_alpha) && self.recipe.is_none() && !self.is_diffuse
     }
 
     /// Whether it has grooves, or a coat with normals of its own.
@@ -171,6 +179,7 @@ impl MetalRough {
     }
 
     /// Whether the lobes of the layer are all there are.
+    #[inline]
     pub fn is_plain(&self) -> bool {
         !self.is_seen_through() && self.over.is_none() && self.grain.is_none() && self.recipe.is_none()
     }
@@ -198,9 +207,10 @@ impl Layer {
     }
 
     /// Ē of the layer at roughness `r`.
+    #[inline]
     pub fn mean(&self, r: f32) -> f32 {
         let x = r.clamp(0.0, 1.0) * STEPS as f32;
-        let low = (x as usize).min(STEPS - 1);
+        let low = (x as i32 as usize).min(STEPS - 1);
         self.means[low] + (self.means[low + 1] - self.means[low]) * (x - low as f32)
     }
 

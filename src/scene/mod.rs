@@ -13,6 +13,7 @@ pub mod environment;
 pub mod film;
 pub mod fresnel;
 pub mod hierarchy;
+mod light_units;
 pub mod load;
 pub mod lobe_albedo;
 pub mod material;

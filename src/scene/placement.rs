@@ -2,6 +2,8 @@
 
 use glam::Vec2;
 
+use crate::math;
+
 /// What lies beyond the edge of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Wrap {
@@ -19,10 +21,10 @@ impl Wrap {
     #[inline]
     fn fold(self, v: f32) -> f32 {
         match self {
-            Self::Repeat => v - v.floor(),
+            Self::Repeat => v - math::floor(v),
             Self::Clamp => v.clamp(0.0, 1.0),
             Self::Mirror => {
-                let v = v - 2.0 * (0.5 * v).floor();
+                let v = v - 2.0 * math::floor(0.5 * v);
                 if v > 1.0 { 2.0 - v } else { v }
             }
         }
@@ -82,7 +84,7 @@ impl Placement {
         let p = self.moved(uv);
         let p = Vec2::new(p.x, 1.0 - p.y);
         let p = match self.wrap {
-            [Wrap::Repeat, Wrap::Repeat] => p - p.floor(),
+            [Wrap::Repeat, Wrap::Repeat] => p - Vec2::new(math::floor(p.x), math::floor(p.y)),
             [u, v] => Vec2::new(u.fold(p.x), v.fold(p.y)),
         };
         if p.is_finite() { p } else { Vec2::ZERO }

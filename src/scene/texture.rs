@@ -6,7 +6,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::Vec2;
 
 use super::placement::Placement;
-use crate::image::{linear_from_srgb, srgb_from_linear};
+use crate::image::{linear_from_srgb, srgb_byte_from_linear};
+use crate::math;
 
 /// Bytes of texels that all chains of this process hold now, and the most they ever held.
 static HELD: AtomicU64 = AtomicU64::new(0);
@@ -99,10 +100,7 @@ impl LevelTexels {
     #[inline]
     fn fetch(&self, at: usize, decode: &[f32; 256]) -> [f32; 4] {
         match &self.0 {
-            Texels::Byte(t) => {
-                let [r, g, b, a] = t.0[at];
-                [decode[r as usize], decode[g as usize], decode[b as usize], f32::from(a) * (1.0 / 255.0)]
-            }
+            Texels::Byte(t) => decoded(t.0[at], decode),
             Texels::Word(t) => t.0[at].map(|v| f32::from(v) * (1.0 / 65535.0)),
             Texels::Float(t) => t.0[at],
         }
@@ -111,7 +109,7 @@ impl LevelTexels {
     /// Texels of the same kind from linear values.
     fn encode(&self, texels: Vec<[f32; 4]>, gamma: bool) -> Self {
         let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
-        let color = |v: f32| if gamma { byte(srgb_from_linear(v)) } else { byte(v) };
+        let color = |v: f32| if gamma { srgb_byte_from_linear(v) } else { byte(v) };
         Self(match &self.0 {
             Texels::Byte(_) => {
                 let of = |v: [f32; 4]| [color(v[0]), color(v[1]), color(v[2]), byte(v[3])];
@@ -156,6 +154,12 @@ fn decode_table(gamma: bool) -> Arc<[f32; 256]> {
         let v = b as f32 / 255.0;
         if gamma { linear_from_srgb(v) } else { v }
     }))
+}
+
+/// The linear values of a texel of bytes.
+#[inline]
+fn decoded([r, g, b, a]: [u8; 4], decode: &[f32; 256]) -> [f32; 4] {
+    [decode[r as usize], decode[g as usize], decode[b as usize], f32::from(a) * (1.0 / 255.0)]
 }
 
 /// Columns and rows of each level of a picture.
@@ -219,6 +223,24 @@ impl MipChain {
     fn fetch(&self, level: &Level, at: usize) -> [f32; 4] {
         // Look-ups go to levels that are there.
         level.texels.as_ref().map_or([0.0; 4], |texels| texels.fetch(at, &self.decode))
+    }
+
+    /// [`Self::fetch`] of four places, asking once of what kind the texels are.
+    #[inline]
+    fn fetch_four(&self, level: &Level, at: [usize; 4]) -> [[f32; 4]; 4] {
+        let Some(texels) = &level.texels else { return [[0.0; 4]; 4] };
+        // Not by `map`, which is called for each and not written out.
+        let [a, b, c, d] = at;
+        match &texels.0 {
+            Texels::Byte(t) => {
+                let look = |i: usize| decoded(t.0[i], &self.decode);
+                [look(a), look(b), look(c), look(d)]
+            }
+            _ => {
+                let look = |i: usize| texels.fetch(i, &self.decode);
+                [look(a), look(b), look(c), look(d)]
+            }
+        }
     }
 
     /// A chain with these linear values at its finest level, texel by texel; `None` where one is not known.
@@ -446,15 +468,14 @@ impl Texture {
         let (w, h) = (l.width as i32, l.height as i32);
         let x = p.x * w as f32 - 0.5;
         let y = p.y * h as f32 - 0.5;
-        let (x0, y0) = (x.floor(), y.floor());
+        let (x0, y0) = (math::floor(x), math::floor(y));
         let (fx, fy) = (x - x0, y - y0);
         let (x0, y0) = (x0 as i32, y0 as i32);
         // p is in [0, 1], so a position leaves the level by at most one texel.
         let [u, v] = self.placement.wrap;
         let (xa, xb) = (u.texel(x0, w), u.texel(x0 + 1, w));
         let (ya, yb) = (v.texel(y0, h) * w as usize, v.texel(y0 + 1, h) * w as usize);
-        let at = |x: usize, y: usize| self.mips.fetch(l, y + x);
-        let (a, b, c, d) = (at(xa, ya), at(xb, ya), at(xa, yb), at(xb, yb));
+        let [a, b, c, d] = self.mips.fetch_four(l, [ya + xa, ya + xb, yb + xa, yb + xb]);
         std::array::from_fn(|i| {
             let top = a[i] + (b[i] - a[i]) * fx;
             let bottom = c[i] + (d[i] - c[i]) * fx;

@@ -12,6 +12,8 @@ mod folder;
 mod from_mtl;
 mod gltf;
 mod hidden_texels;
+#[cfg(feature = "basisu")]
+mod ktx2;
 mod mtl;
 mod obj;
 mod obj_lines;
@@ -31,6 +33,7 @@ pub use sidecar::FORMAT;
 
 use super::defaults;
 use super::hierarchy;
+use super::light_units;
 use super::{Environment, Material, MaterialId, Model, Reflectance, Scene, SceneParts, TextureId};
 use assemble::Joined;
 use folder::{Folder, read_file};
@@ -193,7 +196,8 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     // What glows in the open (labels, screens, coals) is no lighting: viewers show such files in surroundings of their own.
     let glows = emits && scene.lights.is_empty() && scene.environment.is_none() && defaults::is_open(&scene);
     scene.display.metered = (has_lights || emits) && !glows && !sidecar.exposure_given;
-    for message in defaults::complete(&mut scene, glows) {
+    let doubt = if has_lights && emits { light_units::doubt(&scene) } else { None };
+    for message in doubt.into_iter().chain(defaults::complete(&mut scene, glows)) {
         warnings.push(Warning::new(Place::new(path, 0), message));
     }
     if warnings.len() > WARNINGS_MAX {

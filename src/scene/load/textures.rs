@@ -236,12 +236,21 @@ fn open(path: &Path, kept: Option<&Arc<Vec<u8>>>, options: &LoadOptions) -> Resu
     Ok((encoded, bytes))
 }
 
-fn pixel_bytes(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<u64, String> {
+/// Columns and rows, from the header alone.
+fn size(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<(u32, u32), String> {
+    #[cfg(feature = "basisu")]
+    if super::ktx2::is_ktx2(bytes) {
+        return super::ktx2::size(bytes);
+    }
     let mut r = reader(bytes, path)?;
     let mut limits = Limits::default();
     limits.max_alloc = Some(options.picture_bytes_max);
     r.limits(limits);
-    let (w, h) = r.into_dimensions().map_err(|e| format!("is no readable picture: {e}"))?;
+    r.into_dimensions().map_err(|e| format!("is no readable picture: {e}"))
+}
+
+fn pixel_bytes(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<u64, String> {
+    let (w, h) = size(bytes, path, options)?;
     let side = options.texture_side_max;
     if w > side || h > side {
         return Err(format!("declares {w} × {h} pixels, more than {side} on a side"));
@@ -260,6 +269,10 @@ fn pixel_bytes(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<u64, 
 /// Decodes within the limits; the header has been checked.
 fn pixels(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<DynamicImage, String> {
     pixel_bytes(bytes, path, options)?;
+    #[cfg(feature = "basisu")]
+    if super::ktx2::is_ktx2(bytes) {
+        return super::ktx2::decode(bytes);
+    }
     let mut r = reader(bytes, path)?;
     let mut limits = Limits::default();
     limits.max_image_width = Some(options.texture_side_max);

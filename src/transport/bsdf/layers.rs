@@ -33,38 +33,66 @@ struct Around {
     layer: [f32; 2],
 }
 
+#[inline]
 fn isotropic(alpha: f32) -> Roughness {
     Roughness { alpha_x: alpha, alpha_y: alpha, distribution: Distribution::Ggx }
 }
 
-/// f₀ and f₉₀ with what single scattering loses, for metal and dielectric apart, so that a mix is their mean. `layer` has
-/// those of the dielectric.
-fn regained(layer: [f32; 2], f0: Vec3, metallic: Option<f32>, gain: f32) -> [Vec3; 2] {
-    let [layer_f0, layer_f90] = layer;
-    let Some(metallic) = metallic.map(|v| v.clamp(0.0, 1.0)).filter(|v| *v > 0.0 && *v < 1.0) else {
-        let gain = Vec3::ONE + f0 * gain;
-        let f90 = if metallic == Some(1.0) { 1.0 } else { layer_f90 };
-        return [f0 * gain, gain * f90];
-    };
-    // f₀ = (1 − m) f_d + m b; bands of f_d differ only where somebody tinted it.
-    let dielectric = f0.min(Vec3::splat(layer_f0));
-    let metal = ((f0 - dielectric * (1.0 - metallic)) / metallic).clamp(Vec3::ZERO, Vec3::ONE);
-    let (of_dielectric, of_metal) = (Vec3::ONE + dielectric * gain, Vec3::ONE + metal * gain);
-    let (d, m_share) = (of_dielectric * (1.0 - metallic), of_metal * metallic);
-    [dielectric * d + metal * m_share, d * layer_f90 + m_share]
+/// What reflects so much, so rough.
+#[inline]
+fn reflecting(facet: Facet, rough: &Roughness) -> Lobe {
+    match Microfacet::of(rough) {
+        None => Lobe::Smooth { facet },
+        Some(microfacet) => Lobe::Glossy { facet, microfacet },
+    }
 }
 
-impl Bsdf {
-    pub(super) fn set_metal_rough(
-        &mut self,
-        scene: &Scene,
-        m: &MetalRough,
-        at: &Interaction,
-        point: &SurfacePoint,
-    ) {
-        if let Some(recipe) = &m.recipe {
-            return self.set_made(scene, recipe, &point.made(scene, recipe), at);
+/// What a lobe gains that may be rougher along than across: as much as the mean of both loses.
+fn gain_along(rough: &Roughness, cosine: f32) -> f32 {
+    if rough.is_smooth() {
+        0.0
+    } else {
+        LobeAlbedo::gain(cosine, (rough.alpha_x * rough.alpha_y).sqrt().sqrt())
+    }
+}
+
+/// f₀ and f₉₀ with what single scattering loses, for metal and dielectric apart, so that a mix is their mean. `layer` has
+/// those of the dielectric.
+// A call would hand its two colours over in memory.
+#[inline(always)]
+fn regained([layer_f0, layer_f90]: [f32; 2], f0: Vec3, metallic: Option<f32>, gain: f32) -> [Vec3; 2] {
+    match metallic {
+        Some(metallic) if metallic > 0.0 && metallic < 1.0 => {
+            // f₀ = (1 − m) f_d + m b; bands of f_d differ only where somebody tinted it.
+            let dielectric = f0.min(Vec3::splat(layer_f0));
+            let metal = ((f0 - dielectric * (1.0 - metallic)) / metallic).clamp(Vec3::ZERO, Vec3::ONE);
+            let (of_dielectric, of_metal) = (Vec3::ONE + dielectric * gain, Vec3::ONE + metal * gain);
+            let (d, m_share) = (of_dielectric * (1.0 - metallic), of_metal * metallic);
+            [dielectric * d + metal * m_share, d * layer_f90 + m_share]
         }
+        _ => {
+            let gain = Vec3::ONE + f0 * gain;
+            let f90 = if metallic.is_some_and(|m| m >= 1.0) { 1.0 } else { layer_f90 };
+            [f0 * gain, gain * f90]
+        }
+    }
+}
+
+/// Where a surface is met: the scene, the point, and the alpha of the diffuse map where that has been read.
+type Place<'a> = (&'a Scene, &'a SurfacePoint, Option<f32>);
+
+/// What the maps of a surface between metal and dielectric say at a point.
+struct Looks {
+    f0: Vec3,
+    r: f32,
+    metallic: Option<f32>,
+    /// The alpha of the diffuse map, where it says anything.
+    said: Option<f32>,
+}
+
+impl Looks {
+    #[inline]
+    fn of(m: &MetalRough, (scene, point, alpha_of_diffuse): Place<'_>) -> Self {
         let (f0, r) = match m.specular.map {
             None => (m.specular.color, m.roughness),
             Some(map) => {
@@ -73,41 +101,62 @@ impl Bsdf {
                 (m.specular.color * Vec3::new(red, green, blue), r)
             }
         };
-        let (f0, r) = (f0.clamp(Vec3::ZERO, Vec3::ONE), r.clamp(0.0, 1.0));
+        let map = m.diffuse.map.filter(|_| m.coverage_in_alpha || m.metallic_in_alpha);
+        let said = map.map(|map| alpha_of_diffuse.unwrap_or_else(|| point.texel(scene, map)[3]));
+        let metallic = if m.metallic_in_alpha { said } else { m.metallic };
+        Self { f0: f0.clamp(Vec3::ZERO, Vec3::ONE), r: r.clamp(0.0, 1.0), metallic, said }
+    }
+}
+
+/// The lobe of a surface that has nothing but its layer, and what its base, if it has one, lies under.
+#[inline]
+pub(super) fn only_layer(m: &MetalRough, place: Place<'_>, cosine: f32, has_base: bool) -> (Lobe, Coat) {
+    let Looks { f0, r, metallic, .. } = Looks::of(m, place);
+    let alpha = MetalRough::alpha(r);
+    let rough = isotropic(alpha);
+    let gain = if rough.is_smooth() { 0.0 } else { LobeAlbedo::gain(cosine, r) };
+    let [f0, f90] = regained([m.layer.f0, m.layer.f90], f0, metallic, gain);
+    let coat = match has_base {
+        false => Coat::None,
+        true => {
+            let (f0, f90) = (m.layer.f0, m.layer.f90);
+            Coat::Layer { f0, f90, alpha, kept: 1.0 - m.layer.mean(r), over: None }
+        }
+    };
+    (reflecting(Facet::Between { f0, f90 }, &rough), coat)
+}
+
+impl Bsdf {
+    /// Sets the lobes of a surface between metal and dielectric that has more than its layer.
+    #[cold]
+    pub(super) fn set_metal_rough(
+        &mut self,
+        scene: &Scene,
+        m: &MetalRough,
+        at: &Interaction,
+        point: &SurfacePoint,
+        alpha_of_diffuse: Option<f32>,
+    ) {
+        if let Some(recipe) = &m.recipe {
+            return self.set_made(scene, recipe, &point.made(scene, recipe), at);
+        }
+        let Looks { f0, r, metallic, said } = Looks::of(m, (scene, point, alpha_of_diffuse));
         let alpha = MetalRough::alpha(r);
         let cosine = at.wo.dot(self.normal).max(0.0);
-        let table = LobeAlbedo::table();
-        let mut kept = 1.0;
-        if !m.is_plain() {
-            let there = match m.diffuse.map.filter(|_| m.coverage_in_alpha) {
-                Some(map) => m.coverage * point.texel(scene, map)[3],
-                None => m.coverage,
-            };
-            let through = match m.through.color.max_element() > 0.0 {
-                true => point.reflectance(scene, &m.through),
-                false => Vec3::ZERO,
-            };
-            let around = Around { there, over: m.over, through, layer: [m.layer.f0, m.layer.f90] };
-            kept = self.set_around(&around, cosine, r);
-            self.set_coat_normal(scene, m.over.as_ref(), None, at);
-        }
+        let there = m.coverage * said.filter(|_| m.coverage_in_alpha).unwrap_or(1.0);
+        let through = match m.through.color.max_element() > 0.0 {
+            true => point.reflectance(scene, &m.through),
+            false => Vec3::ZERO,
+        };
+        let layer = [m.layer.f0, m.layer.f90];
+        let kept = self.set_around(&Around { there, over: m.over, through, layer }, cosine, r);
+        self.set_coat_normal(scene, m.over.as_ref(), None, at);
         let rough = self.grained(m.grain, r, alpha);
-        // As much as the mean of both loses.
-        let wide = (rough.alpha_x * rough.alpha_y).sqrt();
-        let gain = if rough.is_smooth() { 0.0 } else { table.gain(cosine, wide) };
-        let metallic = match m.diffuse.map.filter(|_| m.metallic_in_alpha) {
-            Some(map) => Some(point.texel(scene, map)[3]),
-            None => m.metallic,
-        };
-        let [f0, f90] = regained([m.layer.f0, m.layer.f90], f0, metallic, gain);
-        let facet = Facet::Between { f0: f0 * kept, f90: f90 * kept };
-        self.lobe = match Microfacet::of(&rough) {
-            None => Lobe::Smooth { facet },
-            Some(microfacet) => Lobe::Glossy { facet, microfacet },
-        };
+        let [f0, f90] = regained(layer, f0, metallic, gain_along(&rough, cosine));
+        self.lobe = reflecting(Facet::Between { f0: f0 * kept, f90: f90 * kept }, &rough);
         if self.diffuse != Vec3::ZERO {
-            let (f0, f90, over) = (m.layer.f0, m.layer.f90, m.over);
-            self.coat = Coat::Layer { f0, f90, alpha, kept: 1.0 - m.layer.mean(r), over };
+            let [f0, f90] = layer;
+            self.coat = Coat::Layer { f0, f90, alpha, kept: 1.0 - m.layer.mean(r), over: m.over };
         }
     }
 
@@ -117,11 +166,9 @@ impl Bsdf {
         let r = made.roughness;
         let alpha = MetalRough::alpha(r);
         let cosine = at.wo.dot(self.normal).max(0.0);
-        let table = LobeAlbedo::table();
         let [layer_f0, layer_f90, mean] = made.layer;
         let rough = self.grained(made.grain, r, alpha);
-        let wide = (rough.alpha_x * rough.alpha_y).sqrt();
-        let gain = if rough.is_smooth() { 0.0 } else { table.gain(cosine, wide) };
+        let gain = gain_along(&rough, cosine);
         let [mut f0, f90] = regained([layer_f0, layer_f90], made.f0, Some(made.metallic), gain);
         let mut layer = [layer_f0, layer_f90];
         if let Some(film) = made.film.filter(|f| f.strength > 0.0) {
@@ -132,11 +179,7 @@ impl Bsdf {
         let around = Around { there: made.coverage, over: made.over, through: made.through, layer };
         let kept = self.set_around(&around, cosine, r);
         self.set_coat_normal(scene, made.over.as_ref(), recipe.coat_normal, at);
-        let facet = Facet::Between { f0: f0 * kept, f90: f90 * kept };
-        self.lobe = match Microfacet::of(&rough) {
-            None => Lobe::Smooth { facet },
-            Some(microfacet) => Lobe::Glossy { facet, microfacet },
-        };
+        self.lobe = reflecting(Facet::Between { f0: f0 * kept, f90: f90 * kept }, &rough);
         self.passed = made.passed;
         if self.diffuse != Vec3::ZERO || self.passed != Vec3::ZERO {
             let [f0, f90] = layer;
@@ -184,10 +227,7 @@ impl Bsdf {
                 let gain = coat.strength * there;
                 let f0 = Vec3::splat(metal_rough::Coat::F0 * gain);
                 let facet = Facet::Between { f0, f90: Vec3::splat(gain) };
-                push(match Microfacet::of(&isotropic(MetalRough::alpha(coat.roughness))) {
-                    None => Lobe::Smooth { facet },
-                    Some(microfacet) => Lobe::Glossy { facet, microfacet },
-                });
+                push(reflecting(facet, &isotropic(MetalRough::alpha(coat.roughness))));
             }
             if let Some(sheen) = over.sheen {
                 let color = sheen.color * (there * over.below_coat(cosine));

@@ -166,25 +166,42 @@ pub struct Bsdf {
 impl Bsdf {
     /// The reflectance at an interaction, seen from its `wo`.
     pub fn at(scene: &Scene, at: &Interaction) -> Self {
-        Self::over(scene, at, at.point().diffuse_albedo(scene))
+        let point = at.point();
+        if let Model::MetalRough(m) = &at.material(scene).model
+            && m.has_alpha()
+            && let Some(map) = m.diffuse.map
+        {
+            // One look for both.
+            let [red, green, blue, alpha] = point.texel(scene, map);
+            let diffuse = (m.diffuse.color * Vec3::new(red, green, blue)).clamp(Vec3::ZERO, Vec3::ONE);
+            let diffuse = if at.back && !at.material(scene).two_sided { Vec3::ZERO } else { diffuse };
+            return Self::with(scene, at, diffuse, Some(alpha));
+        }
+        Self::with(scene, at, point.diffuse_albedo(scene), None)
     }
 
     /// The same where the [diffuse albedo](SurfacePoint::diffuse_albedo) of the point is known, so that its textures are
     /// not read again.
     pub fn over(scene: &Scene, at: &Interaction, diffuse: Vec3) -> Self {
+        Self::with(scene, at, diffuse, None)
+    }
+
+    /// The same where the alpha of the diffuse map may be known, too.
+    #[inline]
+    fn with(scene: &Scene, at: &Interaction, diffuse: Vec3, alpha_of_diffuse: Option<f32>) -> Self {
         let m = at.material(scene);
         let point = at.point();
         let lookup = |r: &Reflectance| point.reflectance(scene, r);
         let side = if at.back { -1.0 } else { 1.0 };
-        let mut bsdf = Self {
+        let with_one = |lobe: Lobe, coat: Coat| Self {
             normal: at.facing_shading(),
             tangent: at.tangent,
             bitangent: at.bitangent * side,
             geometric: at.facing_geometric(),
             diffuse,
             passed: Vec3::ZERO,
-            coat: Coat::None,
-            lobe: Lobe::None,
+            coat,
+            lobe,
             apart: Vec3::ZERO,
             is_apart: false,
             more: [Lobe::None; layers::MORE],
@@ -192,8 +209,19 @@ impl Bsdf {
         };
         // The back of a one-sided surface is black.
         if at.back && !m.two_sided {
-            return bsdf;
+            return with_one(Lobe::None, Coat::None);
         }
+        // Written where it is wanted, without a copy: most of what glTF shows.
+        if let Model::MetalRough(m) = &m.model
+            && !m.is_diffuse
+            && m.is_plain()
+        {
+            let point = (scene, &point, alpha_of_diffuse);
+            let cosine = at.wo.dot(at.facing_shading()).max(0.0);
+            let (lobe, coat) = layers::only_layer(m, point, cosine, diffuse != Vec3::ZERO);
+            return with_one(lobe, coat);
+        }
+        let mut bsdf = with_one(Lobe::None, Coat::None);
         let facet_lobe = |facet: Facet, r: &Roughness, v_groove: bool| match Microfacet::of(r) {
             None => Lobe::Smooth { facet },
             Some(microfacet) => Lobe::Glossy { facet, microfacet: Microfacet { v_groove, ..microfacet } },
@@ -225,7 +253,7 @@ impl Bsdf {
                 }
             }
             Model::MetalRough(m) if m.is_diffuse => bsdf.passed = point.passed_albedo(scene),
-            Model::MetalRough(m) => bsdf.set_metal_rough(scene, m, at, &point),
+            Model::MetalRough(m) => bsdf.set_metal_rough(scene, m, at, &point, alpha_of_diffuse),
             Model::CookTorrance { specular, roughness, .. } => {
                 let f0 = lookup(specular);
                 if f0.max_element() > 0.0 {

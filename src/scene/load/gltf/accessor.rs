@@ -22,7 +22,7 @@ pub(super) struct Accessors<'b, 'a> {
 }
 
 /// Bytes of a component.
-fn component_size(kind: u32) -> Option<u64> {
+pub(super) fn component_size(kind: u32) -> Option<u64> {
     Some(match kind {
         5120 | 5121 => 1,
         5122 | 5123 => 2,
@@ -31,7 +31,7 @@ fn component_size(kind: u32) -> Option<u64> {
     })
 }
 
-fn components(shape: &str) -> Option<usize> {
+pub(super) fn components(shape: &str) -> Option<usize> {
     Some(match shape {
         "SCALAR" => 1,
         "VEC2" => 2,
@@ -140,7 +140,7 @@ impl<'b, 'a> Accessors<'b, 'a> {
         if sparse > count {
             return Err(problem("/sparse/count", format!("is {sparse}, more than the count {count}")));
         }
-        if accessor.buffer_view.is_none() && count > ZEROS_MAX {
+        if accessor.buffer_view.is_none() && count > ZEROS_MAX && !self.is_decoded(index) {
             // Zeros cost a file nothing, so what replaces them has to be there.
             let there = match &accessor.sparse {
                 Some(s) => self.buffers.view(s.values.buffer_view)?.0.len() as u64 / (size * n as u64),
@@ -169,6 +169,10 @@ impl<'b, 'a> Accessors<'b, 'a> {
     ) -> Result<(), Problem> {
         let at = |key: &str| format!("/accessors/{}{key}", index.0);
         let count = accessor.count.0;
+        if let Some(bytes) = self.buffers.values(index) {
+            return walk(bytes, 0, size, size, count, &mut each)
+                .map_err(|message| Problem::new(at(""), message));
+        }
         if let Some(view) = accessor.buffer_view {
             let (bytes, stride) = self.buffers.view(view)?;
             let stride = stride.unwrap_or(size);
@@ -208,6 +212,11 @@ impl<'b, 'a> Accessors<'b, 'a> {
     pub fn is_placeholder(&self, index: Index) -> bool {
         let view = self.document.accessors.get(index.at()).and_then(|a| a.buffer_view);
         view.is_some_and(|view| self.buffers.is_placeholder(view))
+    }
+
+    /// Whether its values came from a compressed mesh.
+    pub fn is_decoded(&self, index: Index) -> bool {
+        self.buffers.values(index).is_some()
     }
 
     /// How many elements an accessor has, as it says.

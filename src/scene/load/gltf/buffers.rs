@@ -33,6 +33,8 @@ pub(super) struct Buffers<'a> {
     data_bytes: usize,
     /// Views that were compressed, by their number.
     decoded: HashMap<u32, Vec<u8>>,
+    /// Values of accessors that came from compressed meshes, by their number, tightly packed.
+    values: HashMap<u32, Vec<u8>>,
     decoded_bytes: u64,
 }
 
@@ -53,8 +55,18 @@ impl<'a> Buffers<'a> {
         bin: Option<Range<usize>>,
     ) -> Self {
         let loaded = vec![None; document.buffers.len()];
-        let (decoded, decoded_bytes) = (HashMap::new(), 0);
-        Self { document, folder, base, file, bin, loaded, data_bytes: 0, decoded, decoded_bytes }
+        Self {
+            document,
+            folder,
+            base,
+            file,
+            bin,
+            loaded,
+            data_bytes: 0,
+            decoded: HashMap::new(),
+            values: HashMap::new(),
+            decoded_bytes: 0,
+        }
     }
 
     /// What lies behind a `uri`. The error completes "`uri` …".
@@ -191,15 +203,30 @@ impl<'a> Buffers<'a> {
                 format!("has {count} elements of {stride} bytes, but the view has {declared} bytes");
             return Err(Problem::new(at() + "/count", message + "; export it again"));
         }
-        self.decoded_bytes = self.decoded_bytes.saturating_add(declared);
-        if self.decoded_bytes > DECODED_BYTES_MAX {
-            let message =
-                format!("makes the views of the file more than {DECODED_BYTES_MAX} bytes; split it");
-            return Err(Problem::new(at() + "/count", message));
-        }
+        self.expect_decoded(declared).map_err(|message| Problem::new(at() + "/count", message))?;
         let bytes = self.range(packed.buffer, packed.byte_offset.0, packed.byte_length.0, at)?;
         meshopt::decode(bytes, &layout)
             .map_err(|why| Problem::new(at(), format!("the compressed bytes {why}; export it again")))
+    }
+
+    /// Counts what is about to be decoded. The error completes "view …".
+    pub fn expect_decoded(&mut self, bytes: u64) -> Result<(), String> {
+        self.decoded_bytes = self.decoded_bytes.saturating_add(bytes);
+        if self.decoded_bytes > DECODED_BYTES_MAX {
+            return Err(format!("makes the views of the file more than {DECODED_BYTES_MAX} bytes; split it"));
+        }
+        Ok(())
+    }
+
+    /// The values of an accessor that came from a compressed mesh.
+    pub fn values(&self, accessor: Index) -> Option<&[u8]> {
+        self.values.get(&accessor.0).map(Vec::as_slice)
+    }
+
+    /// Keeps them.
+    #[cfg(feature = "draco")]
+    pub fn set_values(&mut self, accessor: Index, bytes: Vec<u8>) {
+        self.values.insert(accessor.0, bytes);
     }
 
     /// Bytes of a buffer; `at` is where they are asked for.

@@ -3,6 +3,7 @@
 mod materials;
 
 use serde::Deserialize;
+#[cfg(not(feature = "draco"))]
 use serde::de::IgnoredAny;
 
 use super::number::{Index, List, Whole};
@@ -218,12 +219,46 @@ pub(super) struct Attributes {
     pub weights1: Option<Index>,
 }
 
+#[cfg(feature = "draco")]
+impl Attributes {
+    /// Those that are there, by the names that files have for them.
+    pub fn named(&self) -> impl Iterator<Item = (&'static str, Index)> {
+        let all = [
+            ("POSITION", self.position),
+            ("NORMAL", self.normal),
+            ("TANGENT", self.tangent),
+            ("TEXCOORD_0", self.uv0),
+            ("TEXCOORD_1", self.uv1),
+            ("COLOR_0", self.color),
+            ("JOINTS_0", self.joints0),
+            ("JOINTS_1", self.joints1),
+            ("WEIGHTS_0", self.weights0),
+            ("WEIGHTS_1", self.weights1),
+        ];
+        all.into_iter().filter_map(|(name, index)| Some((name, index?)))
+    }
+}
+
 #[derive(Debug, Default, Deserialize)]
 pub(super) struct PrimitiveExtensions {
     #[serde(rename = "KHR_materials_variants")]
     pub variants: Option<Mappings>,
     #[serde(rename = "KHR_draco_mesh_compression")]
-    pub draco: Option<IgnoredAny>,
+    pub draco: Option<Draco>,
+}
+
+/// What a compressed mesh is, to builds that do not read it.
+#[cfg(not(feature = "draco"))]
+pub(super) type Draco = IgnoredAny;
+
+/// Where a compressed mesh is, and which of its attributes has which name.
+#[cfg(feature = "draco")]
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Draco {
+    pub buffer_view: Index,
+    #[serde(default)]
+    pub attributes: std::collections::BTreeMap<String, Index>,
 }
 
 #[derive(Debug, Deserialize)]

@@ -8,7 +8,7 @@ use crate::scene::ExtensionUse;
 use crate::scene::load::error::{Place, SceneError};
 
 /// Extensions that are known, in order, and what becomes of them.
-const KNOWN: [(&str, &str); 30] = [
+const KNOWN: [(&str, &str); 31] = [
     ("EXT_mesh_gpu_instancing", "shown"),
     ("EXT_meshopt_compression", "decoded"),
     ("EXT_texture_webp", "shown"),
@@ -40,18 +40,37 @@ const KNOWN: [(&str, &str); 30] = [
     ("KHR_xmp", NOTHING),
     ("KHR_xmp_json_ld", NOTHING),
     ("MSFT_lod", "the finest level is shown"),
-    // Known only where they are not required.
-    ("KHR_draco_mesh_compression", "not decoded; the uncompressed mesh beside it is shown"),
-    ("KHR_texture_basisu", "not decoded; the other picture beside it is shown"),
+    // Known only where it is not required.
+    (SURROUNDING, "not shown; the sidecar's [environment] may have a picture of it"),
+    // Of builds without them known only where they are not required.
+    (
+        DRACO,
+        if cfg!(feature = "draco") {
+            "decoded"
+        } else {
+            "not decoded; the uncompressed mesh beside it is shown"
+        },
+    ),
+    (
+        BASISU,
+        if cfg!(feature = "basisu") {
+            "decoded"
+        } else {
+            "not decoded; the other picture beside it is shown"
+        },
+    ),
 ];
 
-/// Those of [`KNOWN`] that a file may not require.
-const OPTIONAL: usize = 2;
+const SURROUNDING: &str = "EXT_lights_image_based";
+const DRACO: &str = "KHR_draco_mesh_compression";
+const BASISU: &str = "KHR_texture_basisu";
 
 const NOTHING: &str = "nothing to show";
 
+/// Whether a file may require it.
 fn known(name: &str) -> bool {
-    KNOWN[..KNOWN.len() - OPTIONAL].iter().any(|(n, _)| *n == name)
+    let is_built = (name != DRACO || cfg!(feature = "draco")) && (name != BASISU || cfg!(feature = "basisu"));
+    is_built && name != SURROUNDING && listed(name)
 }
 
 /// Whether what becomes of it is known, required or not.
@@ -137,6 +156,9 @@ pub(super) fn check(
     }
     let used = used(document, json, ignored);
     for extension in &used {
+        if extension.name == SURROUNDING && extension.times > 0 {
+            odd.count(SURROUNDING, "not shown; the sidecar's [environment] may have a picture of it");
+        }
         if !document
             .extensions_used
             .iter()

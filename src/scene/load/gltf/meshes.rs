@@ -45,6 +45,9 @@ pub(super) fn read(
         odd.count("points and lines", "not drawn");
         return Ok(None);
     }
+    #[cfg(feature = "draco")]
+    super::draco::decode(primitive, accessors)?;
+    #[cfg(not(feature = "draco"))]
     if primitive.extensions.draco.is_some() {
         // Where the extension is not required there are plain accessors beside it.
         odd.count("KHR_draco_mesh_compression", "not read; the uncompressed mesh beside it is shown");

@@ -9,6 +9,8 @@ mod animation;
 mod buffers;
 mod container;
 mod document;
+#[cfg(feature = "draco")]
+mod draco;
 mod extensions;
 mod joined;
 mod lights;

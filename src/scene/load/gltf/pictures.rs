@@ -140,7 +140,9 @@ impl<'a> Pictures<'a> {
             placement.wrap = [sampler.wrap_s, sampler.wrap_t].map(|w| wrap(w, odd));
             placement.nearest = sampler.mag_filter == Some(Index(NEAREST));
         }
-        let source = texture.extensions.webp.as_ref().and_then(|w| w.source).or(texture.source);
+        let webp = texture.extensions.webp.as_ref().and_then(|w| w.source);
+        let basisu = texture.extensions.basisu.as_ref().and_then(|b| b.source);
+        let source = basisu.filter(|_| cfg!(feature = "basisu")).or(webp).or(texture.source);
         let Some(source) = source else {
             let why = match texture.extensions.basisu {
                 None => "has no picture that this build reads",

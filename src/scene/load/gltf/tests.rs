@@ -1,5 +1,7 @@
 //! Small files made here: what they become, and how those end that cannot be.
 
+#[cfg(any(feature = "basisu", feature = "draco"))]
+mod compressed;
 mod maps;
 mod motion;
 mod refusals;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::image::srgb_from_linear;
+use crate::image::srgb_byte_from_linear;
 use crate::scene::texture::MipChain;
 use crate::scene::{Texture, TextureId};
 
@@ -44,6 +44,6 @@ pub(super) fn premultiplied(map: TextureId, textures: &mut Vec<Texture>) -> Text
 /// Linear colours and an alpha as they are stored.
 pub(super) fn encoded(c: Vec3, alpha: f32) -> [u8; 4] {
     let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
-    let [r, g, b] = c.clamp(Vec3::ZERO, Vec3::ONE).to_array().map(|v| byte(srgb_from_linear(v)));
+    let [r, g, b] = c.to_array().map(srgb_byte_from_linear);
     [r, g, b, byte(alpha)]
 }

@@ -192,3 +192,24 @@ fn one_candela_at_one_metre_is_one_lux_and_a_range_ends_it() {
         assert!((found - Vec3::splat(expected)).abs().max_element() < 1e-6, "{name}: {found}");
     }
 }
+
+#[test]
+fn lamps_in_other_units_than_what_glows_are_told() {
+    let said = |name: &str, intensity: f64| {
+        let place = Place::new(name);
+        let mut maker = Maker::default();
+        let mesh = quad(&mut maker);
+        let loaded = loaded(
+            &place,
+            maker.text(&format!(
+                r#"{mesh}, "materials": [{{"emissiveFactor": [1, 1, 1]}}], "nodes": [{{"mesh": 0}},
+                {{"translation": [0.6, 0.3, 1], "extensions": {{"KHR_lights_punctual": {{"light": 0}}}}}}],
+                "extensions": {{"KHR_lights_punctual": {{"lights": [{{"type": "point", "intensity": {intensity}}}]}}}}"#
+            )),
+        );
+        loaded.warnings.into_iter().map(|w| w.message).find(|m| m.contains("light_scale"))
+    };
+    assert_eq!((said("gltf-units-1", 1.0), said("gltf-units-2", 5e3)), (None, None));
+    assert!(said("gltf-units-3", 1e6).is_some_and(|m| m.contains("brighter")));
+    assert!(said("gltf-units-4", 1e-5).is_some_and(|m| m.contains("darker")));
+}

@@ -200,7 +200,8 @@ impl Unlit {
             None => illuminate(&scene, &accel, &lights, light, watch, &mut warnings)?,
         };
         let world = World { scene, accel, lights, illumination, unfound: Arc::default() };
-        let refinement = unmet.map(|(settings, keep)| Refinement { world: world.clone(), settings, keep });
+        let refinement =
+            unmet.map(|(settings, keep)| Refinement { world: world.clone(), settings, keep, book: None });
         Ok(Opened { path, light: light.clone(), world, textures: None, refinement, warnings, as_read })
     }
 }

@@ -4,11 +4,13 @@ use std::path::{Path, PathBuf};
 
 use foveal::display::twin::Passes;
 use foveal::illumination::Irradiance;
+use foveal::illumination::bake::cache_key;
 use foveal::illumination::cache::encode;
 use foveal::scene::edit::AsRead;
 use foveal_runtime::{Trace, TraceError};
 use serde::{Deserialize, Serialize};
 
+use foveal_actors::illuminator::Refinement;
 use foveal_actors::settings::Settings;
 
 use crate::bake_clock::Watch;
@@ -205,6 +207,24 @@ pub fn illumination_hash(illumination: &dyn Irradiance) -> Result<String, Failur
     let bytes = encode(&[0; 32], stored)
         .map_err(|e| Failure::Check(format!("the illumination cannot be identified: {e}")))?;
     Ok(blake3::hash(&bytes).to_hex().to_string())
+}
+
+/// Where the maps of light that grows lie: beside the recording, under its name and `.light`.
+pub fn light_beside(recording: &Path) -> PathBuf {
+    let mut name = recording.as_os_str().to_owned();
+    name.push(".light");
+    PathBuf::from(name)
+}
+
+/// What tells apart the light that a refinement comes to, by all that decides it.
+pub fn light_key(refinement: &Refinement) -> Result<[u8; 32], Failure> {
+    let Refinement { world, settings, .. } = refinement;
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&cache_key(&world.scene, settings));
+    hasher.update(&settings.particles.unwrap_or(0).to_le_bytes());
+    hasher.update(&settings.error.unwrap_or(0.0).to_le_bytes());
+    hasher.update(illumination_hash(&*world.illumination)?.as_bytes());
+    Ok(*hasher.finalize().as_bytes())
 }
 
 fn extent(illumination: &dyn Irradiance) -> (u64, f32) {

@@ -44,6 +44,9 @@ pub struct InteractiveArguments {
     /// How densely hashes are recorded
     #[arg(long, value_name = "WHICH", value_enum, default_value_t = Hashes::Each, requires = "record")]
     hashes: Hashes,
+    /// Do not keep the maps of light that grows beside the recording (FILE.light); replay then bakes them again
+    #[arg(long, requires = "record")]
+    no_light: bool,
     #[command(flatten)]
     pub illumination: IlluminationArguments,
 }
@@ -69,6 +72,7 @@ impl InteractiveArguments {
             quality: self.mode.least_quality(),
             texture_bytes: self.texture_budget,
             record: self.record.clone(),
+            keeps_light: !self.no_light,
             command,
             hashing: self.hashes.into(),
             ..Recipe::new(&self.scene, settings)

@@ -1,5 +1,8 @@
 //! Recordings: the world they were made in, systems that replay them from any moment, and what can be asked of them.
 
+mod beside;
+#[cfg(test)]
+mod grown_tests;
 mod index;
 mod player;
 mod source;
@@ -7,6 +10,7 @@ mod stepper;
 pub mod when;
 pub mod why;
 
+pub use beside::Beside;
 pub use player::Player;
-pub use source::{How, Seen, Source, Telling, name, observe};
+pub use source::{How, Indexing, Seen, Source, Telling, name, observe};
 pub use stepper::Stepper;

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use crossbeam_queue::SegQueue;
 use foveal::world::World;
+use foveal_actors::light_book::LightBook;
 use foveal_actors::renderer::{MARK_FRAME, Unseen};
 use foveal_actors::stages::StageTimes;
 use foveal_actors::wiring::{Actors, wire};
@@ -20,7 +21,7 @@ use crate::bake_clock::Watch;
 use crate::failure::Failure;
 use crate::interrupt::interrupted;
 use crate::opened::Opened;
-use crate::recording::{Elsewhere, RecordedRun, open_trace, program};
+use crate::recording::{Elsewhere, RecordedRun, light_beside, light_key, open_trace, program};
 
 /// A delivery that was looked at.
 #[derive(Clone, Debug)]
@@ -123,9 +124,16 @@ impl Source {
                 path.display()
             )));
         }
-        let opened = recorded.open(path, elsewhere, watch)?;
+        let mut opened = recorded.open(path, elsewhere, watch)?;
         let shown_in = shown_in(&trace);
-        let index = RefCell::new(Index::open(path, elsewhere.cache.as_deref()));
+        let index = Index::open(path, elsewhere.cache.as_deref());
+        if let Some(refinement) = &mut opened.refinement {
+            let (beside, triangles) = (light_beside(path), refinement.world.scene.mesh.triangles.len());
+            let beside: &[&Path] = if beside.exists() { &[&beside] } else { &[] };
+            let book = LightBook::open(light_key(refinement)?, triangles, beside, index.light());
+            refinement.book = Some(Arc::new(book));
+        }
+        let index = RefCell::new(index);
         Ok(Self { trace, path: path.to_owned(), recorded, shown_in, opened, index })
     }
 
@@ -171,15 +179,26 @@ impl Source {
                     (self.renderer(), shown.checked_sub(frames).map_or(0, |frame| self.shown_in[frame]))
                 }
             };
+            // Where one looked before.
+            let exact =
+                (how.frames_before == 0 && how.observer.is_none()).then(|| index.right_after(actor, at));
+            if let Some(from) = exact.flatten() {
+                let there = How { from: Some(Arc::new(from)), ..how.clone() };
+                if let Ok((runtime, actors)) = self.system(there) {
+                    look(&runtime);
+                    return Ok((runtime, actors));
+                }
+            }
             how.from = index.before(actor, at).map(Arc::new);
         }
-        let jumped = how.from.is_some();
+        let (jumped, stops) = (how.from.is_some(), how.until.is_some());
         let again = How { from: None, jump: false, ..how.clone() };
         let (mut runtime, actors) = match self.system(how) {
             // What was kept cannot be used after all.
             Err(_) if jumped => self.system(again.clone())?,
             built => built?,
         };
+        index.begin();
         loop {
             let exit = runtime.pump_until(Limit::IDLE, |runtime| {
                 look(runtime);
@@ -193,6 +212,9 @@ impl Source {
                 _ => break,
             }
         }
+        if stops && index.is_worth() && !runtime.diverged() {
+            index.keep(|| runtime.snapshot());
+        }
         look(&runtime);
         if jumped && runtime.diverged() {
             // A snapshot may be at fault: only a replay from the start can tell.
@@ -200,6 +222,11 @@ impl Source {
             return self.run(again, look);
         }
         Ok((runtime, actors))
+    }
+
+    /// A replay that leaves snapshots as far as there are none yet.
+    pub fn indexing(&self) -> Indexing {
+        Indexing { runtime: None, is_done: !self.index.borrow().is_kept() }
     }
 
     /// The last snapshot that is kept before a delivery and has nothing behind it that `cut` does not.
@@ -285,6 +312,51 @@ impl Source {
             None => self.name(s.from).to_owned(),
         };
         format!("{:<16} {:<16} from {from:<16} {:016x}", self.at((s.actor, s.index)), s.kind, s.chain)
+    }
+}
+
+/// A replay of which only its snapshots are wanted.
+pub struct Indexing {
+    /// `None` before it has begun.
+    runtime: Option<Runtime>,
+    is_done: bool,
+}
+
+impl Indexing {
+    /// Goes on until `enough`, from the last snapshot that is kept. Returns whether there is more to do.
+    pub fn go_on(&mut self, source: &Source, mut enough: impl FnMut() -> bool) -> bool {
+        if self.is_done {
+            return false;
+        }
+        let mut index = source.index.borrow_mut();
+        let runtime = match &mut self.runtime {
+            Some(runtime) => runtime,
+            None => {
+                let from = index.last().map(Arc::new);
+                let begun = source.system(How { from, ..How::default() });
+                let begun = begun.or_else(|_| source.system(How::default()));
+                match begun {
+                    Ok((runtime, _)) => self.runtime.insert(runtime),
+                    Err(_) => {
+                        self.is_done = true;
+                        return false;
+                    }
+                }
+            }
+        };
+        index.begin();
+        loop {
+            let exit = runtime.pump_until(Limit::IDLE, |_| enough() || interrupted() || index.is_due());
+            match exit {
+                Exit::Until if enough() || interrupted() => return true,
+                Exit::Until => index.keep(|| runtime.snapshot()),
+                // What diverges is found again by whoever looks there.
+                _ => {
+                    (self.runtime, self.is_done) = (None, true);
+                    return false;
+                }
+            }
+        }
     }
 }
 

@@ -101,6 +101,11 @@ impl Illuminator {
         self.stated.last
     }
 
+    /// Whether any of its turns was carried out here, rather than known before.
+    pub fn has_baked(&self) -> bool {
+        self.baked > 0
+    }
+
     fn refine(&mut self, cx: &mut Cx<'_, IlluminatorMessage>) {
         let turn = self.turns;
         self.turns += 1;
@@ -137,7 +142,7 @@ impl Illuminator {
     fn bake_until(&mut self, turn: u64, cx: &Cx<'_, IlluminatorMessage>) -> Option<Published> {
         if cx.replays() && self.baked == 0 {
             let trouble = self.refinement.book.as_ref().map(|book| book.trouble());
-            tracing::info!("{}", trouble.unwrap_or_else(|| "the light is baked again".into()));
+            tracing::warn!("{}", trouble.unwrap_or_else(|| "the light is baked again".into()));
         }
         let mut published = None;
         while self.baked <= turn {

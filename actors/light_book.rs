@@ -4,6 +4,7 @@
 //! A file is a head and pages, one for each map, in the order in which they were published. What is cut short or altered
 //! is not there: the light is made again, and the hash that the recording has of each map says whether it is the same.
 
+use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Result, Seek, SeekFrom, Write};
 use std::path::Path;
@@ -106,6 +107,8 @@ pub struct LightBook {
     /// Triangles of the scene.
     triangles: usize,
     pages: Pages,
+    /// Maps that were delivered before the recording ends, where that is known.
+    delivered: Option<u64>,
     /// Plain bytes of the map of turn 0, which the others are packed against.
     first: OnceLock<Vec<u8>>,
     /// Where maps are kept that are not known yet.
@@ -127,6 +130,7 @@ impl LightBook {
             key,
             triangles,
             pages: Pages::default(),
+            delivered: None,
             first: OnceLock::new(),
             file: file.map(Arc::from),
             troubles: Vec::new(),
@@ -141,6 +145,12 @@ impl LightBook {
             let _ = book.read(path);
         }
         book
+    }
+
+    /// Says how many maps were delivered before the recording ends: once they are known, no later turn published one that
+    /// anybody saw.
+    pub fn with_delivered(self, maps: u64) -> Self {
+        Self { delivered: Some(maps), ..self }
     }
 
     fn read(&self, path: &Path) -> Result<()> {
@@ -210,7 +220,12 @@ impl LightBook {
             }
             is_silent |= (page.before == NONE || page.before < turn) && turn < page.turn;
         }
-        if is_silent { Known::Silent } else { Known::Unknown }
+        let is_over = || {
+            let turns: BTreeSet<u64> = self.pages.iter().map(|page| page.turn).collect();
+            let all_known = self.delivered.is_some_and(|maps| turns.len() as u64 >= maps);
+            all_known && turns.last().is_none_or(|last| *last < turn)
+        };
+        if is_silent || is_over() { Known::Silent } else { Known::Unknown }
     }
 
     /// Whether a map of this hash is at hand, as far as is known without reading it.

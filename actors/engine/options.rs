@@ -116,6 +116,10 @@ impl Recording {
     /// The maps that will lie beside it; none where it is no file.
     pub(crate) fn book(&self, refinement: &Refinement) -> Result<Option<Arc<LightBook>>, Failure> {
         let Record::File(path) = &self.into else { return Ok(None) };
+        // Beside a device there is nothing to keep.
+        if path.metadata().is_ok_and(|facts| !facts.is_file()) {
+            return Ok(None);
+        }
         let triangles = refinement.world.scene.mesh.triangles.len();
         let book = LightBook::begin(light_key(refinement)?, triangles, &light_beside(path));
         Ok(Some(Arc::new(book)))

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use foveal::display::twin::Passes;
 use foveal::illumination::Irradiance;
 use foveal::illumination::bake::cache_key;
-use foveal::illumination::cache::encode;
+use foveal::illumination::cache::{encode, save};
+use foveal::illumination::stored::Illumination;
 use foveal::scene::edit::AsRead;
 use foveal_runtime::{Trace, TraceError};
 use serde::{Deserialize, Serialize};
@@ -124,6 +125,9 @@ impl RecordedRun {
             (Some(given), _) => Some(given.clone()),
             (None, recorded) => recorded.as_ref().and_then(|file| find(file, trace)),
         };
+        let grows = illumination.refined || illumination.quick;
+        let folder = opened::cache_folder(elsewhere.cache.as_deref()).filter(|_| grows);
+        illumination.first = folder.map(|folder| folder.join(&self.illumination_hash).with_extension(FIRST));
         let mut opened = opened::illuminated(&scene_file, scene, warnings, &illumination, watch)?;
         let stored = &*opened.world.illumination;
         let here = illumination_hash(stored)?;
@@ -135,6 +139,14 @@ impl RecordedRun {
                  with --bake",
                 self.particles, self.relative_error, self.illumination_hash
             )));
+        }
+        // Known to be the light of the recording: the next replay need not make it.
+        if let (Some(file), Some(stored)) =
+            (illumination.first.filter(|file| !file.exists()), stored_of(&opened))
+        {
+            let key = cache_key(&opened.world.scene, &illumination.settings.settings(&opened.world.scene));
+            let _ = file.parent().map(std::fs::create_dir_all);
+            let _ = save(&file, &key, stored);
         }
         opened.limit_textures(self.texture_limit)?;
         Ok(opened)
@@ -214,6 +226,13 @@ pub fn light_beside(recording: &Path) -> PathBuf {
     let mut name = recording.as_os_str().to_owned();
     name.push(".light");
     PathBuf::from(name)
+}
+
+/// What files of first estimates are called that replays keep.
+pub(crate) const FIRST: &str = "fvfirst";
+
+fn stored_of(opened: &Opened) -> Option<&Illumination> {
+    opened.world.illumination.stored()
 }
 
 /// What tells apart the light that a refinement comes to, by all that decides it.

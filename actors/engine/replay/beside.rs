@@ -300,3 +300,54 @@ impl FrameSource for Beside {
         Some(self)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::Elsewhere;
+    use std::path::Path;
+
+    fn source(cache: &Path) -> Source {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../traces/box.fvl");
+        let elsewhere = Elsewhere { cache: Some(cache.to_owned()), ..Elsewhere::default() };
+        Source::open(&path, &elsewhere, true, &()).expect("a walk")
+    }
+
+    fn wait(beside: &mut Beside) {
+        while beside.is_busy() {
+            std::thread::sleep(Duration::from_millis(1));
+            beside.take_news();
+        }
+    }
+
+    #[test]
+    fn what_is_asked_for_comes_as_a_player_shows_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut player = Player::new(source(folder.path()), 2).expect("a player");
+        let mut beside = Beside::new(source(folder.path()), 2).expect("a player beside");
+        let frames = Timeline::shown(&player).frames;
+        assert!(frames > 2);
+        assert_eq!((Timeline::shown(&beside).frame, beside.picture()), (Some(0), player.picture()));
+        // Nobody waits, and of several frames the newest counts.
+        for frame in 0..frames {
+            beside.go_to(frame);
+        }
+        wait(&mut beside);
+        player.go_to(frames - 1);
+        assert_eq!(Timeline::shown(&beside).frame, Some(frames - 1));
+        assert_eq!(beside.picture(), player.picture());
+        beside.go_to(1);
+        beside.why(10, 10);
+        wait(&mut beside);
+        let shown = Timeline::shown(&beside);
+        assert!(
+            shown.frame == Some(1) && shown.story.iter().any(|line| line.contains("pixel 10,10")),
+            "{shown:?}"
+        );
+        assert!(beside.next_frame(), "frame 2");
+        wait(&mut beside);
+        player.go_to(2);
+        assert_eq!((Timeline::shown(&beside).frame, beside.picture()), (Some(2), player.picture()));
+        assert!(beside.branch().is_ok() && beside.ended().is_none());
+    }
+}

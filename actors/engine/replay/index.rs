@@ -13,7 +13,7 @@ use atomic_write_file::AtomicWriteFile;
 use foveal_runtime::{ActorId, Snapshot};
 
 use crate::opened::cache_folder;
-use crate::recording::program;
+use crate::recording::{FIRST, program};
 
 /// First bytes of the file; the program's identity follows.
 const MAGIC: &[u8; 8] = b"FVSNAPS1";
@@ -27,8 +27,8 @@ const WORTH: Duration = Duration::from_millis(50);
 const BYTES_MAX: u64 = 1 << 30;
 /// Bytes of snapshots and maps of all recordings.
 const ALL_BYTES_MAX: u64 = 4 << 30;
-/// What files of snapshots and maps are called.
-const EXTENSIONS: [&str; 2] = ["fvsnaps", "fvlight"];
+/// What files of snapshots, maps and first estimates are called.
+const EXTENSIONS: [&str; 3] = ["fvsnaps", "fvlight", FIRST];
 
 /// Where a snapshot lies in the file, and what was delivered before it.
 struct Entry {
@@ -75,7 +75,8 @@ impl Index {
     pub fn open(trace: &Path, cache: Option<&Path>) -> Self {
         let name = std::fs::read(trace).ok().map(|bytes| blake3::hash(&bytes).to_hex()[..32].to_owned());
         let folder = name.and_then(|name| Some(cache_folder(cache)?.join(name)));
-        let [file, light] = EXTENSIONS.map(|extension| folder.as_ref().map(|f| f.with_extension(extension)));
+        let [file, light, _] =
+            EXTENSIONS.map(|extension| folder.as_ref().map(|f| f.with_extension(extension)));
         let light = light.map(|light| {
             let program = blake3::hash(&identity()).to_hex();
             light.with_file_name(format!(

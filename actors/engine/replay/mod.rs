@@ -9,6 +9,7 @@ mod source;
 mod stepper;
 pub mod when;
 pub mod why;
+mod why_light;
 
 pub use beside::Beside;
 pub use player::Player;

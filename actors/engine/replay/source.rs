@@ -131,7 +131,9 @@ impl Source {
             let (beside, triangles) = (light_beside(path), refinement.world.scene.mesh.triangles.len());
             let beside: &[&Path] = if beside.exists() { &[&beside] } else { &[] };
             let book = LightBook::open(light_key(refinement)?, triangles, beside, index.light());
-            refinement.book = Some(Arc::new(book));
+            let delivered =
+                trace.find("illuminator").map_or(0, |from| trace.deliveries_from(renderer(&trace), from));
+            refinement.book = Some(Arc::new(book.with_delivered(delivered)));
         }
         let index = RefCell::new(index);
         Ok(Self { trace, path: path.to_owned(), recorded, shown_in, opened, index })

@@ -131,7 +131,7 @@ fn a_walk_that_ends_while_its_light_grows_is_not_baked_again() {
     let source = open(&trace, &folder.path().join("cache"));
     // Afterwards it is stopped, and cannot be looked at.
     let until = Some(source.frame_shown(7).expect("a frame"));
-    let (mut whole, actors) = source.system(How { threads: 2, until, ..How::default() }).expect("a system");
+    let (mut whole, actors) = source.system(How { until, ..How::default() }).expect("a system");
     whole.pump(Limit::IDLE);
     let illuminator = actors.illuminator.expect("an illuminator");
     assert_eq!(whole.inspect(illuminator, |i| i.has_baked()), Some(false));

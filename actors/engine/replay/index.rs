@@ -23,10 +23,10 @@ const INTERVAL: Duration = Duration::from_millis(250);
 const SHARE: u32 = 5;
 /// A replay that ran for so long to where it was asked to leaves one there: who looks once looks again.
 const WORTH: Duration = Duration::from_millis(50);
-/// Bytes of snapshots of one recording: beyond, every other one goes.
-const BYTES_MAX: u64 = 1 << 30;
+/// Bytes of snapshots of one recording: beyond, about half of them go, those that have others close by.
+const BYTES_MAX: u64 = 3 << 30;
 /// Bytes of snapshots and maps of all recordings.
-const ALL_BYTES_MAX: u64 = 4 << 30;
+const ALL_BYTES_MAX: u64 = 6 << 30;
 /// What files of snapshots, maps and first estimates are called.
 const EXTENSIONS: [&str; 3] = ["fvsnaps", "fvlight", FIRST];
 
@@ -40,7 +40,7 @@ struct Entry {
 /// The snapshots of one recording.
 pub struct Index {
     /// `None` where there is no folder to keep them.
-    file: Option<PathBuf>,
+    pub(super) file: Option<PathBuf>,
     light: Option<PathBuf>,
     entries: Vec<Entry>,
     end: u64,
@@ -215,22 +215,28 @@ impl Index {
         self.entries.push(Entry { positions, offset, length });
         self.end += bytes.len() as u64;
         if self.end > BYTES_MAX {
-            self.thin()?;
+            self.thin(self.entries.len() / 2)?;
         }
         make_room(&path, ALL_BYTES_MAX)
     }
 
-    /// Lets every other snapshot go.
-    fn thin(&mut self) -> std::io::Result<()> {
+    /// Keeps about so many snapshots, evenly spread.
+    pub(super) fn thin(&mut self, count: usize) -> std::io::Result<()> {
         let Some(path) = &self.file else { return Ok(()) };
         let progress = |entry: &Entry| entry.positions.iter().sum::<u64>();
         self.entries.sort_by_key(progress);
+        let gap = self.entries.last().map_or(0, progress) / count.max(1) as u64;
+        let mut next = 0;
         let mut from = File::open(path)?;
         let mut into = AtomicWriteFile::open(path)?;
         let head = head();
         into.write_all(&head)?;
         let (mut end, mut kept) = (head.len() as u64, Vec::new());
-        for mut entry in self.entries.drain(..).step_by(2) {
+        for mut entry in self.entries.drain(..) {
+            if progress(&entry) < next {
+                continue;
+            }
+            next = progress(&entry) + gap;
             let start = entry.offset - entry_head(entry.positions.len());
             from.seek(SeekFrom::Start(start))?;
             let length = entry.offset + entry.length - start;
@@ -255,7 +261,7 @@ fn entry_head(positions: usize) -> u64 {
 
 /// Lets snapshots and maps of other recordings go, those that were used least lately first, until all fit into `most`
 /// bytes together with those of `kept`.
-fn make_room(kept: &Path, most: u64) -> std::io::Result<()> {
+pub(super) fn make_room(kept: &Path, most: u64) -> std::io::Result<()> {
     let Some(folder) = kept.parent() else { return Ok(()) };
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder)?.flatten() {

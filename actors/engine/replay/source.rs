@@ -393,6 +393,7 @@ pub fn observe(
 
 #[cfg(test)]
 mod tests {
+    use super::super::index::make_room;
     use super::*;
 
     fn kept(name: &str) -> Source {
@@ -460,5 +461,34 @@ mod tests {
         bytes[12] ^= 1;
         std::fs::write(&file, &bytes).expect("written");
         assert_eq!(at(&open(), 7), None, "of another program");
+    }
+
+    #[test]
+    fn snapshots_have_a_bound() {
+        let source = kept("gallery.fvl");
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut index = Index::open(&source.path, Some(folder.path()));
+        let renderer = source.renderer();
+        for frame in 0..8 {
+            let until = Some(source.frame_shown(frame).expect("a frame"));
+            let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
+            runtime.pump(Limit::IDLE);
+            index.keep(|| runtime.snapshot());
+        }
+        let count = |index: &Index| {
+            let found = source.shown_in.iter().filter(|at| index.right_after(renderer, **at).is_some());
+            found.count()
+        };
+        assert_eq!(count(&index), 8);
+        index.thin(4).expect("room");
+        let again = Index::open(&source.path, Some(folder.path()));
+        for index in [&index, &again] {
+            assert!((2..=5).contains(&count(index)), "{} of 8", count(index));
+        }
+        // What was used least lately goes, but for what is in use.
+        let [other, own] = [folder.path().join("other.fvsnaps"), again.file.clone().expect("a file")];
+        std::fs::write(&other, [0; 1000]).expect("written");
+        make_room(&own, 10).expect("room");
+        assert!(own.exists() && !other.exists());
     }
 }

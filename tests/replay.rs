@@ -465,7 +465,7 @@ fn a_walk_whose_light_grows_is_sought_in() {
     let whole = fs::read(&light).expect("maps");
     let first: Vec<_> = (0..6).map(|frame| show(&kept, &cache("whole"), frame)).collect();
     assert!(first.iter().all(|(_, told)| !told.contains("baked again")), "{first:?}");
-    Foveal::new("replay --index --cache").arg(&cache("whole")).arg(&kept).ok();
+    Foveal::new("replay --index --cache").arg(cache("whole")).arg(&kept).ok();
     for frame in (0..6).rev() {
         assert_eq!(show(&kept, &cache("whole"), frame).0, first[frame as usize].0, "frame {frame}");
     }

@@ -95,8 +95,11 @@ mod tests {
         join(&mut mesh, &quad(Vec3::new(-0.5, 1.0, -0.5), Vec3::X, Vec3::Z), 1);
         // Stands on the floor at x = 2.
         join(&mut mesh, &quad(Vec3::new(2.0, 0.0, -5.0), Vec3::Z * 10.0, Vec3::Y * 4.0), 0);
-        let bulb =
-            Light::Point { position: Vec3::new(1.0, 3.0, 0.0), intensity: Vec3::splat(9.0), range: None };
+        let bulb = Light::Point {
+            position: Vec3::new(1.0, 3.0, 0.0),
+            intensity: Vec3::splat(9.0),
+            range: f32::INFINITY,
+        };
         let materials = vec![lambert(0.5, 0.0), lambert(0.0, 1.0)];
         let scene = scene(mesh, materials, vec![bulb]);
         let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));

@@ -149,7 +149,8 @@ impl Index {
         file.seek(SeekFrom::Start(entry.offset)).ok()?;
         let mut bytes = Vec::new();
         file.take(entry.length).read_to_end(&mut bytes).ok()?;
-        Snapshot::from_bytes(&bytes)
+        // Another process may have written its own there meanwhile.
+        Snapshot::from_bytes(&bytes).filter(|found| found.positions() == entry.positions)
     }
 
     /// The snapshot with the most behind it.

@@ -106,27 +106,28 @@ impl Notes {
         }
     }
 
-    /// The last frame that began with another camera than the one before.
+    /// The last frame that began with another camera than the one before, or that was the first.
     fn moved(&self, source: &Source) -> Option<At> {
         let renderer = source.renderer();
         let (mut last, mut moved) = (None, None);
         for (at, (_, note)) in self.all.range((renderer, 0)..=(renderer, u64::MAX)) {
-            if let Note::Began { camera, .. } = note
-                && last.replace(*camera) != Some(*camera)
-            {
-                moved = Some(*at);
+            if let Note::Began { frame, camera } = note {
+                let before = last.replace(*camera);
+                if *frame == 0 || before.is_some_and(|before| before != *camera) {
+                    moved = Some(*at);
+                }
             }
         }
         moved
     }
 
     /// Whether they reach back to all that is told of a pixel.
-    fn tell_all(&self, shown: &Shown, found: Option<&Found>) -> bool {
-        let began =
-            |of: u32| self.all.values().any(|(_, note)| matches!(note, Note::Drawn { view } if *view == of));
-        // Older samples may lie under what is shown.
+    fn tell_all(&self, source: &Source, shown: &Shown, found: Option<&Found>) -> bool {
+        // A view may be overtaken on its way to the allocator; that an older one came says as much.
+        let reach_back_to =
+            |of: u32| self.all.values().any(|(_, note)| matches!(note, Note::Drawn { view } if *view <= of));
         let view = shown.drawn.view.0;
-        if !began(view) {
+        if !reach_back_to(view) && self.moved(source).is_none() {
             return false;
         }
         let Some(found) = found else { return true };
@@ -139,7 +140,7 @@ impl Notes {
                 before.any(|(_, (_, note))| matches!(note, Note::Ranked { .. }))
             })
         };
-        began(view.saturating_sub(found.age)) && is_ranked()
+        reach_back_to(view.saturating_sub(found.age)) && is_ranked()
     }
 
     fn cause(&self, at: At) -> Option<At> {
@@ -270,7 +271,7 @@ pub fn explain(
         };
         let found = find(source, &notes, &shown, px, py);
         // Where nothing is corrected all that is told is in the view.
-        if !how.jump || !source.recorded.corrects || notes.tell_all(&shown, found.as_ref()) {
+        if !how.jump || !source.recorded.corrects || notes.tell_all(source, &shown, found.as_ref()) {
             break (runtime, actors, shown, found, notes);
         }
     };

@@ -61,8 +61,8 @@ fn light(drawn: &DrawnView, at: &Interaction) -> Value {
         // Of its luminance at this place.
         "stated_error": stored.map(|map| map.lookup(at.triangle, at.b1, at.b2, at.back).w),
         "direct": lamps.collect::<Vec<_>>(),
-        // What the map has beyond that, and where it errs.
-        "indirect": (all - straight).to_array(),
+        // What the map has beyond that, and where it errs; nothing where nothing is stored, as on metal.
+        "indirect": (all != Vec3::ZERO).then(|| (all - straight).to_array()),
         "map": stored.map(|map| json!({
             "rounds": map.summary.rounds,
             "paths": map.summary.particles,
@@ -125,7 +125,10 @@ pub fn told(surface: &Value) -> Vec<String> {
         let (is, name) = (text(&lamp["is"]), text(&lamp["lamp"]));
         lines.push(format!("  straight  {} ± {noise:.4} from {is} \"{name}\"", band(&lamp["irradiance"])));
     }
-    lines.push(format!("  indirect  {}: the rest of what the map says", band(&light["indirect"])));
+    lines.push(match light["indirect"].is_null() {
+        true => "  indirect  unknown: no light is stored on this surface".to_owned(),
+        false => format!("  indirect  {}: the rest of what the map says", band(&light["indirect"])),
+    });
     let map = &light["map"];
     if !map.is_null() {
         let error = 100.0 * map["stated_error"].as_f64().unwrap_or_default();

@@ -158,6 +158,8 @@ impl Runtime {
         };
         if let Some(snapshot) = restored {
             runtime.restore(&snapshot).ok_or(BuildError::OtherSnapshot)?;
+            // Before any thread begins.
+            runtime.env.stop_behind(snapshot.positions());
         }
         let threads = Threads::start(&runtime.env.scheduler, &runtime.nodes, parts.locals, parts.gives_way);
         runtime.threads = Some(threads.map_err(BuildError::Threads)?);

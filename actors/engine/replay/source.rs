@@ -464,6 +464,29 @@ mod tests {
     }
 
     #[test]
+    fn where_one_looked_before_nothing_runs() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../traces/gallery.fvl");
+        let elsewhere = Elsewhere { cache: Some(folder.path().to_owned()), ..Elsewhere::default() };
+        let source = Source::open(&path, &elsewhere, true, &()).expect("a walk");
+        let until = Some(source.frame_shown(3).expect("a frame"));
+        let (mut first, _) = source.system(How { until, ..How::default() }).expect("a system");
+        first.pump(Limit::IDLE);
+        source.index.borrow_mut().keep(|| first.snapshot());
+        let how = How { threads: 2, until, jump: true, ..How::default() };
+        let (mut again, actors) = source.run(how, |_| ()).expect("a replay");
+        let report = again.replay_report();
+        assert_eq!(report.divergence, None);
+        assert_eq!(again.positions(), first.positions());
+        let shown = again.inspect(actors.renderer, |r| r.shown().map(|s| s.index.0)).flatten();
+        assert_eq!(shown, Some(3));
+        // And on from there.
+        again.resume(None);
+        let report = again.replay();
+        assert!(report.complete, "{:?}", report.divergence);
+    }
+
+    #[test]
     fn snapshots_have_a_bound() {
         let source = kept("gallery.fvl");
         let folder = tempfile::tempdir().expect("a folder");

@@ -16,6 +16,7 @@ pub mod cache_ager;
 pub mod foresight;
 pub mod illuminator;
 pub mod insight;
+pub mod light_book;
 pub mod message;
 mod outbox;
 pub mod renderer;

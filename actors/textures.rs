@@ -6,6 +6,7 @@ use crossbeam_queue::ArrayQueue;
 use foveal::allocation::residency::{TextureFacts, smallest};
 use foveal::allocation::spatial_error::{SpatialErrors, SpatialSettings, TexelDifference};
 use foveal::perception::viewing::{pixels_per_degree_of_camera, pixels_per_degree_of_screen};
+use foveal::scene::texture::{LevelTexels, MipChain};
 use foveal::scene::{Model, Scene, Texture, Wrap, mip_cache};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -132,6 +133,23 @@ impl TextureStore {
     /// Where a level is kept.
     pub fn file(&self, texture: usize, level: usize) -> PathBuf {
         mip_cache::level_file(&self.folder, &self.contents[texture], level)
+    }
+
+    /// A level, of texels like those of another one.
+    ///
+    /// # Errors
+    /// If its file cannot be read, or is not whole.
+    pub fn level(&self, texture: usize, level: usize, like: &LevelTexels) -> std::io::Result<LevelTexels> {
+        let bytes = self.facts.get(texture).and_then(|facts| facts.bytes.get(level)).copied().unwrap_or(0);
+        mip_cache::read(&self.file(texture, level), bytes as usize, like)
+    }
+
+    /// A texture's chain with finer levels, as far as `finest`; `None` where one cannot be had.
+    pub fn refined(&self, texture: usize, chain: &MipChain, finest: usize) -> Option<MipChain> {
+        let like = chain.level(chain.level_count() - 1)?;
+        (finest..chain.finest())
+            .rev()
+            .try_fold(chain.clone(), |chain, level| chain.with_finer(self.level(texture, level, like).ok()?))
     }
 
     /// What names a level in a recording.

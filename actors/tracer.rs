@@ -11,7 +11,6 @@ use foveal::allocation::texture_demand::predicted_uses;
 use foveal::display::environment_map::{self, EnvironmentMap, capture, direction, solid_angle};
 use foveal::image::luminance;
 use foveal::sampling::Lattice;
-use foveal::scene::mip_cache;
 use foveal::splatting::Guides;
 use foveal::splatting::light_tracing::{Splats, trace_run};
 use foveal::splatting::settled::settled;
@@ -206,11 +205,10 @@ impl Tracer {
 
     fn load(&mut self, order: &LevelOrder, cx: &mut Cx<'_, TracerMessage>) {
         let (texture, level) = (order.texture as usize, order.level as usize);
-        let bytes = order.store.facts[texture].bytes[level] as usize;
-        let file = order.store.file(texture, level);
-        let read = |like| mip_cache::read(&file, bytes, like);
         let texels = order.like.as_ref().and_then(|like| {
-            read(like).inspect_err(|e| tracing::warn!("{}: {e}; a coarser level stays", file.display())).ok()
+            let level = order.store.level(texture, level, like);
+            let file = || order.store.file(texture, order.level as usize);
+            level.inspect_err(|e| tracing::warn!("{}: {e}; a coarser level stays", file().display())).ok()
         });
         if !cx.claim() {
             return;

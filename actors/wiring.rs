@@ -133,7 +133,13 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
     let batches = batches_on_their_way(&settings);
     let look_around = || probes.unwrap_or_else(|| Arc::new(Probes::of_world(&world)));
     let probes = corrects.then(look_around);
-    wiring.context(Surroundings { world: world.clone(), passes, probes: probes.clone() });
+    wiring.context(Surroundings {
+        world: world.clone(),
+        passes,
+        probes: probes.clone(),
+        textures: textures.clone(),
+        book: refinement.as_ref().and_then(|refinement| refinement.book.clone()),
+    });
     let renderer: Declared<Renderer> = wiring.declare(Bounds::messages(batches + 64));
     let input = wiring.port("input", &renderer.address());
     let refines = refinement.is_some();

@@ -441,3 +441,57 @@ fn kept_walks_replay_with_one_two_and_three_threads() {
         }
     }
 }
+
+/// Light that grows is not baked again where its maps are at hand, and else with one clear line; every frame is found at
+/// once the second time.
+#[test]
+fn a_walk_whose_light_grows_is_sought_in() {
+    let folder = folder("recording");
+    let walk = |name: &str, more: &str| {
+        let file = folder.join(name);
+        let words = "walk --frames 6 --fps 10 --size 48x32 --workers 2 --texels 4096";
+        Foveal::new(&format!("{words} {more} --record")).arg(&file).arg(scene("box")).ok();
+        file
+    };
+    let cache = |name: &str| folder.join(name);
+    let show = |trace: &Path, cache: &Path, frame: u32| {
+        let picture = folder.join("frame.png");
+        let replay = Foveal::new(&format!("replay --show {frame} --out")).arg(&picture).arg("--cache");
+        let told = replay.arg(cache).arg(trace).ok();
+        (fs::read(&picture).expect("a picture"), told.err)
+    };
+    let kept = walk("kept.fvl", "");
+    let light = folder.join("kept.fvl.light");
+    let whole = fs::read(&light).expect("maps");
+    let first: Vec<_> = (0..6).map(|frame| show(&kept, &cache("whole"), frame)).collect();
+    assert!(first.iter().all(|(_, told)| !told.contains("baked again")), "{first:?}");
+    Foveal::new("replay --index --cache").arg(cache("whole")).arg(&kept).ok();
+    for frame in (0..6).rev() {
+        assert_eq!(show(&kept, &cache("whole"), frame).0, first[frame as usize].0, "frame {frame}");
+    }
+    let damaged = |name: &str, bytes: &[u8]| {
+        fs::write(&light, bytes).expect("written");
+        let (picture, told) = show(&kept, &cache(name), 5);
+        assert_eq!(picture, first[5].0, "{name}");
+        assert_eq!(told.matches("baked again").count(), 1, "{name}: {told}");
+    };
+    let mut flipped = whole.clone();
+    flipped[60] ^= 1;
+    damaged("flipped", &flipped);
+    damaged("cut", &whole[..whole.len().min(100)]);
+    fs::remove_file(&light).expect("removed");
+    let (picture, told) = show(&kept, &cache("missing"), 5);
+    assert!(picture == first[5].0 && told.matches("baked again").count() == 1, "{told}");
+    walk("without.fvl", "--no-light");
+    assert!(!folder.join("without.fvl.light").exists());
+    // Which lamp lights the floor.
+    let told = Foveal::new("replay --why 24,28 --frame 5").arg(&kept).ok().out;
+    assert!(told.contains("surface ") && told.contains("  straight ") && told.contains("  map "), "{told}");
+    let d = Foveal::new("replay --why 24,28 --frame 5").arg(&kept).json();
+    let light = &d["surface"]["light"];
+    let band = |value: &Value| value[0].as_f64().expect("a number");
+    let straight: f64 =
+        light["direct"].as_array().expect("lamps").iter().map(|lamp| band(&lamp["irradiance"])).sum();
+    let sum = straight + band(&light["indirect"]);
+    assert!(straight > 0.0 && (sum - band(&light["irradiance"])).abs() < 1e-3 * sum, "{light}");
+}

@@ -8,7 +8,7 @@ use super::Allocator;
 use crate::message::saved::Saved;
 
 impl Allocator {
-    /// Puts down everything that a replay goes on from; refuses where textures are limited.
+    /// Puts down everything that a replay goes on from.
     pub(super) fn save_state(&self, saver: &mut Saver) {
         let Self {
             settings: _,
@@ -40,8 +40,7 @@ impl Allocator {
             incidents,
             dead_jobs,
         } = self;
-        // What textures hold is large, and on disk anyway: such walks replay from their beginning.
-        if !outbox.is_empty() || textures.is_some() {
+        if !outbox.is_empty() {
             return saver.refuse();
         }
         saver.put(adjustment);
@@ -69,6 +68,9 @@ impl Allocator {
             supersampler.traced().cloned().save(saver);
         }
         environments.save(saver);
+        if let Some(textures) = textures {
+            textures.save(saver);
+        }
     }
 
     /// Takes it up again; `None` if the snapshot holds something else.
@@ -98,6 +100,7 @@ impl Allocator {
             let tiles: Option<Vec<_>> = (0..count).map(|_| Saved::restore(loader)).collect();
             supersampler.restore(tiles?, open, progress, Saved::restore(loader)?)?;
         }
-        self.environments.restore(loader)
+        self.environments.restore(loader)?;
+        self.textures.as_mut().map_or(Some(()), |textures| textures.restore(loader))
     }
 }

@@ -9,9 +9,10 @@ use foveal::allocation::residency::{Residency, Step, TextureFacts};
 use foveal::allocation::texture_demand::TextureUse;
 use foveal::scene::texture::{LevelTexels, held_bytes};
 use foveal::world::World;
-use foveal_runtime::Cx;
+use foveal_runtime::{Cx, Loader, Saver};
 
 use super::Allocator;
+use crate::message::saved::Saved;
 use crate::message::tracer::{LevelOrder, PredictionOrder};
 use crate::message::{AllocatorMessage, DrawnView, RendererMessage, TraceJob};
 use crate::textures::{Charge, TextureReport, TextureStore};
@@ -73,6 +74,21 @@ impl Textures {
     /// What is in memory, and why.
     pub fn residency(&self) -> &Residency {
         &self.residency
+    }
+
+    /// Puts down what they hold and what is ordered, without the texels, which are on disk.
+    pub(super) fn save(&self, saver: &mut Saver) {
+        let Self { store: _, like: _, residency, waiting, predicting, has_seen, was_quiet, counts } = self;
+        saver.put(&(residency, predicting, has_seen, was_quiet, counts));
+        waiting.save(saver);
+    }
+
+    /// Takes it up again; `None` if the snapshot holds something else.
+    pub(super) fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        let residency: Residency;
+        (residency, self.predicting, self.has_seen, self.was_quiet, self.counts) = loader.take()?;
+        self.waiting = Saved::restore(loader)?;
+        self.residency.go_on_from(residency)
     }
 
     /// Another limit, bytes; one that cannot be met changes nothing.

@@ -147,6 +147,12 @@ impl Engine {
     pub fn start(mut opened: Opened, options: Options) -> Result<Self, Failure> {
         let Options { settings, fps, quality, texture_bytes, whole, gives_way, clock, recording, .. } =
             options;
+        if let Some(refinement) = &mut opened.refinement {
+            refinement.book = match &recording {
+                Some(recording) if options.keeps_light => recording.book(refinement)?,
+                _ => None,
+            };
+        }
         let scene = &opened.world.scene;
         let budget = Budget { texture_bytes: texture_bytes.or(scene.budget.texture_bytes), ..scene.budget };
         let plan = ScenePlan::new(scene, &budget);
@@ -188,7 +194,11 @@ impl Engine {
                 let warning = format!("the walk is not recorded: {e}; choose another --record");
                 tracing::warn!("{warning}");
                 unrecorded = Some(warning);
-                Runtime::build(live(), |w| wire(w, all()))
+                let mut parts = all();
+                if let Some(refinement) = &mut parts.refinement {
+                    refinement.book = None;
+                }
+                Runtime::build(live(), |w| wire(w, parts))
             }
             built => built,
         };

@@ -37,7 +37,8 @@ impl Made {
     /// Light that is being baked all the time.
     fn baking(mut self) -> Self {
         let settings = BakeSettings { particles: Some(1 << 40), error: None, ..BakeSettings::default() };
-        self.opened.refinement = Some(Refinement { world: self.opened.world.clone(), settings, keep: None });
+        self.opened.refinement =
+            Some(Refinement { world: self.opened.world.clone(), settings, keep: None, book: None });
         self
     }
 

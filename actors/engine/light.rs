@@ -25,6 +25,9 @@ pub struct Light {
     /// Folder of kept bakes; `None` is FOVEAL_CACHE, else the user's cache folder.
     #[serde(skip)]
     pub cache: Option<PathBuf>,
+    /// A file with the first estimate, taken if it is there.
+    #[serde(skip)]
+    pub first: Option<PathBuf>,
     /// When a bake is good enough.
     pub settings: BakeOptions,
     /// How the scene's files are read, which decides what is lit.

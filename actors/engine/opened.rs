@@ -85,11 +85,7 @@ impl Opened {
     pub fn lamps(&self) -> Vec<NamedLamp> {
         let scene = &self.world.scene;
         let named = |lamp: Lamp| {
-            let name = match lamp {
-                Lamp::Material(i) => scene.materials[i as usize].name.clone(),
-                Lamp::Light(i) => format!("{} {}", scene.lights[i as usize].kind(), i + 1),
-                Lamp::Surrounding => "surrounding".to_owned(),
-            };
+            let name = lamp_name(scene, lamp);
             let gain = |edit: &SceneEdit| match edit {
                 SceneEdit::LampDimmed { lamp: of, gain } if *of == lamp => Some(*gain),
                 _ => None,
@@ -122,6 +118,15 @@ impl Opened {
         self.world = self.world.with_resident(textures);
         self.textures = Some(Arc::new(store));
         Ok(())
+    }
+}
+
+/// What a lamp of a scene is called.
+pub(crate) fn lamp_name(scene: &Scene, lamp: Lamp) -> String {
+    match lamp {
+        Lamp::Material(i) => scene.materials[i as usize].name.clone(),
+        Lamp::Light(i) => format!("{} {}", scene.lights[i as usize].kind(), i + 1),
+        Lamp::Surrounding => "surrounding".to_owned(),
     }
 }
 
@@ -200,7 +205,8 @@ impl Unlit {
             None => illuminate(&scene, &accel, &lights, light, watch, &mut warnings)?,
         };
         let world = World { scene, accel, lights, illumination, unfound: Arc::default() };
-        let refinement = unmet.map(|(settings, keep)| Refinement { world: world.clone(), settings, keep });
+        let refinement =
+            unmet.map(|(settings, keep)| Refinement { world: world.clone(), settings, keep, book: None });
         Ok(Opened { path, light: light.clone(), world, textures: None, refinement, warnings, as_read })
     }
 }
@@ -252,7 +258,11 @@ fn illuminate(
     warnings: &mut Vec<String>,
 ) -> Result<(Arc<dyn Irradiance>, Unmet), Failure> {
     let indexed = Indexed { scene, accel, lights };
-    let first = || Arc::new(first_picture(indexed, a.settings.bake_seed));
+    let of_scene = (cache_key(scene, &a.settings.settings(scene)), scene.mesh.triangles.len());
+    let first = || {
+        let kept = a.first.as_ref().and_then(|file| load_illumination(file, &of_scene.0, of_scene.1).ok());
+        Arc::new(kept.unwrap_or_else(|| first_picture(indexed, a.settings.bake_seed)))
+    };
     if a.quick {
         return Ok((first(), None));
     }

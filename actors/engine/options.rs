@@ -4,6 +4,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use foveal::display::first_approximation::Probes;
+use foveal_actors::illuminator::Refinement;
+use foveal_actors::light_book::LightBook;
 use foveal_actors::settings::Settings;
 use foveal_runtime::simulate::Simulation;
 use foveal_runtime::{Config, Hashing, Record};
@@ -12,7 +14,7 @@ use crate::failure::Failure;
 use crate::light::Light;
 use crate::machine::Machine;
 use crate::opened::Opened;
-use crate::recording::RecordedRun;
+use crate::recording::{RecordedRun, light_beside, light_key};
 
 /// How a walk is started.
 pub struct Options {
@@ -34,6 +36,9 @@ pub struct Options {
     pub clock: Clock,
     /// Where the walk is recorded, if anywhere.
     pub recording: Option<Recording>,
+    /// Whether a recording has the maps of light that grows beside it ([`crate::recording::light_beside`]); without them
+    /// who replays it bakes them again.
+    pub keeps_light: bool,
     /// Turns that a profile keeps of each actor.
     pub ring_turns: Option<usize>,
     /// What each object sees around, where somebody has looked already: of many objects that takes seconds.
@@ -55,6 +60,7 @@ impl Options {
             gives_way: false,
             clock: Clock::Real,
             recording: None,
+            keeps_light: true,
             ring_turns: None,
             probes: None,
             facts: Vec::new(),
@@ -105,6 +111,18 @@ impl Recording {
     /// Into a file, with a hash for each message.
     pub fn file(path: impl Into<PathBuf>, command: &'static str) -> Self {
         Self { into: Record::File(path.into()), hashing: Hashing::Exact, command }
+    }
+
+    /// The maps that will lie beside it; none where it is no file.
+    pub(crate) fn book(&self, refinement: &Refinement) -> Result<Option<Arc<LightBook>>, Failure> {
+        let Record::File(path) = &self.into else { return Ok(None) };
+        // Beside a device there is nothing to keep.
+        if path.metadata().is_ok_and(|facts| !facts.is_file()) {
+            return Ok(None);
+        }
+        let triangles = refinement.world.scene.mesh.triangles.len();
+        let book = LightBook::begin(light_key(refinement)?, triangles, &light_beside(path));
+        Ok(Some(Arc::new(book)))
     }
 
     pub(crate) fn header(&self, opened: &Opened, machine: &Machine) -> Result<Vec<u8>, Failure> {

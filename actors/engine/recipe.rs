@@ -36,6 +36,8 @@ pub struct Recipe {
     pub texture_bytes: Option<u64>,
     /// Where the first walk is recorded, if at all; those after it go to FILE-2, FILE-3, …
     pub record: Option<PathBuf>,
+    /// Whether recordings have the maps of light that grows beside them.
+    pub keeps_light: bool,
     /// The command that recordings say they were made with.
     pub command: &'static str,
     /// How densely hashes are recorded.
@@ -58,6 +60,7 @@ impl Recipe {
             texture_bytes: None,
             command: "view",
             record: None,
+            keeps_light: true,
             hashing: Hashing::Exact,
             set: Vec::new(),
             stalled: Stalled::Nobody,
@@ -92,6 +95,7 @@ impl Recipe {
             quality: self.quality,
             texture_bytes: self.texture_bytes,
             recording,
+            keeps_light: self.keeps_light,
             probes: Some(probes),
             facts: vec![("Software".to_owned(), program()), ("foveal file".to_owned(), file)],
             ..Options::interactive(self.settings)

@@ -4,11 +4,14 @@ use std::path::{Path, PathBuf};
 
 use foveal::display::twin::Passes;
 use foveal::illumination::Irradiance;
-use foveal::illumination::cache::encode;
+use foveal::illumination::bake::cache_key;
+use foveal::illumination::cache::{encode, save};
+use foveal::illumination::stored::Illumination;
 use foveal::scene::edit::AsRead;
 use foveal_runtime::{Trace, TraceError};
 use serde::{Deserialize, Serialize};
 
+use foveal_actors::illuminator::Refinement;
 use foveal_actors::settings::Settings;
 
 use crate::bake_clock::Watch;
@@ -122,6 +125,9 @@ impl RecordedRun {
             (Some(given), _) => Some(given.clone()),
             (None, recorded) => recorded.as_ref().and_then(|file| find(file, trace)),
         };
+        let grows = illumination.refined || illumination.quick;
+        let folder = opened::cache_folder(elsewhere.cache.as_deref()).filter(|_| grows);
+        illumination.first = folder.map(|folder| folder.join(&self.illumination_hash).with_extension(FIRST));
         let mut opened = opened::illuminated(&scene_file, scene, warnings, &illumination, watch)?;
         let stored = &*opened.world.illumination;
         let here = illumination_hash(stored)?;
@@ -133,6 +139,14 @@ impl RecordedRun {
                  with --bake",
                 self.particles, self.relative_error, self.illumination_hash
             )));
+        }
+        // Known to be the light of the recording: the next replay need not make it.
+        if let (Some(file), Some(stored)) =
+            (illumination.first.filter(|file| !file.exists()), stored_of(&opened))
+        {
+            let key = cache_key(&opened.world.scene, &illumination.settings.settings(&opened.world.scene));
+            let _ = file.parent().map(std::fs::create_dir_all);
+            let _ = save(&file, &key, stored);
         }
         opened.limit_textures(self.texture_limit)?;
         Ok(opened)
@@ -205,6 +219,31 @@ pub fn illumination_hash(illumination: &dyn Irradiance) -> Result<String, Failur
     let bytes = encode(&[0; 32], stored)
         .map_err(|e| Failure::Check(format!("the illumination cannot be identified: {e}")))?;
     Ok(blake3::hash(&bytes).to_hex().to_string())
+}
+
+/// Where the maps of light that grows lie: beside the recording, under its name and `.light`.
+pub fn light_beside(recording: &Path) -> PathBuf {
+    let mut name = recording.as_os_str().to_owned();
+    name.push(".light");
+    PathBuf::from(name)
+}
+
+/// What files of first estimates are called that replays keep.
+pub(crate) const FIRST: &str = "fvfirst";
+
+fn stored_of(opened: &Opened) -> Option<&Illumination> {
+    opened.world.illumination.stored()
+}
+
+/// What tells apart the light that a refinement comes to, by all that decides it.
+pub fn light_key(refinement: &Refinement) -> Result<[u8; 32], Failure> {
+    let Refinement { world, settings, .. } = refinement;
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&cache_key(&world.scene, settings));
+    hasher.update(&settings.particles.unwrap_or(0).to_le_bytes());
+    hasher.update(&settings.error.unwrap_or(0.0).to_le_bytes());
+    hasher.update(illumination_hash(&*world.illumination)?.as_bytes());
+    Ok(*hasher.finalize().as_bytes())
 }
 
 fn extent(illumination: &dyn Irradiance) -> (u64, f32) {

@@ -195,6 +195,14 @@ pub trait FrameSource {
     fn ended(&self) -> Option<String> {
         None
     }
+    /// Whether something that was asked for is still being made, on a thread beside.
+    fn is_busy(&self) -> bool {
+        false
+    }
+    /// Takes up what a thread beside has made. `false` where there is nothing new.
+    fn take_news(&mut self) -> bool {
+        false
+    }
     /// Whether the last frame shows all that arrived.
     fn is_shown(&self) -> bool {
         true

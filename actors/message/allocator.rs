@@ -104,7 +104,6 @@ pub enum AllocatorMessage {
         contrast: MapContrast,
     },
     /// From a tracer: what a view and the turns that may follow it show of each texture.
-    #[message(unsaved = "an allocator that limits textures has no snapshots")]
     TexturesSeen {
         /// By texture.
         #[message(skip = "`hash` tells it")]
@@ -113,7 +112,6 @@ pub enum AllocatorMessage {
         hash: u64,
     },
     /// From a tracer: a level of a texture.
-    #[message(unsaved = "an allocator that limits textures has no snapshots")]
     LevelLoaded {
         /// Which texture.
         texture: u32,

@@ -4,7 +4,6 @@ use foveal_runtime::Message;
 
 /// Everything the illuminator can be told: all by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
-#[message(unsaved = "a walk whose light is refined has no snapshots")]
 pub enum IlluminatorMessage {
     /// Do the next batch.
     Refine,

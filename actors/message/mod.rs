@@ -6,6 +6,7 @@ pub mod cache_ager;
 pub mod illuminator;
 pub mod renderer;
 pub mod saved;
+mod saved_world;
 pub mod tracer;
 
 use std::sync::Arc;

@@ -89,7 +89,6 @@ pub enum RendererMessage {
     },
     /// From the allocator: another level of a texture is to be shown, from the next frame on.
     #[message(size = texels.as_ref().map_or(0, |t| t.as_bytes().len()))]
-    #[message(unsaved = "an allocator that limits textures has no snapshots")]
     TextureChanged {
         /// Which texture.
         texture: u32,
@@ -133,10 +132,10 @@ pub enum RendererMessage {
         view: View,
     },
     /// From the illuminator: better light.
-    #[message(size = map.bytes(), unsaved = "a bake in progress is too large for snapshots")]
+    #[message(size = map.bytes())]
     Illuminated {
         /// The light.
-        #[message(skip = "`hash` tells it")]
+        #[message(skip = "`hash` tells it", with = saved)]
         map: Arc<Illumination>,
         /// Whether it is the last.
         last: bool,

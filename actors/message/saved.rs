@@ -6,6 +6,7 @@ use foveal::display::FrameBuffers;
 use foveal::display::environment_map::EnvironmentMap;
 use foveal::display::first_approximation::Probes;
 use foveal::display::twin::{self, Passes};
+use foveal::illumination::stored::Illumination;
 use foveal::image::Map2d;
 use foveal::scene::camera::CameraFrame;
 use foveal::scene::texture::LevelTexels;
@@ -17,6 +18,8 @@ use foveal::world::World;
 use foveal_runtime::{Content, Digest, Loader, Saver};
 
 use super::{DrawnView, FrameIndex, FrameSnapshot, View};
+use crate::light_book::LightBook;
+use crate::textures::TextureStore;
 
 /// What everything that is saved refers to.
 pub struct Surroundings {
@@ -26,6 +29,10 @@ pub struct Surroundings {
     pub passes: Passes,
     /// Where environment maps are captured; `None` in a scene without any.
     pub probes: Option<Arc<Probes>>,
+    /// Textures, where they do not all fit into their limit.
+    pub textures: Option<Arc<TextureStore>>,
+    /// The maps that the illuminator published, where there is one.
+    pub book: Option<Arc<LightBook>>,
 }
 
 /// Bulk data of a message or a state, each piece of which is saved once however many own it. A message's field says
@@ -117,7 +124,7 @@ macro_rules! told_by_serde {
     )*};
 }
 
-told_by_serde!(SampleBatch, Guides, TileSums, LightSums, Splats, Settled, EnvironmentMap);
+told_by_serde!(SampleBatch, Guides, TileSums, LightSums, Splats, Settled, EnvironmentMap, Illumination);
 
 impl<T: Saved> Saved for Option<T> {
     fn save(&self, saver: &mut Saver) {
@@ -134,8 +141,9 @@ impl<T: Saved> Saved for Option<T> {
 impl Saved for Arc<DrawnView> {
     fn save(&self, saver: &mut Saver) {
         saver.shared(self, |drawn, saver| {
-            let DrawnView { view, frame, buffers, world: _, object_count: _, hash } = drawn;
+            let DrawnView { view, frame, buffers, world, object_count: _, hash } = drawn;
             saver.put(&(view, frame, buffers.cell, hash));
+            world.save(saver);
         });
     }
 
@@ -145,11 +153,11 @@ impl Saved for Arc<DrawnView> {
             if !(1..=2).contains(&cell) {
                 return None;
             }
-            let surroundings = loader.context::<Surroundings>()?;
-            let world = surroundings.world.clone();
+            let world = World::restore(loader)?;
+            let passes = loader.context::<Surroundings>()?.passes;
             let [width, height] = frame.size.map(|s| s as usize);
             let mut buffers = FrameBuffers::new(width, height);
-            twin::draw_in_cells(&world, &frame, surroundings.passes, cell, &mut buffers);
+            twin::draw_in_cells(&world, &frame, passes, cell, &mut buffers);
             let object_count = world.scene.objects.len().max(1);
             let same = hash_view(&buffers, view) == hash;
             same.then_some(DrawnView { view, frame, hash, buffers, world, object_count })
@@ -292,6 +300,20 @@ impl Saved for Arc<EnvironmentMap> {
 
     fn restore(loader: &mut Loader<'_>) -> Option<Self> {
         loader.shared(|loader| loader.take())
+    }
+}
+
+/// Levels that are on their way are few.
+impl Saved for LevelTexels {
+    fn save(&self, saver: &mut Saver) {
+        saver.put(&(self.size() as u64));
+        saver.bytes(self.as_bytes());
+    }
+
+    /// Who takes it up checks that it fits the texture.
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        let size: u64 = loader.take()?;
+        Self::of_size(usize::try_from(size).ok()?, loader.bytes()?)
     }
 }
 

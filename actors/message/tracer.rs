@@ -361,8 +361,14 @@ impl Job for TraceJob {
                     EnvironmentWork::Filter { seen } => saver.put(&(1_u8, seen.as_slice())),
                 }
             }
-            // The allocator that orders these refuses, too.
-            Self::Prediction(_) | Self::Level(_) => saver.refuse(),
+            Self::Prediction(PredictionOrder { drawn, store: _ }) => {
+                saver.put(&5_u8);
+                drawn.save(saver);
+            }
+            Self::Level(LevelOrder { store: _, texture, level, like }) => {
+                saver.put(&(6_u8, texture, level));
+                like.save(saver);
+            }
         }
     }
 
@@ -389,6 +395,21 @@ impl Job for TraceJob {
             4 => {
                 let (run, seed) = loader.take()?;
                 return Some(Self::Run(RunWork { drawn: Saved::restore(loader)?, run, seed }));
+            }
+            5 => {
+                let drawn = Saved::restore(loader)?;
+                let store = loader.context::<Surroundings>()?.textures.clone()?;
+                return Some(Self::Prediction(PredictionOrder { drawn, store }));
+            }
+            6 => {
+                let (texture, level) = loader.take()?;
+                let like = Saved::restore(loader)?;
+                let store = loader.context::<Surroundings>()?.textures.clone()?;
+                let facts = store.facts.get(texture as usize)?;
+                if level as usize >= facts.bytes.len() {
+                    return None;
+                }
+                return Some(Self::Level(LevelOrder { store, texture, level, like }));
             }
             _ => return None,
         }

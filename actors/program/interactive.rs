@@ -45,6 +45,9 @@ pub struct InteractiveArguments {
     /// How densely hashes are recorded
     #[arg(long, value_name = "WHICH", value_enum, default_value_t = Hashes::Each, requires = "record")]
     hashes: Hashes,
+    /// Do not keep the maps of light that grows beside the recording (FILE.light); replay then bakes them again
+    #[arg(long, requires = "record")]
+    no_light: bool,
     /// Set a control of the panel from the start, e.g. exposure=-1; may be given again. --help lists them
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<Setting>,
@@ -73,6 +76,7 @@ impl InteractiveArguments {
             quality: self.mode.least_quality(),
             texture_bytes: self.texture_budget,
             record: self.record.clone(),
+            keeps_light: !self.no_light,
             command,
             hashing: self.hashes.into(),
             set: self.set.clone(),

@@ -81,6 +81,9 @@ pub struct WalkArguments {
     /// How densely hashes are recorded
     #[arg(long, value_name = "WHICH", value_enum, default_value_t = Hashes::Each, requires = "record")]
     hashes: Hashes,
+    /// Do not keep the maps of light that grows beside the recording (FILE.light); replay then bakes them again
+    #[arg(long, requires = "record")]
+    no_light: bool,
     /// Write when each actor ran on which thread, for chrome://tracing; as .pftrace in Perfetto's own format
     #[arg(long, value_name = "FILE")]
     profile: Option<PathBuf>,
@@ -233,6 +236,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         quality: a.mode.least_quality(),
         texture_bytes: a.texture_budget,
         recording,
+        keeps_light: !a.no_light,
         ring_turns: a.profile.as_ref().map(|_| PROFILED_TURNS),
         gives_way: true,
         ..Options::new(settings)

@@ -7,16 +7,15 @@ use foveal::splatting::supersampling::Tiles;
 use foveal::splatting::tile_sums::TileSums;
 use foveal_runtime::{Loader, Saver};
 
-use super::{FrameCounts, Renderer};
+use super::{FrameCounts, Renderer, TextureChange};
 use crate::message::saved::Saved;
 
 impl Renderer {
-    /// Puts down everything that a replay goes on from; refuses where textures are on their way.
+    /// Puts down everything that a replay goes on from.
     pub(super) fn save_state(&self, saver: &mut Saver) {
         let Self {
             // What the wiring makes alike.
             settings: _,
-            world: _,
             passes: _,
             tone: _,
             viewing: _,
@@ -25,12 +24,13 @@ impl Renderer {
             neighbours: _,
             stages: _,
             sink: _,
-            // Without an illuminator, which has no snapshots, these stay.
-            target: _,
-            lit: _,
-            // Only room, and only a time that is shown.
+            // Only room, only a time that is shown, and who may hold what: what was seen of that is recorded.
             retired: _,
             drawn_at: _,
+            former: _,
+            world,
+            target,
+            lit,
             adjustment,
             camera,
             view,
@@ -47,12 +47,20 @@ impl Renderer {
             shown,
             outbox,
             waiting,
-            former,
-            releasing: _,
-            drops: _,
+            releasing,
+            drops,
         } = self;
-        if !outbox.is_empty() || !waiting.is_empty() || !former.is_empty() {
+        if !outbox.is_empty() {
             return saver.refuse();
+        }
+        world.save(saver);
+        saver.put(&(lit, releasing, drops, target.as_ref().map(|(_, last)| last), waiting.len() as u64));
+        if let Some((map, _)) = target {
+            map.save(saver);
+        }
+        for TextureChange { texture, finest, texels } in waiting {
+            saver.put(&(texture, finest));
+            texels.save(saver);
         }
         saver.put(adjustment);
         saver.put(&(camera, view, converged, changed, drawn.is_some(), shown.is_some()));
@@ -83,6 +91,17 @@ impl Renderer {
 
     /// Takes it up again; `None` if the snapshot holds something else.
     pub(super) fn restore_state(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        self.world = Saved::restore(loader)?;
+        let (target, count): (Option<bool>, u64);
+        (self.lit, self.releasing, self.drops, target, count) = loader.take()?;
+        self.target = match target {
+            Some(last) => Some((Saved::restore(loader)?, last)),
+            None => None,
+        };
+        for _ in 0..count {
+            let (texture, finest) = loader.take()?;
+            self.waiting.push_back(TextureChange { texture, finest, texels: Saved::restore(loader)? });
+        }
         self.adjustment = loader.take()?;
         if let Some(adjustment) = &self.adjustment {
             self.settings.adjust(adjustment);

@@ -8,6 +8,7 @@ pub(crate) mod snapshot;
 pub(crate) mod timeline;
 pub(crate) mod wiring;
 
+use std::any::Any;
 use std::io::Write;
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -77,6 +78,8 @@ pub struct Runtime {
     pub(crate) threads: Option<Threads>,
     pub(crate) writer: Option<Writer>,
     pub(crate) driver: Option<Box<dyn Driver>>,
+    /// What snapshots refer to.
+    pub(crate) context: Option<Arc<dyn Any + Send + Sync>>,
     pub(crate) thread: ThreadCx,
     pub(crate) heavy_ns: u64,
     pub(crate) heavy_passed: u32,
@@ -146,6 +149,7 @@ impl Runtime {
             threads: None,
             writer,
             driver: parts.driver,
+            context,
             thread,
             heavy_ns: 0,
             heavy_passed: 0,
@@ -153,7 +157,9 @@ impl Runtime {
             stays: PhantomData,
         };
         if let Some(snapshot) = restored {
-            runtime.restore(&snapshot, context).ok_or(BuildError::OtherSnapshot)?;
+            runtime.restore(&snapshot).ok_or(BuildError::OtherSnapshot)?;
+            // Before any thread begins.
+            runtime.env.stop_behind(snapshot.positions());
         }
         let threads = Threads::start(&runtime.env.scheduler, &runtime.nodes, parts.locals, parts.gives_way);
         runtime.threads = Some(threads.map_err(BuildError::Threads)?);

@@ -58,6 +58,7 @@ impl IlluminationArguments {
             quick: self.quick,
             baked: self.baked,
             refined: false,
+            first: None,
             cache: self.cache.clone(),
             settings: self.settings.options(),
             reading: self.reading.reading(),

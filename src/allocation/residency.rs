@@ -59,7 +59,7 @@ pub enum Step {
 }
 
 /// A level that is wanted, in the order of what it brings per byte.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 struct Wanted {
     /// Visible error that it takes away, per byte.
     gain: f64,
@@ -83,7 +83,7 @@ impl PartialOrd for Wanted {
 }
 
 /// How far a decision is.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 enum Deciding {
     /// Which levels are wanted, from these states.
     Levels(Box<Decision>, Vec<usize>),
@@ -91,13 +91,16 @@ enum Deciding {
     Order(usize),
 }
 
-/// The state of all textures.
-#[derive(Clone, Debug)]
+/// The state of all textures. It is saved without what is known of them from the start.
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct Residency {
     limit: u64,
+    #[serde(skip)]
     facts: Vec<TextureFacts>,
     /// Bytes of each level of each, as the optimiser takes them; a single one where pinned.
+    #[serde(skip)]
     costs: Vec<Vec<u64>>,
+    #[serde(skip)]
     spatial: Vec<SpatialErrors>,
     uses: Vec<TextureUse>,
     /// What the newest view shows, where a decision for an older one is on its way.
@@ -153,6 +156,26 @@ impl Residency {
             released: 0,
             price: 0.0,
             facts,
+        })
+    }
+
+    /// Goes on from a state that was saved without its facts, which are this one's; `None`, and nothing changed, if it is
+    /// of other textures.
+    pub fn go_on_from(&mut self, saved: Self) -> Option<()> {
+        let count = self.facts.len();
+        let levels_of = |texture: usize| self.facts.get(texture).map_or(0, |facts| facts.bytes.len());
+        let fit = |states: &[usize]| {
+            states.len() == count && states.iter().enumerate().all(|(texture, s)| *s <= levels_of(texture))
+        };
+        let fits = saved.uses.len() == count
+            && saved.newer.as_ref().is_none_or(|uses| uses.len() == count)
+            && [&saved.states, &saved.targets, &saved.broken].into_iter().all(|states| fit(states))
+            && saved.loading.iter().all(|&(texture, level)| level < levels_of(texture))
+            && saved.wanted.iter().all(|wanted| wanted.level < levels_of(wanted.texture));
+        fits.then(|| {
+            let facts = std::mem::take(&mut self.facts);
+            let (costs, spatial) = (std::mem::take(&mut self.costs), std::mem::take(&mut self.spatial));
+            *self = Self { facts, costs, spatial, ..saved };
         })
     }
 

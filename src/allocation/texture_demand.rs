@@ -28,7 +28,7 @@ pub fn visible_error(luminance: f32, environment: f32, spatial: f32) -> f32 {
 }
 
 /// What a view shows of one texture.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct TextureUse {
     /// A: pixels that want each level; a pixel between two levels counts in both by its share.
     pub pixels: [f32; LEVELS_MAX],

@@ -10,6 +10,7 @@ pub mod error_map;
 pub mod filter;
 pub mod first;
 pub mod gathered;
+pub mod packed;
 pub mod points;
 mod raster;
 pub mod seen;
@@ -21,11 +22,13 @@ pub mod stored;
 pub(crate) mod test_scenes;
 pub mod truth;
 
+use std::any::Any;
+
 use glam::Vec3;
 
 /// Irradiance known everywhere on the surfaces: what the display multiplies with albedo / π, and
 /// what rays read where they end on a diffuse surface.
-pub trait Irradiance: Sync + Send {
+pub trait Irradiance: Any + Sync + Send {
     /// Irradiance in W/m² per band at barycentrics (1 − `b1` − `b2`, `b1`, `b2`) of a triangle, on its
     /// front side or, if `back`, on its back side. Finite and not negative.
     fn irradiance(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3;

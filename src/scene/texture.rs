@@ -68,7 +68,7 @@ impl LevelTexels {
     }
 
     /// Bytes of one texel.
-    fn size(&self) -> usize {
+    pub fn size(&self) -> usize {
         match &self.0 {
             Texels::Byte(_) => 4,
             Texels::Word(_) => 8,
@@ -87,13 +87,20 @@ impl LevelTexels {
 
     /// Texels like these from [`Self::as_bytes`] of another level; `None` where the length is not that of whole texels.
     pub fn of_bytes(&self, bytes: &[u8]) -> Option<Self> {
-        if !bytes.len().is_multiple_of(self.size()) {
+        Self::of_size(self.size(), bytes)
+    }
+
+    /// Texels of `size` bytes each from [`Self::as_bytes`]; `None` where there are none of that size, or the length is not
+    /// that of whole ones.
+    pub fn of_size(size: usize, bytes: &[u8]) -> Option<Self> {
+        if size == 0 || !bytes.len().is_multiple_of(size) {
             return None;
         }
-        Some(Self(match &self.0 {
-            Texels::Byte(_) => Texels::Byte(Arc::new(Counted::new(bytemuck::pod_collect_to_vec(bytes)))),
-            Texels::Word(_) => Texels::Word(Arc::new(Counted::new(bytemuck::pod_collect_to_vec(bytes)))),
-            Texels::Float(_) => Texels::Float(Arc::new(Counted::new(bytemuck::pod_collect_to_vec(bytes)))),
+        Some(Self(match size {
+            4 => Texels::Byte(Arc::new(Counted::new(bytemuck::pod_collect_to_vec(bytes)))),
+            8 => Texels::Word(Arc::new(Counted::new(bytemuck::pod_collect_to_vec(bytes)))),
+            16 => Texels::Float(Arc::new(Counted::new(bytemuck::pod_collect_to_vec(bytes)))),
+            _ => return None,
         }))
     }
 

@@ -4,6 +4,7 @@
 //! W·sr⁻¹·m⁻² per band; [`tracer`] for corrections, [`gather`] and [`caustic`] for stored light, references and refinement,
 //! [`bidirectional`] for the truth.
 
+pub mod arrivals;
 pub mod bidirectional;
 pub mod bsdf;
 pub mod caustic;

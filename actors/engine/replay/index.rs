@@ -1,17 +1,19 @@
 //! Snapshots of a recording on disk, so that a replay begins close to where one wants to be.
 //!
-//! They lie in the cache folder under the recording's hash. The first replays leave them while they run; another build
-//! of the program makes them anew.
+//! They lie in the cache folder under the recording's hash. Replays leave them while they run; another build of the
+//! program makes them anew. Beside them lie the maps of light that a replay had to make again. All recordings together
+//! have a bound; what was used least lately goes.
 
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
+use atomic_write_file::AtomicWriteFile;
 use foveal_runtime::{ActorId, Snapshot};
 
 use crate::opened::cache_folder;
-use crate::recording::program;
+use crate::recording::{FIRST, program};
 
 /// First bytes of the file; the program's identity follows.
 const MAGIC: &[u8; 8] = b"FVSNAPS1";
@@ -19,8 +21,14 @@ const MAGIC: &[u8; 8] = b"FVSNAPS1";
 const INTERVAL: Duration = Duration::from_millis(250);
 /// …but spends at most this share of its time on them.
 const SHARE: u32 = 5;
-/// Bytes after which no more are kept of one recording.
-const BYTES_MAX: u64 = 2 << 30;
+/// A replay that ran for so long to where it was asked to leaves one there: who looks once looks again.
+const WORTH: Duration = Duration::from_millis(50);
+/// Bytes of snapshots of one recording: beyond, about half of them go, those that have others close by.
+const BYTES_MAX: u64 = 3 << 30;
+/// Bytes of snapshots and maps of all recordings.
+const ALL_BYTES_MAX: u64 = 6 << 30;
+/// What files of snapshots, maps and first estimates are called.
+const EXTENSIONS: [&str; 3] = ["fvsnaps", "fvlight", FIRST];
 
 /// Where a snapshot lies in the file, and what was delivered before it.
 struct Entry {
@@ -32,7 +40,8 @@ struct Entry {
 /// The snapshots of one recording.
 pub struct Index {
     /// `None` where there is no folder to keep them.
-    file: Option<PathBuf>,
+    pub(super) file: Option<PathBuf>,
+    light: Option<PathBuf>,
     entries: Vec<Entry>,
     end: u64,
     last: Instant,
@@ -57,12 +66,33 @@ impl SinceEpoch for std::time::SystemTime {
 }
 
 impl Index {
+    /// Where the maps lie that a replay makes again: what another program makes may have other bits.
+    pub fn light(&self) -> Option<&Path> {
+        self.light.as_deref()
+    }
+
     /// The snapshots kept of a recording.
     pub fn open(trace: &Path, cache: Option<&Path>) -> Self {
         let name = std::fs::read(trace).ok().map(|bytes| blake3::hash(&bytes).to_hex()[..32].to_owned());
-        let file = name.and_then(|name| Some(cache_folder(cache)?.join(format!("{name}.fvsnaps"))));
-        let mut index = Self { file, entries: Vec::new(), end: 0, last: Instant::now(), wait: INTERVAL };
+        let folder = name.and_then(|name| Some(cache_folder(cache)?.join(name)));
+        let [file, light, _] =
+            EXTENSIONS.map(|extension| folder.as_ref().map(|f| f.with_extension(extension)));
+        let light = light.map(|light| {
+            let program = blake3::hash(&identity()).to_hex();
+            light.with_file_name(format!(
+                "{}-{}",
+                &program[..8],
+                light.file_name().unwrap_or_default().display()
+            ))
+        });
+        let mut index =
+            Self { file, light, entries: Vec::new(), end: 0, last: Instant::now(), wait: INTERVAL };
         let _ = index.read();
+        for file in [&index.file, &index.light].into_iter().flatten() {
+            // Used: it goes later.
+            let _ =
+                File::options().append(true).open(file).and_then(|file| file.set_modified(SystemTime::now()));
+        }
         index
     }
 
@@ -85,8 +115,11 @@ impl Index {
             let [count, length] = [0, 8].map(|at| {
                 lengths[at..at + 8].iter().rev().fold(0_u64, |number, byte| number << 8 | u64::from(*byte))
             });
-            let offset = self.end + 16 + count.saturating_mul(8);
-            if count > 1 << 20 || offset.saturating_add(length) > size {
+            if count > 1 << 20 {
+                return Ok(());
+            }
+            let offset = self.end + entry_head(count as usize);
+            if offset.saturating_add(length) > size {
                 return Ok(());
             }
             let mut positions = vec![0; count as usize * 8];
@@ -100,19 +133,49 @@ impl Index {
 
     /// The latest snapshot that has delivery `index` of `actor` still before it.
     pub fn before(&self, actor: ActorId, index: u64) -> Option<Snapshot> {
-        let made = |entry: &Entry| entry.positions.get(actor.0 as usize).copied().unwrap_or(u64::MAX);
-        let entry =
-            self.entries.iter().filter(|entry| made(entry) <= index).max_by_key(|entry| made(entry))?;
+        self.read_at(|made| made.get(actor.0 as usize).copied().filter(|made| *made <= index))
+    }
+
+    /// A snapshot whose last delivery to `actor` was `index`: where a replay stopped that was to stop there.
+    pub fn right_after(&self, actor: ActorId, index: u64) -> Option<Snapshot> {
+        self.read_at(|made| made.get(actor.0 as usize).copied().filter(|made| *made == index + 1))
+    }
+
+    /// The snapshot that `rank` puts highest, of those that it ranks by what was delivered before them.
+    fn read_at(&self, rank: impl Fn(&[u64]) -> Option<u64>) -> Option<Snapshot> {
+        let ranked = self.entries.iter().filter_map(|entry| Some((rank(&entry.positions)?, entry)));
+        let (_, entry) = ranked.max_by_key(|(rank, _)| *rank)?;
         let mut file = File::open(self.file.as_ref()?).ok()?;
         file.seek(SeekFrom::Start(entry.offset)).ok()?;
         let mut bytes = Vec::new();
         file.take(entry.length).read_to_end(&mut bytes).ok()?;
-        Snapshot::from_bytes(&bytes)
+        // Another process may have written its own there meanwhile.
+        Snapshot::from_bytes(&bytes).filter(|found| found.positions() == entry.positions)
+    }
+
+    /// The snapshot with the most behind it.
+    pub fn last(&self) -> Option<Snapshot> {
+        self.read_at(|made| Some(made.iter().sum()))
+    }
+
+    /// Whether there is a place to keep snapshots.
+    pub fn is_kept(&self) -> bool {
+        self.file.is_some()
     }
 
     /// Whether it is time for another snapshot.
     pub fn is_due(&self) -> bool {
-        self.file.is_some() && self.end < BYTES_MAX && self.last.elapsed() >= self.wait
+        self.file.is_some() && self.last.elapsed() >= self.wait
+    }
+
+    /// Whether where a replay stops is worth a snapshot.
+    pub fn is_worth(&self) -> bool {
+        self.file.is_some() && self.last.elapsed() >= WORTH
+    }
+
+    /// A replay begins.
+    pub fn begin(&mut self) {
+        self.last = Instant::now();
     }
 
     /// Keeps what `take` gives, unless there is one close by.
@@ -129,13 +192,13 @@ impl Index {
     }
 
     fn append(&mut self, snapshot: &Snapshot) -> std::io::Result<()> {
-        let Some(path) = &self.file else { return Ok(()) };
+        let Some(path) = self.file.clone() else { return Ok(()) };
         if self.end == 0 {
             if let Some(folder) = path.parent() {
                 std::fs::create_dir_all(folder)?;
             }
             let head = head();
-            std::fs::write(path, &head)?;
+            std::fs::write(&path, &head)?;
             self.end = head.len() as u64;
         }
         let content = snapshot.to_bytes();
@@ -145,15 +208,81 @@ impl Index {
         snapshot.positions().iter().for_each(|number| bytes.extend_from_slice(&number.to_le_bytes()));
         let offset = self.end + bytes.len() as u64;
         bytes.extend_from_slice(&content);
-        let mut file = OpenOptions::new().write(true).open(path)?;
+        let mut file = OpenOptions::new().write(true).open(&path)?;
         // Behind the last whole one: what another run left half written is written over.
         file.seek(SeekFrom::Start(self.end))?;
         file.write_all(&bytes)?;
         let (positions, length) = (snapshot.positions().to_vec(), content.len() as u64);
         self.entries.push(Entry { positions, offset, length });
         self.end += bytes.len() as u64;
+        if self.end > BYTES_MAX {
+            self.thin(self.entries.len() / 2)?;
+        }
+        make_room(&path, ALL_BYTES_MAX)
+    }
+
+    /// Keeps about so many snapshots, evenly spread.
+    pub(super) fn thin(&mut self, count: usize) -> std::io::Result<()> {
+        let Some(path) = &self.file else { return Ok(()) };
+        let progress = |entry: &Entry| entry.positions.iter().sum::<u64>();
+        self.entries.sort_by_key(progress);
+        let gap = self.entries.last().map_or(0, progress) / count.max(1) as u64;
+        let mut next = 0;
+        let mut from = File::open(path)?;
+        let mut into = AtomicWriteFile::open(path)?;
+        let head = head();
+        into.write_all(&head)?;
+        let (mut end, mut kept) = (head.len() as u64, Vec::new());
+        for mut entry in self.entries.drain(..) {
+            if progress(&entry) < next {
+                continue;
+            }
+            next = progress(&entry) + gap;
+            let start = entry.offset - entry_head(entry.positions.len());
+            from.seek(SeekFrom::Start(start))?;
+            let length = entry.offset + entry.length - start;
+            let copied = std::io::copy(&mut (&mut from).take(length), &mut into)?;
+            if copied != length {
+                break;
+            }
+            entry.offset = end + (entry.offset - start);
+            end += length;
+            kept.push(entry);
+        }
+        into.commit()?;
+        (self.entries, self.end) = (kept, end);
         Ok(())
     }
+}
+
+/// Bytes of an entry before its snapshot: two lengths and the positions.
+fn entry_head(positions: usize) -> u64 {
+    16 + positions as u64 * 8
+}
+
+/// Lets snapshots and maps of other recordings go, those that were used least lately first, until all fit into `most`
+/// bytes together with those of `kept`.
+pub(super) fn make_room(kept: &Path, most: u64) -> std::io::Result<()> {
+    let Some(folder) = kept.parent() else { return Ok(()) };
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder)?.flatten() {
+        let path = entry.path();
+        let is_ours = path.extension().is_some_and(|e| EXTENSIONS.iter().any(|ours| e == *ours));
+        if let (true, Ok(facts)) = (is_ours, entry.metadata()) {
+            files.push((facts.modified()?, facts.len(), path));
+        }
+    }
+    let mut bytes: u64 = files.iter().map(|(_, bytes, _)| bytes).sum();
+    files.sort();
+    for (_, size, path) in files.into_iter().filter(|(_, _, path)| path != kept) {
+        if bytes <= most {
+            break;
+        }
+        if std::fs::remove_file(path).is_ok() {
+            bytes -= size;
+        }
+    }
+    Ok(())
 }
 
 fn head() -> Vec<u8> {

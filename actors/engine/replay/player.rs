@@ -9,7 +9,7 @@ use foveal::image::Map2d;
 use foveal::scene::Camera;
 use foveal_actors::insight::Insight;
 use foveal_actors::renderer::overlay::Overlay;
-use foveal_actors::settings::Adjustment;
+use foveal_actors::settings::{Adjustment, Settings};
 
 use super::source::{Source, Telling};
 use super::stepper::Stepper;
@@ -112,6 +112,57 @@ impl Timeline for Player {
     }
 
     fn branch(&mut self) -> Result<Branch, String> {
+        self.way()?.start(&self.controls)
+    }
+}
+
+/// What a walk on from a moment of a recording is made of.
+#[derive(Clone)]
+pub(super) struct Way {
+    camera: Camera,
+    settings: Settings,
+    quality: Option<f32>,
+    opened: Opened,
+    facts: Vec<(String, String)>,
+}
+
+impl Way {
+    /// The walk, on this thread.
+    ///
+    /// # Errors
+    /// If threads cannot be started.
+    pub(super) fn start(self, controls: &Controls) -> Result<Branch, String> {
+        let Self { camera, settings, quality, opened, facts } = self;
+        let fps = Some(controls.set.fps);
+        let options = Options { fps, quality, facts, ..Options::interactive(settings) };
+        let source = Engine::start(opened, options).map_err(|e| e.to_string())?;
+        Ok(Branch { source: Box::new(source), camera })
+    }
+}
+
+/// Controls as a recording takes them: what was recorded stays, only exposure, tone map, overlay and speed of playing
+/// change.
+pub(super) fn adopted(before: &Controls, wanted: &Controls) -> Controls {
+    let set = Adjustment { fps: wanted.set.fps, tone: wanted.set.tone, ..before.set };
+    Controls { set, overlay: wanted.overlay }
+}
+
+impl Player {
+    /// The recording.
+    pub(super) fn source(&self) -> &Source {
+        &self.source
+    }
+
+    /// Names of its objects and textures.
+    pub(super) fn names(&self) -> Names {
+        self.names.clone()
+    }
+
+    /// The walk that leaves it here.
+    ///
+    /// # Errors
+    /// If no frame has begun yet.
+    pub(super) fn way(&self) -> Result<Way, String> {
         let camera = self.stepper.look(|r| r.camera()).flatten().ok_or("no frame has begun yet")?;
         let adjusted = self.stepper.look(|r| r.adjustment().copied()).flatten();
         let mut settings = self.source.recorded.settings;
@@ -119,18 +170,12 @@ impl Timeline for Player {
             settings.adjust(adjusted);
         }
         let world = self.stepper.look(|r| r.world().clone()).ok_or("nothing is shown yet")?;
-        let options = Options {
-            fps: Some(self.controls.set.fps),
-            quality: adjusted.and_then(|adjusted| adjusted.quality),
-            facts: self.facts(),
-            ..Options::interactive(settings)
-        };
         // Edits are against what the files say, here as before.
         let recorded = self.source.opened();
         let (light, as_read) = (recorded.light.clone(), recorded.as_read.clone());
         let opened = Opened { light, as_read, ..Opened::of_world(world) };
-        let source = Engine::start(opened, options).map_err(|e| e.to_string())?;
-        Ok(Branch { source: Box::new(source), camera })
+        let quality = adjusted.and_then(|adjusted| adjusted.quality);
+        Ok(Way { camera, settings, quality, opened, facts: self.facts() })
     }
 }
 
@@ -163,10 +208,8 @@ impl FrameSource for Player {
         self.insight.as_ref().map(|insight| (insight, &self.names))
     }
 
-    /// What was recorded stays: only exposure, tone map, overlay and speed of playing change.
     fn set_controls(&mut self, controls: &Controls) {
-        let set = Adjustment { fps: controls.set.fps, tone: controls.set.tone, ..self.controls.set };
-        self.controls = Controls { set, overlay: controls.overlay };
+        self.controls = adopted(&self.controls, controls);
     }
 
     fn begin_frame(&mut self, _camera: &Camera) {}

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use crossbeam_queue::SegQueue;
 use foveal::world::World;
+use foveal_actors::light_book::LightBook;
 use foveal_actors::renderer::{MARK_FRAME, Unseen};
 use foveal_actors::stages::StageTimes;
 use foveal_actors::wiring::{Actors, wire};
@@ -20,7 +21,7 @@ use crate::bake_clock::Watch;
 use crate::failure::Failure;
 use crate::interrupt::interrupted;
 use crate::opened::Opened;
-use crate::recording::{Elsewhere, RecordedRun, open_trace, program};
+use crate::recording::{Elsewhere, RecordedRun, light_beside, light_key, open_trace, program};
 
 /// A delivery that was looked at.
 #[derive(Clone, Debug)]
@@ -123,9 +124,18 @@ impl Source {
                 path.display()
             )));
         }
-        let opened = recorded.open(path, elsewhere, watch)?;
+        let mut opened = recorded.open(path, elsewhere, watch)?;
         let shown_in = shown_in(&trace);
-        let index = RefCell::new(Index::open(path, elsewhere.cache.as_deref()));
+        let index = Index::open(path, elsewhere.cache.as_deref());
+        if let Some(refinement) = &mut opened.refinement {
+            let (beside, triangles) = (light_beside(path), refinement.world.scene.mesh.triangles.len());
+            let beside: &[&Path] = if beside.exists() { &[&beside] } else { &[] };
+            let book = LightBook::open(light_key(refinement)?, triangles, beside, index.light());
+            let delivered =
+                trace.find("illuminator").map_or(0, |from| trace.deliveries_from(renderer(&trace), from));
+            refinement.book = Some(Arc::new(book.with_delivered(delivered)));
+        }
+        let index = RefCell::new(index);
         Ok(Self { trace, path: path.to_owned(), recorded, shown_in, opened, index })
     }
 
@@ -171,15 +181,26 @@ impl Source {
                     (self.renderer(), shown.checked_sub(frames).map_or(0, |frame| self.shown_in[frame]))
                 }
             };
+            // Where one looked before.
+            let exact =
+                (how.frames_before == 0 && how.observer.is_none()).then(|| index.right_after(actor, at));
+            if let Some(from) = exact.flatten() {
+                let there = How { from: Some(Arc::new(from)), ..how.clone() };
+                if let Ok((runtime, actors)) = self.system(there) {
+                    look(&runtime);
+                    return Ok((runtime, actors));
+                }
+            }
             how.from = index.before(actor, at).map(Arc::new);
         }
-        let jumped = how.from.is_some();
+        let (jumped, stops) = (how.from.is_some(), how.until.is_some());
         let again = How { from: None, jump: false, ..how.clone() };
         let (mut runtime, actors) = match self.system(how) {
             // What was kept cannot be used after all.
             Err(_) if jumped => self.system(again.clone())?,
             built => built?,
         };
+        index.begin();
         loop {
             let exit = runtime.pump_until(Limit::IDLE, |runtime| {
                 look(runtime);
@@ -193,6 +214,9 @@ impl Source {
                 _ => break,
             }
         }
+        if stops && index.is_worth() && !runtime.diverged() {
+            index.keep(|| runtime.snapshot());
+        }
         look(&runtime);
         if jumped && runtime.diverged() {
             // A snapshot may be at fault: only a replay from the start can tell.
@@ -200,6 +224,11 @@ impl Source {
             return self.run(again, look);
         }
         Ok((runtime, actors))
+    }
+
+    /// A replay that leaves snapshots as far as there are none yet.
+    pub fn indexing(&self) -> Indexing {
+        Indexing { runtime: None, is_done: !self.index.borrow().is_kept() }
     }
 
     /// The last snapshot that is kept before a delivery and has nothing behind it that `cut` does not.
@@ -288,6 +317,51 @@ impl Source {
     }
 }
 
+/// A replay of which only its snapshots are wanted.
+pub struct Indexing {
+    /// `None` before it has begun.
+    runtime: Option<Runtime>,
+    is_done: bool,
+}
+
+impl Indexing {
+    /// Goes on until `enough`, from the last snapshot that is kept. Returns whether there is more to do.
+    pub fn go_on(&mut self, source: &Source, mut enough: impl FnMut() -> bool) -> bool {
+        if self.is_done {
+            return false;
+        }
+        let mut index = source.index.borrow_mut();
+        let runtime = match &mut self.runtime {
+            Some(runtime) => runtime,
+            None => {
+                let from = index.last().map(Arc::new);
+                let begun = source.system(How { from, ..How::default() });
+                let begun = begun.or_else(|_| source.system(How::default()));
+                match begun {
+                    Ok((runtime, _)) => self.runtime.insert(runtime),
+                    Err(_) => {
+                        self.is_done = true;
+                        return false;
+                    }
+                }
+            }
+        };
+        index.begin();
+        loop {
+            let exit = runtime.pump_until(Limit::IDLE, |_| enough() || interrupted() || index.is_due());
+            match exit {
+                Exit::Until if enough() || interrupted() => return true,
+                Exit::Until => index.keep(|| runtime.snapshot()),
+                // What diverges is found again by whoever looks there.
+                _ => {
+                    (self.runtime, self.is_done) = (None, true);
+                    return false;
+                }
+            }
+        }
+    }
+}
+
 /// An actor's or port's name.
 pub fn name(trace: &Trace, id: ActorId) -> &str {
     trace.header().nodes.get(id.0 as usize).map_or("?", |node| node.name.as_str())
@@ -319,6 +393,7 @@ pub fn observe(
 
 #[cfg(test)]
 mod tests {
+    use super::super::index::make_room;
     use super::*;
 
     fn kept(name: &str) -> Source {
@@ -386,5 +461,57 @@ mod tests {
         bytes[12] ^= 1;
         std::fs::write(&file, &bytes).expect("written");
         assert_eq!(at(&open(), 7), None, "of another program");
+    }
+
+    #[test]
+    fn where_one_looked_before_nothing_runs() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../traces/gallery.fvl");
+        let elsewhere = Elsewhere { cache: Some(folder.path().to_owned()), ..Elsewhere::default() };
+        let source = Source::open(&path, &elsewhere, true, &()).expect("a walk");
+        let until = Some(source.frame_shown(3).expect("a frame"));
+        let (mut first, _) = source.system(How { until, ..How::default() }).expect("a system");
+        first.pump(Limit::IDLE);
+        source.index.borrow_mut().keep(|| first.snapshot());
+        let how = How { threads: 2, until, jump: true, ..How::default() };
+        let (mut again, actors) = source.run(how, |_| ()).expect("a replay");
+        let report = again.replay_report();
+        assert_eq!(report.divergence, None);
+        assert_eq!(again.positions(), first.positions());
+        let shown = again.inspect(actors.renderer, |r| r.shown().map(|s| s.index.0)).flatten();
+        assert_eq!(shown, Some(3));
+        // And on from there.
+        again.resume(None);
+        let report = again.replay();
+        assert!(report.complete, "{:?}", report.divergence);
+    }
+
+    #[test]
+    fn snapshots_have_a_bound() {
+        let source = kept("gallery.fvl");
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut index = Index::open(&source.path, Some(folder.path()));
+        let renderer = source.renderer();
+        for frame in 0..8 {
+            let until = Some(source.frame_shown(frame).expect("a frame"));
+            let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
+            runtime.pump(Limit::IDLE);
+            index.keep(|| runtime.snapshot());
+        }
+        let count = |index: &Index| {
+            let found = source.shown_in.iter().filter(|at| index.right_after(renderer, **at).is_some());
+            found.count()
+        };
+        assert_eq!(count(&index), 8);
+        index.thin(4).expect("room");
+        let again = Index::open(&source.path, Some(folder.path()));
+        for index in [&index, &again] {
+            assert!((2..=5).contains(&count(index)), "{} of 8", count(index));
+        }
+        // What was used least lately goes, but for what is in use.
+        let [other, own] = [folder.path().join("other.fvsnaps"), again.file.clone().expect("a file")];
+        std::fs::write(&other, [0; 1000]).expect("written");
+        make_room(&own, 10).expect("room");
+        assert!(own.exists() && !other.exists());
     }
 }

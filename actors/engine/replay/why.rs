@@ -19,6 +19,7 @@ use glam::Vec3;
 use serde_json::{Value, json};
 
 use super::source::{How, Source};
+use super::why_light;
 use crate::failure::Failure;
 
 /// A delivery: actor and number.
@@ -64,6 +65,10 @@ enum Note {
     Woke {
         kind: &'static str,
     },
+    /// At the renderer: better light came.
+    Lit {
+        rounds: u32,
+    },
 }
 
 struct Noted {
@@ -101,27 +106,41 @@ impl Notes {
         }
     }
 
-    /// The last frame that began with another camera than the one before.
+    /// The last frame that began with another camera than the one before, or that was the first.
     fn moved(&self, source: &Source) -> Option<At> {
         let renderer = source.renderer();
         let (mut last, mut moved) = (None, None);
         for (at, (_, note)) in self.all.range((renderer, 0)..=(renderer, u64::MAX)) {
-            if let Note::Began { camera, .. } = note
-                && last.replace(*camera) != Some(*camera)
-            {
-                moved = Some(*at);
+            if let Note::Began { frame, camera } = note {
+                let before = last.replace(*camera);
+                if *frame == 0 || before.is_some_and(|before| before != *camera) {
+                    moved = Some(*at);
+                }
             }
         }
         moved
     }
 
-    /// Whether every view whose samples `view` can show was drawn since the notes began.
-    fn reaches_back(&self, view: u32, max_age: u32) -> bool {
-        let drawn = self.all.values().filter_map(|(_, note)| match note {
-            Note::Drawn { view } => Some(*view),
-            _ => None,
-        });
-        drawn.min().is_some_and(|first| first <= view.saturating_sub(max_age).max(1))
+    /// Whether they reach back to all that is told of a pixel.
+    fn tell_all(&self, source: &Source, shown: &Shown, found: Option<&Found>) -> bool {
+        // A view may be overtaken on its way to the allocator; that an older one came says as much.
+        let reach_back_to =
+            |of: u32| self.all.values().any(|(_, note)| matches!(note, Note::Drawn { view } if *view <= of));
+        let view = shown.drawn.view.0;
+        if !reach_back_to(view) && self.moved(source).is_none() {
+            return false;
+        }
+        let Some(found) = found else { return true };
+        let Some((delivered, _)) = found.batch else { return false };
+        let job = self.cause(delivered);
+        let is_ranked = || {
+            let pushed = job.and_then(|job| self.cause(job));
+            pushed.is_some_and(|(allocator, index)| {
+                let mut before = self.all.range((allocator, 0)..=(allocator, index));
+                before.any(|(_, (_, note))| matches!(note, Note::Ranked { .. }))
+            })
+        };
+        reach_back_to(view.saturating_sub(found.age)) && is_ranked()
     }
 
     fn cause(&self, at: At) -> Option<At> {
@@ -153,6 +172,7 @@ fn note(d: &Delivery<'_>) -> Option<Note> {
                 Note::Aged { view: view.0, samples: samples.clone() }
             }
             RendererMessage::SamplesTraced { batch, .. } => Note::Traced { batch: batch.clone() },
+            RendererMessage::Illuminated { map, .. } => Note::Lit { rounds: map.summary.rounds },
             _ => return None,
         });
     }
@@ -223,43 +243,42 @@ pub fn explain(
             sink.push(Noted { at: (d.actor, d.index), cause: d.cause, note });
         }
     });
-    // Samples live for so many views; what began before them is told of, too.
-    let frames_before = settings.ageing.max_age as usize + 8;
-    let mut how = How {
-        threads: workers,
-        until,
-        observer: Some(observer),
-        jump: true,
-        frames_before,
-        ..How::default()
-    };
-    let (mut runtime, mut actors, mut notes);
-    loop {
-        notes = Notes::default();
-        let max_age = settings.ageing.max_age;
-        (runtime, actors) = source.run(how.clone(), |_| notes.take(&queue, max_age))?;
+    // What a pixel shows mostly came in the last frames; samples live for so many views; a camera that stood still for long
+    // shows samples of long ago: as far back as it takes.
+    let max_age = settings.ageing.max_age;
+    let mut how = How { threads: workers, until, observer: Some(observer), jump: true, ..How::default() };
+    let (px, py) = (x as usize, y as usize);
+    let mut looks = [2, 16, max_age as usize + 8].into_iter();
+    let (runtime, actors, shown, found, notes) = loop {
+        match looks.next() {
+            Some(frames) => how.frames_before = frames,
+            None => how.jump = false,
+        }
+        let mut notes = Notes::default();
+        while queue.pop().is_some() {}
+        let (mut runtime, actors) = source.run(how.clone(), |_| notes.take(&queue, max_age))?;
         let report = runtime.replay_report();
         if let Some(divergence) = report.divergence {
             return Err(Failure::Check(format!("the replay diverges: {divergence}")));
         }
-        // A camera that stood still for long shows samples of long ago: then from the start.
-        let view = runtime.inspect(actors.renderer, |r| r.drawn().map(|d| d.view.0)).flatten();
-        if !how.jump || view.is_none_or(|view| notes.reaches_back(view, max_age)) {
-            break;
+        let shown = runtime.inspect(actors.renderer, |r| {
+            let (snapshot, drawn) = (r.shown()?.clone(), r.drawn()?.clone());
+            let base = drawn.buffers.color.at(px, py);
+            Some(Shown { snapshot, drawn, base, splat: r.layer().color(px, py) })
+        });
+        let Some(shown) = shown.flatten() else {
+            return Err(Failure::Check("nothing was shown".into()));
+        };
+        let found = find(source, &notes, &shown, px, py);
+        // Where nothing is corrected all that is told is in the view.
+        if !how.jump || !source.recorded.corrects || notes.tell_all(source, &shown, found.as_ref()) {
+            break (runtime, actors, shown, found, notes);
         }
-        how.jump = false;
-    }
-    let (px, py) = (x as usize, y as usize);
-    let shown = runtime.inspect(actors.renderer, |r| {
-        let (snapshot, drawn) = (r.shown()?.clone(), r.drawn()?.clone());
-        let base = drawn.buffers.color.at(px, py);
-        Some(Shown { snapshot, drawn, base, splat: r.layer().color(px, py) })
-    });
-    let Some(shown) = shown.flatten() else {
-        return Err(Failure::Check("nothing was shown".into()));
     };
-    let found = find(source, &notes, &shown, px, py);
-    let document = document(source, &notes, &shown, found.as_ref(), (px, py));
+    let mut document = document(source, &notes, &shown, found.as_ref(), (px, py));
+    let allocator = actors.correction.map(|correction| correction.allocator);
+    let insight = allocator.and_then(|allocator| runtime.inspect(allocator, |a| a.insight()));
+    document["surface"] = why_light::surface(&shown.drawn, (px, py), insight.as_ref());
     Ok(document)
 }
 
@@ -381,6 +400,7 @@ fn document(
         };
         chain.push(link(source, "input", Some(at), frame));
     }
+    light(source, notes, shown, &mut chain);
     if let Some(found) = found {
         samples(source, notes, shown, found, &mut chain);
     }
@@ -399,6 +419,18 @@ fn document(
         "splat": shown.splat.to_array(),
         "chain": chain,
     })
+}
+
+/// The link to the turn of the illuminator whose map the view shows, if it came since the notes began.
+fn light(source: &Source, notes: &Notes, shown: &Shown, chain: &mut Vec<Value>) {
+    let Some(stored) = shown.drawn.world.illumination.stored() else { return };
+    let rounds = stored.summary.rounds;
+    let came =
+        notes.all.iter().rev().find(|(_, (_, note))| matches!(note, Note::Lit { rounds: r } if *r == rounds));
+    if let Some((at, (cause, _))) = came {
+        let made = cause.map_or_else(String::new, |cause| format!(", made in {}", source.at(cause)));
+        chain.push(link(source, "light", Some(*at), format!("the map of round {rounds} came{made}")));
+    }
 }
 
 /// The links from what the analyzer saw to the sample.
@@ -488,5 +520,6 @@ pub fn told(d: &Value) -> Vec<String> {
         let line = format!("{:<9} {:<15} {}", text(&link["step"]), text(&link["at"]), text(&link["text"]));
         lines.push(line.trim_end().to_owned());
     }
+    lines.extend(why_light::told(&d["surface"]));
     lines
 }

@@ -1,6 +1,10 @@
 //! A recording instead of a walk: its timeline, and the walk that branches off.
 
 use super::{Next, Walk};
+
+/// How often it is looked for what a thread beside makes, seconds.
+const LOOK: f64 = 0.01;
+
 use crate::source::{Branch, TimelineShown, Wish};
 
 impl Walk {
@@ -33,18 +37,26 @@ impl Walk {
     /// A recording: shows what was asked for, and the next frame while it plays.
     pub(super) fn tick_recording(&mut self, now: f64) -> (bool, Next) {
         let period = 1.0 / f64::from(self.controls.set.fps.clamp(0.1, 1000.0));
+        self.stale |= self.source.take_news();
         if let (Some(due), Some(timeline)) = (self.replaying, self.source.timeline_mut()) {
-            if now < due {
+            if now < due && !self.stale {
                 return (false, Next::At(due));
             }
-            let goes_on = timeline.next_frame();
-            self.replaying = goes_on.then_some(due.max(now - period) + period);
-            self.stale = true;
+            if now >= due {
+                let goes_on = timeline.next_frame();
+                self.replaying = goes_on.then_some(due.max(now - period) + period);
+                self.stale = true;
+            }
         }
-        if !std::mem::take(&mut self.stale) {
-            return (false, Next::Input);
+        let next = match self.replaying {
+            _ if self.source.is_busy() => Next::At(now + LOOK),
+            Some(due) => Next::At(due),
+            None => Next::Input,
+        };
+        let is_new = std::mem::take(&mut self.stale);
+        if is_new {
+            self.picture = self.source.picture();
         }
-        self.picture = self.source.picture();
-        (true, self.replaying.map_or(Next::Input, Next::At))
+        (is_new, next)
     }
 }

@@ -48,6 +48,9 @@ pub struct ReplayArguments {
     /// Read commands: step forward and back through the deliveries, from --until or the start; h lists them
     #[arg(long)]
     step: bool,
+    /// Leave snapshots all along it, so that every moment of it is reached at once from now on
+    #[arg(long, conflicts_with_all = ["verify", "until", "step", "show", "why", "actor", "export"])]
+    index: bool,
     /// Take this many deliveries back from --until or the end, and say which
     #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "1", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     back: Option<u32>,
@@ -138,6 +141,12 @@ pub fn run(a: &ReplayArguments, progress: Progress) -> Result<(), Failure> {
         return super::serve::recording(listen, Arc::new(make), a.json);
     }
     let source = Source::open(path, &a.elsewhere.files(), a.verify, &progress.baking())?;
+    if a.index {
+        return match source.indexing().go_on(&source, || false) {
+            true => Err(Failure::Interrupted("interrupted; snapshots so far are kept".into())),
+            false => Ok(()),
+        };
+    }
     if let Some(pixel) = a.why {
         let document = why::explain(&source, pixel, a.frame, workers)?;
         match a.json {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use foveal_engine::Failure;
 use foveal_engine::recording::{RecordedRun, open_trace};
-use foveal_engine::replay::{Player, Source};
+use foveal_engine::replay::{Beside, Source};
 use foveal_engine::source::{Build, FrameSource, Loader};
 use foveal_window::{Options, WindowError};
 
@@ -22,10 +22,9 @@ pub fn run(a: &ReplayArguments, file: PathBuf, workers: usize) -> Result<(), Fai
     let loader: Loader = Arc::new(move |dropped| {
         let file = dropped.unwrap_or(&file).to_path_buf();
         let source = Source::open(&file, &elsewhere, false, &()).map_err(|e| e.to_string())?;
-        let build: Build = Box::new(move || {
-            let player = Player::new(source, workers).map_err(|e| e.to_string())?;
-            Ok(Box::new(player) as Box<dyn FrameSource>)
-        });
+        // On a thread of its own: the window never waits for it.
+        let player = Beside::new(source, workers).map_err(|e| e.to_string())?;
+        let build: Build = Box::new(move || Ok(Box::new(player) as Box<dyn FrameSource>));
         Ok(build)
     });
     let options = Options { name, size, screenshots: a.screenshots.clone(), ..Options::of(loader) };

@@ -215,6 +215,15 @@ impl Env {
         }
     }
 
+    /// Stands at once where so many deliveries are behind what it was to stop at.
+    pub(crate) fn stop_behind(&self, positions: &[u64]) {
+        let made = positions.get(self.until_who.load(Ordering::Relaxed) as usize);
+        let is_behind = made.is_some_and(|made| *made > self.until_count.load(Ordering::Relaxed));
+        if self.until_tag.load(Ordering::Relaxed) == 2 && is_behind {
+            self.scheduler.halt();
+        }
+    }
+
     pub(crate) fn popped_by(&self, id: u64, attempt: u32) -> Option<ActorId> {
         let index =
             self.pops.binary_search_by_key(&(id, attempt), |(id, attempt, _)| (*id, *attempt)).ok()?;

@@ -127,6 +127,17 @@ impl Trace {
         })
     }
 
+    /// Deliveries to one actor from another.
+    pub fn deliveries_from(&self, actor: ActorId, from: ActorId) -> u64 {
+        let steps = self.steps(actor).into_iter().flatten();
+        steps
+            .map(|step| match step {
+                Step::Deliveries(_, stride) if stride.symbol.from == from => stride.count,
+                _ => 0,
+            })
+            .sum()
+    }
+
     /// The marks of one actor: how many deliveries it had before, kind and value.
     pub fn marks(&self, actor: ActorId) -> impl Iterator<Item = (u64, u32, u64)> + '_ {
         let log = self.logs.get(actor.0 as usize);

@@ -10,6 +10,7 @@ use std::sync::Arc;
 #[derive(Default)]
 pub struct Saver {
     bytes: Vec<u8>,
+    context: Option<Arc<dyn Any + Send + Sync>>,
     /// Shared values by their place in memory, which nothing else can take while they are held.
     numbers: BTreeMap<usize, u32>,
     held: Vec<Arc<dyn Any + Send + Sync>>,
@@ -17,6 +18,15 @@ pub struct Saver {
 }
 
 impl Saver {
+    pub(crate) fn new(context: Option<Arc<dyn Any + Send + Sync>>) -> Self {
+        Self { context, ..Self::default() }
+    }
+
+    /// What the wiring gave to [`crate::Wiring::context`].
+    pub fn context<T: Any + Send + Sync>(&self) -> Option<Arc<T>> {
+        self.context.clone()?.downcast().ok()
+    }
+
     /// Writes a value.
     pub fn put(&mut self, value: &(impl Serialize + ?Sized)) {
         match postcard::to_extend(value, std::mem::take(&mut self.bytes)) {

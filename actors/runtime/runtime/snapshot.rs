@@ -74,7 +74,7 @@ impl Runtime {
             self.env.scheduler.halt();
         }
         self.settle();
-        let mut saver = Saver::default();
+        let mut saver = Saver::new(self.context.clone());
         let (kind, value) = self.env.last_mark().unwrap_or((u32::MAX, 0));
         saver.put(&(kind, value));
         for pool in &self.pools {
@@ -93,12 +93,8 @@ impl Runtime {
     }
 
     /// Puts a system that was just built where the snapshot was taken.
-    pub(crate) fn restore(
-        &self,
-        snapshot: &Snapshot,
-        context: Option<Arc<dyn Any + Send + Sync>>,
-    ) -> Option<()> {
-        let mut loader = snapshot.loader(context);
+    pub(crate) fn restore(&self, snapshot: &Snapshot) -> Option<()> {
+        let mut loader = snapshot.loader(self.context.clone());
         let (kind, value): (u32, u64) = loader.take()?;
         if kind != u32::MAX {
             self.env.set_last_mark(kind, value);

@@ -24,13 +24,22 @@ impl Lights {
 
     /// The light that each named light sends to `point`.
     pub fn named<'a>(&'a self, scene: &'a Scene, point: Vec3) -> impl Iterator<Item = LightSample> + 'a {
+        self.named_by_number(scene, point).map(|(_, sample)| sample)
+    }
+
+    /// The same with the light's number in [`crate::scene::SceneParts::lights`].
+    pub fn named_by_number<'a>(
+        &'a self,
+        scene: &'a Scene,
+        point: Vec3,
+    ) -> impl Iterator<Item = (u32, LightSample)> + 'a {
         let some = if self.has_named() { &self.emitters[self.triangle_count..] } else { &[] };
         some.iter()
             .filter_map(move |emitter| match emitter {
-                Emitter::Analytic(i) => sample_analytic(&scene.lights[*i as usize], point),
+                Emitter::Analytic(i) => Some((*i, sample_analytic(&scene.lights[*i as usize], point)?)),
                 Emitter::Triangle(_) | Emitter::Surrounding => None,
             })
-            .filter(|s| s.radiance.is_finite() && s.radiance.max_element() > 0.0)
+            .filter(|(_, s)| s.radiance.is_finite() && s.radiance.max_element() > 0.0)
     }
 
     /// Share of the sky among samples of what is not named, where that is not all.

@@ -1,0 +1,161 @@
+//! Walks that change while one looks: light that grows, textures under a limit, a lamp that was dimmed. A snapshot of any
+//! moment of them holds, with the maps of the light at hand, without them, and with some of them damaged.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use foveal::scene::edit::{Lamp, SceneEdit};
+use foveal_actors::renderer::MARK_FRAME;
+use foveal_runtime::{Limit, Snapshot};
+use glam::Vec3;
+
+use super::{How, Source};
+use crate::light::BakeOptions;
+use crate::options::{Options, Recording};
+use crate::recording::{Elsewhere, light_beside};
+use crate::{Engine, Light, Settings, opened};
+
+const TEXTURES: u64 = 24_000;
+
+/// A textured floor and wall, a mirror, and a lamp above.
+fn scene(folder: &Path) -> PathBuf {
+    let picture = |name: &str, side: u32, of: fn(u32, u32) -> [u8; 3]| {
+        let picture = image::RgbImage::from_fn(side, side, |x, y| image::Rgb(of(x, y)));
+        picture.save(folder.join(name)).expect("a picture");
+    };
+    picture("floor.png", 128, |x, y| if (x / 8 + y / 8) % 2 == 0 { [220, 200, 160] } else { [60, 40, 30] });
+    picture("wall.png", 64, |x, y| [(x * 4) as u8, (y * 4) as u8, (x * y) as u8]);
+    let quad = |corners: [[f32; 3]; 4], first: usize, material: &str| {
+        let places = corners.map(|[x, y, z]| format!("v {x} {y} {z}\n")).concat();
+        let texels = ["vt 0 0\n", "vt 1 0\n", "vt 1 1\n", "vt 0 1\n"].concat();
+        let face = (first..first + 4).map(|i| format!(" {i}/{i}")).collect::<String>();
+        format!("{places}{texels}o {material}\nusemtl {material}\nf{face}\n")
+    };
+    let parts = [
+        quad([[-2.0, 0.0, 2.0], [2.0, 0.0, 2.0], [2.0, 0.0, -2.0], [-2.0, 0.0, -2.0]], 1, "floor"),
+        quad([[-2.0, 0.0, -2.0], [2.0, 0.0, -2.0], [2.0, 2.0, -2.0], [-2.0, 2.0, -2.0]], 5, "wall"),
+        quad([[0.2, 0.3, 1.0], [1.2, 0.3, 1.0], [1.2, 0.3, 0.0], [0.2, 0.3, 0.0]], 9, "mirror"),
+        quad([[-0.5, 2.0, -0.5], [0.5, 2.0, -0.5], [0.5, 2.0, 0.5], [-0.5, 2.0, 0.5]], 13, "lamp"),
+    ];
+    std::fs::write(folder.join("a.obj"), format!("mtllib a.mtl\n{}", parts.concat())).expect("written");
+    let materials = "newmtl floor\nKd 0.8 0.8 0.8\nmap_Kd floor.png\nnewmtl wall\nKd 0.8 0.8 0.8\nmap_Kd wall.png\n\
+                     newmtl mirror\nKd 0 0 0\nKs 0.9 0.9 0.9\nNs 1000\nillum 3\nnewmtl lamp\nKd 0 0 0\nKe 5 5 5\n";
+    std::fs::write(folder.join("a.mtl"), materials).expect("written");
+    folder.join("a.obj")
+}
+
+/// Records a walk to and fro, until its light is final, but so many frames at most.
+fn recorded(folder: &Path, keeps_light: bool, frames: u32) -> PathBuf {
+    let file = scene(folder);
+    let cache = Some(folder.join("cache"));
+    let settings =
+        BakeOptions { texels: Some(800), particles: 1 << 12, error: 1e-4, ..BakeOptions::default() };
+    let light = Light { settings, cache: cache.clone(), ..Light::default() };
+    let lamp = opened::open(&file, &Light { quick: true, ..light.clone() }, &()).expect("a scene");
+    let lamp = lamp.world.scene.materials.iter().position(|m| m.is_emissive()).expect("a lamp");
+    let dimmed = SceneEdit::LampDimmed { lamp: Lamp::Material(lamp as u32), gain: Vec3::splat(0.5) };
+    let light = Light { edits: vec![dimmed], ..light };
+    let mut opened = opened::open(&file, &light, &()).expect("a scene");
+    opened.limit_textures(Some(TEXTURES)).expect("a limit");
+    assert!(opened.refinement.is_some() && opened.textures.is_some());
+    let trace = folder.join("a.fvl");
+    let options = Options {
+        recording: Some(Recording::file(&trace, "test")),
+        keeps_light,
+        ..Options::new(Settings::new(48, 32, 2))
+    };
+    let mut walk = Engine::start(opened, options).expect("actors");
+    let mut camera = walk.opened().world.scene.cameras[0].camera;
+    for frame in 0..frames {
+        // It stands now and then.
+        if frame < 24 && frame % 5 != 4 {
+            camera.eye += Vec3::new(0.05, 0.01, -0.02) * if frame < 12 { 1.0 } else { -1.0 };
+        }
+        walk.frame(&camera, Duration::from_millis(20)).expect("a frame");
+        if frame >= 24 && walk.look(|r| r.is_lit()) == Some(true) {
+            break;
+        }
+    }
+    assert!(frames < 200 || walk.look(|r| r.is_lit()) == Some(true), "the light is final");
+    drop(walk);
+    trace
+}
+
+fn open(trace: &Path, cache: &Path) -> Source {
+    let elsewhere = Elsewhere { cache: Some(cache.to_owned()), ..Elsewhere::default() };
+    Source::open(trace, &elsewhere, true, &()).expect("a recording")
+}
+
+/// Replays to each frame and on from there; what is shown must be what was shown then.
+fn seek_everywhere(source: &Source, step: usize) {
+    let (mut whole, _) = source.system(How { threads: 2, ..How::default() }).expect("a system");
+    let report = whole.replay();
+    assert!(report.complete, "{:?}", report.divergence);
+    // What was shown when it was recorded.
+    let marks = source.trace.marks(source.renderer()).filter(|(_, kind, _)| *kind == MARK_FRAME);
+    let pictures: Vec<(u32, u64)> = (0..).zip(marks.map(|(_, _, hash)| hash)).collect();
+    assert_eq!(pictures.len(), source.shown_in.len());
+    for (frame, hash) in pictures.into_iter().step_by(step) {
+        let until = Some(source.frame_shown(frame).expect("a frame"));
+        let threads = frame as usize % 3;
+        let (mut there, actors) =
+            source.run(How { threads, until, jump: true, ..How::default() }, |_| ()).expect("a replay");
+        assert_eq!(there.replay_report().divergence, None, "frame {frame}");
+        let shown = there.inspect(actors.renderer, |r| r.shown().map(|s| (s.index.0, s.hash))).flatten();
+        assert_eq!(shown, Some((frame, hash)));
+        let snapshot = there.snapshot().unwrap_or_else(|| panic!("frame {frame}: no snapshot"));
+        let from = Snapshot::from_bytes(&snapshot.to_bytes()).map(Arc::new);
+        let (mut after, _) = source.system(How { threads, from, ..How::default() }).expect("a system");
+        let report = after.replay();
+        assert_eq!(report.divergence, None, "after frame {frame}");
+        assert!(report.complete && after.fingerprint() == whole.fingerprint(), "after frame {frame}");
+    }
+}
+
+#[test]
+fn a_walk_that_changes_goes_on_from_every_frame() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let trace = recorded(folder.path(), true, 200);
+    assert!(light_beside(&trace).exists());
+    seek_everywhere(&open(&trace, &folder.path().join("cache")), 1);
+    // Nothing was baked again.
+    let made = std::fs::read_dir(folder.path().join("cache")).expect("a folder").flatten();
+    assert_eq!(made.filter(|f| f.path().extension().is_some_and(|e| e == "fvlight")).count(), 0);
+}
+
+#[test]
+fn a_walk_that_ends_while_its_light_grows_is_not_baked_again() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let trace = recorded(folder.path(), true, 8);
+    let source = open(&trace, &folder.path().join("cache"));
+    // Afterwards it is stopped, and cannot be looked at.
+    let until = Some(source.frame_shown(7).expect("a frame"));
+    let (mut whole, actors) = source.system(How { until, ..How::default() }).expect("a system");
+    whole.pump(Limit::IDLE);
+    let illuminator = actors.illuminator.expect("an illuminator");
+    assert_eq!(whole.inspect(illuminator, |i| i.has_baked()), Some(false));
+    seek_everywhere(&source, 1);
+}
+
+#[test]
+fn maps_that_are_missing_or_damaged_are_made_again() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let trace = recorded(folder.path(), false, 200);
+    let (light, cache) = (light_beside(&trace), folder.path().join("other"));
+    assert!(!light.exists());
+    seek_everywhere(&open(&trace, &cache), 9);
+    // What was made again is a whole book, with which the next replay does not bake.
+    let made = std::fs::read_dir(&cache).expect("a folder").flatten().map(|file| file.path());
+    let made = made.filter(|f| f.extension().is_some_and(|e| e == "fvlight")).collect::<Vec<_>>();
+    let [made] = &made[..] else { panic!("{made:?}") };
+    let whole = std::fs::read(made).expect("maps");
+    for at in [3, 50, 120, whole.len() / 2, whole.len() - 2] {
+        let (mut bad, cache) = (whole.clone(), folder.path().join(format!("damaged-{at}")));
+        bad[at] ^= 4;
+        std::fs::write(&light, &bad).expect("written");
+        seek_everywhere(&open(&trace, &cache), 31);
+        std::fs::write(&light, &whole[..at]).expect("written");
+        seek_everywhere(&open(&trace, &cache), 31);
+    }
+}

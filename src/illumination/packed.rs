@@ -1,0 +1,107 @@
+//! Maps of one bake as bytes: what a map shares with the first of them (where its elements are, how large they are) takes
+//! no room, and what is left is sorted by significance, so that it compresses.
+//!
+//! In: a map, and the plain bytes of the first one. Out: bytes that give it back to the bit. Bytes that are cut short,
+//! altered or of another bake give nothing back, never a panic or a large allocation.
+
+use super::stored::Illumination;
+
+/// Bytes of a number: values lie at the same place modulo so many.
+const STRIDE: usize = 4;
+/// A block is at most so many times shorter than what it holds.
+const EXPANSION_MAX: usize = 255;
+/// Plain bytes of the largest map.
+const PLAIN_MAX: usize = 1 << 31;
+
+/// A map as plain bytes; `None` for one that is too large.
+pub fn plain(map: &Illumination) -> Option<Vec<u8>> {
+    postcard::to_stdvec(map).ok().filter(|plain| plain.len() <= PLAIN_MAX)
+}
+
+/// A map's plain bytes against those of the `first` one, which may be empty.
+pub fn pack(plain: &[u8], first: &[u8]) -> Vec<u8> {
+    let differs = |at: usize| plain[at] ^ first.get(at).copied().unwrap_or(0);
+    let planes = (0..STRIDE).flat_map(|plane| (plane..plain.len()).step_by(STRIDE));
+    let sorted: Vec<u8> = planes.map(differs).collect();
+    lz4_flex::block::compress_prepend_size(&sorted)
+}
+
+/// The plain bytes behind what [`pack`] made.
+pub fn unpack(packed: &[u8], first: &[u8]) -> Option<Vec<u8>> {
+    let (size, block) = packed.split_first_chunk::<4>()?;
+    let size = u32::from_le_bytes(*size) as usize;
+    if size > PLAIN_MAX || size / EXPANSION_MAX > block.len() {
+        return None;
+    }
+    let sorted = lz4_flex::block::decompress(block, size).ok().filter(|sorted| sorted.len() == size)?;
+    let mut plain = vec![0; size];
+    let planes = (0..STRIDE).flat_map(|plane| (plane..size).step_by(STRIDE));
+    for (at, byte) in planes.zip(sorted) {
+        plain[at] = byte ^ first.get(at).copied().unwrap_or(0);
+    }
+    Some(plain)
+}
+
+/// The map of plain bytes, if it fits a scene of `triangles` triangles.
+pub fn map(plain: &[u8], triangles: usize) -> Option<Illumination> {
+    let map: Illumination = postcard::from_bytes(plain).ok()?;
+    (map.triangle_count() == triangles && map.is_sound()).then_some(map)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Accel;
+    use crate::illumination::bake::{BakeSettings, Baker, Step};
+    use crate::illumination::first::first_picture;
+    use crate::illumination::test_scenes::{cube, lambert, scene};
+    use crate::scene::Light;
+    use crate::transport::Indexed;
+    use crate::transport::light::Lights;
+    use glam::Vec3;
+    use std::sync::Arc;
+
+    /// The maps of a bake, as they are published.
+    fn maps() -> Vec<Arc<Illumination>> {
+        let mesh = cube(Vec3::splat(-1.0), 2.0, false);
+        let scene = scene(mesh, vec![lambert(0.5, 0.2)], Vec::<Light>::new());
+        let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
+        let indexed = Indexed { scene: &scene, accel: &accel, lights: &lights };
+        let first = first_picture(indexed, 1);
+        let settings =
+            BakeSettings { texels: 2048, seed: 1, everything: true, particles: Some(1 << 16), error: None };
+        let mut baker = Baker::new(indexed, &settings);
+        baker.begin_with(&first);
+        let mut maps = vec![baker.map().clone()];
+        loop {
+            match baker.step(indexed) {
+                Step::Going => {}
+                Step::Better(map) => maps.push(map),
+                Step::Done(map) => {
+                    maps.push(map);
+                    return maps;
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn maps_come_back_to_the_bit_and_share_what_is_the_same() {
+        let maps = maps();
+        assert!(maps.len() > 2, "{} maps", maps.len());
+        let first = plain(&maps[0]).expect("bytes");
+        for of in &maps {
+            let bytes = plain(of).expect("bytes");
+            let packed = pack(&bytes, &first);
+            assert!(packed.len() < bytes.len(), "{} of {} bytes", packed.len(), bytes.len());
+            let back = unpack(&packed, &first).and_then(|plain| map(&plain, of.triangle_count()));
+            assert_eq!(back.as_ref(), Some(&**of));
+            assert_eq!(map(&bytes, of.triangle_count() + 1), None, "of another scene");
+            for cut in [0, 3, 4, packed.len() / 2, packed.len() - 1] {
+                assert_eq!(unpack(&packed[..cut], &first), None, "cut at {cut}");
+            }
+            // More than there is.
+            assert_eq!(unpack(&[255, 255, 255, 127, 0], &first), None);
+        }
+    }
+}

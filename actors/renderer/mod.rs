@@ -457,8 +457,7 @@ impl Renderer {
                 twin::draw_in_cells(&self.world, &frame, self.passes, cell, &mut buffers);
             });
         };
-        // Jobs for the view before are stale.
-        let ((), took) = cx.undisturbed(|cx| cx.measure(draw));
+        let ((), took) = cx.measure(draw);
         self.drawing.learn(took * cell * cell);
         if self.neighbours.is_some() {
             self.layer.clear();

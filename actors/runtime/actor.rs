@@ -192,14 +192,6 @@ impl<M: Message> Cx<'_, M> {
         (result, self.measured(Duration::from_nanos(elapsed)))
     }
 
-    /// Runs `work` while no other actor that is [heavy](Class::Heavy) begins a turn; turns under way come to their end. For what
-    /// somebody waits for, and what uses all cores by other means: what the others would do meanwhile makes it late by more
-    /// than it takes. Changes nothing but times.
-    pub fn undisturbed<R>(&mut self, work: impl FnOnce(&mut Self) -> R) -> R {
-        let env = self.env;
-        env.scheduler.undisturbed(|| work(self))
-    }
-
     /// Puts a milestone into the recording, for example kind 0 with the hash of each shown frame. Replay compares it.
     pub fn mark(&mut self, kind: u32, value: u64) {
         self.journal.mark(kind, value);

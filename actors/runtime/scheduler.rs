@@ -101,8 +101,6 @@ pub(crate) struct Scheduler {
     active: CachePadded<AtomicU64>,
     heavy_running: CachePadded<AtomicUsize>,
     heavy_limit: usize,
-    /// Works that are not to be disturbed by heavy turns.
-    undisturbed: AtomicUsize,
     stopping: AtomicBool,
     /// Worker threads that rest because the system is halted.
     resting: AtomicUsize,
@@ -139,7 +137,6 @@ impl Scheduler {
             heavy_running: CachePadded::new(AtomicUsize::new(0)),
             // More than there are cores would only take time from the main thread.
             heavy_limit: threads.saturating_sub(1).min(cores).max(1),
-            undisturbed: AtomicUsize::new(0),
             stopping: AtomicBool::new(false),
             resting: AtomicUsize::new(0),
             incidents: ArrayQueue::new(INCIDENTS_MAX),
@@ -354,35 +351,12 @@ impl Scheduler {
         })
     }
 
-    /// Heavy turns that may run at once.
-    fn heavy_most(&self) -> usize {
-        if self.undisturbed.load(Ordering::SeqCst) == 0 { self.heavy_limit } else { 0 }
-    }
-
-    /// Does some work while no worker thread begins a heavy turn; those under way come to their end.
-    pub(crate) fn undisturbed<R>(&self, work: impl FnOnce() -> R) -> R {
-        /// Also where the work panics.
-        struct Ends<'s>(&'s Scheduler);
-        impl Drop for Ends<'_> {
-            fn drop(&mut self) {
-                self.0.undisturbed.fetch_sub(1, Ordering::SeqCst);
-                // Whoever went to sleep meanwhile took no notice of these.
-                if !self.0.heavy.is_empty() {
-                    (0..self.0.heavy_limit).for_each(|_| self.0.notify());
-                }
-            }
-        }
-        self.undisturbed.fetch_add(1, Ordering::SeqCst);
-        let _ends = Ends(self);
-        work()
-    }
-
     fn claim_heavy(&self) -> Option<u32> {
         if self.heavy.is_empty() {
             return None;
         }
         // A thread that finds the limit reached leaves no trace: it would wake the next one to find the same.
-        let below = |running: usize| (running < self.heavy_most()).then_some(running + 1);
+        let below = |running: usize| (running < self.heavy_limit).then_some(running + 1);
         self.heavy_running.fetch_update(Ordering::SeqCst, Ordering::SeqCst, below).ok()?;
         let actor = steal(|| self.heavy.steal());
         if actor.is_none() {
@@ -422,7 +396,7 @@ impl Scheduler {
     fn has_work(&self) -> bool {
         !self.light.is_empty()
             || self.stealers.iter().any(|stealer| !stealer.is_empty())
-            || (!self.heavy.is_empty() && self.heavy_running.load(Ordering::SeqCst) < self.heavy_most())
+            || (!self.heavy.is_empty() && self.heavy_running.load(Ordering::SeqCst) < self.heavy_limit)
     }
 }
 

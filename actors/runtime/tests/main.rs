@@ -18,5 +18,4 @@ mod ring;
 mod simulation;
 mod snapshots;
 mod spawning;
-mod undisturbed;
 mod workshop;

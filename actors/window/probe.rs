@@ -83,7 +83,7 @@ impl Probe {
     fn motion(&self, after: f64) -> Motion {
         match self.turns {
             None => Motion::Forward,
-            Some(turns) if (after / turns.as_secs_f64()) as u64 % 2 == 0 => Motion::Left,
+            Some(turns) if ((after / turns.as_secs_f64()) as u64).is_multiple_of(2) => Motion::Left,
             Some(_) => Motion::Right,
         }
     }

@@ -162,7 +162,7 @@ fn mean_flux_of_particles_is_the_power() {
     let radius = f64::from(lights.radius);
     let disk = pi * radius * radius;
     let distant = |radiance: f64| disk * (0.02 + radiance * 4.0 * pi);
-    let spot = pi * (2.0 - 0.1_f64.cos() - 0.8_f64.cos());
+    let spot = pi * (2.0 - math::cos(0.1_f64) - math::cos(0.8_f64));
     let power = [pi + 4.0 * pi + distant(0.01), pi + spot + distant(0.01), pi + distant(0.03)];
     for (band, power) in power.into_iter().enumerate() {
         let error = ((square[band] - sum[band] * sum[band]) / n as f64).sqrt();

@@ -112,6 +112,7 @@ mod tests {
         let of = |lamp| found.iter().find(|arrival| arrival.lamp == lamp).copied();
         let square = of(Lamp::Material(1)).expect("the lamp");
         assert!((square.irradiance.x - PI * 0.239_456).abs() < 4.0 * square.noise + 1e-3, "{square:?}");
+        let bulb = of(Lamp::Light(0)).expect("the light");
         // E = I h / d³.
         let expected = 9.0 * 1.5 / (1.8_f32 * 1.8 + 1.5 * 1.5).sqrt().powi(3);
         assert!((bulb.irradiance.x - expected).abs() < 1e-3 && bulb.noise == 0.0, "{bulb:?}");

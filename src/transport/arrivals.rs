@@ -96,7 +96,7 @@ mod tests {
         // Stands on the floor at x = 2, as high as 4.
         join(&mut mesh, &quad(Vec3::new(2.0, 0.0, -5.0), Vec3::Z * 10.0, Vec3::Y * 4.0), 0);
         let bulb = Light::Point {
-            position: Vec3::new(1.0, 3.0, 0.0),
+            position: Vec3::new(1.8, 1.5, 0.0),
             intensity: Vec3::splat(9.0),
             range: f32::INFINITY,
         };

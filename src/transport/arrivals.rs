@@ -93,10 +93,10 @@ mod tests {
         let mut mesh = Mesh::default();
         join(&mut mesh, &quad(Vec3::new(-5.0, 0.0, 5.0), Vec3::X * 10.0, Vec3::Z * -10.0), 0);
         join(&mut mesh, &quad(Vec3::new(-0.5, 1.0, -0.5), Vec3::X, Vec3::Z), 1);
-        // Stands on the floor at x = 2.
+        // Stands on the floor at x = 2, as high as 4.
         join(&mut mesh, &quad(Vec3::new(2.0, 0.0, -5.0), Vec3::Z * 10.0, Vec3::Y * 4.0), 0);
         let bulb = Light::Point {
-            position: Vec3::new(1.0, 3.0, 0.0),
+            position: Vec3::new(1.8, 1.5, 0.0),
             intensity: Vec3::splat(9.0),
             range: f32::INFINITY,
         };
@@ -112,10 +112,10 @@ mod tests {
         let of = |lamp| found.iter().find(|arrival| arrival.lamp == lamp).copied();
         let square = of(Lamp::Material(1)).expect("the lamp");
         assert!((square.irradiance.x - PI * 0.239_456).abs() < 4.0 * square.noise + 1e-3, "{square:?}");
-        // E = I cos³θ / h².
         let bulb = of(Lamp::Light(0)).expect("the light");
-        let cosine = 3.0 / 10.0_f32.sqrt();
-        assert!((bulb.irradiance.x - cosine.powi(3)).abs() < 1e-3 && bulb.noise == 0.0, "{bulb:?}");
+        // E = I h / d³.
+        let expected = 9.0 * 1.5 / (1.8_f32 * 1.8 + 1.5 * 1.5).sqrt().powi(3);
+        assert!((bulb.irradiance.x - expected).abs() < 1e-3 && bulb.noise == 0.0, "{bulb:?}");
         assert_eq!(found[0].lamp, Lamp::Light(0), "the most first");
         let hidden = arrivals(indexed, &at(4.0), 4096, 1);
         assert!(hidden.iter().all(|arrival| arrival.lamp != Lamp::Light(0)), "{hidden:?}");

@@ -33,7 +33,8 @@ fn sum((sine, cosine): (f32, f32)) -> f32 {
 
 /// Nanoseconds of a call, as functions that nobody inlines.
 pub fn rows(runs: u32) -> Vec<Row> {
-    let arguments: Vec<f32> = (1..=CALLS).map(|i| i as f32 * (std::f32::consts::TAU / CALLS as f32)).collect();
+    let arguments: Vec<f32> =
+        (1..=CALLS).map(|i| i as f32 * (std::f32::consts::TAU / CALLS as f32)).collect();
     let time = |function: fn(f32) -> f32| -> Vec<f64> {
         let all = || arguments.iter().map(|x| black_box(function)(*x)).sum::<f32>();
         (0..runs).map(|_| timed(|| black_box(all())).0 * 1e6 / CALLS as f64).collect()

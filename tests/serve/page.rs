@@ -431,6 +431,45 @@ fn pictures_of_the_page() {
     page.screenshot(&pictures.join("serve-phone.jpg"), "jpeg");
 }
 
+/// `cargo test --release --test program -- --ignored figures_of_the_page --nocapture`
+#[test]
+#[ignore = "tells times, optimised"]
+fn figures_of_the_page() {
+    let Some(browser) = Browser::open() else { return };
+    for paints in [true, false] {
+        let served = Served::start("--size 512x512 --fps 30 --refine 0");
+        let mut page = browser.page();
+        if !paints {
+            // Waiting until the screen takes its next picture is none of the door's work.
+            let source = "window.requestAnimationFrame = f => { queueMicrotask(f); return 0 }";
+            page.call("Page.addScriptToEvaluateOnNewDocument", json!({"source": source}));
+        }
+        page.resize(1280, 800, "dark", false);
+        page.go(&served.address());
+        page.wait(STILL);
+        let of = |page: &mut Page, what: &str| page.eval(what).as_f64().unwrap_or(f64::NAN);
+        let shown = of(&mut page, "performance.getEntriesByName('first-contentful-paint')[0].startTime");
+        let first = of(&mut page, "performance.getEntriesByName('first picture')[0].startTime");
+        println!("page shown after {shown:.0} ms, first picture after {first:.0} ms");
+        for i in 0..60 {
+            let x = 300.0 + f64::from(i % 2) * 40.0;
+            page.mouse("mousePressed", x, 300.0);
+            page.mouse("mouseMoved", x + 20.0, 300.0);
+            page.mouse("mouseReleased", x + 20.0, 300.0);
+            page.wait(&format!("document.getElementById('picture').latencies.length > {}", i.min(58)));
+            page.wait(STILL);
+        }
+        for (part, what) in ["input → canvas", "the door's own part"].into_iter().enumerate() {
+            let latencies = format!("document.getElementById('picture').latencies.map(both => both[{part}])");
+            let mut all: Vec<f64> = serde_json::from_value(page.eval(&latencies)).expect("times");
+            all.sort_by(f64::total_cmp);
+            let [median, p95] = [all.len() / 2, all.len() * 95 / 100].map(|i| all[i]);
+            let how = if paints { "with the screen's next picture" } else { "painted at once" };
+            println!("{what}, {how}: median {median:.1} ms, p95 {p95:.1} ms");
+        }
+    }
+}
+
 /// Fails where text stands out too little from what is behind it.
 fn low_contrast(page: &mut Page, what: &str) {
     let found: Value = page.eval(

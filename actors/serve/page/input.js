@@ -51,12 +51,17 @@ export class Input {
   }
 
   push(kind, a = 0, b = 0) {
-    if (!this.waiting.length) requestAnimationFrame(() => this.flush());
     const last = this.waiting.at(-1);
     // Drags between two paintings are one.
     if (kind === LOOK && last?.[1] === LOOK) this.waiting[this.waiting.length - 1] = [now(), LOOK, last[2] + a, last[3] + b];
     else this.waiting.push([now(), kind, a, b]);
-    if (this.waiting.length >= 64) this.flush();
+    if (!this.soon || this.waiting.length >= 64) this.tick();
+  }
+
+  // At once, then with each painting.
+  tick() {
+    this.soon = this.waiting.length && requestAnimationFrame(() => this.tick());
+    this.flush();
   }
 
   flush() {

@@ -9,7 +9,7 @@ export class Picture {
     this.context = canvas.getContext("2d", { alpha: false });
     this.shown = shown;
     this.last = Promise.resolve();
-    this.latencies = [];
+    this.latencies = canvas.latencies = [];
     this.bytes = [];
   }
 
@@ -38,7 +38,9 @@ export class Picture {
       }
       if (frame.mark && frame.mark !== this.mark) {
         this.mark = frame.mark;
-        this.latencies = [...this.latencies.slice(-59), [now() - frame.mark, now() - frame.mark - frame.took]];
+        const latency = now() - frame.mark;
+        this.latencies.push([latency, latency - frame.took]);
+        if (this.latencies.length > 60) this.latencies.shift();
       }
       this.shown(frame, Boolean(image));
     });

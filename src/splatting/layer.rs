@@ -364,16 +364,16 @@ impl SplatLayer {
             for y in (cy - r).max(0)..(cy + r + 1).min(height) {
                 let start = (y * width) as usize;
                 let row = start + columns.start..start + columns.end;
-                let pixels = ids[row.clone()].iter().zip(&mut paint.ranks[row.clone()]);
-                let maps = paint.colors[row.clone()].iter_mut().zip(&mut paint.sources[row.clone()]);
-                let maps = maps.zip(&mut paint.places[row.clone()]);
-                for (i, ((&id, rank), ((color, source), place))) in row.zip(pixels.zip(maps)) {
-                    if id == s.object && *rank < own {
-                        (*rank, *color, *source, *place) = (own, shown.color, shown.source, shown.place);
-                        if let Some(carried) = &mut paint.carried {
-                            carried[i] = shown.guide;
-                        }
-                        any = true;
+                let takes = |(&id, &rank): (&u32, &u32)| id == s.object && rank < own;
+                // Finer samples have painted most of it: without branches, so that many pixels are asked at once.
+                let all = ids[row.clone()].iter().zip(&paint.ranks[row.clone()]);
+                if !all.fold(false, |any, pixel| any | takes(pixel)) {
+                    continue;
+                }
+                any = true;
+                for i in row {
+                    if takes((&ids[i], &paint.ranks[i])) {
+                        paint.put(i, own, &shown);
                     }
                 }
             }
@@ -546,5 +546,67 @@ mod tests {
             }
         }
         assert!(shown.len() <= counted && counted < samples.len(), "{} {counted}", shown.len());
+    }
+
+    /// Each pixel shows the highest in rank of those that cover it, the last of
+    /// equals, and a sample counts once.
+    #[test]
+    fn warped_squares_are_painted_as_if_one_after_the_other() {
+        let (w, h) = (61, 103);
+        let objects = Map2d::from_fn(w, h, |x, y| u32::from((x / 9 + y / 13) % 3 == 0));
+        let depths = Map2d::from_fn(w, h, |x, y| 2.0 + (x + y) as f32 * 0.01);
+        let random = |i: u64, what: u64, below: usize| (rng::hash(7, i, what) % below as u64) as usize;
+        let samples: Vec<WarpedSample> = (0..20_000)
+            .map(|i| {
+                let (x, y) = (random(i, 0, w), random(i, 1, h));
+                WarpedSample {
+                    x: x as u16,
+                    y: y as u16,
+                    // Some are hidden.
+                    depth: depths.at(x, y) + if random(i, 2, 5) == 0 { 1.0 } else { 0.0 },
+                    depth_tolerance: 0.05,
+                    color: Vec3::splat(i as f32),
+                    guide: if i % 7 == 0 { Vec3::splat(-(i as f32)) } else { Vec3::NAN },
+                    object: random(i, 3, 2) as u32,
+                    age: 1 + random(i, 4, 3) as u16,
+                    half_side: [0, 1, 3, 40][random(i, 5, 4)],
+                    k: random(i, 6, 4) as u8,
+                }
+            })
+            .collect();
+        let mut layer = SplatLayer::new(w, h, 4, Footprint::Linear);
+        let painted = layer.splat_warped(&samples, &objects, &depths);
+        let shows = |s: &WarpedSample| {
+            let around =
+                |at: u16, end: usize| usize::from(at).saturating_sub(1)..(usize::from(at) + 2).min(end);
+            let is_there =
+                |x, y| objects.at(x, y) == s.object && (depths.at(x, y) - s.depth).abs() <= s.depth_tolerance;
+            around(s.y, h).any(|y| around(s.x, w).any(|x| is_there(x, y)))
+        };
+        let seen: Vec<bool> = samples.iter().map(shows).collect();
+        assert!(seen.iter().any(|seen| !seen));
+        let mut shown = std::collections::BTreeSet::new();
+        for (x, y) in (0..w * h).map(|i| (i % w, i / w)) {
+            let covers = |s: &WarpedSample| {
+                let r = usize::from(s.half_side);
+                s.object == objects.at(x, y)
+                    && x.abs_diff(usize::from(s.x)) <= r
+                    && y.abs_diff(usize::from(s.y)) <= r
+            };
+            let rank_of = |s: &WarpedSample| rank(u32::from(s.k), u32::from(s.age));
+            let all = samples.iter().enumerate().filter(|&(i, s)| seen[i] && covers(s));
+            let best = all.max_by_key(|&(i, s)| (rank_of(s), i));
+            let (_, ranks, _, places) = layer.maps();
+            let Some((i, s)) = best else {
+                assert!(layer.is_bare(x, y));
+                continue;
+            };
+            shown.insert(i);
+            assert_eq!((layer.color(x, y), ranks.at(x, y)), (s.color, rank_of(s)), "{x}, {y}");
+            assert_eq!(places.at(x, y), place_of(s.x, s.y));
+            assert_eq!(layer.guides()[0].at(x, y).is_nan(), s.guide.is_nan());
+        }
+        // Those painted over later by finer ones have painted, too; but the finest come first.
+        assert!(painted >= shown.len() && painted <= seen.iter().filter(|seen| **seen).count(), "{painted}");
     }
 }

@@ -22,8 +22,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use foveal::display::cpu_pass::Passes;
 use foveal::display::first_approximation::{FirstApproximation, Probes};
-use foveal::display::twin::Passes;
 use foveal::scene::plan::{Part, ScenePlan};
 use foveal::world::World;
 use foveal_runtime::{Bounds, Declared, Handle, JobPool, OnPanic, Port, Wiring};

@@ -3,7 +3,7 @@
 //! Modules in the order data flows: [`scene`] (load, materials, object hierarchy, cameras, plan) →
 //! [`geometry`] (rays, watertight triangles, BVH) → [`transport`] (BSDFs, lights, the recursive
 //! tracer, the reference path tracer, particles) → [`illumination`] (atlas, density estimation) →
-//! [`display`] (frame buffers, the CPU twin) → [`perception`] → [`sampling`] (√5 lattice) →
+//! [`display`] (frame buffers, the CPU pass) → [`perception`] → [`sampling`] (√5 lattice) →
 //! [`splatting`] (footprints, sample cache, ageing, warp) → [`allocation`] → [`metrics`].
 //!
 //! [`math`] stands before them all: sines and powers with the same bits on every machine. [`radiosity`] stands aside: light on

@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use foveal::display::FrameBuffers;
+use foveal::display::cpu_pass::{Passes, draw};
 use foveal::display::environment_map::{EnvironmentMap, capture, phong_exponent, texel_count};
 use foveal::display::first_approximation::{FirstApproximation, Probes};
 use foveal::display::tone::ToneMap;
-use foveal::display::twin::{Passes, draw};
 use foveal::geometry::Accel;
 use foveal::illumination::first::first_picture;
 use foveal::image::{Map2d, luminance};

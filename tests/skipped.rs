@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use foveal::display::twin::{Passes, draw};
+use foveal::display::cpu_pass::{Passes, draw};
 use foveal::display::{FrameBuffers, TextureLevel};
 use foveal::geometry::{Accel, Ray};
 use foveal::scene::Budget;

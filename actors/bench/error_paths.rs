@@ -125,7 +125,7 @@ mod tests {
         let many = path_picture(&world, &frame, 7, 256, &|| true);
         let error = |picture: &Map2d<Vec3>| -> f32 {
             let squares = picture.data().iter().zip(many.data());
-            // A lone bright sample would say more than all others.
+            // A firefly would say more than all others.
             squares.map(|(a, b)| (a.min(Vec3::ONE) - b.min(Vec3::ONE)).length_squared()).sum()
         };
         // 1, 2, 4, 8 and 12, summed over as many seeds as say more than chance.

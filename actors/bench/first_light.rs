@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use clap::Args;
 use foveal::display::FrameBuffers;
-use foveal::display::twin::{self, Passes};
+use foveal::display::cpu_pass::{self, Passes};
 use foveal::geometry::Accel;
 use foveal::illumination::first::first_picture;
 use foveal::transport::Indexed;
@@ -73,7 +73,7 @@ pub fn run(a: &FirstLightArguments, progress: Progress) -> Result<(), Failure> {
             });
             let (draw_ms, ()) = timed(|| {
                 let mut buffers = FrameBuffers::new(a.size.width as usize, a.size.height as usize);
-                twin::draw(
+                cpu_pass::draw(
                     &world,
                     &view.frame(a.size.width, a.size.height),
                     Passes { texture_ids: false },

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use foveal::allocation::knapsack::{Candidate, allocate};
 use foveal::display::FrameBuffers;
+use foveal::display::cpu_pass::{self, Passes};
 use foveal::display::tone::{Encoder, ToneMap};
-use foveal::display::twin::{self, Passes};
 use foveal::geometry::{Accel, Ray};
 use foveal::image::Map2d;
 use foveal::perception::importance::{ObjectScan, SALIENCY_WEIGHT, priorities};
@@ -184,7 +184,7 @@ fn triangles(a: &ScalingArguments) -> Result<Vec<Curve>, Failure> {
         let mut buffers = FrameBuffers::new(512, 512);
         display.points.push((
             n,
-            measure(runs, || twin::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers)),
+            measure(runs, || cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers)),
         ));
     }
     Ok(vec![load, build, size, display, random, shadow])
@@ -204,7 +204,7 @@ fn pixels(a: &ScalingArguments) -> Result<Vec<Curve>, Failure> {
         let runs = a.common.runs;
         display.points.push((
             n,
-            measure(runs, || twin::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers)),
+            measure(runs, || cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers)),
         ));
         let (encoder, tone) = (Encoder::default(), ToneMap::from(&world.scene.display));
         let mut bytes = Vec::new();
@@ -232,7 +232,7 @@ fn samples(a: &ScalingArguments) -> Result<Vec<Curve>, Failure> {
     let second = stepped(&first, 1);
     let frame = second.frame(size.width, size.height);
     let mut buffers = FrameBuffers::new(1024, 1024);
-    twin::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
+    cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
     let (_, batches) = traced(&world, &first, size, 1, 200_000);
     let batches: Vec<_> = batches.into_iter().map(Arc::new).collect();
     for wanted in [12_500, 25_000, 50_000, 100_000, 200_000] {

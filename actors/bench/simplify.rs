@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use clap::Args;
 use foveal::allocation::mesh_elements::{ElementCriterion, simplify_mesh};
+use foveal::display::cpu_pass::{self, Passes};
 use foveal::display::tone::{Encoder, ToneMap};
-use foveal::display::twin::{self, Passes};
 use foveal::display::{FrameBuffers, PrimaryHit};
 use foveal::image::Map2d;
 use foveal::metrics::flip;
@@ -161,7 +161,7 @@ pub fn run(a: &SimplifyArguments, progress: Progress) -> Result<(), Failure> {
 /// A view, and where its pixels end.
 fn drawn(world: &World, camera: &Camera, [width, height]: [u32; 2]) -> (Map2d<Vec3>, Map2d<PrimaryHit>) {
     let mut buffers = FrameBuffers::new(width as usize, height as usize);
-    twin::draw(world, &camera.frame(width, height), Passes { texture_ids: false }, &mut buffers);
+    cpu_pass::draw(world, &camera.frame(width, height), Passes { texture_ids: false }, &mut buffers);
     (buffers.color, buffers.hit)
 }
 

@@ -7,10 +7,10 @@ use std::time::Duration;
 use clap::Args;
 use foveal::allocation::spatial_error::{SpatialErrors, SpatialSettings};
 use foveal::display::FrameBuffers;
+use foveal::display::cpu_pass::{self, Passes};
 use foveal::display::environment_map::{capture, texel_count};
 use foveal::display::first_approximation::Probes;
 use foveal::display::tone::{Encoder, ToneMap};
-use foveal::display::twin::{self, Passes};
 use foveal::geometry::{Accel, Ray};
 use foveal::rng::Stream;
 use foveal::scene::{Camera, Model, Roughness};
@@ -91,7 +91,7 @@ fn diffuse(a: &SkipsArguments) -> Result<Vec<Row>, Failure> {
             cpu_ms(|| {
                 for i in 0..a.frames {
                     let frame = at(i).frame(a.size.width, a.size.height);
-                    twin::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
+                    cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
                     encoder.encode(&tone, &buffers.color, &mut bytes);
                     black_box(xxhash_rust::xxh3::xxh3_64(&bytes));
                 }
@@ -147,7 +147,7 @@ fn textures(a: &SkipsArguments) -> Result<Vec<Row>, Failure> {
         for (texture_ids, times) in [(false, &mut without), (true, &mut with)] {
             let ms = cpu_ms(|| {
                 for _ in 0..a.frames {
-                    twin::draw(&world, &frame, Passes { texture_ids }, &mut buffers);
+                    cpu_pass::draw(&world, &frame, Passes { texture_ids }, &mut buffers);
                 }
             });
             if run > 0 {
@@ -188,7 +188,7 @@ fn rays(a: &SkipsArguments) -> Result<Vec<Row>, Failure> {
         world.scene.cameras.iter().find(|c| c.name == "mirror-ball").unwrap_or(&world.scene.cameras[0]);
     let frame = view.camera.frame(a.size.width, a.size.height);
     let mut buffers = FrameBuffers::new(a.size.width as usize, a.size.height as usize);
-    twin::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
+    cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
     let is_mirror = |id: u32| {
         world.scene.objects.get(id as usize).is_some_and(|o| {
             matches!(world.scene.materials[o.material.0 as usize].model, Model::Mirror { .. })

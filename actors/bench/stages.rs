@@ -7,8 +7,8 @@ use std::time::Duration;
 use clap::Args;
 
 use foveal::display::FrameBuffers;
+use foveal::display::cpu_pass::{self, Passes};
 use foveal::display::tone::{Encoder, ToneMap};
-use foveal::display::twin::{self, Passes};
 use foveal::geometry::Accel;
 use foveal::illumination::bake::Baker;
 use foveal::illumination::first::first_picture;
@@ -147,12 +147,12 @@ fn display(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
     let frame = camera(world)?.frame(a.size.width, a.size.height);
     let mut buffers = FrameBuffers::new(a.size.width as usize, a.size.height as usize);
     let times: Vec<f64> = (0..a.common.runs + 1)
-        .map(|_| timed(|| twin::draw(world, &frame, Passes { texture_ids: false }, &mut buffers)).0)
+        .map(|_| timed(|| cpu_pass::draw(world, &frame, Passes { texture_ids: false }, &mut buffers)).0)
         .skip(1)
         .collect();
     let triangles = world.scene.mesh.triangles.len();
     Ok(vec![
-        Row::new(format!("display, CPU twin, {triangles} triangles"), "ms", &times).aim(Aim::AtMost(20.0)),
+        Row::new(format!("display, CPU pass, {triangles} triangles"), "ms", &times).aim(Aim::AtMost(20.0)),
     ])
 }
 
@@ -166,7 +166,7 @@ pub fn traced(
 ) -> (FrameBuffers, Vec<SampleBatch>) {
     let frame = camera.frame(size.width, size.height);
     let mut buffers = FrameBuffers::new(size.width as usize, size.height as usize);
-    twin::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
+    cpu_pass::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
     let lattice = Lattice::new(6, [size.width as i32 / 2, size.height as i32 / 2]);
     let (mut batches, mut left) = (Vec::new(), count);
     for level in 1..=lattice.levels() {
@@ -201,7 +201,7 @@ fn samples(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
     let second = stepped(&first, 1);
     let frame = second.frame(a.size.width, a.size.height);
     let mut buffers = FrameBuffers::new(a.size.width as usize, a.size.height as usize);
-    twin::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
+    cpu_pass::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
     let (width, height) = (a.size.width as usize, a.size.height as usize);
     let mut layer = SplatLayer::new(width, height, 6, Footprint::Linear);
     let mut shown = Map2d::new(width, height, Vec3::ZERO);
@@ -245,7 +245,7 @@ fn attention(a: &StagesArguments, world: &World) -> Vec<Row> {
     let Ok(camera) = camera(world) else { return Vec::new() };
     let frame = camera.frame(a.size.width, a.size.height);
     let mut buffers = FrameBuffers::new(a.size.width as usize, a.size.height as usize);
-    twin::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
+    cpu_pass::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
     let mut bytes = Vec::new();
     Encoder::default().encode(&ToneMap::from(&world.scene.display), &buffers.color, &mut bytes);
     let (mut model, mut scan, mut statistics) = (SaliencyModel::default(), ObjectScan::default(), Vec::new());

@@ -9,9 +9,9 @@ use std::time::Duration;
 
 use foveal::allocation::policy::{Policy, RayPolicy};
 use foveal::display::FrameBuffers;
+use foveal::display::cpu_pass::{self, Passes};
 use foveal::display::first_approximation::Probes;
 use foveal::display::tone::ToneMap;
-use foveal::display::twin::{self, Passes};
 use foveal::image::Map2d;
 use foveal::metrics::video;
 use foveal::perception::viewing::Viewing;
@@ -204,7 +204,7 @@ fn traced(world: &World, camera: Camera, s: &Settings) -> Traced {
     let frame = camera.frame(s.width, s.height);
     let mut buffers = FrameBuffers::new(s.width as usize, s.height as usize);
     let start = cpu_ns();
-    twin::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
+    cpu_pass::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
     let drawing = 1e-9 * (cpu_ns() - start);
     let mut pixels = vec![Vec::new(); world.scene.objects.len().max(1)];
     for (i, id) in buffers.object.data().iter().enumerate().filter(|(_, id)| **id != 0) {

@@ -11,8 +11,8 @@ use foveal::allocation::spatial_error::{SpatialErrors, SpatialSettings};
 use foveal::allocation::texture_baselines::{Baseline, LeastRecentlyUsed, choose};
 use foveal::allocation::texture_demand::{TextureChoices, TextureUse, predicted_uses};
 use foveal::display::FrameBuffers;
+use foveal::display::cpu_pass::{self, Passes};
 use foveal::display::tone::ToneMap;
-use foveal::display::twin::{self, Passes};
 use foveal::image::Map2d;
 use foveal::metrics::flip;
 use foveal::rng;
@@ -113,7 +113,7 @@ impl Study {
     fn picture(&self, world: &World, camera: &Camera, size: Size) -> Map2d<Vec3> {
         let mut buffers = FrameBuffers::new(size.width as usize, size.height as usize);
         let frame = camera.frame(size.width, size.height);
-        twin::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
+        cpu_pass::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
         buffers.color
     }
 

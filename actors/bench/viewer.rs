@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
 use foveal::display::FrameBuffers;
+use foveal::display::cpu_pass::{self, Passes};
 use foveal::display::tone::ToneMap;
-use foveal::display::twin::{self, Passes};
 use foveal::scene::Camera;
 use foveal::splatting::supersampling::Supersampling;
 use foveal::splatting::{Footprint, WarpedSample};
@@ -107,7 +107,7 @@ fn settings(width: u32, height: u32) -> Settings {
 fn splats(world: &World, camera: &Camera, size: Size) -> Vec<WarpedSample> {
     let frame = camera.frame(size.width, size.height);
     let mut buffers = FrameBuffers::new(size.width as usize, size.height as usize);
-    twin::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
+    cpu_pass::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
     let pixels: Vec<usize> =
         (0..buffers.object.data().len()).filter(|&i| buffers.object.data()[i] != 0).collect();
     let step = (pixels.len() / SAMPLES).max(1);

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
+use foveal::display::cpu_pass::Passes;
 use foveal::display::first_approximation::Probes;
-use foveal::display::twin::Passes;
 use foveal::scene::plan::{Part, ScenePlan};
 use foveal_actors::insight::InsightSlot;
 use foveal_actors::renderer::FrameSink;

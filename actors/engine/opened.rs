@@ -126,7 +126,7 @@ pub(crate) fn lamp_name(scene: &Scene, lamp: Lamp) -> String {
     match lamp {
         Lamp::Material(i) => scene.materials[i as usize].name.clone(),
         Lamp::Light(i) => format!("{} {}", scene.lights[i as usize].kind(), i + 1),
-        Lamp::Surrounding => "surrounding".to_owned(),
+        Lamp::Environment => "environment".to_owned(),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use foveal::display::twin::Passes;
+use foveal::display::cpu_pass::Passes;
 use foveal::illumination::Irradiance;
 use foveal::illumination::bake::cache_key;
 use foveal::illumination::cache::{encode, save};

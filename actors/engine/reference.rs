@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use foveal::display::FrameBuffers;
-use foveal::display::twin::{self, Passes};
+use foveal::display::cpu_pass::{self, Passes};
 use foveal::geometry::Ray;
 use foveal::image::{Map2d, luminance};
 use foveal::metrics::{BATCHES, BatchSums, Batches};
@@ -26,7 +26,7 @@ pub fn traced_picture(
 ) -> Refined {
     let [width, height] = frame.size.map(|s| s as usize);
     let mut buffers = FrameBuffers::new(width, height);
-    twin::draw(world, frame, Passes { texture_ids: false }, &mut buffers);
+    cpu_pass::draw(world, frame, Passes { texture_ids: false }, &mut buffers);
     let tracer = world.tracer();
     let mut picture = buffers.color.clone();
     picture.data_mut().par_chunks_mut(width).enumerate().for_each(|(y, row)| {
@@ -38,8 +38,8 @@ pub fn traced_picture(
                 continue;
             };
             let (px, py) = (x as u32, y as u32);
-            let ray = twin::primary_ray(frame, px, py);
-            let at = twin::primary_interaction(world, frame, &ray, &hit);
+            let ray = cpu_pass::primary_ray(frame, px, py);
+            let at = cpu_pass::primary_interaction(world, frame, &ray, &hit);
             *out += tracer.view_dependent(&at, *out, pixel_stream(seed, px, py, 0));
         }
     });

@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use foveal::display::FrameBuffers;
+use foveal::display::cpu_pass::{self, Passes};
 use foveal::display::environment_map::EnvironmentMap;
 use foveal::display::first_approximation::Probes;
-use foveal::display::twin::{self, Passes};
 use foveal::illumination::stored::Illumination;
 use foveal::image::Map2d;
 use foveal::scene::camera::CameraFrame;
@@ -157,7 +157,7 @@ impl Saved for Arc<DrawnView> {
             let passes = loader.context::<Surroundings>()?.passes;
             let [width, height] = frame.size.map(|s| s as usize);
             let mut buffers = FrameBuffers::new(width, height);
-            twin::draw_in_cells(&world, &frame, passes, cell, &mut buffers);
+            cpu_pass::draw_in_cells(&world, &frame, passes, cell, &mut buffers);
             let object_count = world.scene.objects.len().max(1);
             let same = hash_view(&buffers, view) == hash;
             same.then_some(DrawnView { view, frame, hash, buffers, world, object_count })

@@ -6,8 +6,8 @@ use rayon::prelude::*;
 use serde_json::Value;
 
 use foveal::display::FrameBuffers;
+use foveal::display::cpu_pass::{self, Passes};
 use foveal::display::tone::ToneMap;
-use foveal::display::twin::{self, Passes};
 use foveal::image::Map2d;
 use foveal::perception::pyramid::upsample;
 use foveal::perception::saliency::CELL;
@@ -124,7 +124,7 @@ impl<'w> Still<'w> {
     fn new(world: &'w World, camera: &Camera, width: u32, height: u32, k_max: u32, seed: u64) -> Self {
         let frame = camera.frame(width, height);
         let mut buffers = FrameBuffers::new(width as usize, height as usize);
-        twin::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
+        cpu_pass::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
         let lattice = Lattice::new(k_max, [width as i32 / 2, height as i32 / 2]);
         Self { world, frame, buffers, lattice, seed }
     }

@@ -15,10 +15,10 @@ use std::sync::{Arc, Weak};
 use foveal::allocation::policy::Policy;
 use foveal::allocation::ray_order::residual_of_batch;
 use foveal::display::FrameBuffers;
+use foveal::display::cpu_pass::{self, Passes};
 use foveal::display::environment_map::EnvironmentMap;
 use foveal::display::first_approximation::FirstApproximation;
 use foveal::display::tone::{Encoder, ToneMap};
-use foveal::display::twin::{self, Passes};
 use foveal::illumination::stored::Illumination;
 use foveal::image::Map2d;
 use foveal::perception::tvi::TviTable;
@@ -454,7 +454,7 @@ impl Renderer {
         let mut buffers = self.buffers();
         let draw = || {
             self.stages.clone().time(Stage::Display, || {
-                twin::draw_in_cells(&self.world, &frame, self.passes, cell, &mut buffers);
+                cpu_pass::draw_in_cells(&self.world, &frame, self.passes, cell, &mut buffers);
             });
         };
         let ((), took) = cx.measure(draw);

@@ -1,5 +1,5 @@
 //! Overlays: what the machine decided, painted over the picture. On the processor; `compose.wgsl`
-//! is the twin.
+//! is the GPU pass.
 
 use foveal::display::FrameBuffers;
 use foveal::display::tone::ToneMap;

@@ -4,8 +4,8 @@
 //! In: the texture-id map of a view with the illumination at each pixel, and the spatial errors of each texture. Out:
 //! pixels per level and visible error per coarsest allowed level, in just noticeable differences times pixels.
 
+use crate::display::cpu_pass::{Passes, draw};
 use crate::display::tone::ToneMap;
-use crate::display::twin::{Passes, draw};
 use crate::display::{FrameBuffers, TextureLevel};
 use crate::geometry::Ray;
 use crate::image::{Map2d, luminance};

@@ -9,8 +9,8 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::FrameBuffers;
+use super::cpu_pass::{primary_interaction, primary_ray};
 use super::environment_map::{EnvironmentMap, Probe, probe};
-use super::twin::{primary_interaction, primary_ray};
 use crate::image::Map2d;
 use crate::math;
 use crate::scene::Model;

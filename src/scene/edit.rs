@@ -20,8 +20,8 @@ pub enum Lamp {
     Material(u32),
     /// A light without area: an index into [`SceneParts::lights`](super::SceneParts::lights).
     Light(u32),
-    /// The surrounding.
-    Surrounding,
+    /// The environment.
+    Environment,
 }
 
 /// One change.
@@ -72,7 +72,7 @@ impl fmt::Display for EditError {
         match self {
             Self::NoLamp(Lamp::Material(i)) => write!(f, "no material {i} that emits light"),
             Self::NoLamp(Lamp::Light(i)) => write!(f, "no light {i}"),
-            Self::NoLamp(Lamp::Surrounding) => f.write_str("no light comes from the surrounding"),
+            Self::NoLamp(Lamp::Environment) => f.write_str("no light comes from the environment"),
             Self::Gain(gain) => write!(f, "a lamp cannot emit {gain} times as much: 0 to {GAIN_MAX} are"),
             Self::Place { position, direction } => {
                 write!(f, "no light can be at {position} and shine along {direction}")
@@ -130,7 +130,7 @@ pub struct AsRead {
     content_hash: [u8; 32],
     emissions: Vec<Vec3>,
     lights: Vec<Light>,
-    surrounding: Option<Vec3>,
+    environment: Option<Vec3>,
 }
 
 impl AsRead {
@@ -140,7 +140,7 @@ impl AsRead {
             content_hash: scene.content_hash,
             emissions: scene.materials.iter().map(|m| m.emission.color).collect(),
             lights: scene.lights.clone(),
-            surrounding: scene.environment.as_ref().map(|e| e.radiance),
+            environment: scene.environment.as_ref().map(|e| e.radiance),
         }
     }
 
@@ -150,7 +150,7 @@ impl AsRead {
         let materials =
             self.emissions.iter().enumerate().filter(emits).map(|(i, _)| Lamp::Material(i as u32));
         let lights = (0..self.lights.len()).map(|i| Lamp::Light(i as u32));
-        materials.chain(lights).chain(self.surrounding.map(|_| Lamp::Surrounding))
+        materials.chain(lights).chain(self.environment.map(|_| Lamp::Environment))
     }
 
     /// What [`SceneParts::content_hash`](super::SceneParts::content_hash) is after these edits.
@@ -170,7 +170,7 @@ impl AsRead {
     /// # Errors
     /// If one of them cannot be made.
     pub fn edited(&self, scene: &Scene, edits: &[SceneEdit]) -> Result<Scene, EditError> {
-        let Self { content_hash: _, mut emissions, mut lights, mut surrounding } = self.clone();
+        let Self { content_hash: _, mut emissions, mut lights, mut environment } = self.clone();
         for edit in edits {
             match *edit {
                 SceneEdit::LampDimmed { gain, .. }
@@ -183,7 +183,7 @@ impl AsRead {
                     *match lamp {
                         Lamp::Material(i) => emissions.get_mut(i as usize).filter(emits),
                         Lamp::Light(i) => lights.get_mut(i as usize).map(power),
-                        Lamp::Surrounding => surrounding.as_mut(),
+                        Lamp::Environment => environment.as_mut(),
                     }
                     .ok_or(EditError::NoLamp(lamp))? *= gain;
                 }
@@ -208,7 +208,7 @@ impl AsRead {
             material.emission.color = emission;
         }
         edited.lights = lights;
-        if let (Some(environment), Some(radiance)) = (&mut edited.environment, surrounding) {
+        if let (Some(environment), Some(radiance)) = (&mut edited.environment, environment) {
             environment.radiance = radiance;
         }
         edited.content_hash = self.hash(edits);
@@ -270,7 +270,7 @@ mod tests {
     fn what_cannot_be_is_refused() {
         let refused = |edit| AsRead::of(&lit()).edited(&lit(), &[edit]).map(drop);
         let dim = |lamp, gain| SceneEdit::LampDimmed { lamp, gain };
-        for lamp in [Lamp::Material(0), Lamp::Material(9), Lamp::Light(1), Lamp::Surrounding] {
+        for lamp in [Lamp::Material(0), Lamp::Material(9), Lamp::Light(1), Lamp::Environment] {
             assert_eq!(refused(dim(lamp, Vec3::ONE)), Err(EditError::NoLamp(lamp)));
         }
         for wrong in [-1.0, 2.0 * GAIN_MAX, f32::INFINITY] {

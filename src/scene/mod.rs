@@ -191,7 +191,7 @@ impl Light {
         (1.0 - r * r * (r * r)).clamp(0.0, 1.0)
     }
 
-    /// Where a lamp is, and its range; `None` for light from afar.
+    /// Where a lamp is, and its range; `None` for distant light.
     pub fn lamp(&self) -> Option<(Vec3, f32)> {
         match *self {
             Self::Point { position, range, .. } | Self::Spot { position, range, .. } => {

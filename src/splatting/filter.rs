@@ -10,7 +10,7 @@ use arrayvec::ArrayVec;
 use glam::Vec3;
 
 use crate::display::FrameBuffers;
-use crate::display::twin::{primary_interaction, primary_ray};
+use crate::display::cpu_pass::{primary_interaction, primary_ray};
 use crate::image::luminance;
 use crate::scene::camera::CameraFrame;
 use crate::world::World;

@@ -247,7 +247,7 @@ impl LightSums {
 mod tests {
     use super::*;
     use crate::display::FrameBuffers;
-    use crate::display::twin::{self, Passes};
+    use crate::display::cpu_pass::{self, Passes};
     use crate::illumination::Uniform;
     use crate::scene::{Camera, Light, Model, Reflectance};
     use crate::splatting::supersampling::supersampled;
@@ -311,7 +311,7 @@ mod tests {
         for map in [0.0, 3.0] {
             let world = World { illumination: Arc::new(Uniform(Vec3::splat(map))), ..world(ALBEDO) };
             let (frame, mut buffers) = (frame(), FrameBuffers::new(24, 16));
-            twin::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
+            cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
             let first = buffers.color.clone();
             let picture = supersampled(&world, &frame, &buffers, 1, 256, &first, &|| true).picture;
             let found = picture.data().iter().map(|c| f64::from(c.x)).sum::<f64>() / 384.0;

@@ -319,7 +319,7 @@ pub fn settled(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::display::twin::{self, Passes};
+    use crate::display::cpu_pass::{self, Passes};
     use crate::illumination::Uniform;
     use crate::rng::Stream;
     use crate::scene::test_scenes::{add_box, grey, scene};
@@ -336,7 +336,7 @@ mod tests {
         let camera = Camera { eye: Vec3::new(0.1, 0.0, 0.9), target: Vec3::ZERO, up: Vec3::Y, fov_y: 1.0 };
         let frame = camera.frame(SIZE.0, SIZE.1);
         let mut buffers = FrameBuffers::new(SIZE.0 as usize, SIZE.1 as usize);
-        twin::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
+        cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
         (world, frame, buffers)
     }
 

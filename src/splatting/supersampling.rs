@@ -204,7 +204,7 @@ fn traced(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::display::twin::{self, Passes};
+    use crate::display::cpu_pass::{self, Passes};
     use crate::illumination::Uniform;
     use crate::image::luminance;
     use crate::scene::test_scenes::{add_box, grey, scene};
@@ -256,7 +256,7 @@ mod tests {
         for map in [0.0, 2.0, 3.0, 8.0] {
             let world = world(map);
             let mut buffers = FrameBuffers::new(48, 32);
-            twin::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
+            cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
             for (samples, seed) in [(16, 1), (16, 2), (64, 3), (64, 4), (64, 5)] {
                 let shown = supersampled(&world, &frame, &buffers, seed, samples, &buffers.color, &|| true);
                 let off =
@@ -283,7 +283,7 @@ mod tests {
         let mean = |irradiance: f32, samples: u32| {
             let world = World::new(scene.clone(), Arc::new(Uniform(Vec3::splat(irradiance))));
             let mut buffers = FrameBuffers::new(32, 16);
-            twin::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
+            cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
             let picture =
                 supersampled(&world, &frame, &buffers, 1, samples, &buffers.color, &|| true).picture;
             picture.data().iter().map(|c| f64::from(c.x)).sum::<f64>() / 512.0
@@ -299,7 +299,7 @@ mod tests {
         let camera = Camera { eye: Vec3::new(0.1, 0.2, 4.0), target: Vec3::ZERO, up: Vec3::Y, fov_y: 0.5 };
         let frame = camera.frame(40, 24);
         let mut buffers = FrameBuffers::new(40, 24);
-        twin::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
+        cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
         let seen = |n| supersampled(&world, &frame, &buffers, 1, n, &buffers.color, &|| true).picture;
         assert_eq!(seen(0).data(), buffers.color.data());
         let (few, many) = (seen(64), seen(4096));

@@ -1,7 +1,7 @@
-//! Sums over the samples of a tile's pixels, in independent batches, whose lone bright samples are cut.
+//! Sums over the samples of a tile's pixels, in independent batches, whose fireflies are cut.
 //!
 //! Of each pixel and batch the largest sample is kept apart, and when a mean is read it counts as κ s √n at most, n samples
-//! of a half having the root mean square s in that tile. So a lone bright sample moves a mean by at most κ standard errors,
+//! of a half having the root mean square s in that tile. So a firefly moves a mean by at most κ standard errors,
 //! whenever it came, and for every mean that is finite the cut vanishes in the limit, as that of truncated means (Bubeck,
 //! Cesa-Bianchi & Lugosi 2013). A cut at the time that a sample comes, when s is hardly known, takes most of what a window
 //! adds to a floor that reflects it: pictures were 2 to 30 % too dark after 64 samples. What is cut off is light that is

@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use super::{Sample, SampleBatch};
 use crate::display::FrameBuffers;
-use crate::display::twin::{primary_interaction, primary_ray};
+use crate::display::cpu_pass::{primary_interaction, primary_ray};
 use crate::rng::Stream;
 use crate::scene::camera::CameraFrame;
 use crate::world::World;

@@ -33,7 +33,7 @@ pub fn arrivals(indexed: Indexed<'_>, at: &Interaction, samples: u32, seed: u64)
         if cosine <= 0.0 || at.facing_geometric().dot(sample.wi) <= 0.0 {
             return Vec3::ZERO;
         }
-        let ray = match sample.is_from_afar() {
+        let ray = match sample.is_distant() {
             true => at.spawn(sample.wi),
             false => at.spawn_to(at.position + sample.wi * sample.distance),
         };
@@ -50,7 +50,7 @@ pub fn arrivals(indexed: Indexed<'_>, at: &Interaction, samples: u32, seed: u64)
             Emitter::Triangle(t) => Lamp::Material(scene.mesh.materials[t as usize].0),
             Emitter::Analytic(_) if asks => continue,
             Emitter::Analytic(light) => Lamp::Light(light),
-            Emitter::Surrounding => Lamp::Surrounding,
+            Emitter::Environment => Lamp::Environment,
         };
         let brought = arriving(&sample) / sample.pdf;
         if brought.is_finite() {

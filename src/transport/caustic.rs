@@ -1,7 +1,7 @@
 //! Caustics: light that reaches a surface over mirrors, glass and gloss, by particles (Heckbert 1990: L S⁺ D).
 //!
 //! S is every lobe but wide ones ([`Bsdf::is_wide`]); going straight through a pane is no vertex. Particles begin at
-//! lamps by what they emit (`aim`), and where light from afar falls on S ([`super::lit`]). One that meets nothing but diffuse
+//! lamps by what they emit (`aim`), and where distant light falls on S ([`super::lit`]). One that meets nothing but diffuse
 //! surfaces counts for nothing: its light is found in other ways. Over S it goes on, attenuated by the media on its way,
 //! weighed as particles are where shading normals differ from geometric ones (Veach 1997, eq 5.19), with roulette by weight.
 //!
@@ -27,7 +27,7 @@ use aim::Aim;
 
 /// Particles that share sequences.
 pub const RUN: u64 = 1 << 14;
-/// Pieces of S surfaces on which light from afar is looked for.
+/// Pieces of S surfaces on which distant light is looked for.
 const PIECES: usize = 1 << 14;
 /// Largest share of particles that survive a surface.
 const SURVIVAL_MAX: f32 = 0.99;
@@ -88,7 +88,7 @@ impl Sources {
         });
         let pieces = if distant { PIECES } else { 0 };
         let lit = LitSurfaces::new(areas, pieces, 1, near, &|_| 1.0, &|start, stream| {
-            from_afar(scene, accel, lights, class, start, stream).map_or(0.0, |(_, e)| luminance(e))
+            distant_light(scene, accel, lights, class, start, stream).map_or(0.0, |(_, e)| luminance(e))
         });
         let meets = |lamp: usize, u: [f32; 2]| {
             let Some((ray, _)) = lights.emit_near_dirac(scene, lamp, u) else { return 0.0 };
@@ -108,9 +108,9 @@ impl Sources {
     }
 }
 
-/// A place under a sample of light from afar, as that light sees it, and the irradiance on its geometric normal; `None`
+/// A place under a sample of distant light, as that light sees it, and the irradiance on its geometric normal; `None`
 /// where something hides it, or the light is not wanted.
-fn from_afar(
+fn distant_light(
     scene: &Scene,
     accel: &Accel,
     lights: &Lights,
@@ -226,7 +226,7 @@ impl<'a> Caustics<'a> {
             return Some(begun(ray, flux, near));
         }
         let start = lit.start((choice - near) / (1.0 - near), stream.next_2d())?;
-        let (at, irradiance) = from_afar(self.scene, self.accel, self.lights, *class, &start, stream)?;
+        let (at, irradiance) = distant_light(self.scene, self.accel, self.lights, *class, &start, stream)?;
         let mut flight = begun(at.spawn(at.wo), irradiance, start.density * (1.0 - near));
         let bsdf = Bsdf::at(self.scene, &at);
         // What only passes a pane falls on the surfaces behind it, and begins there.

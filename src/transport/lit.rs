@@ -1,4 +1,4 @@
-//! Where light from afar falls on mirrors, glass and gloss: particles that carry the light of the sky and of suns begin
+//! Where distant light falls on mirrors, glass and gloss: particles that carry the light of the sky and of suns begin
 //! on these surfaces, instead of somewhere outside, from where most of them would miss what matters. Those that begin
 //! with a diffuse reflection need no samples of their own: what falls there is gathered by the bake.
 //!
@@ -37,7 +37,7 @@ pub struct LitSurfaces {
     areas: Vec<f64>,
     /// Share of the particles, summed up: of the fronts of all pieces, then of their backs.
     shares: Vec<f64>,
-    /// What depends on particles that begin here, W: the power of near lights, and what the surfaces receive from afar,
+    /// What depends on particles that begin here, W: the power of near lights, and what the surfaces receive from distant lights,
     /// as far as they count.
     begins: f64,
     /// Share of particles that the lights inside of the scene emit.
@@ -106,7 +106,7 @@ impl LitSurfaces {
         self.begins
     }
 
-    /// Share of particles that lights inside of the scene emit: all, where no light from afar was found.
+    /// Share of particles that lights inside of the scene emit: all, where no distant light was found.
     pub fn near_share(&self) -> f64 {
         self.near_share
     }
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn where_nothing_is_lit_from_afar_all_particles_are_emitted() {
+    fn where_nothing_has_distant_light_all_particles_are_emitted() {
         let dark = LitSurfaces::new([1.0].into_iter(), 64, 1, 3.0, &|_| 1.0, &|_, _| 0.0);
         assert!(dark.near_share() == 1.0 && dark.start(0.5, [0.5; 2]).is_none() && dark.begins() == 3.0);
         let empty = LitSurfaces::new([].into_iter(), 64, 1, 3.0, &|_| 1.0, &|_, _| 1.0);

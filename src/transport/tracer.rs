@@ -48,7 +48,7 @@ pub struct Settings {
     /// over many surfaces shows as noise of this strength, not of its own.
     pub min_contribution: f32,
     /// Most that one chain glossy → mirror or glass → light may add, in units of display white. No light sampling
-    /// finds such chains, so that they come as lone bright pixels; the bound makes them a little too dark instead.
+    /// finds such chains, so that they come as fireflies; the bound makes them a little too dark instead.
     pub caustic_bound: f32,
     /// Most times that a glossy lobe is estimated where one sample makes most of what was found: what is found rarely
     /// and bright, a highlight seen in a rough surface, shows as noise finer than `outlier` instead of as lone bright

@@ -15,10 +15,10 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use foveal::display::FrameBuffers;
+use foveal::display::cpu_pass::{self, Passes};
 use foveal::display::environment_map::{capture, texel_count};
 use foveal::display::first_approximation::{FirstApproximation, Probes};
 use foveal::display::tone::{Encoder, ToneMap};
-use foveal::display::twin::{self, Passes};
 use foveal::geometry::Accel;
 use foveal::illumination::bake::{BakeSettings, bake};
 use foveal::image::Map2d;
@@ -246,7 +246,7 @@ fn look(world: &World, size: [u32; 2], what: &str) -> Seen {
     let frame = world.scene.cameras[0].camera.frame(size[0], size[1]);
     let [width, height] = size.map(|s| s as usize);
     let mut buffers = FrameBuffers::new(width, height);
-    twin::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
+    cpu_pass::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
     assert_sound(&buffers.color, &format!("{what}: display"));
     assert!(buffers.depth.data().iter().all(|d| *d >= 0.0), "{what}: depth");
     let mut layer = Map2d::new(width, height, Vec3::ZERO);
@@ -265,11 +265,11 @@ fn look(world: &World, size: [u32; 2], what: &str) -> Seen {
     let (mut traced, mut paths) = (buffers.color.clone(), Map2d::new(width, height, Vec3::ZERO));
     for y in 0..height {
         for x in 0..width {
-            let ray = twin::primary_ray(&frame, x as u32, y as u32);
+            let ray = cpu_pass::primary_ray(&frame, x as u32, y as u32);
             let stream = pixel_stream(1, x as u32, y as u32, 0);
             *paths.at_mut(x, y) = world.path_radiance(&ray, stream);
             if let (Some(hit), true) = (buffers.hit.at(x, y).hit(), buffers.object.at(x, y) != 0) {
-                let at = twin::primary_interaction(world, &frame, &ray, &hit);
+                let at = cpu_pass::primary_interaction(world, &frame, &ray, &hit);
                 let change = tracer.view_dependent(&at, buffers.color.at(x, y), stream);
                 assert!(change.is_finite(), "{what}: correction {change} at ({x}, {y})");
                 // What a coat takes from the base is at most the base, but for rounding.

@@ -1,7 +1,7 @@
 //! What light the surface behind a pixel shows: which lamp brought it straight, what came after other surfaces, which map
 //! says so and how far off that is said to be; and why its texture is as fine as it is.
 
-use foveal::display::twin::{primary_interaction, primary_ray};
+use foveal::display::cpu_pass::{primary_interaction, primary_ray};
 use foveal::scene::edit::Lamp;
 use foveal::transport::arrivals::arrivals;
 use foveal::transport::interaction::Interaction;
@@ -49,7 +49,7 @@ fn light(drawn: &DrawnView, at: &Interaction) -> Value {
             "is": match arrival.lamp {
                 Lamp::Material(_) => "material",
                 Lamp::Light(_) => "light",
-                Lamp::Surrounding => "surrounding",
+                Lamp::Environment => "environment",
             },
             "irradiance": arrival.irradiance.to_array(),
             "noise": arrival.noise,
@@ -107,7 +107,7 @@ pub fn told(surface: &Value) -> Vec<String> {
         format!("{:.4} {:.4} {:.4}", of(0), of(1), of(2))
     };
     if surface.is_null() {
-        return vec!["surface   none: the surrounding is seen".to_owned()];
+        return vec!["surface   none: the environment is seen".to_owned()];
     }
     let (material, side) =
         (text(&surface["material"]), if surface["back"] == true { ", its back" } else { "" });

@@ -1,4 +1,4 @@
-//! The pass that draws the base layer and its buffers. Twin of `foveal::display`.
+//! The pass that draws the base layer and its buffers. The CPU pass is `foveal::display`.
 
 mod view;
 

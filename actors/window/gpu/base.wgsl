@@ -148,7 +148,7 @@ fn view_direction(position: vec2f) -> vec3f {
     return view.forward.xyz + view.right.xyz * s.x - view.up.xyz * s.y;
 }
 
-// Twin of illumination::stored::Illumination::lookup.
+// The CPU pass is illumination::stored::Illumination::lookup.
 fn irradiance(t: u32, kind: u32, b1: f32, b2: f32, back: bool) -> vec3f {
     if back && (view.flags.x & 1u) == 0u {
         return vec3f(0.0);
@@ -182,7 +182,7 @@ fn texture_coordinates(uv: vec2f, scale_offset: vec4f) -> vec2f {
     return vec2f(p.x, 1.0 - p.y);
 }
 
-// Twin of transport::interaction::mip_level.
+// The CPU pass is transport::interaction::mip_level.
 fn mip_level(uv_density: f32, footprint: f32, texels_per_uv: f32) -> f32 {
     let texels = footprint * uv_density * texels_per_uv;
     return select(0.0, min(log2(texels), 31.0), texels > 1.0);
@@ -277,7 +277,7 @@ fn shade(in: Run) -> Pixel {
 
 // The surrounding, where no triangle is.
 
-// Twin of scene::environment::Environment::radiance.
+// The CPU pass is scene::environment::Environment::radiance.
 fn environment(direction: vec3f) -> vec3f {
     if (view.flags.x & 2u) == 0u {
         return view.environment_radiance.rgb;

@@ -1,4 +1,4 @@
-//! The pass that joins both layers into the picture that is shown. Twin of `foveal::display::tone`
+//! The pass that joins both layers into the picture that is shown. The CPU pass is `foveal::display::tone`
 //! and of `renderer::overlay`.
 
 use bytemuck::{Pod, Zeroable};

@@ -1,5 +1,5 @@
 // What is shown: base layer + splat layer, tone-mapped and sRGB-encoded; or an overlay.
-// Twin of foveal::display::tone and of renderer::overlay; names as there.
+// The CPU pass is foveal::display::tone and of renderer::overlay; names as there.
 
 struct Compose {
     // Reinhard's white; negative: clamp.
@@ -63,7 +63,7 @@ fn srgb_from_linear(v: vec3f) -> vec3f {
     return select(1.055 * pow(v, vec3f(1.0 / 2.4)) - 0.055, 12.92 * v, v <= vec3f(0.0031308));
 }
 
-// A colour per number, far from those of its neighbours: twin of renderer::overlay::distinct.
+// A colour per number, far from those of its neighbours: the CPU pass is renderer::overlay::distinct.
 fn distinct(n: u32) -> vec3f {
     let hue = f32((n * 40503u) & 0xffffu) / 65536.0;
     let k = fract(vec3f(hue) + vec3f(0.0, 2.0, 1.0) / 3.0) * 6.0 - 3.0;
@@ -71,7 +71,7 @@ fn distinct(n: u32) -> vec3f {
     return mix(vec3f(1.0), pure, 0.75) * (0.6 + 0.4 * f32((n * 7u) % 5u) / 4.0);
 }
 
-// Black, blue, red, yellow, white: twin of renderer::overlay::heat.
+// Black, blue, red, yellow, white: the CPU pass is renderer::overlay::heat.
 fn heat(v: f32) -> vec3f {
     let t = clamp(v, 0.0, 1.0) * 4.0;
     return clamp(vec3f(t - 1.0, t - 2.0, select(1.0 - abs(t - 1.0), t - 3.0, t > 2.0)), vec3f(0.0), vec3f(1.0));

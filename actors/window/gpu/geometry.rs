@@ -383,7 +383,7 @@ fn triangle_record(mesh: &Mesh, light: &BaseLight, t: u32) -> TriangleRecord {
     }
 }
 
-/// Twin of `Interaction::uv_density`.
+/// The CPU pass is `Interaction::uv_density`.
 fn uv_density(mesh: &Mesh, triangle: usize) -> f32 {
     let [a, b, c] = mesh.corners(triangle as u32);
     let [ta, tb, tc] = mesh.triangles[triangle].map(|v| mesh.uvs[v as usize]);
@@ -399,7 +399,7 @@ struct Diffuse {
     coat: [f32; 2],
 }
 
-/// Twin of the diffuse part in `foveal::transport::bsdf`.
+/// The CPU pass is the diffuse part in `foveal::transport::bsdf`.
 fn diffuse(material: &foveal::scene::Material) -> Diffuse {
     use foveal::scene::Model;
     let bare = |albedo| Diffuse { albedo, coat: [1.0, 0.0] };

@@ -202,7 +202,7 @@ impl OfScene {
 mod tests {
     use super::*;
     use crate::gpu::{readback, test_scene};
-    use foveal::display::{FrameBuffers, twin};
+    use foveal::display::{FrameBuffers, cpu_pass};
     use foveal::illumination::Uniform;
     use foveal::world::World;
     use foveal_actors::renderer::overlay::Overlay;
@@ -224,7 +224,7 @@ mod tests {
         let world = World::new(Arc::new(test_scene::room(4)), Arc::new(Uniform(Vec3::ONE)));
         let frame = world.scene.cameras[0].camera.frame(80, 60);
         let mut buffers = FrameBuffers::new(80, 60);
-        twin::draw(&world, &frame, twin::Passes { texture_ids: false }, &mut buffers);
+        cpu_pass::draw(&world, &frame, cpu_pass::Passes { texture_ids: false }, &mut buffers);
         let drawn = Arc::new(DrawnView { view: View(1), frame, buffers, world, object_count: 3, hash: 0 });
         let mut layer = SplatLayer::new(80, 60, 2, Footprint::Tile);
         let without = shown(&drawn, &layer, &gpu);

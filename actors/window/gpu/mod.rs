@@ -1,4 +1,4 @@
-//! The display on a graphics adapter: WGSL twins of the passes in `foveal::display` and
+//! The display on a graphics adapter: WGSL passes beside those in `foveal::display` and
 //! `foveal::splatting::layer`.
 //!
 //! In: a scene with its illumination, camera frames, samples. Out: the picture, and on demand the
@@ -11,6 +11,8 @@
 pub mod adapter;
 mod base;
 mod compose;
+#[cfg(test)]
+mod cpu_pass_tests;
 pub mod display;
 mod geometry;
 mod layout;
@@ -23,8 +25,6 @@ mod splat;
 #[path = "../../engine/test_scene.rs"]
 pub(crate) mod test_scene;
 mod textures;
-#[cfg(test)]
-mod twin_tests;
 
 pub use adapter::{AdapterInfo, Gpu, adapter};
 pub use display::GpuDisplay;

@@ -1,4 +1,4 @@
-//! What is shown between samples, on the adapter. Twin of `foveal::splatting::reconstruction`.
+//! What is shown between samples, on the adapter. The CPU pass is `foveal::splatting::reconstruction`.
 
 use bytemuck::{Pod, Zeroable};
 use foveal::scene::camera::CameraFrame;

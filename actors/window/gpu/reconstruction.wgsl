@@ -1,4 +1,4 @@
-// What is shown between samples: linear instead of constant. Twin of foveal::splatting::reconstruction; names as there.
+// What is shown between samples: linear instead of constant. The CPU pass is foveal::splatting::reconstruction; names as there.
 
 struct View {
     // Picture width and height.

@@ -1,4 +1,4 @@
-//! The splat layer on the adapter. Twin of `foveal::splatting::layer`.
+//! The splat layer on the adapter. The CPU pass is `foveal::splatting::layer`.
 //!
 //! Only new samples travel: the layer keeps its picture between frames of one view. What a pixel shows is found by
 //! computing, not by rasterising: most splats are smaller than what it takes to set up their triangles.

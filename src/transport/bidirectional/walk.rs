@@ -163,7 +163,7 @@ impl Bidirectional<'_> {
     /// `alone` it ends once that can no longer be.
     pub(super) fn light_path(&self, mut stream: Stream, alone: bool, mut visit: impl FnMut(&Vertex, bool)) {
         let Some((emitter, ray, flux)) = self.lights.begin(self.scene, &mut stream) else { return };
-        let around = if self.absorbs && !self.lights.is_from_afar(emitter) {
+        let around = if self.absorbs && !self.lights.is_distant(emitter) {
             Media::around(self.scene, self.accel, &ray)
         } else {
             Media::EMPTY
@@ -236,7 +236,7 @@ impl Bidirectional<'_> {
         let is_dirac = self.lights.is_dirac(emitter);
         // Of an area light the density per solid angle makes up for the distance; the choice of a point does not.
         let asked = f64::from(asked)
-            * match (is_dirac, self.lights.is_from_afar(emitter)) {
+            * match (is_dirac, self.lights.is_distant(emitter)) {
                 (_, true) => 1.0,
                 (true, false) => f64::from(distance * distance),
                 (false, false) => f64::from(leaving.cosine),

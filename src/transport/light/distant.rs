@@ -1,4 +1,4 @@
-//! Light from afar on a surface of a known normal: suns and the sky.
+//! Distant light on a surface of a known normal: suns and the sky.
 //!
 //! The sky is sampled by the cosine as well as by its radiance, so that the half of it below the surface costs nothing and an
 //! even sky has no noise but that of what hides it (balance heuristic; Veach 1997, §9.2).
@@ -40,7 +40,7 @@ impl Lights {
         let candidates = || {
             self.emitters[self.near_count..].iter().filter_map(|emitter| match emitter {
                 Emitter::Analytic(i) => sample_analytic(&scene.lights[*i as usize], point),
-                Emitter::Surrounding => self.sample_surrounding(scene, normal, u),
+                Emitter::Environment => self.sample_environment(scene, normal, u),
                 Emitter::Triangle(_) => None,
             })
         };
@@ -63,7 +63,7 @@ impl Lights {
         self.emitters.len() - self.near_count
     }
 
-    pub(super) fn sample_surrounding(
+    pub(super) fn sample_environment(
         &self,
         scene: &Scene,
         normal: Vec3,
@@ -134,7 +134,7 @@ mod tests {
         let lights = Lights::build(&s);
         let normal = Vec3::new(0.1, 0.9, -0.2).normalize();
         let value = |l: LightSample| f64::from(luminance(l.radiance) * l.wi.dot(normal).max(0.0) / l.pdf);
-        let is_distant = LightSample::is_from_afar;
+        let is_distant = LightSample::is_distant;
         let (a, error_a) = mean(400_000, |r| {
             let l = lights.sample_direct(&s, Vec3::ZERO, r.next_f32(), r.next_2d()).filter(is_distant);
             l.map_or(0.0, value)

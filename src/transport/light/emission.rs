@@ -78,7 +78,7 @@ impl Lights {
                 Light::Spot { outer, .. } => (1.0 / f64::from(TAU * (1.0 - math::cos(outer))), 1.0),
                 Light::Directional { .. } => (1.0 / disk, 1.0),
             },
-            Emitter::Surrounding => match (&self.environment, &scene.environment) {
+            Emitter::Environment => match (&self.environment, &scene.environment) {
                 (Some(d), Some(environment)) => (f64::from(d.pdf(environment, -direction)) / disk, 1.0),
                 _ => (0.0, 1.0),
             },
@@ -86,7 +86,7 @@ impl Lights {
         Leaving { density: density * probability, cosine }
     }
 
-    /// A light by power, where those from afar get the share that they have in light samples, and its probability.
+    /// A light by power, where distant ones get the share that they have in light samples, and its probability.
     fn choose_emitter(&self, choice: f64) -> Option<(Emitter, f64)> {
         let share = f64::from(self.distant_share);
         if choice < share {
@@ -145,7 +145,7 @@ impl Lights {
         let (ray, flux) = match emitter {
             Emitter::Triangle(t) => emit_from_triangle(scene, t, u, v)?,
             Emitter::Analytic(i) => self.emit_from_analytic(&scene.lights[i as usize], u),
-            Emitter::Surrounding => {
+            Emitter::Environment => {
                 let environment = scene.environment.as_ref()?;
                 let (towards, pdf) = self.environment.as_ref()?.sample(environment, u)?;
                 let flux = environment.radiance(towards) * (PI * self.radius * self.radius / pdf);

@@ -50,7 +50,7 @@ pub struct LightSample {
 
 impl LightSample {
     /// Whether it comes from the surrounding or a directional light.
-    pub fn is_from_afar(&self) -> bool {
+    pub fn is_distant(&self) -> bool {
         self.distance.is_infinite()
     }
 }
@@ -63,7 +63,7 @@ pub(in crate::transport) enum Emitter {
     /// `Scene::lights[index]`.
     Analytic(u32),
     /// `Scene::environment`.
-    Surrounding,
+    Environment,
 }
 
 /// All lights of a scene, ready to be sampled.
@@ -169,9 +169,9 @@ impl Lights {
         if let Some(d) = &lights.environment {
             // An empty scene still has a surrounding.
             let flux = d.integral * (PI * radius * radius).max(f32::MIN_POSITIVE);
-            add(&mut lights, Emitter::Surrounding, flux);
+            add(&mut lights, Emitter::Environment, flux);
         }
-        if lights.emitters.last() != Some(&Emitter::Surrounding) {
+        if lights.emitters.last() != Some(&Emitter::Environment) {
             lights.environment = None;
         }
         let (a, b) = weights.split_at(lights.near_count);
@@ -209,7 +209,7 @@ impl Lights {
                 }
                 Light::Directional { .. } => None,
             },
-            Emitter::Surrounding => None,
+            Emitter::Environment => None,
         }
     }
 
@@ -251,7 +251,7 @@ impl Lights {
         let sample = match emitter {
             Emitter::Triangle(t) => sample_triangle(scene, t, point, u)?,
             Emitter::Analytic(i) => sample_analytic(&scene.lights[i as usize], point)?,
-            Emitter::Surrounding => {
+            Emitter::Environment => {
                 let environment = scene.environment.as_ref()?;
                 let (wi, pdf) = self.environment.as_ref()?.sample(environment, u)?;
                 let radiance = environment.radiance(wi);
@@ -283,7 +283,7 @@ impl Lights {
         let triangles = &self.emitters[..self.triangle_count];
         let found = triangles.binary_search_by_key(&hit.triangle, |e| match e {
             Emitter::Triangle(t) => *t,
-            Emitter::Analytic(_) | Emitter::Surrounding => u32::MAX,
+            Emitter::Analytic(_) | Emitter::Environment => u32::MAX,
         });
         let Ok(i) = found else { return 0.0 };
         let probability = f64::from(1.0 - self.distant_share) * self.near.probability(i);

@@ -37,7 +37,7 @@ impl Lights {
         some.iter()
             .filter_map(move |emitter| match emitter {
                 Emitter::Analytic(i) => Some((*i, sample_analytic(&scene.lights[*i as usize], point)?)),
-                Emitter::Triangle(_) | Emitter::Surrounding => None,
+                Emitter::Triangle(_) | Emitter::Environment => None,
             })
             .filter(|(_, s)| s.radiance.is_finite() && s.radiance.max_element() > 0.0)
     }
@@ -69,7 +69,7 @@ impl Lights {
         }
         let share = self.sky_share();
         let (sample, probability) = if u_choice < share {
-            (self.sample_surrounding(scene, at.normal, u)?, share)
+            (self.sample_environment(scene, at.normal, u)?, share)
         } else {
             let (i, of_tree) = self.tree.choose(at, (u_choice - share) / (1.0 - share))?;
             let Emitter::Triangle(t) = self.emitters[i] else { return None };
@@ -98,7 +98,7 @@ impl Lights {
                 let density = self.triangle_density(scene, at, t, wi, end.distance(at.point));
                 (density, (1.0 - self.sky_share()) * self.tree.probability(place, at))
             }
-            _ => (f64::from(self.surrounding_pdf(scene, at.normal, wi)), self.sky_share()),
+            _ => (f64::from(self.environment_pdf(scene, at.normal, wi)), self.sky_share()),
         };
         let pdf = (density * probability) as f32;
         if pdf.is_finite() { pdf } else { 0.0 }

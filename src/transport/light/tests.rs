@@ -110,7 +110,7 @@ fn irradiance_of_lights_without_area() {
 }
 
 #[test]
-fn irradiance_of_the_surrounding() {
+fn irradiance_of_the_environment() {
     let mut s = square_light();
     s.environment = Some(Environment::constant(Vec3::splat(2.0)));
     // The light hides a part of the surrounding and adds its own.

@@ -75,7 +75,7 @@ impl Lights {
         let sample = match emitter {
             Emitter::Triangle(t) => sample_triangle(scene, t, at.point, u),
             Emitter::Analytic(i) => sample_analytic(&scene.lights[i as usize], at.point),
-            Emitter::Surrounding => self.sample_surrounding(scene, at.normal, u),
+            Emitter::Environment => self.sample_environment(scene, at.normal, u),
         }?;
         let sample = LightSample { pdf: (f64::from(sample.pdf) * probability) as f32, ..sample };
         let usable = sample.pdf > 0.0
@@ -87,7 +87,7 @@ impl Lights {
 
     /// The light that a ray found, at `hit` or in the surrounding; `None` where no sample is drawn there.
     pub(in crate::transport) fn met(&self, scene: &Scene, hit: Option<&Hit>) -> Option<Emitter> {
-        let Some(hit) = hit else { return self.environment.is_some().then_some(Emitter::Surrounding) };
+        let Some(hit) = hit else { return self.environment.is_some().then_some(Emitter::Environment) };
         let material = scene.mesh.materials[hit.triangle as usize].0 as usize;
         let emitter = Emitter::Triangle(hit.triangle);
         (scene.materials[material].is_emissive() && self.place(emitter).is_some()).then_some(emitter)
@@ -104,7 +104,7 @@ impl Lights {
     }
 
     /// Whether a light is the surrounding or directional.
-    pub(in crate::transport) fn is_from_afar(&self, emitter: Emitter) -> bool {
+    pub(in crate::transport) fn is_distant(&self, emitter: Emitter) -> bool {
         self.place(emitter).is_some_and(|i| i >= self.near_count)
     }
 
@@ -112,13 +112,13 @@ impl Lights {
     pub(super) fn place(&self, emitter: Emitter) -> Option<usize> {
         let triangle = |e: &Emitter| match e {
             Emitter::Triangle(t) => *t,
-            Emitter::Analytic(_) | Emitter::Surrounding => u32::MAX,
+            Emitter::Analytic(_) | Emitter::Environment => u32::MAX,
         };
         match emitter {
             Emitter::Triangle(t) => {
                 self.emitters[..self.triangle_count].binary_search_by_key(&t, triangle).ok()
             }
-            Emitter::Analytic(_) | Emitter::Surrounding => {
+            Emitter::Analytic(_) | Emitter::Environment => {
                 let at = self.emitters[self.triangle_count..].iter().position(|e| *e == emitter)?;
                 Some(self.triangle_count + at)
             }
@@ -143,7 +143,7 @@ impl Lights {
         };
         let density = match emitter {
             Emitter::Analytic(_) => 1.0,
-            Emitter::Surrounding => f64::from(self.surrounding_pdf(scene, at.normal, wi)),
+            Emitter::Environment => f64::from(self.environment_pdf(scene, at.normal, wi)),
             Emitter::Triangle(t) => self.triangle_density(scene, at, t, wi, distance),
         };
         let pdf = (density * probability) as f32;
@@ -168,8 +168,8 @@ impl Lights {
         }
     }
 
-    /// Density per solid angle of [`Self::sample_surrounding`], before the choice of the light.
-    pub(super) fn surrounding_pdf(&self, scene: &Scene, normal: Vec3, wi: Vec3) -> f32 {
+    /// Density per solid angle of [`Self::sample_environment`], before the choice of the light.
+    pub(super) fn environment_pdf(&self, scene: &Scene, normal: Vec3, wi: Vec3) -> f32 {
         let (Some(environment), Some(d)) = (&scene.environment, &self.environment) else { return 0.0 };
         let cosine = normal.dot(wi).max(0.0) / PI;
         if environment.map.is_none() { cosine } else { 0.5 * cosine + 0.5 * d.pdf(environment, wi) }

@@ -75,7 +75,7 @@ fn brings(scene: &Scene, emitter: Emitter, at: &Receiver, u: [f32; 2]) -> f64 {
     let sample: Option<LightSample> = match emitter {
         Emitter::Triangle(t) => sample_triangle(scene, t, at.point, u),
         Emitter::Analytic(i) => sample_analytic(&scene.lights[i as usize], at.point),
-        Emitter::Surrounding => None,
+        Emitter::Environment => None,
     };
     let e = sample.map_or(0.0, |s| {
         f64::from(luminance(s.radiance)) * f64::from(s.wi.dot(at.normal).max(0.0)) / f64::from(s.pdf)

@@ -4,7 +4,7 @@ use super::*;
 
 #[test]
 fn an_obj_and_a_gltf_of_one_scene_have_the_same_bits() {
-    let place = Place::new("gltf-twin");
+    let place = Place::new("gltf-pair");
     let mut obj = String::from("o fan\nusemtl m\n");
     for i in 0..5 {
         let (x, y) = (i as f32 * 0.37 - 0.81, (i * i) as f32 * 0.13);

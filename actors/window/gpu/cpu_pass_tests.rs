@@ -1,9 +1,9 @@
-//! Every pass against its twin on the processor.
+//! Every pass against the CPU pass.
 
 use std::sync::Arc;
 
 use foveal::display::tone::{ToneCurve, ToneMap};
-use foveal::display::{FrameBuffers, TextureLevel, twin};
+use foveal::display::{FrameBuffers, TextureLevel, cpu_pass};
 use foveal::illumination::{Irradiance, Uniform};
 use foveal::image::Map2d;
 use foveal::rng::Stream;
@@ -59,7 +59,7 @@ fn draw(scene: &Arc<Scene>, light: Arc<dyn Irradiance>, frame: &CameraFrame) -> 
     let [width, height] = frame.size.map(|s| s as usize);
     let mut buffers = FrameBuffers::new(width, height);
     let world = World::new(Arc::clone(scene), light);
-    twin::draw(&world, frame, twin::Passes { texture_ids: true }, &mut buffers);
+    cpu_pass::draw(&world, frame, cpu_pass::Passes { texture_ids: true }, &mut buffers);
     buffers
 }
 

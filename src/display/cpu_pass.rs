@@ -1,4 +1,4 @@
-//! The CPU twin of the display pass: primary rays through the same BVH, sixteen at a time.
+//! The display pass on the processor: primary rays through the same BVH, sixteen at a time.
 
 use glam::Vec3;
 use rayon::prelude::*;

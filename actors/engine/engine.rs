@@ -118,6 +118,14 @@ pub struct Engine {
     facts: Vec<(String, String)>,
     /// How another size begins.
     again: Again,
+    begins: Begins,
+}
+
+/// Where whoever walks by hand begins, as numbers of the scene's cameras and paths.
+#[derive(Clone, Copy, Default)]
+struct Begins {
+    camera: usize,
+    path: Option<usize>,
 }
 
 /// What a walk of another size is started with.
@@ -231,8 +239,29 @@ impl Engine {
             names,
             facts: options.facts,
             again: Again { fps, quality, texture_bytes, whole, gives_way },
+            begins: Begins::default(),
             opened,
         })
+    }
+
+    /// Whoever walks by hand begins at this camera, or along this path, instead of at the first camera.
+    ///
+    /// # Errors
+    /// If the scene has none of that name.
+    pub fn begin_at(&mut self, camera: Option<&str>, path: Option<&str>) -> Result<(), Failure> {
+        let scene = &self.opened.world.scene;
+        if let Some(name) = camera {
+            let found = opened::camera(scene, Some(name))?;
+            self.begins.camera = scene.cameras.iter().position(|c| c.name == found.name).unwrap_or(0);
+        }
+        if let Some(name) = path {
+            let found = scene.paths.iter().position(|path| path.name == name);
+            self.begins.path = Some(found.ok_or_else(|| {
+                let names: Vec<&str> = scene.paths.iter().map(|p| p.name.as_str()).collect();
+                Failure::Usage(format!("no path \"{name}\"; the scene has {}", names.join(", ")))
+            })?);
+        }
+        Ok(())
     }
 
     /// A frame seen from `camera`, shown after `time` with what has come until then: its work ends as much earlier as
@@ -449,6 +478,7 @@ impl Engine {
         next.before.stopped = self.recorded;
         next.newest.mirrored.store(self.newest.mirrored.load(Ordering::Relaxed), Ordering::Relaxed);
         next.set(&self.controls)?;
+        next.begins = self.begins;
         *self = next;
         Ok(())
     }

@@ -172,6 +172,10 @@ pub trait Timeline {
 pub trait FrameSource {
     /// The scene.
     fn place(&self) -> Place;
+    /// Whether its first path is played from the start, until somebody moves.
+    fn plays(&self) -> bool {
+        false
+    }
     /// Columns and rows of the picture.
     fn size(&self) -> [u32; 2];
     /// What it starts with.

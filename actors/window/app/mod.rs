@@ -142,6 +142,8 @@ struct App {
     /// The mouse looks around since this position, pixels.
     looking: Option<(f64, f64)>,
     pointer: (f64, f64),
+    /// Fingers on the picture, two at most, and where they are.
+    fingers: Vec<(u64, (f64, f64))>,
     help: bool,
     hidden: bool,
     /// The textures of the picture must be made anew.
@@ -164,6 +166,7 @@ impl App {
             modifiers: ModifiersState::default(),
             looking: None,
             pointer: (0.0, 0.0),
+            fingers: Vec::new(),
             help: false,
             hidden: false,
             picture_is_new: false,

@@ -258,7 +258,7 @@ fn stages(walked: &Walked) -> (Bars, Table) {
                   (95 %); wide line: 5 to 95 % of the frames. The longest line is what to shorten first; a wide one is a \
                   stage that some frames pay for."
             .into(),
-        unit: "ms",
+        unit: "ms".into(),
         bars: known.iter().map(bar).collect(),
     };
     let table = Table {

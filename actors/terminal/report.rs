@@ -64,7 +64,7 @@ pub struct Bars {
     /// What to see in it.
     pub caption: String,
     /// Unit of all.
-    pub unit: &'static str,
+    pub unit: String,
     /// A line for each.
     pub bars: Vec<Bar>,
 }

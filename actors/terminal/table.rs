@@ -252,34 +252,51 @@ pub fn table_of(title: &str, rows: &[Row]) -> Table {
     }
 }
 
+/// A number of a row, as it is drawn.
+struct Drawn {
+    name: String,
+    unit: String,
+    value: f64,
+    band: Option<[f64; 2]>,
+    aim: Option<f64>,
+}
+
+/// Spreads by unit, of rows that have a spread or an aim.
+fn spreads(rows: impl Iterator<Item = Drawn>) -> Vec<Bars> {
+    let mut all: Vec<Bars> = Vec::new();
+    let is_drawn = |d: &Drawn| d.value.is_finite() && d.value >= 0.0 && (d.band.is_some() || d.aim.is_some());
+    for Drawn { name, unit, value, band, aim } in rows.filter(is_drawn) {
+        let bounds = band.unwrap_or([value; 2]);
+        let bar = Bar { name, known: Known { median: value, bounds }, reach: bounds, aim };
+        match all.iter_mut().find(|bars| bars.unit == unit) {
+            Some(of_unit) => of_unit.bars.push(bar),
+            None => all.push(Bars {
+                title: if unit.is_empty() { "Ratios".into() } else { format!("In {unit}") },
+                caption: "Point: the median of the runs; line: 10 to 90 % of them, where there are several. Red: the aim."
+                    .into(),
+                unit,
+                bars: vec![bar],
+            }),
+        }
+    }
+    all
+}
+
 /// The rows as a page: spreads by unit, and the table.
 fn page_of(name: &str, rows: &[Row], notes: &[String], machine: &Value) -> Page {
     let on = format!("{}, {} cores", machine["processor"].as_str().unwrap_or("?"), machine["cores"]);
     let missed = rows.iter().filter(|row| row.met() == Some(false)).count();
     let aims = rows.iter().filter(|row| row.met().is_some()).count();
-    let bar = |row: &Row| {
-        let value = row.value.filter(|v| v.is_finite() && *v >= 0.0)?;
-        let bounds = row.band.unwrap_or([value; 2]);
-        let aim = match row.aim {
+    let drawn = |row: &Row| Drawn {
+        name: row.what.clone(),
+        unit: row.unit.to_owned(),
+        value: row.value.unwrap_or(f64::NAN),
+        band: row.band,
+        aim: match row.aim {
             Some(Aim::AtMost(aim) | Aim::AtLeast(aim)) => Some(aim),
             _ => None,
-        };
-        Some(Bar { name: row.what.clone(), known: Known { median: value, bounds }, reach: bounds, aim })
+        },
     };
-    let mut bars: Vec<Bars> = Vec::new();
-    for row in rows.iter().filter(|row| row.band.is_some() || row.aim.is_some()) {
-        let Some(bar) = bar(row) else { continue };
-        match bars.iter_mut().find(|bars| bars.unit == row.unit) {
-            Some(of_unit) => of_unit.bars.push(bar),
-            None => bars.push(Bars {
-                title: if row.unit.is_empty() { "Ratios".into() } else { format!("In {}", row.unit) },
-                caption: "Point: the median of the runs; line: 10 to 90 % of them, where there are several. Red: the aim."
-                    .into(),
-                unit: row.unit,
-                bars: vec![bar],
-            }),
-        }
-    }
     let measured = match (aims, missed) {
         (0, _) => String::new(),
         (_, 0) => format!(" All {aims} aims are met."),
@@ -290,10 +307,53 @@ fn page_of(name: &str, rows: &[Row], notes: &[String], machine: &Value) -> Page 
         summary: std::iter::once(format!("Measured on {on}.{measured}"))
             .chain(notes.iter().cloned())
             .collect(),
-        bars,
+        bars: spreads(rows.iter().map(drawn)),
         tables: vec![table_of("All rows", rows)],
         ..Page::default()
     }
+}
+
+/// The same of a document that [`finish`] left: spreads by unit, and the table.
+pub fn page_of_document(document: &Value) -> (Vec<Bars>, Table) {
+    let rows = || document["rows"].as_array().into_iter().flatten();
+    let text = |row: &Value, key: &str| row[key].as_str().unwrap_or_default().to_owned();
+    let number = |row: &Value, key: &str| row[key].as_f64().unwrap_or(f64::NAN);
+    let with_unit = |row: &Value, key: &str| match row[key].as_f64() {
+        Some(v) => format!("{} {}", figure(v), text(row, "unit")),
+        None => "–".to_owned(),
+    };
+    let drawn = |row: &Value| Drawn {
+        name: text(row, "what"),
+        unit: text(row, "unit"),
+        value: number(row, "value"),
+        band: Some([row["band"][0].as_f64(), row["band"][1].as_f64()])
+            .and_then(|[low, high]| Some([low?, high?])),
+        // `≤ 10 ms`; of a ratio to a peer there is no place on this scale.
+        aim: text(row, "aim")
+            .split_whitespace()
+            .nth(1)
+            .and_then(|v| v.parse().ok())
+            .filter(|_| !text(row, "aim").ends_with("peer")),
+    };
+    let line = |row: &Value| {
+        let beside = match (row["peer"].as_str(), row["peer_value"].as_f64()) {
+            (Some(peer), Some(_)) => format!("{} ({peer})", with_unit(row, "peer_value")),
+            (peer, _) => peer.unwrap_or_default().to_owned(),
+        };
+        let met = match row["met"].as_bool() {
+            None => "",
+            Some(true) => "met",
+            Some(false) => "MISSED",
+        };
+        let ratio = row["ratio"].as_f64().map(figure).unwrap_or_default();
+        vec![text(row, "what"), with_unit(row, "value"), beside, ratio, text(row, "aim"), met.into()]
+    };
+    let table = Table {
+        title: String::new(),
+        header: HEAD.map(String::from).to_vec(),
+        rows: rows().map(line).collect(),
+    };
+    (spreads(rows().map(drawn)), table)
 }
 
 /// Rows as CSV, without a head: tuples of what is in their columns.

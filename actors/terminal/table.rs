@@ -10,9 +10,10 @@ use serde_json::{Value, json};
 use foveal_engine::failure::Failure;
 use foveal_engine::files::{make_folder, write_atomic};
 
+use crate::known::Known;
 use crate::machine::machine;
 use crate::print::{print_json, print_line};
-use crate::report::Table;
+use crate::report::{Bar, Bars, Page, Table, html};
 
 /// Arguments that all benchmarks share.
 #[derive(Args, Clone, Debug)]
@@ -218,6 +219,8 @@ pub fn finish(name: &str, rows: &[Row], notes: &[String], a: &CommonArguments) -
         let columns = "what,value,unit,runs,peer,peer_value,ratio,aim,met,low,high,reference";
         write_csv(&out.join(format!("{name}.csv")), columns, rows.iter().map(Row::columns))?;
         write_atomic(&out.join(format!("{name}.json")), format!("{document:#}\n").as_bytes())?;
+        let page = page_of(name, rows, notes, &document["machine"]);
+        write_atomic(&out.join(format!("{name}.html")), html(&page).as_bytes())?;
     }
     if a.json {
         print_json(&document);
@@ -246,6 +249,50 @@ pub fn table_of(title: &str, rows: &[Row]) -> Table {
         title: title.to_owned(),
         header: HEAD.map(String::from).to_vec(),
         rows: rows.iter().map(|r| r.cells().to_vec()).collect(),
+    }
+}
+
+/// The rows as a page: spreads by unit, and the table.
+fn page_of(name: &str, rows: &[Row], notes: &[String], machine: &Value) -> Page {
+    let on = format!("{}, {} cores", machine["processor"].as_str().unwrap_or("?"), machine["cores"]);
+    let missed = rows.iter().filter(|row| row.met() == Some(false)).count();
+    let aims = rows.iter().filter(|row| row.met().is_some()).count();
+    let bar = |row: &Row| {
+        let value = row.value.filter(|v| v.is_finite() && *v >= 0.0)?;
+        let bounds = row.band.unwrap_or([value; 2]);
+        let aim = match row.aim {
+            Some(Aim::AtMost(aim) | Aim::AtLeast(aim)) => Some(aim),
+            _ => None,
+        };
+        Some(Bar { name: row.what.clone(), known: Known { median: value, bounds }, reach: bounds, aim })
+    };
+    let mut bars: Vec<Bars> = Vec::new();
+    for row in rows.iter().filter(|row| row.band.is_some() || row.aim.is_some()) {
+        let Some(bar) = bar(row) else { continue };
+        match bars.iter_mut().find(|bars| bars.unit == row.unit) {
+            Some(of_unit) => of_unit.bars.push(bar),
+            None => bars.push(Bars {
+                title: if row.unit.is_empty() { "Ratios".into() } else { format!("In {}", row.unit) },
+                caption: "Point: the median of the runs; line: 10 to 90 % of them, where there are several. Red: the aim."
+                    .into(),
+                unit: row.unit,
+                bars: vec![bar],
+            }),
+        }
+    }
+    let measured = match (aims, missed) {
+        (0, _) => String::new(),
+        (_, 0) => format!(" All {aims} aims are met."),
+        _ => format!(" {missed} of {aims} aims missed."),
+    };
+    Page {
+        title: format!("foveal bench {name}"),
+        summary: std::iter::once(format!("Measured on {on}.{measured}"))
+            .chain(notes.iter().cloned())
+            .collect(),
+        bars,
+        tables: vec![table_of("All rows", rows)],
+        ..Page::default()
     }
 }
 
@@ -294,6 +341,20 @@ mod tests {
         let lines = csv_lines(rows.iter().map(Row::columns));
         assert_eq!(lines, "\"a, \"\"b\"\"\",1.5,ms,1,,,,,,1.1,1.9,\n,,,0,,,,,,,,\n");
         assert_eq!(csv_lines([("a", &(1.5, None::<u8>))]), "a,1.5,\n");
+    }
+
+    #[test]
+    fn pages_say_what_is_missed() {
+        let rows = [
+            Row::new("a", "ms", &[3.0, 1.0, 2.0]).with_band(&[3.0, 1.0, 2.0]).aim(Aim::AtMost(1.5)),
+            Row::new("b", "ms", &[1.0]).aim(Aim::AtMost(1.5)),
+            Row::new("c", "rays/s", &[7.0]),
+        ];
+        let page = page_of("x", &rows, &["a note".into()], &json!({"processor": "p", "cores": 2}));
+        assert_eq!(page.summary, ["Measured on p, 2 cores. 1 of 2 aims missed.", "a note"]);
+        assert_eq!(page.bars.len(), 1, "what has neither a spread nor an aim is in the table");
+        assert_eq!(page.bars[0].bars.len(), 2);
+        assert!(html(&page).contains("class=\"words missed\">MISSED"));
     }
 
     #[test]

@@ -161,7 +161,14 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         gltf::surfaces::finish(&mut materials, &mut textures, pending, &ids, &mut warnings);
     }
     hidden_texels::recolor(&mut materials, &mut textures);
-    let environment = environment(&sidecar, &mut folder, options, &mut warnings);
+    let mut environment = environment(&sidecar, &mut folder, options, &mut warnings);
+    let mut is_surrounded = false;
+    if let (None, Some((surround, place))) = (&environment, own.surround) {
+        match gltf::surround::environment(surround, sidecar.up, &mut folder, options) {
+            Ok(made) => (environment, is_surrounded) = (Some(made), true),
+            Err(why) => warnings.push(Warning::new(place, format!("surroundings {why}; not shown"))),
+        }
+    }
 
     let name = path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
     let (mesh, labels) = joined.into_mesh(path, own.any, &mut warnings)?;
@@ -195,7 +202,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     let emits = own.any && scene.materials.iter().any(Material::is_emissive);
     // What glows in the open (labels, screens, coals) is no lighting: viewers show such files in surroundings of their own.
     let glows = emits && scene.lights.is_empty() && scene.environment.is_none() && defaults::is_open(&scene);
-    scene.display.metered = (has_lights || emits) && !glows && !sidecar.exposure_given;
+    scene.display.metered = (has_lights || emits || is_surrounded) && !glows && !sidecar.exposure_given;
     let doubt = if has_lights && emits { light_units::doubt(&scene) } else { None };
     for message in doubt.into_iter().chain(defaults::complete(&mut scene, glows)) {
         warnings.push(Warning::new(Place::new(path, 0), message));
@@ -296,6 +303,8 @@ fn read_mesh(
         joined.own.cameras.extend(file.cameras);
         joined.own.paths.extend(file.paths);
         joined.own.extensions.extend(file.extensions);
+        let surround = file.surround.map(|surround| (surround, Place::new(&shown, 0)));
+        joined.own.surround = joined.own.surround.take().or(surround);
         let library =
             Library { relative, shown: shown.clone(), materials: Definitions::Gltf(file.materials) };
         joined.add(file.mesh, shown, base, vec![library]);

@@ -271,6 +271,32 @@ impl Part {
         let tangents = self.tangents.iter().map(along).collect();
         Some(Stands { positions, normals, tangents, turned: determinant < 0.0 })
     }
+
+    /// The other side of its triangles where a node puts them, as sheets of their own a hair behind: a surface emits from its
+    /// front only.
+    pub fn back(&self, world: &DMat4) -> Option<Self> {
+        /// Of the largest coordinate: some hundred times as much as that is exact to.
+        const GAP: f32 = 2e-5;
+        let Stands { positions, normals, tangents, turned } = self.placed(world)?;
+        let gap = GAP * positions.iter().map(|p| p.abs().max_element()).fold(0.0, f32::max);
+        let mut back = Self::default();
+        for &[a, b, c] in &self.triangles {
+            let corners = (if turned { [a, b, c] } else { [a, c, b] }).map(|v| v as usize);
+            let [p, q, r] = corners.map(|v| positions[v]);
+            let ahead = (q - p).cross(r - p).normalize_or_zero() * gap;
+            let first = back.positions.len() as u32;
+            for v in corners {
+                back.positions.push(positions[v] + ahead);
+                back.normals.push(-normals[v]);
+                back.tangents.extend(tangents.get(v).map(|t| t.truncate().extend(-t.w)));
+                for (set, of) in back.uvs.iter_mut().zip(&self.uvs) {
+                    set.extend(of.get(v));
+                }
+            }
+            back.triangles.push([first, first + 1, first + 2]);
+        }
+        Some(back)
+    }
 }
 
 #[cfg(test)]

@@ -27,6 +27,17 @@ fn a_thousand_frames_leave_nothing_behind() {
     assert!(messages["what"] == "messages" && messages["value"].as_f64() > Some(10_000.0), "{d}");
 }
 
+/// What glTF costs stands beside what cannot be done without.
+#[test]
+fn gltf_beside_its_pictures_and_plastic() {
+    let d = Foveal::new("bench gltf --runs 1").json();
+    assert_eq!(d["schema"], "foveal.bench.gltf/1");
+    assert_eq!(row(&d, "load atelier, 4 pictures")["peer"], "decoding alone");
+    for what in ["without maps", "with maps"] {
+        assert_eq!((&row(&d, what)["peer"], row(&d, what)["ratio"].is_number()), (&"plastic".into(), true));
+    }
+}
+
 /// Files of triangles and rays are traced, and broken ones refused.
 #[test]
 fn rays_of_files() {

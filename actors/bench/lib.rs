@@ -11,6 +11,7 @@ mod error_plain_rows;
 mod error_references;
 mod error_walks;
 mod first_light;
+mod gltf;
 mod illumination;
 pub mod made;
 mod mathematics;
@@ -48,6 +49,8 @@ pub enum BenchCommand {
     Error(error::ErrorArguments),
     /// From a loaded scene to its first lit picture
     FirstLight(first_light::FirstLightArguments),
+    /// What a glTF file's loading takes beside the decoding of its pictures, and its surfaces beside plastic ones
+    Gltf(gltf::GltfArguments),
     /// Rays per second: primary, diffuse bounce, shadow; obvhs' own traversal beside it
     Rays(rays::RaysArguments),
     /// All that the book quotes, one after the other, and a page of what came of it
@@ -78,6 +81,7 @@ pub fn run(command: &BenchCommand, progress: Progress) -> Result<(), Failure> {
         BenchCommand::Stages(a) => stages::run(a, progress),
         BenchCommand::Error(a) => error::run(a, progress),
         BenchCommand::FirstLight(a) => first_light::run(a, progress),
+        BenchCommand::Gltf(a) => gltf::run(a, progress),
         BenchCommand::Rays(a) => rays::run(a, progress),
         BenchCommand::Report(a) => report::run(a, progress),
         BenchCommand::Scaling(a) => scaling::run(a, progress),

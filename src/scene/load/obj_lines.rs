@@ -452,7 +452,7 @@ mod tests {
             ("a normal that is no number", "vn x 0 1\nf 1//1 2//1 3//1", 3),
             ("an index beyond the end", "f 1 2 3\nf 1 2 4", 3),
             ("an index before the beginning", "f 1 2 3\nf -4 1 2", 3),
-            ("an index of nothing", "f 1 2 3\nf 1/9/9 2/9/9 3/9/9", 6),
+            ("an index of nothing", "vt 0 0\nvn 0 0 1\nf 1 2 3\nf 1/9/9 2/9/9 3/9/9", 6),
             ("a vertex that comes later", "o a\nf 1 2 4\no b\nv 1 1 1\nf 1 2 3", 6),
             ("a continued line", "f 1 2 \\\n3", 3),
             ("an old word for a face", "fo 1 2 3", 3),

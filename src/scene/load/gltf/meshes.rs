@@ -275,10 +275,15 @@ impl Part {
     /// The other side of its triangles where a node puts them, as sheets of their own a hair behind: a surface emits from its
     /// front only.
     pub fn back(&self, world: &DMat4) -> Option<Self> {
-        /// Of the largest coordinate: some hundred times as much as that is exact to.
+        /// Of the sheet's size.
         const GAP: f32 = 2e-5;
+        /// Of the largest coordinate, of which numbers keep some 6e-8.
+        const STEPS: f32 = 5e-7;
         let Stands { positions, normals, tangents, turned } = self.placed(world)?;
-        let gap = GAP * positions.iter().map(|p| p.abs().max_element()).fold(0.0, f32::max);
+        let (low, high) = positions
+            .iter()
+            .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
+        let gap = (GAP * (high - low).max_element()).max(STEPS * low.abs().max(high.abs()).max_element());
         let mut back = Self::default();
         for &[a, b, c] in &self.triangles {
             let corners = (if turned { [a, b, c] } else { [a, c, b] }).map(|v| v as usize);

@@ -219,8 +219,10 @@ fn sheets_glow_on_both_sides_where_they_are_double_sided() {
     assert!(double.warnings.iter().all(|w| !w.message.contains("double-sided")), "{:?}", double.warnings);
     let [single, double] = [single, double].map(|loaded| loaded.scene);
     assert_eq!(double.mesh.triangles.len(), 2 * single.mesh.triangles.len());
-    assert_eq!([seen(&double, 1.0), seen(&double, -1.0)], [1.0, 1.0]);
-    assert!(seen(&single, 1.0) == 1.0 && seen(&single, -1.0) < 0.1);
+    // Its gloss shows a little of the sky.
+    let glows = |v: f32| (1.0..1.1).contains(&v);
+    assert!(glows(seen(&double, 1.0)) && glows(seen(&double, -1.0)));
+    assert!(glows(seen(&single, 1.0)) && seen(&single, -1.0) < 0.1);
     // Both sides are light sources.
     let power = |scene: &Scene, z: f32| {
         let lights = crate::transport::light::Lights::build(scene);

@@ -183,6 +183,23 @@ fn the_sample_behind_a_pixel_is_traced_again_with_the_same_bits() {
     Foveal::new("replay --path").arg(&trace).fails(2, &["--why"]);
 }
 
+/// A first estimate of the light states no error, and none is told of it.
+#[test]
+fn what_nothing_is_known_of_is_not_told_as_exact() {
+    let file = folder("recording").join("walk.fvl");
+    Foveal::new("walk --frames 3 --fps 40 --size 48x32 --workers 1 --record")
+        .arg(&file)
+        .arg(scene("gallery"))
+        .ok();
+    let d = Foveal::new("replay --why 5,5 --frame 0").arg(&file).json();
+    let light = &d["surface"]["light"];
+    let is_first = light["map"]["rounds"] == 0;
+    assert_eq!(light["stated_error"].is_null(), is_first, "{light}");
+    assert_eq!(light["map"]["stated_error"].is_null(), is_first, "{light}");
+    let told = Foveal::new("replay --why 5,5 --frame 0").arg(&file).ok();
+    assert_eq!(told.out.contains("its error not known"), is_first, "{}", told.out);
+}
+
 #[test]
 fn what_a_frame_waited_for_is_a_chain_from_its_beginning_to_its_showing() {
     let trace = hurried();
@@ -190,7 +207,11 @@ fn what_a_frame_waited_for_is_a_chain_from_its_beginning_to_its_showing() {
         let d = Foveal::new(&format!("replay --why-late {frame}")).arg(&trace).json();
         let path = d["path"].as_array().expect("a path");
         let (first, last) = (&path[0], path.last().expect("a last one"));
-        assert_eq!((&first["message"], &last["message"]), (&"FrameBegan".into(), &"DeadlineReached".into()), "{d}");
+        assert_eq!(
+            (&first["message"], &last["message"]),
+            (&"FrameBegan".into(), &"DeadlineReached".into()),
+            "{d}"
+        );
         assert!((d["had_ms"].as_f64().expect("a time") - 5.0).abs() < 0.01, "{d}");
         let sum: f64 = path.iter().map(|link| link["ms"].as_f64().expect("a time")).sum();
         assert!((sum - d["path_ms"].as_f64().expect("a time")).abs() < 1e-6, "{d}");

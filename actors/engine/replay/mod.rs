@@ -1,6 +1,7 @@
 //! Recordings: the world they were made in, systems that replay them from any moment, and what can be asked of them.
 
 mod beside;
+pub mod diverged;
 #[cfg(test)]
 mod grown_tests;
 mod index;

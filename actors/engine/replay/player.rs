@@ -436,3 +436,62 @@ impl FrameSource for Player {
         Some(self)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::Elsewhere;
+
+    /// A walk that leaves a recording is recorded with where it left, and replays from there.
+    #[test]
+    fn a_walk_on_from_a_recording_names_it_and_replays() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let elsewhere = Elsewhere {
+            scene: Some(root.join("scenes/gallery/gallery.toml")),
+            cache: Some(folder.path().join("cache")),
+            ..Elsewhere::default()
+        };
+        let (parent, child) = (folder.path().join("gallery.fvl"), folder.path().join("on.fvl"));
+        std::fs::copy(root.join("traces/gallery.fvl"), &parent).expect("copied");
+        std::fs::write(&child, "another recording").expect("written");
+        let source = Source::open(&parent, &elsewhere, true, &()).expect("a recording");
+        let mut player = Player::new(source, 1).expect("a player");
+        player.record_into(Some(child.clone()));
+        player.go_to(3);
+        let Branch { mut source, camera, recorded } = player.branch().unwrap_or_else(|e| panic!("{e}"));
+        let child = recorded.expect("it is recorded");
+        assert_eq!(child, folder.path().join("on-2.fvl"), "what was there stays");
+        let mut shown = Vec::new();
+        for _ in 0..3 {
+            source.begin_frame(&camera);
+            source.work(Duration::from_millis(30));
+            source.end_frame();
+            shown.push(source.picture().expect("a picture"));
+        }
+        drop(source);
+        let again = Source::open(&child, &elsewhere, true, &()).expect("the walk on");
+        let named = again.recorded.parent.clone().expect("a parent");
+        assert_eq!((named.frame, named.recording.as_path()), (3, parent.as_path()));
+        assert_eq!(named.find(&child).expect("there"), parent);
+        assert!(again.shown_in.len() >= 2, "{:?}", again.shown_in);
+        let (runtime, _) = again.run(super::super::How::default(), |_| ()).expect("a replay");
+        assert!(!runtime.diverged(), "{:?}", runtime.ended());
+        // Another file in its place is named.
+        std::fs::write(&parent, "other").expect("written");
+        let failure = named.find(&child).expect_err("another one").to_string();
+        assert!(failure.contains("frame 3") && failure.contains("another recording"), "{failure}");
+        std::fs::remove_file(&parent).expect("removed");
+        let failure = named.find(&child).expect_err("gone").to_string();
+        assert!(failure.contains("neither here nor beside"), "{failure}");
+    }
+
+    #[test]
+    fn files_that_are_taken_are_counted_on_from() {
+        for (file, next) in
+            [("a/on.fvl", "a/on-2.fvl"), ("on-2.fvl", "on-3.fvl"), ("x-y.fvl", "x-y-2.fvl"), ("on", "on-2")]
+        {
+            assert_eq!(next_name(Path::new(file)), Path::new(next), "{file}");
+        }
+    }
+}

@@ -282,6 +282,12 @@ impl Source {
         self.index.borrow().before(actor, index).filter(|s| s.is_before(cut)).map(Arc::new)
     }
 
+    /// Keeps a snapshot.
+    #[cfg(test)]
+    pub(super) fn keep(&self, take: impl FnOnce() -> Option<Snapshot>) {
+        self.index.borrow_mut().keep(take);
+    }
+
     /// What had been delivered at each snapshot that is kept, from the first on.
     pub fn places(&self) -> Vec<Vec<u64>> {
         self.index.borrow().places()

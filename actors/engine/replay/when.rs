@@ -530,7 +530,7 @@ fn object(source: &Ground, name: &str) -> Result<u32, Failure> {
 mod tests {
     use super::*;
     use crate::recording::Elsewhere;
-    use foveal_runtime::Until;
+    use foveal_runtime::{Limit, Until};
     use std::path::Path;
 
     fn kept(name: &str) -> Source {
@@ -623,6 +623,70 @@ mod tests {
             let condition = Condition::parse(text).expect(text);
             let failure = when(&source, &condition, 1).expect_err(text).to_string();
             assert!(failure.contains(says), "{text}: {failure}");
+        }
+    }
+
+    /// Leaves a snapshot after each so many deliveries of the renderer, in a folder of its own.
+    fn with_snapshots(name: &str, folder: &Path, every: usize) -> Source {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../traces").join(name);
+        let elsewhere = Elsewhere { cache: Some(folder.to_owned()), ..Elsewhere::default() };
+        let source = Source::open(&path, &elsewhere, true, &()).expect("a walk");
+        let renderer = source.renderer();
+        for index in (0..source.trace.deliveries(renderer)).step_by(every) {
+            let until = Some(Until::Delivery { actor: renderer, index });
+            let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
+            runtime.pump(Limit::IDLE);
+            source.keep(|| runtime.snapshot());
+        }
+        source
+    }
+
+    /// By halves, in parts and as a whole, the same is found.
+    #[test]
+    fn snapshots_change_nothing_but_how_long_it_takes() {
+        let folders = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
+        let kept = with_snapshots("gallery.fvl", folders[0].path(), 3);
+        let bare = with_snapshots("gallery.fvl", folders[1].path(), usize::MAX >> 1);
+        assert!(parts(&kept, 2).is_some_and(|parts| parts.len() >= 4), "{} places", kept.places().len());
+        assert!(parts(&bare, 2).is_none());
+        for text in [
+            "renderer.view > 3",
+            "renderer.view >= 1",
+            "renderer.view > 1000",
+            "allocator.begun >= 2",
+            "renderer.view changes",
+            "renderer.counts.traced > 0",
+            "cache ager.samples changes",
+            "allocator hears JobDone samples > 10",
+            "pixel 32,24 changes",
+        ] {
+            let condition = Condition::parse(text).expect(text);
+            let [a, b] = [&kept, &bare].map(|source| when(source, &condition, 2).expect(text));
+            assert_eq!(a, b, "{text}");
+        }
+        for text in ["renderer.view > 3", "renderer.view >= 1", "renderer.view > 1000"] {
+            let condition = Condition::parse(text).expect(text);
+            let (actor, look) = looked_at(&kept, &condition).expect(text);
+            let seen = by_halves(&kept, &condition, actor, &Arc::new(look)).expect(text);
+            assert!((seen.len() as u64) < kept.trace.deliveries(actor) / 2, "{text}: {}", seen.len());
+        }
+    }
+
+    /// What is found by halves never falls, in any of the kept walks.
+    #[test]
+    fn counters_never_fall() {
+        for name in ["box.fvl", "duck.fvl", "gallery.fvl", "table.fvl"] {
+            let source = kept(name);
+            for (actor, path) in COUNTERS {
+                if source.trace.find(actor).is_none() {
+                    continue;
+                }
+                for met in places(&source, &format!("{actor}.{path} changes")) {
+                    let [before, now] =
+                        [met.before.as_ref(), Some(&met.value)].map(|value| value.and_then(Content::number));
+                    assert!(before.is_none() || before <= now, "{name}, {actor}.{path}: {met}");
+                }
+            }
         }
     }
 }

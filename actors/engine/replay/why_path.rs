@@ -264,7 +264,12 @@ pub fn drawn_over(picture: &Map2d<[u8; 3]>, segments: &[Segment], pixel: (u32, u
     by_share.sort_by(|a, b| a.share.total_cmp(&b.share));
     for segment in by_share {
         let color = segment.color();
-        line(&mut drawn, segment.ends.map(large), color, 0.35 + 0.65 * segment.share);
+        let ends = segment.ends.map(large);
+        // A dark seam, so that it is seen on every ground.
+        for [dx, dy] in [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]] {
+            line(&mut drawn, ends.map(|[x, y]| [x + dx, y + dy]), [0; 3], 0.3);
+        }
+        line(&mut drawn, ends, color, 0.5 + 0.5 * segment.share);
     }
     let [x, y] = large([pixel.0 as f32, pixel.1 as f32]);
     let (far, side) = (3.0, scale as f32);
@@ -279,7 +284,7 @@ impl Segment {
     /// What it is drawn in: what much light comes along is bright.
     pub fn color(&self) -> [u8; 3] {
         let glow = (self.share.sqrt() * 155.0) as u8;
-        if self.to_light { [100 + glow, 100 + glow, 40] } else { [100 + glow, 40, 160 - glow] }
+        if self.to_light { [100 + glow, 100 + glow, 40] } else { [glow / 2, 100 + glow, 255] }
     }
 }
 

@@ -16,7 +16,7 @@ use crossbeam_queue::SegQueue;
 use foveal::image::Map2d;
 use foveal_engine::Failure;
 use foveal_engine::files::{png_bytes, write_atomic};
-use foveal_engine::replay::{How, Source, Telling, drawn_over, late, observe, ring_turns, why};
+use foveal_engine::replay::{How, Source, Telling, diverged, drawn_over, late, observe, ring_turns, why};
 #[cfg(feature = "serve")]
 use foveal_engine::{replay::Player, source::FrameSource};
 use foveal_runtime::{Delivery, Divergence, ReplayReport};
@@ -256,6 +256,29 @@ fn verify(
     let complete =
         report.complete || until.is_some() && source.trace.complete() && report.divergence.is_none();
     let mut document = document(&report, source, frames, workers, complete);
+    let looked = report.divergence.as_ref().map(|d| diverged::look_at(source, d, workers)).transpose()?;
+    if let Some(found) = looked.flatten() {
+        if a.json {
+            let differs = found.differs.iter().map(|d| json!({"path": d.path, "a": d.left, "b": d.right}));
+            document["diverged"]["says"] = json!(found.says);
+            document["diverged"]["state"] = json!(found.state);
+            document["diverged"]["replays_differ"] = differs.collect();
+        } else {
+            print_line(&format!("there it says {}", found.says));
+            match found.differs.is_empty() {
+                true => print_line(
+                    "two more replays say the same there: this program says something else than that one did",
+                ),
+                false => print_line(
+                    "two more replays differ there, so it depends on something that is no message:",
+                ),
+            }
+            found
+                .differs
+                .iter()
+                .for_each(|d| print_line(&format!("  {}: {} and {}", d.path, d.left, d.right)));
+        }
+    }
     if let Some(asked) = asked {
         document["deliveries"] =
             seen.iter().filter(|s| s.actor == asked).map(|s| source.document(s)).collect();

@@ -184,7 +184,7 @@ impl Engine {
         let mut config = clock.config(&settings, machine.threads(&opened), gives_way, options.ring_turns);
         let mut recorded = recording.is_some();
         if let Some(recording) = recording {
-            config.application = recording.header(&opened, &machine)?;
+            config.application = recording.header(&opened, &machine, options.parent.as_ref())?;
             (config.hashing, config.record) = (recording.hashing, Some(recording.into));
             config.program = program();
         }

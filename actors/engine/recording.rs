@@ -50,6 +50,46 @@ pub struct RecordedRun {
     pub particles: u64,
     /// Relative error of that illumination.
     pub relative_error: f32,
+    /// The recording that it goes on from, if it does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub parent: Option<Parent>,
+}
+
+/// Where a walk left a recording that was looked at.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Parent {
+    /// The recording, as it was named.
+    pub recording: PathBuf,
+    /// BLAKE3 of its file, hexadecimal.
+    pub hash: String,
+    /// The frame that was on show.
+    pub frame: u32,
+}
+
+impl Parent {
+    /// A file's hash; empty where it cannot be read.
+    pub fn hash_of(file: &Path) -> String {
+        std::fs::read(file).map_or_else(|_| String::new(), |bytes| blake3::hash(&bytes).to_hex().to_string())
+    }
+
+    /// The file of it, where it still is what it was.
+    ///
+    /// # Errors
+    /// Says that it is not there, or another one now.
+    pub fn find(&self, child: &Path) -> Result<PathBuf, Failure> {
+        let wrong = |what: &str| {
+            let (child, parent) = (child.display(), self.recording.display());
+            Failure::Input(format!("{child}: goes on from frame {} of {parent}, which {what}", self.frame))
+        };
+        // Recordings of one session mostly lie in one folder.
+        let beside = || {
+            let file = child.parent()?.join(self.recording.file_name()?);
+            file.exists().then_some(file)
+        };
+        let file = find(&self.recording, child).or_else(beside);
+        let file = file.ok_or_else(|| wrong("is neither here nor beside it"))?;
+        if Self::hash_of(&file) == self.hash { Ok(file) } else { Err(wrong("is another recording now")) }
+    }
 }
 
 impl RecordedRun {
@@ -69,6 +109,7 @@ impl RecordedRun {
             illumination_hash: illumination_hash(&*opened.world.illumination)?,
             particles,
             relative_error,
+            parent: None,
         })
     }
 
@@ -93,6 +134,11 @@ impl RecordedRun {
     pub fn machine(&self) -> Machine {
         let passes = Passes { texture_ids: self.texture_ids };
         Machine { settings: self.settings, passes, corrects: self.corrects }
+    }
+
+    /// Whether it began in this light.
+    pub fn began_in(&self, illumination: &dyn Irradiance) -> bool {
+        illumination_hash(illumination).is_ok_and(|hash| hash == self.illumination_hash)
     }
 
     /// The world of the run. What is given in `elsewhere` takes the place of the recorded files.

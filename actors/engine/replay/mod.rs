@@ -4,14 +4,21 @@ mod beside;
 #[cfg(test)]
 mod grown_tests;
 mod index;
+mod lanes;
+pub mod late;
+mod pair;
 mod player;
 mod source;
 mod stepper;
 pub mod when;
 pub mod why;
 mod why_light;
+mod why_path;
 
 pub use beside::Beside;
+pub use lanes::{Lanes, Timed, ring_turns};
+pub use pair::{Pair, first_other_frame};
 pub use player::Player;
-pub use source::{How, Indexing, Seen, Source, Telling, name, observe};
+pub use source::{Ground, How, Indexing, Seen, Source, Telling, name, observe};
 pub use stepper::Stepper;
+pub use why_path::{Segment, drawn_over};

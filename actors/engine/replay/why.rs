@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crossbeam_queue::SegQueue;
-use foveal::allocation::jobs::SampleJob;
 use foveal::allocation::policy::bucket_of;
+use foveal::image::Map2d;
 use foveal::sampling::Lattice;
 use foveal::scene::{Camera, Scene};
 use foveal::splatting::{SampleBatch, SplatLayer, WarpedSample};
@@ -20,6 +20,7 @@ use serde_json::{Value, json};
 
 use super::source::{How, Source};
 use super::why_light;
+use super::why_path::{self, Segment, Traced};
 use crate::failure::Failure;
 
 /// A delivery: actor and number.
@@ -56,10 +57,7 @@ enum Note {
         saliency: Arc<Vec<f32>>,
     },
     Job {
-        view: u32,
-        order: SampleJob,
-        priority: f32,
-        attention: f32,
+        job: SampleOrder,
     },
     /// At the allocator: what made it hand out jobs.
     Woke {
@@ -100,7 +98,7 @@ impl Notes {
             self.all.retain(|_, (_, note)| match note {
                 Note::Aged { view, .. } => *view == self.view,
                 Note::Traced { batch } | Note::Kept { batch } => batch.view >= oldest,
-                Note::Job { view, .. } => *view >= oldest,
+                Note::Job { job } => job.drawn.view.0 >= oldest,
                 _ => true,
             });
         }
@@ -156,9 +154,7 @@ fn note(d: &Delivery<'_>) -> Option<Note> {
     let content = d.content;
     if let Some(job) = content.downcast_ref::<TraceJob>() {
         let TraceJob::Samples(job) = job else { return None };
-        let SampleOrder { drawn, order, seed: _, priority, attention } = job;
-        let (priority, attention) = (*priority, *attention);
-        return Some(Note::Job { view: drawn.view.0, order: *order, priority, attention });
+        return Some(Note::Job { job: job.clone() });
     }
     if let Some(message) = content.downcast_ref::<RendererMessage>() {
         return Some(match message {
@@ -212,23 +208,41 @@ struct Found {
     age: u32,
 }
 
-/// The story of a pixel, in lines.
+/// The story of a pixel, in lines, and its sample's path over the picture.
+///
+/// # Errors
+/// As those of [`explain`].
 pub fn story(
     source: &Source,
     pixel: (u32, u32),
     frame: Option<u32>,
     workers: usize,
-) -> Result<Vec<String>, Failure> {
-    explain(source, pixel, frame, workers).map(|document| told(&document))
+) -> Result<(Vec<String>, Vec<Segment>), Failure> {
+    let Explained { document, segments, .. } = explain(source, pixel, frame, true, workers)?;
+    Ok((told(&document), segments))
 }
 
-/// The story of a pixel, as a document.
+/// Why a pixel looks as it does.
+pub struct Explained {
+    /// The story, as a document.
+    pub document: Value,
+    /// The frame's picture.
+    pub picture: Arc<Map2d<[u8; 3]>>,
+    /// The sample's path over the picture; empty where it was not asked for, or there is none.
+    pub segments: Vec<Segment>,
+}
+
+/// The story of a pixel, as a document; with `path` its sample is traced again.
+///
+/// # Errors
+/// If there is no such pixel or frame, or the replay diverges.
 pub fn explain(
     source: &Source,
     (x, y): (u32, u32),
     frame: Option<u32>,
+    path: bool,
     workers: usize,
-) -> Result<Value, Failure> {
+) -> Result<Explained, Failure> {
     let settings = &source.recorded.settings;
     if x >= settings.width || y >= settings.height {
         let size = format!("{} × {}", settings.width, settings.height);
@@ -279,7 +293,21 @@ pub fn explain(
     let allocator = actors.correction.map(|correction| correction.allocator);
     let insight = allocator.and_then(|allocator| runtime.inspect(allocator, |a| a.insight()));
     document["surface"] = why_light::surface(&shown.drawn, (px, py), insight.as_ref());
-    Ok(document)
+    let mut segments = Vec::new();
+    if path {
+        let traced = found.as_ref().and_then(|found| traced(&notes, found));
+        document["path"] = traced.as_ref().map_or(Value::Null, Traced::document);
+        segments = traced.map(|traced| traced.segments(&shown.drawn.frame)).unwrap_or_default();
+    }
+    Ok(Explained { document, picture: shown.snapshot.rgb8.clone(), segments })
+}
+
+/// The sample behind a splat, traced again as its job says.
+fn traced(notes: &Notes, found: &Found) -> Option<Traced> {
+    let ((delivered, batch), pixel) = (found.batch.as_ref()?, found.pixel?);
+    let Note::Job { job } = notes.note(notes.cause(*delivered)?)? else { return None };
+    let sample = batch.pixels.iter().zip(&batch.colors).find(|(p, _)| **p == pixel).map(|(_, c)| *c)?;
+    Traced::again(job, pixel, sample)
 }
 
 /// Repeats the splats of the view on a layer of its own and sees which one painted the pixel last.
@@ -441,7 +469,8 @@ fn samples(source: &Source, notes: &Notes, shown: &Shown, found: &Found, chain: 
     };
     let job_at = notes.cause(*delivered);
     let job = job_at.and_then(|at| notes.note(at));
-    if let (Some(job_at), Some(Note::Job { order, priority, attention, .. })) = (job_at, job) {
+    if let (Some(job_at), Some(Note::Job { job })) = (job_at, job) {
+        let SampleOrder { order, priority, attention, .. } = job;
         let pushed = notes.cause(job_at);
         if let Some((allocator, index)) = pushed {
             let ranks = notes.all.range((allocator, 0)..=(allocator, index)).rev();
@@ -521,5 +550,11 @@ pub fn told(d: &Value) -> Vec<String> {
         lines.push(line.trim_end().to_owned());
     }
     lines.extend(why_light::told(&d["surface"]));
+    match &d["path"] {
+        // Not asked for.
+        Value::Null if d.get("path").is_none() => {}
+        Value::Null => lines.push("path      none: no sample was traced for this pixel".to_owned()),
+        path => lines.extend(why_path::told(path)),
+    }
     lines
 }

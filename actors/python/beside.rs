@@ -79,9 +79,12 @@ impl<T: 'static> Beside<T> {
 impl<T> Drop for Beside<T> {
     fn drop(&mut self) {
         self.orders = None;
-        let Some(thread) = self.thread.take() else { return };
-        // A recording is to have its end.
-        Python::attach(|py| py.detach(|| drop(thread.join())));
+        let mut thread = self.thread.take();
+        let mut join = || drop(thread.take().map(JoinHandle::join));
+        // A recording is to have its end. Where the interpreter ends, there is nobody left to let go on.
+        if Python::try_attach(|py| py.detach(&mut join)).is_none() {
+            join();
+        }
     }
 }
 

@@ -91,7 +91,12 @@ impl Held {
         };
         let shown =
             |runtime: &Runtime| runtime.inspect(actors.renderer, |r| r.shown().map(|s| s.index.0)).flatten();
-        let exit = runtime.pump_until(Limit::IDLE, |runtime| !wanted.is() || is(shown(runtime)));
+        let is_there = is(shown(&runtime));
+        let exit = if is_there {
+            Exit::Until
+        } else {
+            runtime.pump_until(Limit::IDLE, |runtime| !wanted.is() || is(shown(runtime)))
+        };
         if let Some(divergence) = runtime.replay_report().divergence {
             return Err(Failure::Check(format!("the replay diverges: {divergence}")));
         }

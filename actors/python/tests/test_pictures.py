@@ -93,4 +93,4 @@ def test_files_that_cannot_be_used_say_so(box, tmp_path):
     with pytest.raises(TypeError):
         foveal.compare(np.zeros((4, 4, 3)), np.zeros((4, 4, 3)))
     with pytest.raises(foveal.Error):
-        foveal.open(box, size=(8, 8), quick=True, bake=odd).frame
+        foveal.open(box, size=(8, 8), bake=odd)

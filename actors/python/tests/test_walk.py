@@ -171,7 +171,7 @@ def test_ctrl_c_is_heard(box, tmp_path):
     import signal
     import time
 
-    timer = threading.Timer(1.0, lambda: signal.raise_signal(signal.SIGINT))
+    timer = threading.Timer(0.3, lambda: signal.raise_signal(signal.SIGINT))
     started = time.monotonic()
     timer.start()
     with pytest.raises(KeyboardInterrupt):

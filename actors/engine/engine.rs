@@ -4,6 +4,7 @@
 //! replayed. The walk belongs to the thread that began it, which runs the renderer between [`Engine::begin`] and
 //! [`Engine::end`].
 
+mod begins;
 mod frame;
 mod shown;
 mod stalled;
@@ -48,6 +49,7 @@ const LEAVING: Duration = Duration::from_millis(200);
 /// Longest time for the picture of a frame, once its deadline is over.
 const SHOWING: Duration = Duration::from_secs(60);
 
+use begins::Begins;
 pub use frame::{Event, Frame, Standing};
 pub use stalled::Stalled;
 
@@ -119,13 +121,6 @@ pub struct Engine {
     /// How another size begins.
     again: Again,
     begins: Begins,
-}
-
-/// Where whoever walks by hand begins, as numbers of the scene's cameras and paths.
-#[derive(Clone, Copy, Default)]
-struct Begins {
-    camera: usize,
-    path: Option<usize>,
 }
 
 /// What a walk of another size is started with.
@@ -242,26 +237,6 @@ impl Engine {
             begins: Begins::default(),
             opened,
         })
-    }
-
-    /// Whoever walks by hand begins at this camera, or along this path, instead of at the first camera.
-    ///
-    /// # Errors
-    /// If the scene has none of that name.
-    pub fn begin_at(&mut self, camera: Option<&str>, path: Option<&str>) -> Result<(), Failure> {
-        let scene = &self.opened.world.scene;
-        if let Some(name) = camera {
-            let found = opened::camera(scene, Some(name))?;
-            self.begins.camera = scene.cameras.iter().position(|c| c.name == found.name).unwrap_or(0);
-        }
-        if let Some(name) = path {
-            let found = scene.paths.iter().position(|path| path.name == name);
-            self.begins.path = Some(found.ok_or_else(|| {
-                let names: Vec<&str> = scene.paths.iter().map(|p| p.name.as_str()).collect();
-                Failure::Usage(format!("no path \"{name}\"; the scene has {}", names.join(", ")))
-            })?);
-        }
-        Ok(())
     }
 
     /// A frame seen from `camera`, shown after `time` with what has come until then: its work ends as much earlier as

@@ -240,13 +240,13 @@ fn spread(bars: &Bars) -> Markup {
             div.bars {
                 @for Bar { name, known, reach, aim } in &bars.bars {
                     span.name { (name) }
+                    span.value { (known.text()) " " (bars.unit) }
                     svg aria-hidden="true" {
                         (line("reach", *reach))
                         (line("sure", known.bounds))
                         @if let Some(aim) = aim { line.aim x1=(at(*aim)) x2=(at(*aim)) y1="10%" y2="90%" {} }
                         circle.middle cx=(at(known.median)) cy="50%" r="4" {}
                     }
-                    span.value { (known.text()) " " (bars.unit) }
                 }
             }
             p.caption { (bars.caption) }

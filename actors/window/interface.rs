@@ -1,7 +1,7 @@
 //! What the window shows: the picture with the panel beside it, and beneath it a recording's timeline. Painted onto a
 //! window by a presenter, or into a picture for whoever has no display.
 
-use egui::{Color32, Context, Rect, TextureHandle, Ui};
+use egui::{Color32, Context, Rect, TextureHandle, Ui, WidgetInfo};
 use foveal::image::Map2d;
 
 use super::legend;
@@ -74,6 +74,9 @@ pub fn interface(ui: &mut Ui, shown: &Interface<'_>, help: &mut bool) -> Answer 
         answer.picture_rect = fit(size, space);
         let uv = Rect::from_min_max(egui::Pos2::ZERO, egui::pos2(1.0, 1.0));
         ui.painter().image(texture, answer.picture_rect, uv, Color32::WHITE);
+        // Painted, not laid out: who cannot see it is told by this what is there.
+        let picture = ui.interact(answer.picture_rect, ui.scope_id().with("picture"), egui::Sense::hover());
+        picture.widget_info(|| WidgetInfo::labeled(egui::Role::Image, true, "the walk's picture"));
         let overlay = answer.controls.map_or_else(Default::default, |controls| controls.overlay);
         legend::over_picture(ui.ctx(), overlay, answer.picture_rect);
         if let Some((recording, _)) = &recording {

@@ -263,8 +263,11 @@ fn graph(ui: &mut Ui, times: &FrameTimes, fps: f32) {
         )),
         None => ui.label("no frame yet"),
     };
-    let (rect, _) =
+    let (rect, drawn) =
         ui.allocate_exact_size(Vec2::new(ui.available_width().min(WIDTH - 20.0), 48.0), Sense::hover());
+    let help = "How long each of the last frames took; the line is the deadline, red came late";
+    drawn.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, help));
+    drawn.on_hover_text(help);
     let painter = ui.painter_at(rect);
     painter.rect_filled(rect, 0.0, ui.visuals().extreme_bg_color);
     let full = 2.0 * deadline;

@@ -578,7 +578,7 @@ mod tests {
         let view = |index: u64| {
             let until = Some(Until::Delivery { actor: renderer, index });
             let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
-            runtime.pump(Limit::IDLE);
+            runtime.pump(foveal_runtime::Limit::IDLE);
             runtime.content(renderer).and_then(|c| c.at("view").and_then(Content::number)).expect("a view")
         };
         let met = places(&source, "renderer.view >= 3");

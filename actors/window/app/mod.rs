@@ -85,10 +85,20 @@ pub enum WindowError {
 }
 
 /// What other threads tell the event loop.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 pub enum Wake {
     /// A scene was loaded, or not.
     Loaded,
+    /// A screen reader wants to know, or do, something.
+    #[cfg(feature = "accesskit")]
+    Access(egui_winit::accesskit_winit::Event),
+}
+
+#[cfg(feature = "accesskit")]
+impl From<egui_winit::accesskit_winit::Event> for Wake {
+    fn from(event: egui_winit::accesskit_winit::Event) -> Self {
+        Self::Access(event)
+    }
 }
 
 /// Shows a window until it is closed.
@@ -254,6 +264,8 @@ impl ApplicationHandler<Wake> for App {
     fn user_event(&mut self, event_loop: &ActiveEventLoop, event: Wake) {
         match event {
             Wake::Loaded => self.on_loaded(),
+            #[cfg(feature = "accesskit")]
+            Wake::Access(event) => self.on_access(event.window_event),
         }
         if self.failure.is_some() {
             event_loop.exit();

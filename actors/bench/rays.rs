@@ -299,6 +299,7 @@ fn plain_scene(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Scene {
         budget: Default::default(),
         extensions: Vec::new(),
         content_hash: [0; 32],
+        files: Vec::new(),
     }
     .with_textures(Vec::new())
 }

@@ -313,6 +313,8 @@ pub struct SceneParts {
     pub extensions: Vec<ExtensionUse>,
     /// BLAKE3 of everything that was read: geometry, materials, textures, sidecar.
     pub content_hash: [u8; 32],
+    /// Names and BLAKE3 of the files that were read, in order; names are relative to the scene's folder.
+    pub files: Vec<(String, [u8; 32])>,
 }
 
 impl SceneParts {

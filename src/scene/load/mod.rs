@@ -191,6 +191,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         budget: sidecar.budget,
         extensions: own.extensions,
         content_hash: content_hash(&folder, options),
+        files: folder.files().to_vec(),
     }
     .with_textures(textures);
     scene.mesh.objects = grouped.of_triangle;

@@ -100,7 +100,8 @@ pub(crate) fn read(path: &Path, light: &Light) -> Result<Read, Failure> {
         match kept::load(made_by, file, path, options.file_bytes_max) {
             Ok(Kept { scene, accel, warnings }) => {
                 said(&warnings);
-                let used = fs::File::open(file).and_then(|file| file.set_modified(SystemTime::now()));
+                let opened = fs::File::options().append(true).open(file);
+                let used = opened.and_then(|file| file.set_modified(SystemTime::now()));
                 if let Err(e) = used {
                     tracing::debug!("{}: {e}", file.display());
                 }

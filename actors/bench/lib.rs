@@ -19,6 +19,7 @@ mod messages;
 #[cfg(feature = "window")]
 mod motion;
 mod rays;
+mod report;
 mod scaling;
 #[cfg(feature = "serve")]
 mod serve;
@@ -52,6 +53,8 @@ pub enum BenchCommand {
     Gltf(gltf::GltfArguments),
     /// Rays per second: primary, diffuse bounce, shadow; obvhs' own traversal beside it
     Rays(rays::RaysArguments),
+    /// All that the book quotes, one after the other, and a page of what came of it
+    Report(report::ReportArguments),
     /// How each stage grows with what it works on, and with tracers; memory beside it
     Scaling(scaling::ScalingArguments),
     /// A radiosity mesh cut back by what is measured and by what is seen, views of it held against the whole mesh
@@ -80,6 +83,7 @@ pub fn run(command: &BenchCommand, progress: Progress) -> Result<(), Failure> {
         BenchCommand::FirstLight(a) => first_light::run(a, progress),
         BenchCommand::Gltf(a) => gltf::run(a, progress),
         BenchCommand::Rays(a) => rays::run(a, progress),
+        BenchCommand::Report(a) => report::run(a, progress),
         BenchCommand::Scaling(a) => scaling::run(a, progress),
         BenchCommand::Simplify(a) => simplify::run(a, progress),
         #[cfg(feature = "serve")]

@@ -82,6 +82,7 @@ pub struct SceneHead {
     display: Display,
     budget: Budget,
     extensions: Vec<ExtensionUse>,
+    files: Vec<(String, [u8; 32])>,
     content_hash: [u8; 32],
     mesh: MeshHead,
     chains: Vec<ChainHead>,
@@ -200,6 +201,7 @@ impl Scene {
             display: self.display,
             budget: self.budget,
             extensions: self.extensions.clone(),
+            files: self.files.clone(),
             content_hash: self.content_hash,
             mesh: lengths,
             chains,
@@ -281,6 +283,7 @@ impl Scene {
             display: head.display,
             budget: head.budget,
             extensions: head.extensions,
+            files: head.files,
             content_hash: head.content_hash,
         };
         Some(parts.with_textures(textures))

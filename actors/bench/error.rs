@@ -101,7 +101,8 @@ enum What {
 }
 
 /// Scenes of `--what light`: the bundled ones in which light is not the same everywhere, and rooms of each kind.
-const LIT: &str = "box table gallery chess diffuse panes blinds shade uplight slits mirrors bodies bumps checks sheets";
+const LIT: &str =
+    "box table gallery chess diffuse panes blinds shade uplight slits mirrors bodies bumps checks sheets";
 
 /// Steps of the still view's curve.
 const STEPS: u32 = 16;

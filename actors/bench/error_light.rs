@@ -19,10 +19,10 @@ use foveal::display::cpu_pass::{self, Passes};
 use foveal::geometry::Accel;
 use foveal::illumination::bake::{Baked, Baker, Progress as Baking, Stage};
 use foveal::image::{Map2d, luminance};
-use foveal::metrics::{self, BlockErrors};
+use foveal::metrics::{self, Batches, BlockErrors};
 use foveal::scene::camera::CameraFrame;
 use foveal::splatting::light_tracing::{LightSums, runs_for, trace_run};
-use foveal::splatting::settled::settled;
+use foveal::splatting::settled::{Interval, intervals, settled};
 use foveal::splatting::supersampling::{Tiles, supersample};
 use foveal::splatting::tile_sums::TileSums;
 use foveal::transport::Indexed;
@@ -34,7 +34,9 @@ use rayon::prelude::*;
 use super::error::ErrorArguments;
 use super::made::Subject;
 use foveal_engine::failure::Failure;
-use foveal_engine::files::{exr_bytes, make_folder, png_bytes, read_batches, read_picture, write_atomic, write_batches};
+use foveal_engine::files::{
+    exr_bytes, make_folder, png_bytes, read_batches, read_picture, write_atomic, write_batches,
+};
 use foveal_engine::interrupt::{interrupted, uninterrupted};
 use foveal_engine::light::BakeOptions;
 use foveal_engine::opened::{camera, load_scene};
@@ -48,6 +50,8 @@ use foveal_terminal::table::{Aim, Row, finish};
 const BLOCK: usize = 8;
 /// Relative error that a picture of errors shows in full colour.
 const FULL: f32 = 0.3;
+/// Standard errors of a judge that 95 % are within.
+const SURE: f64 = 1.96;
 /// Seed of all random numbers but the judges'.
 const SEED: u64 = 0;
 /// Seed of the judges.
@@ -87,6 +91,7 @@ fn seconds() -> f64 {
 struct Judge {
     picture: Map2d<Vec3>,
     noise: f64,
+    batches: Option<Batches>,
 }
 
 impl Judge {
@@ -100,7 +105,11 @@ impl Judge {
                 let message = format!("{}: {w}×{h} pixels are asked for", file.display());
                 return Err(Failure::Input(message));
             }
-            return Ok(Self { picture, noise: batches.map_or(0.0, |b| b.relative_error()) });
+            return Ok(Self {
+                picture,
+                noise: batches.as_ref().map_or(0.0, Batches::relative_error),
+                batches,
+            });
         }
         let enough = Enough {
             samples: 16,
@@ -116,7 +125,8 @@ impl Judge {
                 write_batches(&file, batches)?;
             }
         }
-        Ok(Self { noise: sampled.batches.map_or(0.0, |b| b.relative_error()), picture: sampled.picture })
+        let noise = sampled.batches.as_ref().map_or(0.0, Batches::relative_error);
+        Ok(Self { picture: sampled.picture, noise, batches: sampled.batches })
     }
 
     /// How far a picture is from it: mean relative error of blocks without its own noise, share off by more than 10 %, FLIP.
@@ -130,21 +140,45 @@ impl Judge {
         // The mean absolute value of what has that deviation.
         let noise = self.noise * FRAC_2_PI.sqrt();
         let mean = (blocks.mean.powi(2) - noise.powi(2)).max(0.0).sqrt();
-        Ok(Off { mean, flip, blocks })
+        Ok(Off { mean, flip, blocks, root: self.root(picture) })
+    }
+
+    /// Root mean square error of blocks beside their mean, without the judge's noise: what a picture's own statement is about.
+    fn root(&self, picture: &Map2d<Vec3>) -> f64 {
+        let shown = Batches::exact(picture, BLOCK);
+        let kept = Batches::exact(&self.picture, BLOCK);
+        let noise = self.batches.as_ref().map_or(0.0, |b| b.statistics().map(|s| s.1 * s.1).sum::<f64>());
+        let pairs = || shown.statistics().zip(kept.statistics()).map(|(a, b)| (a.0, b.0));
+        let (count, total) = (shown.means.len().max(1) as f64, pairs().map(|p| p.1).sum::<f64>());
+        let squares = pairs().map(|(a, b)| (a - b).powi(2)).sum::<f64>() - noise;
+        (squares.max(0.0) / count).sqrt() / (total / count).max(f64::MIN_POSITIVE)
+    }
+
+    /// Share of blocks whose truth lies in their interval, which is as much wider as the judge is unsure. `None` where nothing
+    /// says how unsure it is.
+    fn covered(&self, intervals: &[Interval]) -> Option<f64> {
+        let batches =
+            self.batches.as_ref().filter(|b| b.size == BLOCK && b.means.len() == intervals.len())?;
+        let within = |(interval, (mean, error)): (&Interval, (f64, f64))| {
+            let reach = f64::from(interval.reach).hypot(SURE * error);
+            (f64::from(interval.mean) - mean).abs() <= reach
+        };
+        let count = intervals.iter().zip(batches.statistics()).filter(|pair| within(*pair)).count();
+        Some(count as f64 / intervals.len().max(1) as f64)
     }
 }
 
 /// How far a picture is from the truth.
 struct Off {
     mean: f64,
+    root: f64,
     flip: f64,
     blocks: BlockErrors,
 }
 
 /// A bake of so many seconds of all cores, the last map's smoothing among them.
 fn baked(indexed: Indexed<'_>, time: f64) -> Baked {
-    let settings =
-        BakeOptions::default().settings(indexed.scene);
+    let settings = BakeOptions::default().settings(indexed.scene);
     let settings = foveal::illumination::bake::BakeSettings { error: None, particles: None, ..settings };
     let start = seconds();
     // Seconds as bits: when smoothing began, and what it took last.
@@ -176,17 +210,18 @@ struct Refining<'w> {
     traced: Option<LightSums>,
     runs: u32,
     samples: u32,
+    seed: u64,
 }
 
 impl<'w> Refining<'w> {
-    fn new(world: &'w World, frame: CameraFrame, converged: Map2d<Vec3>) -> Self {
+    fn new(world: &'w World, frame: CameraFrame, converged: Map2d<Vec3>, seed: u64) -> Self {
         let [width, height] = frame.size;
         let mut buffers = FrameBuffers::new(width as usize, height as usize);
         cpu_pass::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
         let pixels = (width * height) as usize;
         let traced = world.caustics().is_possible().then(|| LightSums::new(world, pixels));
         let tiles = vec![None; Tiles::of_size(width, height).len()];
-        Self { world, frame, buffers, converged, tiles, traced, runs: 0, samples: 0 }
+        Self { world, frame, buffers, converged, tiles, traced, runs: 0, samples: 0, seed }
     }
 
     /// Takes samples until there are so many of each pixel.
@@ -194,10 +229,10 @@ impl<'w> Refining<'w> {
         /// Runs of particles that are held at once.
         const TOGETHER: u32 = 64;
         let count = samples.saturating_sub(self.samples);
-        let (world, frame) = (self.world, &self.frame);
+        let (world, frame, seed) = (self.world, &self.frame, self.seed);
         self.tiles.par_iter_mut().enumerate().for_each(|(tile, sums)| {
             let on = sums.take();
-            *sums = Some(Arc::new(supersample(world, frame, tile as u32, on.as_deref(), count, SEED)));
+            *sums = Some(Arc::new(supersample(world, frame, tile as u32, on.as_deref(), count, seed)));
         });
         self.samples += count;
         if let Some(traced) = &mut self.traced {
@@ -206,11 +241,16 @@ impl<'w> Refining<'w> {
             for first in (self.runs..runs).step_by(TOGETHER as usize) {
                 let some = first..runs.min(first + TOGETHER);
                 let found: Vec<_> =
-                    some.into_par_iter().map(|run| trace_run(world, frame, run, SEED, &|| true)).collect();
+                    some.into_par_iter().map(|run| trace_run(world, frame, run, seed, &|| true)).collect();
                 found.iter().flatten().for_each(|splats| traced.add(splats));
             }
             self.runs = runs;
         }
+    }
+
+    /// Where its blocks are by samples alone.
+    fn intervals(&self) -> Vec<Interval> {
+        intervals(self.frame.size, &self.tiles, self.traced.as_ref())
     }
 
     /// What it shows now, and what that is said to be off by at most.
@@ -243,11 +283,12 @@ impl Report<'_> {
         stated: f32,
     ) -> Result<(), Failure> {
         let off = judge.of_picture(world, picture)?;
-        let mut row = Row::new(format!("{view}, {stage}: blocks"), "", &[off.mean]);
+        self.rows.push(Row::new(format!("{view}, {stage}: blocks"), "", &[off.mean]));
+        let mut root = Row::new(format!("{view}, {stage}: root mean square"), "", &[off.root]);
         if stated.is_finite() {
-            row = row.against("stated", Some(f64::from(stated)));
+            root = root.against("stated at most", Some(f64::from(stated)));
         }
-        self.rows.push(row);
+        self.rows.push(root);
         let more = [
             (off.blocks.over_10_percent, "share off by more than 10 %", ""),
             (off.blocks.bias, "all light together", ""),
@@ -277,7 +318,8 @@ fn beside(world: &World, shown: &Map2d<Vec3>, truth: &Map2d<Vec3>) -> Vec<u8> {
     let (width, height) = (shown.width(), shown.height());
     let mean = |of: &Map2d<Vec3>, x: usize, y: usize| {
         let (x0, y0) = (x / BLOCK * BLOCK, y / BLOCK * BLOCK);
-        let pixels = (y0..(y0 + BLOCK).min(height)).flat_map(|y| (x0..(x0 + BLOCK).min(width)).map(move |x| (x, y)));
+        let pixels =
+            (y0..(y0 + BLOCK).min(height)).flat_map(|y| (x0..(x0 + BLOCK).min(width)).map(move |x| (x, y)));
         pixels.map(|(x, y)| luminance(of.at(x, y))).sum::<f32>()
     };
     let mut bytes = Vec::with_capacity(9 * width * height);
@@ -352,7 +394,7 @@ fn refined(
     with: (&World, &Judge),
     (frame, converged): (&CameraFrame, Map2d<Vec3>),
 ) -> Result<(), Failure> {
-    let mut view = Refining::new(with.0, *frame, converged);
+    let mut view = Refining::new(with.0, *frame, converged, SEED);
     let spent = Cell::new(0.0);
     let timed = |view: &mut Refining<'_>, samples: u32| {
         let start = seconds();
@@ -365,7 +407,12 @@ fn refined(
         timed(&mut view, samples);
         uninterrupted()?;
         let (picture, stated) = view.picture();
-        report.add((name, &format!("{samples} samples")), with, &picture, spent.get(), stated)?;
+        let stage = format!("{samples} samples");
+        report.add((name, &stage), with, &picture, spent.get(), stated)?;
+        if let Some(covered) = with.1.covered(&view.intervals()) {
+            let what = format!("{name}, {stage}: share of blocks within their intervals of 95 %");
+            report.rows.push(Row::new(what, "", &[covered]));
+        }
     }
     if let Some(time) = a.light.refine_time.map(|t| t.as_secs_f64()) {
         while spent.get() < time && !interrupted() {

@@ -64,8 +64,9 @@ const HEIGHT: f64 = 2.6;
 fn finish(obj: Obj, name: &str, title: &str, says: [&str; 2], textures: Vec<(&str, Vec<u8>)>) -> SceneFiles {
     let [light, materials] = says;
     let camera = CAMERA.replace("NAME", name);
-    let toml =
-        format!("format = 1\ntitle = \"{title}\"\nattribution = \"the foveal project, CC0\"\n{camera}{light}");
+    let toml = format!(
+        "format = 1\ntitle = \"{title}\"\nattribution = \"the foveal project, CC0\"\n{camera}{light}"
+    );
     obj.finish(name, &format!("{MTL}{materials}"), &toml, textures)
 }
 
@@ -261,7 +262,9 @@ fn checks() -> ImageResult<SceneFiles> {
     furniture(&mut obj);
     let lamp = quad(v(-0.3, 2.58, -0.3), v(0.6, 0.0, 0.0), v(0.0, 0.0, 0.6), [1.0, 1.0]);
     obj.add("Light", "Lamp", lamp);
-    let check = |u: f64, v: f64| [f64::from(u8::from(((4.0 * u) as u32 + (4.0 * v) as u32) % 2 == 0)) * 0.85; 3];
+    let check = |u: f64, v: f64| {
+        [f64::from(u8::from(((4.0 * u) as u32 + (4.0 * v) as u32).is_multiple_of(2))) * 0.85; 3]
+    };
     let textures = vec![("checks.png", png(&picture(64, 64, check))?)];
     let materials = "newmtl Checks\nmap_Kd checks.png\n";
     Ok(finish(obj, "checks", "Squares of black and white", ["", materials], textures))
@@ -272,8 +275,12 @@ fn sheets() -> ImageResult<SceneFiles> {
     let mut obj = Obj::new(4);
     walls(&mut obj, [true; 4]);
     furniture(&mut obj);
-    let screen = quad(v(-1.2, 0.0, -1.0), v(1.3, 0.0, 0.2), v(0.0, 1.7, 0.0), [1.0, 1.0])
-        .with(quad(v(0.1, 0.0, -0.8), v(0.9, 0.0, -0.5), v(0.0, 1.7, 0.0), [1.0, 1.0]));
+    let screen = quad(v(-1.2, 0.0, -1.0), v(1.3, 0.0, 0.2), v(0.0, 1.7, 0.0), [1.0, 1.0]).with(quad(
+        v(0.1, 0.0, -0.8),
+        v(0.9, 0.0, -0.5),
+        v(0.0, 1.7, 0.0),
+        [1.0, 1.0],
+    ));
     obj.add("Screen", "Cloth", screen);
     obj.add("Shelf", "Wall", quad(v(-1.99, 1.3, 0.9), v(0.5, 0.0, 0.0), v(0.0, 0.0, -1.2), [1.0, 1.0]));
     let lamp = quad(v(-0.8, 2.4, -1.9), v(0.5, 0.0, 0.0), v(0.0, 0.0, 0.3), [1.0, 1.0]);

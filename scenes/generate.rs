@@ -1,32 +1,35 @@
 //! Writes the bundled scenes, and rooms too large to keep.
 //!
-//! `cargo run --release --example scenes -- OUT [--large]`: a folder per scene under OUT. What lies
-//! in `scenes/` is its output; `--large` adds rooms of 100 thousand, 300 thousand and 1 million
-//! triangles.
+//! `cargo run --release --example scenes -- OUT [--kinds] [--large]`: a folder per scene under OUT. What lies
+//! in `scenes/` is its output; `--kinds` adds rooms of one kind of light each, `--large` rooms of 100 thousand,
+//! 300 thousand and 1 million triangles.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
     let mut out = None;
-    let mut large = false;
+    let (mut kinds, mut large) = (false, false);
     for argument in std::env::args().skip(1) {
         if argument == "--large" {
             large = true;
+        } else if argument == "--kinds" {
+            kinds = true;
         } else if argument.starts_with('-') || out.is_some() {
-            eprintln!("usage: scenes OUT [--large]");
+            eprintln!("usage: scenes OUT [--kinds] [--large]");
             return ExitCode::from(2);
         } else {
             out = Some(PathBuf::from(argument));
         }
     }
     let Some(out) = out else {
-        eprintln!("usage: scenes OUT [--large]");
+        eprintln!("usage: scenes OUT [--kinds] [--large]");
         return ExitCode::from(2);
     };
     let sizes: &[usize] = if large { &[100_000, 300_000, 1_000_000] } else { &[] };
     let bundled = foveal_scenes::BUNDLED.iter().map(|(_, make)| make());
-    for scene in bundled.chain(sizes.iter().map(|&n| foveal_scenes::hall(n))) {
+    let kinds = foveal_scenes::KINDS.iter().filter(|_| kinds).map(|(_, make)| make());
+    for scene in bundled.chain(kinds).chain(sizes.iter().map(|&n| foveal_scenes::hall(n))) {
         let scene = match scene {
             Ok(scene) => scene,
             Err(error) => {

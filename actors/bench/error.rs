@@ -7,6 +7,7 @@ use foveal::allocation::policy::Policy;
 use foveal::metrics::curve::ErrorCurve;
 
 use super::error_curves::{Against, CSV_HEAD, Judge, Kind, Point, Way, csv};
+use super::error_light::LightArguments;
 use super::error_page::{Axes, Panel, sections_of, write_page};
 use super::made::Subject;
 use super::stages::quick_world;
@@ -25,14 +26,15 @@ pub struct ErrorArguments {
     /// Whose error
     #[arg(long, value_enum, default_value_t = What::Corrections)]
     what: What,
-    /// Seconds of all cores for each scene and method: --what illumination
+    /// Seconds of all cores for each scene and method; of a bake: --what illumination and light
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = foveal_terminal::arguments::duration)]
-    time: Duration,
+    pub(super) time: Duration,
     /// Picture size; with --plain 128x96 if none is given, since references by paths take long
-    #[arg(long, value_name = "WxH", default_value = "400x300", default_value_if("plain", "true", "128x96"))]
+    #[arg(long, value_name = "WxH", default_value = "400x300",
+        default_value_ifs([("plain", "true", "128x96"), ("what", "light", "256x192")]))]
     pub(super) size: Size,
     /// Scene files, or names of bundled scenes (default: box duck table gallery chess; of the illumination
-    /// box diffuse table)
+    /// box diffuse table; of light these, and small rooms of many kinds)
     #[arg(value_name = "SCENE")]
     subjects: Vec<String>,
     /// The same with commas between
@@ -77,6 +79,8 @@ pub struct ErrorArguments {
     #[arg(long)]
     pub(super) quick: bool,
     #[command(flatten)]
+    pub(super) light: LightArguments,
+    #[command(flatten)]
     pub(super) common: CommonArguments,
 }
 
@@ -92,7 +96,13 @@ enum What {
     Illumination,
     /// That of walks whose frames take a given processor time, with what lies between samples and in tiles
     Walks,
+    /// That of still views beside the truth: after a bake of a given time, and refined
+    Light,
 }
+
+/// Scenes of `--what light`: the bundled ones in which light is not the same everywhere, and rooms of each kind.
+const LIT: &str =
+    "box table gallery chess diffuse panes blinds shade uplight slits mirrors bodies bumps checks sheets";
 
 /// Steps of the still view's curve.
 const STEPS: u32 = 16;
@@ -123,6 +133,9 @@ pub fn run(a: &ErrorArguments, progress: Progress) -> Result<(), Failure> {
         return super::illumination::run(&or("box diffuse table"), a.time.as_secs_f64(), &a.common, progress);
     }
     end_on_interrupt();
+    if a.what == What::Light {
+        return super::error_light::run(a, &or(LIT), progress);
+    }
     let scenes: Vec<String> = or("box duck table gallery chess");
     if a.what == What::Walks {
         return super::error_walks::run(a, &scenes, progress);

@@ -4,6 +4,7 @@
 
 mod error;
 mod error_curves;
+mod error_light;
 mod error_page;
 mod error_paths;
 mod error_plain;

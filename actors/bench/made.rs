@@ -50,8 +50,9 @@ impl Subject {
 impl MadeScene {
     /// A bundled scene by name.
     pub fn bundled(name: &str) -> Result<Self, Failure> {
-        let Some((_, make)) = foveal_scenes::BUNDLED.iter().find(|(n, _)| *n == name) else {
-            let names: Vec<&str> = foveal_scenes::BUNDLED.iter().map(|(n, _)| *n).collect();
+        let all = || foveal_scenes::BUNDLED.iter().chain(&foveal_scenes::KINDS);
+        let Some((_, make)) = all().find(|(n, _)| *n == name) else {
+            let names: Vec<&str> = all().map(|(n, _)| *n).collect();
             return Err(Failure::Usage(format!(
                 "no bundled scene \"{name}\"; there are {}; a scene of yours is named with its extension",
                 names.join(", ")

@@ -13,6 +13,7 @@ mod finishes;
 mod gallery;
 mod gltf;
 mod implicit;
+mod kinds;
 mod large;
 mod obj;
 mod salon;
@@ -21,6 +22,7 @@ mod table;
 mod test_rooms;
 mod textures;
 
+pub use kinds::KINDS;
 pub use obj::SceneFiles;
 
 /// Makes a scene.

@@ -316,6 +316,45 @@ pub fn settled(
     })
 }
 
+/// Quantile of Student's t with 3 degrees of freedom for 95 %, both sides: what four batches tell.
+const OF_FOUR: f32 = 3.182;
+
+/// Where the luminance of a block of 8 × 8 pixels is by its samples alone, neither cut nor filtered.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Interval {
+    /// Mean of all samples.
+    pub mean: f32,
+    /// How far the truth is from it at most, 95 % certain, as far as four batches tell.
+    pub reach: f32,
+}
+
+/// The intervals of all whole blocks, row by row. What the map shows in a pixel has no batches, so edges count as known.
+pub fn intervals(
+    [width, height]: [u32; 2],
+    tiles: &[Option<Arc<TileSums>>],
+    traced: Option<&LightSums>,
+) -> Vec<Interval> {
+    let (width, height) = (width as usize, height as usize);
+    let pixels = Pixels::new(width, height, tiles, traced);
+    let means: [Vec<f64>; BATCHES] = std::array::from_fn(|batch| {
+        let of = &[batch][..];
+        let value = |i: usize| {
+            let Some(p) = &pixels.at[i] else { return 0.0 };
+            let own = p.shown() + p.residual(of) + p.excess(of) + p.lobes(of) + p.lobes_excess(of);
+            luminance(own + traced.map_or(Vec3::ZERO, |t| t.diffuse(i, of) + t.lobes(i, of)))
+        };
+        blocks(width, height, value)
+    });
+    let n = BATCHES as f64;
+    let interval = |i: usize| {
+        let of = |b: usize| means[b][i];
+        let mean = (0..BATCHES).map(of).sum::<f64>() / n;
+        let variance = (0..BATCHES).map(|b| (of(b) - mean).powi(2)).sum::<f64>() / (n * (n - 1.0));
+        Interval { mean: mean as f32, reach: OF_FOUR * variance.sqrt() as f32 }
+    };
+    (0..means[0].len()).map(interval).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -164,6 +164,11 @@ impl PixelMeans<'_> {
         self.mean(LOBES, batches)
     }
 
+    /// What was cut off these. Radiance.
+    pub fn lobes_excess(&self, batches: &[usize]) -> Vec3 {
+        self.cut(LOBES, batches)
+    }
+
     /// Variance of its luminance, for batches of one half.
     pub fn lobes_variance(&self, batches: &[usize]) -> f32 {
         self.variance(LOBES, batches)

@@ -62,7 +62,8 @@ fn small(name: &str) -> (PathBuf, PathBuf) {
 
 #[test]
 fn changed_files_are_noticed() {
-    let changes: [(&str, fn(&Path)); 4] = [
+    type Change = (&'static str, fn(&Path));
+    let changes: [Change; 4] = [
         ("mesh", |folder| std::fs::write(folder.join("a.obj"), "v 0 0 0\n").expect("written")),
         ("gone", |folder| std::fs::remove_file(folder.join("a.mtl")).expect("removed")),
         // What was missing is there now.

@@ -1,6 +1,8 @@
 //! A walk on a thread of its own: what a user does goes in, the newest picture comes out.
 //! `cargo run -p foveal-engine --example beside -- scenes/box/box.toml out.png`
 
+#![expect(clippy::disallowed_methods, reason = "outside of the actors, as a user's hand is")]
+
 use std::path::PathBuf;
 use std::time::Duration;
 

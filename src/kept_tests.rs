@@ -60,10 +60,12 @@ fn small(name: &str) -> (PathBuf, PathBuf) {
     (folder.join("a.obj"), folder)
 }
 
+/// Something that is done to a folder.
+type Change = fn(&Path);
+
 #[test]
 fn changed_files_are_noticed() {
-    type Change = (&'static str, fn(&Path));
-    let changes: [Change; 4] = [
+    let changes: [(&str, Change); 4] = [
         ("mesh", |folder| std::fs::write(folder.join("a.obj"), "v 0 0 0\n").expect("written")),
         ("gone", |folder| std::fs::remove_file(folder.join("a.mtl")).expect("removed")),
         // What was missing is there now.

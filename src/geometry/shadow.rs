@@ -68,7 +68,14 @@ struct Cast<'a, F> {
 const USUAL: std::ops::RangeInclusive<f32> = 1e-15..=1e15;
 
 /// Fewer rays than these gain nothing by company.
-const FEWEST: u32 = 3;
+const FEWEST: u32 = 4;
+
+/// Rays of one beam begin and end within this share of their length of each other: wider beams meet more boxes than their
+/// rays do one by one.
+const WIDTH: f32 = 1.0 / 16.0;
+
+/// Beams of fewer than [`FEWEST`] rays before the others are left alone, too: such rays go to no one light.
+const STRAYS: u32 = 2;
 
 impl<F: Fn(usize, LeafHit) -> Meets> Work for Cast<'_, F> {
     type Output = Shadows;
@@ -100,19 +107,26 @@ impl<F: Fn(usize, LeafHit) -> Meets> Cast<'_, F> {
             }
         }
         let before = *self.last;
+        let mut strays = 0;
         while left != 0 {
+            if strays == STRAYS {
+                shadows.unclear |= left;
+                break;
+            }
             let first = left.trailing_zeros() as usize;
             // Who is not asked goes along with one who is.
             let theirs: [usize; LANES] = std::array::from_fn(|l| if left >> l & 1 != 0 { l } else { first });
             let directions = transposed(v, &theirs.map(|l| self.rays[l].direction));
+            let origins = transposed(v, &theirs.map(|l| self.rays[l].origin));
             let (inverse, alike) = alike(v, &directions, first);
+            let alike = alike & self.beside(v, &origins, &directions, first);
             let members = alike & left;
             left &= !members;
             if members.count_ones() < FEWEST {
                 shadows.unclear |= members;
+                strays += 1;
                 continue;
             }
-            let origins = transposed(v, &theirs.map(|l| self.rays[l].origin));
             let group = Group::new(v, self.rays, &theirs, &origins, &directions, first);
             let beam = if alike == ALL {
                 Beam::from_points(v, &origins, &inverse)
@@ -135,6 +149,35 @@ impl<F: Fn(usize, LeafHit) -> Meets> Cast<'_, F> {
         }
         shadows.unclear &= !shadows.blocked;
         shadows
+    }
+
+    /// A bit for each ray that begins and ends near ray `first`.
+    #[inline(always)]
+    fn beside<S: Simd<16>>(
+        &self,
+        s: S,
+        origins: &[S::Lanes; 3],
+        directions: &[S::Lanes; 3],
+        first: usize,
+    ) -> u32 {
+        let ray = &self.rays[first];
+        let length = ray.direction.abs().max_element();
+        // A ray without end is as long as the scene is large.
+        let reach = if ray.t_max.is_finite() { 1.0 } else { self.wide.largest_side() / length };
+        let width = s.splat(length * reach * WIDTH);
+        let (zero, reach_lanes) = (s.splat(0.0), s.splat(reach));
+        let mut near = ALL;
+        for axis in 0..3 {
+            let (origin, direction) = (origins[axis], directions[axis]);
+            let end = s.add(origin, s.mul(direction, reach_lanes));
+            let (from, to) = (ray.origin[axis], ray.origin[axis] + ray.direction[axis] * reach);
+            for (lanes, own) in [(origin, from), (end, to)] {
+                let apart = s.sub(lanes, s.splat(own));
+                near &= s.bits(s.at_most(s.max(apart, s.sub(zero, apart)), width));
+            }
+        }
+        // Itself in any case: numbers may be too large.
+        near | 1 << first
     }
 
     #[inline(always)]

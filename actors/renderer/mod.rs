@@ -612,6 +612,12 @@ impl Renderer {
         }
     }
 
+    fn on_samples_doubted(&mut self, cx: &mut Cx<'_, RendererMessage>) {
+        if let Some(camera) = self.camera {
+            self.begin_view(&camera, 1, cx);
+        }
+    }
+
     fn on_view_converged(&mut self, view: View) {
         if view == self.view {
             self.converged = true;
@@ -674,6 +680,7 @@ impl Actor for Renderer {
             RendererMessage::Illuminated { map, last, hash: _ } => self.target = Some((map, last)),
             RendererMessage::SamplesForgotten => self.on_samples_forgotten(cx),
             RendererMessage::SendAgain => self.outbox.send(cx),
+            RendererMessage::SamplesDoubted => self.on_samples_doubted(cx),
         }
     }
 

@@ -129,6 +129,11 @@ impl Folder {
         self.read.push((name, hash));
     }
 
+    /// Names and BLAKE3 of what was read, in order.
+    pub fn files(self) -> Vec<(String, [u8; 32])> {
+        self.read
+    }
+
     /// BLAKE3 of everything that was read, with the names, in the order of reading.
     pub fn content_hash(&self) -> [u8; 32] {
         let mut hasher = blake3::Hasher::new();

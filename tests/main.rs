@@ -12,6 +12,7 @@ mod bundled;
 mod exits;
 mod faults;
 mod hostile;
+mod remote;
 mod replay;
 #[cfg(feature = "serve")]
 mod serve;

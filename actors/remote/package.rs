@@ -6,6 +6,7 @@
 use std::fs::{self, File};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Component, Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use foveal::illumination::bake::cache_key;
 use foveal::illumination::cache::encode;
@@ -174,6 +175,14 @@ impl Package {
     }
 }
 
+/// A name that nobody else writes to.
+fn beside(path: &Path) -> PathBuf {
+    static MADE: AtomicU64 = AtomicU64::new(0);
+    let number = MADE.fetch_add(1, Ordering::Relaxed);
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    path.with_file_name(format!("{name}.{}-{number}-new", std::process::id()))
+}
+
 /// Where a guest keeps blobs.
 pub struct Stock {
     folder: PathBuf,
@@ -224,7 +233,7 @@ impl Stock {
     /// If there is no room for it.
     pub fn begin(&self, hash: Hash, bytes: u64) -> Result<Arriving, String> {
         let kept = self.path_of(&hash);
-        let path = kept.with_extension(format!("{}-new", std::process::id()));
+        let path = beside(&kept);
         let file = File::create(&path).map_err(|e| format!("{}: {e}", path.display()))?;
         Ok(Arriving { hash, bytes, got: 0, hasher: blake3::Hasher::new(), file, path, kept })
     }
@@ -244,9 +253,16 @@ impl Stock {
             fs::create_dir_all(place).map_err(|e| format!("{}: {e}", place.display()))?;
             let blob = self.path_of(hash);
             // A second name costs nothing; on systems without, a copy does.
-            if fs::hard_link(&blob, &path).is_err() {
-                fs::copy(&blob, &path).map_err(|e| format!("{}: {e}", path.display()))?;
+            if fs::hard_link(&blob, &path).is_ok() {
+                continue;
             }
+            // Another guest of this machine may have been quicker. Never into what is there: that may be the blob itself.
+            if fs::metadata(&path).is_ok_and(|facts| facts.len() == *bytes) {
+                continue;
+            }
+            let new = beside(&path);
+            let copied = fs::copy(&blob, &new).and_then(|_| fs::rename(&new, &path));
+            copied.map_err(|e| format!("{}: {e}", path.display()))?;
         }
         Ok((folder.join(&manifest.scene), self.path_of(&manifest.illumination.hash)))
     }

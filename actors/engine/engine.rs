@@ -524,7 +524,7 @@ impl Engine {
         std::mem::take(&mut self.actors.station_inputs)
     }
 
-    /// The stations as they are, those in a turn left out.
+    /// The stations as they are, once the walk is [finished](Engine::finish): before, others run them.
     pub fn stations(&self) -> Vec<StationStatus> {
         let look = |station| self.runtime.as_ref()?.inspect(station, |station: &Station| station.status());
         self.actors.stations.iter().filter_map(|&station| look(station)).collect()

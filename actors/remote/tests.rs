@@ -39,23 +39,22 @@ fn settings(stations: u32) -> Settings {
     Settings { stations, samples_per_job: 64, ..Settings::new(96, 72, 1) }
 }
 
-/// Frames of a still view until it has converged; its picture, and what stations say then.
-fn converged(engine: &mut Engine) -> (Vec<u8>, Vec<StationStatus>) {
+/// Frames of a still view until it has converged; its picture.
+fn converged(engine: &mut Engine) -> Vec<u8> {
     let camera = engine.opened().world.scene.cameras[0].camera;
     let began = Instant::now();
     loop {
         let frame = engine.frame(&camera, Duration::from_millis(20)).expect("a frame");
         if frame.standing == Standing::Converged {
-            let picture = frame.snapshot.rgb8.data().as_flattened().to_vec();
-            return (picture, engine.stations());
+            return frame.snapshot.rgb8.data().as_flattened().to_vec();
         }
-        assert!(began.elapsed() < WAIT, "it does not converge: {:?}", engine.stations());
+        assert!(began.elapsed() < WAIT, "it does not converge");
     }
 }
 
 fn local(opened: &Opened) -> Vec<u8> {
     let mut engine = Engine::start(opened.clone(), Options::new(settings(0))).expect("actors");
-    converged(&mut engine).0
+    converged(&mut engine)
 }
 
 fn replays(recording: &Path) {
@@ -118,7 +117,6 @@ fn a_walk_with_guests_shows_the_bits_of_one_without() {
         std::thread::sleep(Duration::from_millis(5));
     }
     let scene = engine.opened().world.scene.clone();
-    let mut remote = 0;
     for round in 0..6 {
         // Another view each time, until enough came from elsewhere.
         let mut camera = scene.cameras[round % 2].camera;
@@ -126,14 +124,15 @@ fn a_walk_with_guests_shows_the_bits_of_one_without() {
         for _ in 0..4 {
             engine.frame(&camera, Duration::from_millis(40)).expect("a frame");
         }
-        remote = engine.stations().iter().map(|station| station.counts.samples).sum();
     }
-    assert!(remote > 1000, "{remote} samples from guests, {:?}", engine.stations());
     leaves[0].store(true, Ordering::Relaxed);
-    let (picture, stations) = converged(&mut engine);
+    let picture = converged(&mut engine);
+    engine.finish(Duration::from_secs(20));
+    let stations = engine.stations();
     assert!(picture == expected, "another picture with guests: {stations:?}");
     assert!(stations.iter().all(|station| station.counts.banned == 0), "{stations:?}");
-    engine.finish(Duration::from_secs(20));
+    let remote: u64 = stations.iter().map(|station| station.counts.samples).sum();
+    assert!(remote > 1000, "{remote} samples from guests, {stations:?}");
     drop(engine);
     drop(door);
     let [first, second] = guests.map(|guest| guest.join().expect("no panic"));
@@ -458,13 +457,13 @@ fn simulated(opened: &Opened, package: &Arc<Package>, seed: u64, recording: Opti
             if round == 2 && frame.standing == Standing::Converged {
                 count(&network.guests);
                 let picture = frame.snapshot.rgb8.data().as_flattened().to_vec();
-                let stations = engine.stations();
                 engine.finish(Duration::from_secs(20));
+                let stations = engine.stations();
                 let jobs = engine.actors().pool.as_ref().expect("a pool").stats();
                 assert_eq!(jobs.twice, 0, "seed {seed}: {jobs:?}");
                 return Played1 { picture, stations, liars, banned };
             }
-            assert!(began.elapsed() < WAIT, "seed {seed} does not converge: {:?}", engine.stations());
+            assert!(began.elapsed() < WAIT, "seed {seed} does not converge");
         }
     }
     unreachable!("the last round returns")

@@ -110,6 +110,7 @@ pub fn srgb_from_linear(v: f32) -> f32 {
 
 /// [`srgb_from_linear`] of a value in [0, 1] as a byte, to the nearest, with the same bits as the formula has; what is beyond
 /// is the nearest, NaN is 0.
+#[inline]
 pub fn srgb_byte_from_linear(v: f32) -> u8 {
     /// Relative distance to the edge of a step within which the formula decides.
     const CLOSE: f32 = 1e-4;
@@ -124,6 +125,7 @@ pub fn srgb_byte_from_linear(v: f32) -> u8 {
     low + u8::from(v >= next)
 }
 
+#[cold]
 fn exact_byte(v: f32) -> u8 {
     (srgb_from_linear(v).clamp(0.0, 1.0) * 255.0 + 0.5) as u8
 }

@@ -27,6 +27,17 @@ fn a_thousand_frames_leave_nothing_behind() {
     assert!(messages["what"] == "messages" && messages["value"].as_f64() > Some(10_000.0), "{d}");
 }
 
+/// What glTF costs stands beside what cannot be done without.
+#[test]
+fn gltf_beside_its_pictures_and_plastic() {
+    let d = Foveal::new("bench gltf --runs 1").json();
+    assert_eq!(d["schema"], "foveal.bench.gltf/1");
+    assert_eq!(row(&d, "load atelier, 4 pictures")["peer"], "decoding alone");
+    for what in ["without maps", "with maps"] {
+        assert_eq!((&row(&d, what)["peer"], row(&d, what)["ratio"].is_number()), (&"plastic".into(), true));
+    }
+}
+
 /// Files of triangles and rays are traced, and broken ones refused.
 #[test]
 fn rays_of_files() {
@@ -116,7 +127,8 @@ fn errors_beside_plain_alternatives() {
         );
     }
     let page = fs::read_to_string(out.join("report.html")).expect("a page");
-    assert!(page.matches("<svg").count() == 4 && page.matches("<img").count() >= 30);
+    // Each plot twice, once of them for a phone.
+    assert!(page.matches("<svg").count() == 8 && page.matches("<img").count() >= 30);
     for file in ["still", "still-path", "walking", "walking-path"] {
         assert!(out.join(format!("error-box-{file}.svg")).exists());
     }
@@ -139,7 +151,9 @@ fn errors_of_every_order_in_a_scene_of_ones_own() {
     let csv = fs::read_to_string(out.join("error-curves.csv")).expect("a table");
     assert_eq!(csv.lines().count(), 1 + 2 * 2 * (17 + 2));
     let page = fs::read_to_string(out.join("report.html")).expect("a page");
-    assert!(page.contains("duck, walking") && page.matches("<img").count() == 6);
+    // Two pictures and what they should be, still and walking; and in both parts one of them under a line.
+    assert!(page.contains("duck, walking") && page.matches("<img").count() == 6 + 4);
+    assert!(page.contains("side by side") && page.contains("difference (FLIP)"));
     let d = measure(&scenes.join("diffuse/diffuse.toml")).json();
     assert!(d["notes"].to_string().contains("nothing that its first camera sees is corrected"), "{d}");
     measure(Path::new("nowhere.obj")).fails(3, &["nowhere.obj"]);

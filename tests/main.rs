@@ -12,6 +12,7 @@ mod bundled;
 mod exits;
 mod faults;
 mod hostile;
+mod packages;
 mod remote;
 mod replay;
 #[cfg(feature = "serve")]

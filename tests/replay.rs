@@ -144,6 +144,91 @@ fn a_pixel_is_explained_from_input_to_sample() {
     Foveal::new("replay --why 1,1 --frame 6").arg(&trace).fails(2, &["no frame 6"]);
 }
 
+/// Numbers of a JSON array.
+fn numbers(value: &Value) -> Vec<f64> {
+    value.as_array().expect("numbers").iter().map(|n| n.as_f64().expect("a number")).collect()
+}
+
+#[test]
+fn the_sample_behind_a_pixel_is_traced_again_with_the_same_bits() {
+    let trace = hurried();
+    let (mut traced, mut rays) = (0, 0);
+    for pixel in ["20,58", "48,60", "80,55", "10,60", "30,50", "60,50"] {
+        let picture = folder("path").join("path.png");
+        let d = Foveal::new(&format!("replay --path --why {pixel} --out")).arg(&picture).arg(&trace).json();
+        let drawn = image::open(&picture).expect("a picture");
+        assert!(drawn.width() >= 640, "{} columns", drawn.width());
+        let path = &d["path"];
+        if path.is_null() {
+            continue;
+        }
+        traced += 1;
+        assert_eq!(path["same"], true, "{pixel}: {d}");
+        let steps = path["steps"].as_array().expect("steps");
+        let (sum, sample) = (numbers(&steps[0]["adds"]), numbers(&path["sample"]));
+        for (sum, sample) in sum.iter().zip(&sample) {
+            assert!((sum - sample).abs() <= 1e-3 * (1.0 + sample.abs()), "{pixel}: {sum} of {sample}");
+        }
+        let is = |kind: &str| steps.iter().filter(|step| step["is"] == kind).count();
+        rays += is("ray");
+        assert!(is("surface") >= 1, "{path}");
+        // Each ray was drawn with numbers in [0, 1), or is a lobe of one direction.
+        for step in steps.iter().filter(|step| step["is"] == "ray" && step["lobe"] == "glossy") {
+            assert!(numbers(&step["random_numbers"]).iter().all(|n| (0.0..1.0).contains(n)), "{step}");
+        }
+        let told = Foveal::new(&format!("replay --path --why {pixel}")).arg(&trace).ok();
+        assert!(told.out.contains("traced again: the same bits"), "{}", told.out);
+    }
+    assert!(traced >= 2 && rays >= 2, "{traced} samples, {rays} rays");
+    Foveal::new("replay --path").arg(&trace).fails(2, &["--why"]);
+}
+
+/// A first estimate of the light states no error, and none is told of it.
+#[test]
+fn what_nothing_is_known_of_is_not_told_as_exact() {
+    let file = folder("recording").join("walk.fvl");
+    Foveal::new("walk --frames 3 --fps 40 --size 48x32 --workers 1 --record")
+        .arg(&file)
+        .arg(scene("gallery"))
+        .ok();
+    let d = Foveal::new("replay --why 5,5 --frame 0").arg(&file).json();
+    let light = &d["surface"]["light"];
+    let is_first = light["map"]["rounds"] == 0;
+    assert_eq!(light["stated_error"].is_null(), is_first, "{light}");
+    assert_eq!(light["map"]["stated_error"].is_null(), is_first, "{light}");
+    let told = Foveal::new("replay --why 5,5 --frame 0").arg(&file).ok();
+    assert_eq!(told.out.contains("its error not known"), is_first, "{}", told.out);
+}
+
+#[test]
+fn what_a_frame_waited_for_is_a_chain_from_its_beginning_to_its_showing() {
+    let trace = hurried();
+    for frame in 0..6 {
+        let d = Foveal::new(&format!("replay --why-late {frame}")).arg(&trace).json();
+        let path = d["path"].as_array().expect("a path");
+        let (first, last) = (&path[0], path.last().expect("a last one"));
+        assert_eq!(
+            (&first["message"], &last["message"]),
+            (&"FrameBegan".into(), &"DeadlineReached".into()),
+            "{d}"
+        );
+        assert!((d["had_ms"].as_f64().expect("a time") - 5.0).abs() < 0.01, "{d}");
+        let sum: f64 = path.iter().map(|link| link["ms"].as_f64().expect("a time")).sum();
+        assert!((sum - d["path_ms"].as_f64().expect("a time")).abs() < 1e-6, "{d}");
+        // Each waits for the one before: at its actor, or the one that sent it.
+        for pair in path.windows(2) {
+            let (before, after) = (pair[0]["at"].as_str().expect("a place"), &pair[1]);
+            let actor = |at: &str| at.rsplit_once(':').expect("a place").0.to_owned();
+            let at = after["at"].as_str().expect("a place");
+            assert!(after["sent_in"] == before || actor(at) == actor(before), "{before}, then {after}");
+        }
+        assert!(!d["threads"].as_array().expect("threads").is_empty());
+        let told = Foveal::new(&format!("replay --why-late {frame}")).arg(&trace).ok();
+        assert!(told.out.starts_with(&format!("frame {frame}: ")), "{}", told.out);
+    }
+    Foveal::new("replay --why-late 6").arg(&trace).fails(2, &["no frame 6"]);
+}
+
 #[test]
 fn steps_go_forward_and_back_alike() {
     let trace = recorded("--policy attention");
@@ -317,7 +402,7 @@ fn recordings_that_do_not_fit_are_refused_by_name() {
         file
     };
     let other = Foveal::new("replay --scene").arg(scene("duck")).arg(&trace);
-    other.fails(3, &["walk.fvl", "another scene", "duck.toml"]);
+    other.fails(3, &["walk.fvl", "another scene", "duck.toml", "is not read any more"]);
     let version = altered(&|b| b[6] += 1);
     Foveal::new("replay").arg(&version).fails(3, &["altered.fvl", "version"]);
     let foreign = altered(&|b| b[0] = b'X');

@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 use crate::support::{Foveal, root};
 
@@ -123,12 +122,13 @@ fn only_the_command_line_prints() {
 }
 
 /// The core's modules, each of which may use the ones before it.
-const CORE: [&str; 15] = [
+const CORE: [&str; 16] = [
     "rng",
     "math",
     "image",
     "scene",
     "geometry",
+    "kept",
     "transport",
     "illumination",
     "radiosity",
@@ -290,62 +290,6 @@ fn packages_depend_one_way() {
             let wrong =
                 must_not.iter().any(|m| name == *m || *m == "crossbeam" && name.starts_with("crossbeam"));
             assert!(!wrong, "{manifest} depends on {name}");
-        }
-    }
-}
-
-/// What cargo says to these arguments.
-fn cargo(arguments: &str) -> String {
-    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let run = Command::new(cargo).args(arguments.split(' ')).current_dir(root()).output();
-    let run = run.expect("cargo can be run");
-    assert!(run.status.success(), "cargo {arguments}: {}", String::from_utf8_lossy(&run.stderr));
-    String::from_utf8(run.stdout).expect("a text")
-}
-
-/// Who takes the engine into a program of their own takes no window and no command line along.
-#[test]
-fn the_engine_brings_no_window_and_no_command_line() {
-    let tree = "tree --offline --locked --package foveal-engine --edges normal --prefix none --format {p}";
-    let found = cargo(tree);
-    let names: BTreeSet<&str> = found.lines().filter_map(|line| line.split(' ').next()).collect();
-    assert!(names.contains("foveal-runtime") && names.contains("glam"), "{names:?}");
-    for name in ["wgpu", "winit", "egui", "softbuffer", "axum", "tokio", "clap", "indicatif", "plotters"] {
-        assert!(!names.contains(name), "foveal-engine brings {name} along");
-    }
-}
-
-/// What goes to a registry is whole, and small.
-#[test]
-fn packages_hold_what_they_need() {
-    const BYTES_MAX: u64 = 1 << 18;
-    let licences = ["LICENSE-MIT", "LICENSE-APACHE"];
-    for (package, folder, needed) in [
-        ("foveal", ".", &["README.md", "src/lib.rs"][..]),
-        ("foveal-runtime-derive", "actors/runtime/derive", &["lib.rs"]),
-        ("foveal-runtime", "actors/runtime", &["README.md", "build.rs", "examples/jobs.rs"]),
-        ("foveal-actors", "actors", &["message/renderer.rs"]),
-        ("foveal-engine", "actors/engine", &["README.md", "examples/walk.rs"]),
-        ("foveal-scenes", "scenes", &["README.md", "generate/lib.rs"]),
-        ("foveal-terminal", "actors/terminal", &["lib.rs"]),
-        ("foveal-serve", "actors/serve", &["page/index.html"]),
-        ("foveal-window", "actors/window", &["gpu/base.wgsl"]),
-        ("foveal-bench", "actors/bench", &["lib.rs"]),
-        ("foveal-program", "actors/program", &["main.rs"]),
-    ] {
-        let list = format!("package --list --allow-dirty --offline --package {package}");
-        let list = cargo(&list);
-        let files: BTreeSet<&str> = list.lines().collect();
-        for needed in needed.iter().chain(&licences) {
-            assert!(files.contains(needed), "{package} goes without {needed}");
-        }
-        for file in files {
-            // Some are made by cargo.
-            let size = fs::metadata(root().join(folder).join(file)).map_or(0, |file| file.len());
-            assert!(
-                size <= BYTES_MAX || file.starts_with("Cargo.lock"),
-                "{package}: {file} has {size} bytes"
-            );
         }
     }
 }

@@ -4,7 +4,8 @@ use std::path::Path;
 
 use foveal::display::tone::ToneMap;
 use foveal::image::Map2d;
-use foveal::metrics::quantile;
+use foveal::metrics::heat::heat_map;
+use foveal::metrics::{compare, quantile};
 use glam::Vec3;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -12,7 +13,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use super::error_curves::{Measures, Point, Way};
 use foveal_engine::failure::Failure;
 use foveal_engine::files::{make_folder, png_bytes, write_atomic};
-use foveal_terminal::report::{Figure, Page, Section, html};
+use foveal_terminal::report::{Compared, Comparison, Figure, Page, Section, html};
 use foveal_terminal::table::{Row, figure, median, table_of};
 
 /// What a plot's axes show.
@@ -47,16 +48,26 @@ const LEAST: f64 = 1e-3;
 /// Width and height of a plot, and what of the width is left to the names.
 const SIZE: (u32, u32) = (900, 420);
 const NAMES_WIDTH: u32 = 220;
+/// The same on a phone, where names stand below: the width, the height without them, and that of a name.
+const NARROW: (u32, u32) = (360, 280);
+const NAME_HEIGHT: u32 = 20;
 
 /// Medians over the runs with bands of 10 to 90 %, as SVG; `None` where there is nothing to plot.
-fn plot(ways: &[&Way], axes: Axes, against: &str) -> Option<String> {
+fn plot(ways: &[&Way], axes: Axes, against: &str, is_narrow: bool) -> Option<String> {
+    let size = match is_narrow {
+        true => (NARROW.0, NARROW.1 + NAME_HEIGHT * (ways.len() as u32 + 1)),
+        false => SIZE,
+    };
     let mut svg = String::new();
     {
-        let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
+        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
         root.fill(&WHITE).ok()?;
-        let (left, right) = root.split_horizontally(SIZE.0 - NAMES_WIDTH);
+        let (left, right) = match is_narrow {
+            true => root.split_vertically(NARROW.1),
+            false => root.split_horizontally(SIZE.0 - NAMES_WIDTH),
+        };
         let mut builder = ChartBuilder::on(&left);
-        builder.margin(10).x_label_area_size(36).y_label_area_size(60);
+        builder.margin(10).x_label_area_size(36).y_label_area_size(if is_narrow { 52 } else { 60 });
         let all = || ways.iter().flat_map(|w| w.runs.iter().flatten());
         let range = |of: &dyn Fn(&Point) -> f64| {
             let values = all().map(of).filter(|v| v.is_finite() && *v > 0.0);
@@ -64,7 +75,10 @@ fn plot(ways: &[&Way], axes: Axes, against: &str) -> Option<String> {
             (high > 0.0).then_some((low, high))
         };
         let (times, errors) = (range(&|p| p.seconds)?, range(&|p| p.corrected.flip.max(LEAST))?);
-        let y_desc = format!("mean FLIP of non-diffuse pixels against {against}");
+        let y_desc = match is_narrow {
+            true => "mean FLIP".to_owned(),
+            false => format!("mean FLIP of non-diffuse pixels against {against}"),
+        };
         match axes {
             Axes::Still => {
                 let y = 0.8 * errors.0..1.25 * errors.1;
@@ -219,6 +233,7 @@ fn section(panel: &Panel<'_>, tone: &ToneMap) -> Result<Section, Failure> {
     for (title, picture) in &panel.references {
         figures.push(Figure { title: title.clone(), caption: String::new(), png: png(picture)? });
     }
+    let mut shown = Vec::new();
     for way in &panel.ways {
         let Some(points) = way.runs.first() else { continue };
         // The last picture that was there by then, or the first there ever was.
@@ -226,18 +241,39 @@ fn section(panel: &Panel<'_>, tone: &ToneMap) -> Result<Section, Failure> {
         let Some((point, picture)) = there.and_then(|p| Some((p, p.picture.as_ref()?))) else { continue };
         let when = if way.is_floor { String::new() } else { format!("{}: ", duration(point.seconds)) };
         let (corrected, all) = (errors(&point.corrected), errors(&point.all));
-        figures.push(Figure {
+        let figure = Figure {
             title: way.name.clone(),
             caption: format!("{when}non-diffuse pixels {corrected}; all {all}; against {}", way.against),
             png: png(picture)?,
-        });
+        };
+        // Beside the first of the references, where that is of the same view and size.
+        let compared = panel.references.first().map(|(_, reference)| compare(picture, reference, tone));
+        if let Some(Ok(compared)) = compared {
+            let heat = heat_map(&compared.flip_map);
+            let flip = png_bytes(heat.width() as u32, heat.height() as u32, heat.data().as_flattened())?;
+            shown.push(Compared { figure: figure.clone(), flip });
+        }
+        figures.push(figure);
     }
+    let comparison = panel.references.first().filter(|_| !shown.is_empty()).map(|(title, picture)| Comparison {
+        title: format!("{}: side by side", panel.title),
+        caption: format!(
+            "Left of the line is what a way shows after {}, right of it {title}. The difference is bright where an eye \
+             would see one.",
+            duration(panel.at)
+        ),
+        size: [picture.width() as u32, picture.height() as u32],
+        reference: figures[0].clone(),
+        shown,
+    });
     let caption = format!(
-        "Medians of the runs with bands of 10 to 90 %. Below, what is shown after {}, or the first that there is.",
+        "Lower is better, and sooner further left: lines are medians of the runs, bands 10 to 90 % of them. Below, what is \
+         shown after {}, or the first that there is.",
         duration(panel.at)
     );
-    let svg = plot(&panel.ways, panel.axes, &panel.against);
-    Ok(Section { title: panel.title.clone(), svg, caption, figures })
+    let [svg, narrow] =
+        [false, true].map(|is_narrow| plot(&panel.ways, panel.axes, &panel.against, is_narrow));
+    Ok(Section { title: panel.title.clone(), svg, narrow, caption, figures, comparison })
 }
 
 #[cfg(test)]
@@ -262,14 +298,16 @@ mod tests {
         let floor = Way { is_floor: true, ..way("floor") };
         let ways = [&way("one"), &way("two"), &floor];
         for axes in [Axes::Still, Axes::Until(0.05), Axes::Walking] {
-            let svg = plot(&ways, axes, "path").expect("a plot");
+            let narrow = plot(&ways, axes, "path", true).expect("a plot");
+            assert!(narrow.contains("two") && narrow.contains("width=\"360\""));
+            let svg = plot(&ways, axes, "path", false).expect("a plot");
             assert!(svg.contains("one") && svg.contains("two") && svg.contains("floor"));
             assert!(svg.contains("against path"), "{svg}");
             // The floor has no band.
             assert_eq!(svg.matches("<polygon").count(), 2);
             assert!(!svg.contains("0000000") && !svg.contains("NaN"), "{svg}");
         }
-        assert!(plot(&[], Axes::Walking, "path").is_none());
+        assert!(plot(&[], Axes::Walking, "path", false).is_none());
     }
 
     /// What should be seen stands before what was seen, and both say what they are.
@@ -289,5 +327,7 @@ mod tests {
         let titles: Vec<&str> = section.figures.iter().map(|f| f.title.as_str()).collect();
         assert_eq!(titles, ["the reference", "one"]);
         assert!(section.figures[1].caption.contains("against path, 8 samples per pixel"));
+        let comparison = section.comparison.expect("both are there");
+        assert_eq!((comparison.size, comparison.shown.len()), ([4, 3], 1));
     }
 }

@@ -11,6 +11,7 @@ mod error_plain_rows;
 mod error_references;
 mod error_walks;
 mod first_light;
+mod gltf;
 mod illumination;
 pub mod made;
 mod mathematics;
@@ -18,6 +19,7 @@ mod messages;
 #[cfg(feature = "window")]
 mod motion;
 mod rays;
+mod report;
 mod scaling;
 #[cfg(feature = "serve")]
 mod serve;
@@ -47,8 +49,12 @@ pub enum BenchCommand {
     Error(error::ErrorArguments),
     /// From a loaded scene to its first lit picture
     FirstLight(first_light::FirstLightArguments),
+    /// What a glTF file's loading takes beside the decoding of its pictures, and its surfaces beside plastic ones
+    Gltf(gltf::GltfArguments),
     /// Rays per second: primary, diffuse bounce, shadow; obvhs' own traversal beside it
     Rays(rays::RaysArguments),
+    /// All that the book quotes, one after the other, and a page of what came of it
+    Report(report::ReportArguments),
     /// How each stage grows with what it works on, and with tracers; memory beside it
     Scaling(scaling::ScalingArguments),
     /// A radiosity mesh cut back by what is measured and by what is seen, views of it held against the whole mesh
@@ -75,7 +81,9 @@ pub fn run(command: &BenchCommand, progress: Progress) -> Result<(), Failure> {
         BenchCommand::Stages(a) => stages::run(a, progress),
         BenchCommand::Error(a) => error::run(a, progress),
         BenchCommand::FirstLight(a) => first_light::run(a, progress),
+        BenchCommand::Gltf(a) => gltf::run(a, progress),
         BenchCommand::Rays(a) => rays::run(a, progress),
+        BenchCommand::Report(a) => report::run(a, progress),
         BenchCommand::Scaling(a) => scaling::run(a, progress),
         BenchCommand::Simplify(a) => simplify::run(a, progress),
         #[cfg(feature = "serve")]

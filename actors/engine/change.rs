@@ -5,6 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use crate::edit::SceneEdit;
+use crate::engine::Engine;
 use crate::opened::Opened;
 use crate::source::{Build, FrameSource};
 
@@ -54,6 +55,13 @@ pub struct Begun {
 impl From<Box<dyn FrameSource>> for Begun {
     fn from(source: Box<dyn FrameSource>) -> Self {
         Self { source, changer: None }
+    }
+}
+
+impl From<Engine> for Begun {
+    fn from(engine: Engine) -> Self {
+        let source: Box<dyn FrameSource> = Box::new(engine);
+        source.into()
     }
 }
 

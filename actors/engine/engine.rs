@@ -4,6 +4,7 @@
 //! replayed. The walk belongs to the thread that began it, which runs the renderer between [`Engine::begin`] and
 //! [`Engine::end`].
 
+mod begins;
 mod frame;
 mod shown;
 mod stalled;
@@ -49,6 +50,7 @@ const LEAVING: Duration = Duration::from_millis(200);
 /// Longest time for the picture of a frame, once its deadline is over.
 const SHOWING: Duration = Duration::from_secs(60);
 
+use begins::Begins;
 pub use frame::{Event, Frame, Standing};
 pub use stalled::Stalled;
 
@@ -119,6 +121,7 @@ pub struct Engine {
     facts: Vec<(String, String)>,
     /// How another size begins.
     again: Again,
+    begins: Begins,
 }
 
 /// What a walk of another size is started with.
@@ -184,7 +187,7 @@ impl Engine {
         let mut config = clock.config(&settings, machine.threads(&opened), gives_way, options.ring_turns);
         let mut recorded = recording.is_some();
         if let Some(recording) = recording {
-            config.application = recording.header(&opened, &machine)?;
+            config.application = recording.header(&opened, &machine, options.parent.as_ref())?;
             (config.hashing, config.record) = (recording.hashing, Some(recording.into));
             config.program = program();
         }
@@ -234,6 +237,7 @@ impl Engine {
             names,
             facts: options.facts,
             again: Again { fps, quality, texture_bytes, whole, gives_way },
+            begins: Begins::default(),
             opened,
         })
     }
@@ -452,6 +456,7 @@ impl Engine {
         next.before.stopped = self.recorded;
         next.newest.mirrored.store(self.newest.mirrored.load(Ordering::Relaxed), Ordering::Relaxed);
         next.set(&self.controls)?;
+        next.begins = self.begins;
         *self = next;
         Ok(())
     }

@@ -465,3 +465,33 @@ fn a_cache_ager_that_falls_behind_ages_for_the_newest_view_alone() {
     // The order to go on, and one camera of eight.
     assert!(delivered(&engine) - before <= 2, "{} deliveries", delivered(&engine) - before);
 }
+
+/// Where a walk begins is the first of its places, and the others keep their order; a path is played until somebody moves.
+#[test]
+fn a_walk_begins_where_it_is_told() {
+    use crate::walk::Act;
+    use foveal::scene::camera::{CameraPath, NamedCamera, PathKey};
+    let mut scene = test_scene::room(4);
+    let first = scene.cameras[0].camera;
+    let beside = |x: f32| Camera { eye: first.eye + x * Vec3::X, ..first };
+    let camera = |(name, x): (&str, f32)| NamedCamera { name: name.into(), camera: beside(x) };
+    scene.cameras = [("a", 0.0), ("b", 0.01), ("c", 0.02)].map(camera).to_vec();
+    let key = |t, x| PathKey { t, eye: beside(x).eye, target: first.target };
+    let path = |name: &str| CameraPath { name: name.into(), keys: vec![key(0.0, 0.0), key(2.0, 0.1)] };
+    scene.paths = ["to", "fro"].map(path).to_vec();
+    let world = World::new(Arc::new(scene), Arc::new(Uniform(Vec3::ONE)));
+    let options = Options::interactive(Settings::new(16, 12, 1));
+    let mut engine = Engine::start(Opened::of_world(world), options).expect("actors");
+    assert!(!engine.plays());
+    assert!(engine.begin_at(Some("d"), None).is_err_and(|e| e.exit_code() == 2));
+    assert!(engine.begin_at(None, Some("up")).is_err_and(|e| e.to_string().contains("to, fro")));
+    engine.begin_at(Some("c"), Some("fro")).expect("both are there");
+    engine.resize(20, 12).expect("another size");
+    let place = engine.place();
+    assert_eq!(place.cameras.iter().map(|c| &*c.name).collect::<Vec<_>>(), ["c", "a", "b"]);
+    assert_eq!(place.paths.iter().map(|p| &*p.name).collect::<Vec<_>>(), ["fro", "to"]);
+    let mut walk = Walk::new(Box::new(engine), 0.0);
+    assert!(walk.is_moving(), "the path is played");
+    walk.act(Act::Look(1.0, 0.0), 0.1);
+    assert!(!walk.is_moving());
+}

@@ -15,7 +15,7 @@ use crate::failure::Failure;
 use crate::light::Light;
 use crate::machine::Machine;
 use crate::opened::Opened;
-use crate::recording::{RecordedRun, light_beside, light_key};
+use crate::recording::{Parent, RecordedRun, light_beside, light_key};
 
 /// How a walk is started.
 pub struct Options {
@@ -37,6 +37,8 @@ pub struct Options {
     pub clock: Clock,
     /// Where the walk is recorded, if anywhere.
     pub recording: Option<Recording>,
+    /// The recording that it goes on from, if any: said in its own.
+    pub parent: Option<Parent>,
     /// Whether a recording has the maps of light that grows beside it ([`crate::recording::light_beside`]); without them
     /// who replays it bakes them again.
     pub keeps_light: bool,
@@ -63,6 +65,7 @@ impl Options {
             gives_way: false,
             clock: Clock::Real,
             recording: None,
+            parent: None,
             keeps_light: true,
             ring_turns: None,
             probes: None,
@@ -129,7 +132,13 @@ impl Recording {
         Ok(Some(Arc::new(book)))
     }
 
-    pub(crate) fn header(&self, opened: &Opened, machine: &Machine) -> Result<Vec<u8>, Failure> {
-        RecordedRun::new(self.command, opened, machine)?.to_bytes()
+    pub(crate) fn header(
+        &self,
+        opened: &Opened,
+        machine: &Machine,
+        parent: Option<&Parent>,
+    ) -> Result<Vec<u8>, Failure> {
+        let parent = parent.cloned();
+        RecordedRun { parent, ..RecordedRun::new(self.command, opened, machine)? }.to_bytes()
     }
 }

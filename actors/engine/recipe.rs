@@ -44,8 +44,19 @@ pub struct Recipe {
     pub hashing: Hashing,
     /// What is set at once, in this order.
     pub set: Vec<Setting>,
+    /// Where the walk through [`Self::scene`] begins.
+    pub from: From,
     /// Who stops at once, to see that the walk goes on.
     pub stalled: Stalled,
+}
+
+/// Where a walk begins: the scene's first camera, unless something is named.
+#[derive(Clone, Debug, Default)]
+pub struct From {
+    /// At this camera of the scene.
+    pub camera: Option<String>,
+    /// Along this path of it, which is played until somebody moves.
+    pub path: Option<String>,
 }
 
 impl Recipe {
@@ -63,6 +74,7 @@ impl Recipe {
             keeps_light: true,
             hashing: Hashing::Exact,
             set: Vec::new(),
+            from: From::default(),
             stalled: Stalled::Nobody,
         }
     }
@@ -100,7 +112,12 @@ impl Recipe {
             facts: vec![("Software".to_owned(), program()), ("foveal file".to_owned(), file)],
             ..Options::interactive(self.settings)
         };
+        let is_named = opened.path == self.scene;
         let mut engine = Engine::start(opened, options)?;
+        // A scene that is dropped on the window has cameras of its own.
+        if is_named {
+            engine.begin_at(self.from.camera.as_deref(), self.from.path.as_deref())?;
+        }
         let (mut controls, ranges) = (engine.controls(), engine.ranges());
         controls.put_all(&self.set, &ranges).map_err(|e| Failure::Usage(e.to_string()))?;
         engine.set(&controls)?;

@@ -1,6 +1,6 @@
 //! What a window, a browser or a test shows: a walk or a recording, seen from outside.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -17,6 +17,7 @@ use foveal_actors::settings::Adjustment;
 use crate::engine::Event;
 use crate::look::Mirror;
 use crate::opened::Opened;
+use crate::replay::Segment;
 
 /// What the user may change while walking.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -124,6 +125,48 @@ pub struct TimelineShown {
     pub lines: Vec<String>,
     /// Why the pixel that was asked for looks as it does.
     pub story: Vec<String>,
+    /// The path of its sample, over the picture.
+    pub path: Vec<Segment>,
+    /// Names of the actors.
+    pub actors: Vec<String>,
+    /// Whose state is told, and what it says.
+    pub state: (String, Vec<String>),
+    /// Where what was searched for comes about: what is told of it, and the place.
+    pub found: Vec<(String, String)>,
+    /// What each actor did in the frame, where that is asked for.
+    pub lanes: Option<Arc<LanesShown>>,
+    /// Frames from which on another recording, shown beside, has other pictures.
+    pub parted: Option<u32>,
+}
+
+/// What each actor did in a frame, on a line of time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LanesShown {
+    /// Names of the lanes.
+    pub names: Vec<String>,
+    /// Nanoseconds of all of it.
+    pub whole_ns: u64,
+    /// What was delivered.
+    pub slices: Vec<LaneSlice>,
+    /// From a slice to one whose message was sent in it.
+    pub arrows: Vec<(usize, usize)>,
+}
+
+/// A delivery on its lane.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LaneSlice {
+    /// Which lane.
+    pub lane: usize,
+    /// When it began.
+    pub start_ns: u64,
+    /// How long it took.
+    pub duration_ns: u64,
+    /// What was delivered.
+    pub kind: &'static str,
+    /// Its place.
+    pub at: String,
+    /// The frame waited for it.
+    pub is_critical: bool,
 }
 
 /// A walk that leaves a recording.
@@ -132,10 +175,12 @@ pub struct Branch {
     pub source: Box<dyn FrameSource>,
     /// Where it begins.
     pub camera: Camera,
+    /// Where it is recorded, if it is.
+    pub recorded: Option<PathBuf>,
 }
 
 /// What the user wants of a recording.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Wish {
     /// Go to a frame.
     Frame(u32),
@@ -147,6 +192,14 @@ pub enum Wish {
     Why(u32, u32),
     /// Leave the recording and walk on.
     Branch,
+    /// Find where a condition comes about.
+    Find(String),
+    /// Go to a place: a frame, or an actor and a number.
+    Place(String),
+    /// Tell the state of this actor.
+    State(String),
+    /// Show what each actor did in a frame, or no longer.
+    Lanes(bool),
 }
 
 /// A recording that one can go through.
@@ -161,6 +214,14 @@ pub trait Timeline {
     fn step(&mut self, messages: i64);
     /// Tells the story of a pixel.
     fn why(&mut self, x: u32, y: u32);
+    /// Finds where a condition comes about.
+    fn find(&mut self, condition: &str);
+    /// Goes to a place.
+    fn go_to_place(&mut self, place: &str);
+    /// Tells an actor's state from now on; that of none where the name is empty.
+    fn tell_state(&mut self, actor: &str);
+    /// Shows what each actor did in a frame from now on, or no longer.
+    fn show_lanes(&mut self, shows: bool);
     /// A walk on from here, with settings, light and camera of this moment; its samples are traced anew.
     ///
     /// # Errors
@@ -172,6 +233,10 @@ pub trait Timeline {
 pub trait FrameSource {
     /// The scene.
     fn place(&self) -> Place;
+    /// Whether its first path is played from the start, until somebody moves.
+    fn plays(&self) -> bool {
+        false
+    }
     /// Columns and rows of the picture.
     fn size(&self) -> [u32; 2];
     /// What it starts with.

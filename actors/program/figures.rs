@@ -1,14 +1,18 @@
 //! The figures of a walk's report, in the manner of the first paper's figures 3 to 6.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
+use glam::Vec3;
 use rayon::prelude::*;
 use serde_json::Value;
 
 use foveal::display::FrameBuffers;
 use foveal::display::cpu_pass::{self, Passes};
-use foveal::display::tone::ToneMap;
-use foveal::image::Map2d;
+use foveal::display::tone::{ToneCurve, ToneMap};
+use foveal::image::{Map2d, linear_from_srgb};
+use foveal::metrics::heat::heat_map;
+use foveal::metrics::{self, quantile};
 use foveal::perception::pyramid::upsample;
 use foveal::perception::saliency::CELL;
 use foveal::sampling::{Lattice, Rect};
@@ -19,13 +23,18 @@ use foveal::world::World;
 
 use super::walk_report::{Walked, percentiles};
 use foveal_actors::analyzer::Analyzer;
+use foveal_actors::message::FrameSnapshot;
 use foveal_actors::renderer::Renderer;
 use foveal_actors::settings::Settings;
 use foveal_actors::stages::Stage;
 use foveal_engine::files::png_bytes;
+use foveal_engine::interrupt::interrupted;
+use foveal_engine::reference::traced_picture;
 use foveal_engine::{Engine, Failure};
+use foveal_terminal::known::Known;
 use foveal_terminal::plots::Plot;
-use foveal_terminal::report::{Figure, Page, Table};
+use foveal_terminal::report::{Bar, Bars, Compared, Comparison, Figure, Page, Table};
+use foveal_terminal::table::figure as figure_of;
 
 type Rgb8 = Map2d<[u8; 3]>;
 
@@ -170,16 +179,23 @@ fn warp_figures(world: &World, camera: &Camera, settings: &Settings) -> Result<V
             cache.insert(Arc::new(batch));
         }
     }
-    let mut figures =
-        vec![figure("Corrected", "Every non-diffuse pixel shows its own ray.", &from.shown(&layer))?];
+    let mut figures = vec![figure(
+        "Corrected",
+        "Every non-diffuse pixel shows its own ray: where the next three begin.",
+        &from.shown(&layer),
+    )?];
     let nearer = Camera { eye: camera.eye.lerp(camera.target, 0.12), ..*camera };
     let to = Still::new(world, &nearer, w, h, settings.k_max, settings.seed);
     layer.clear();
     layer.splat_warped(&warp(&cache, 2, &to.frame), &to.buffers.object, &to.buffers.depth);
-    figures.push(figure("Warped", "A step nearer: the samples of before, none new.", &to.shown(&layer))?);
+    figures.push(figure(
+        "Warped",
+        "A step nearer, the samples of before reprojected and none new: reflections lag, edges have gaps.",
+        &to.shown(&layer),
+    )?);
     let steps = [
-        (1..=4u32, "Levels 1 to 4 fresh over the warped ones."),
-        (5..=to.lattice.levels(), "All levels: converged again."),
+        (1..=4u32, "Levels 1 to 4 traced anew, over the reprojected ones: large shapes are right again."),
+        (5..=to.lattice.levels(), "All levels: the view has converged again."),
     ];
     for (levels, caption) in steps {
         for level in levels.filter(|&l| l <= to.lattice.levels()) {
@@ -192,28 +208,123 @@ fn warp_figures(world: &World, camera: &Camera, settings: &Settings) -> Result<V
     Ok(figures)
 }
 
+/// Longest time for the picture that the last frame would have become.
+const REFERENCE: Duration = Duration::from_secs(4);
+
+/// The last frame beside what its view converges to; `None` where that takes too long.
+fn beside_reference(world: &World, shown: &FrameSnapshot, seed: u64) -> Result<Option<Comparison>, Failure> {
+    let start = Instant::now();
+    let in_time = || start.elapsed() < REFERENCE && !interrupted();
+    let traced = traced_picture(world, &shown.drawn.frame, seed, 1, &in_time).picture;
+    if !in_time() {
+        return Ok(None);
+    }
+    let tone = ToneMap::from(&world.scene.display);
+    let reference = traced.map(|c| tone.to_rgb8(c));
+    // Both as they are displayed: what a screen cannot show is no difference.
+    let linear = |rgb8: &Rgb8| rgb8.map(|b| Vec3::from(b.map(|b| linear_from_srgb(f32::from(b) / 255.0))));
+    let as_shown = ToneMap { exposure: 1.0, curve: ToneCurve::Clamp };
+    let Ok(compared) = metrics::compare(&linear(&shown.rgb8), &linear(&reference), &as_shown) else {
+        return Ok(None);
+    };
+    let caption = format!("Mean FLIP {}, of 1 at most.", figure_of(compared.flip));
+    let flip = figure("FLIP", "", &heat_map(&compared.flip_map))?;
+    Ok(Some(Comparison {
+        title: "The last frame, and what it would have become".into(),
+        caption: "Left of the line is what was shown at its deadline, right of it what the same view converges to: look \
+                  at mirrors, glass and gloss, since diffuse surfaces are the same in both. The difference is bright \
+                  where an eye would see one."
+            .into(),
+        size: [shown.rgb8.width() as u32, shown.rgb8.height() as u32],
+        reference: figure("Converged", "", &reference)?,
+        shown: vec![Compared { figure: figure("Shown", &caption, &shown.rgb8)?, flip: flip.png }],
+    }))
+}
+
+/// Stages of a frame, as bars and as a table.
+fn stages(walked: &Walked) -> (Bars, Table) {
+    let of = |stage| walked.stages.iter().filter(move |s| s.0 == stage).map(|s| f64::from(s.1));
+    let known = |stage| Some((stage, Known::of(of(stage))?));
+    let known: Vec<(Stage, Known)> = Stage::ALL.into_iter().filter_map(known).collect();
+    let bar = |(stage, known): &(Stage, Known)| Bar {
+        name: stage.key().into(),
+        known: *known,
+        reach: [0.05, 0.95].map(|share| quantile(of(*stage), share)),
+        aim: None,
+    };
+    let bars = Bars {
+        title: "Where the time of a frame goes".into(),
+        caption: "Milliseconds in the frames in which a stage ran. Point: the median; thin line: where the true median lies \
+                  (95 %); wide line: 5 to 95 % of the frames. The longest line is what to shorten first; a wide one is a \
+                  stage that some frames pay for."
+            .into(),
+        unit: "ms".into(),
+        bars: known.iter().map(bar).collect(),
+    };
+    let table = Table {
+        title: "Stages beside the paper".into(),
+        header: ["stage", "median, ms", "95 %", "99 %", "frames", "eight processors of 2001"]
+            .map(String::from)
+            .to_vec(),
+        rows: known
+            .iter()
+            .map(|(stage, known)| {
+                let count = of(*stage).count();
+                // Of few frames the last hundredth is no more than the slowest.
+                let late = |share: f64, least: usize| match count >= least {
+                    true => figure_of(quantile(of(*stage), share)),
+                    false => "–".into(),
+                };
+                let stage = *stage;
+                vec![
+                    stage.key().into(),
+                    known.text(),
+                    late(0.95, 20),
+                    late(0.99, 100),
+                    count.to_string(),
+                    paper(stage).into(),
+                ]
+            })
+            .collect(),
+    };
+    (bars, table)
+}
+
 /// The whole page.
 pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Result<Page, Failure> {
     let (world, settings) = (&engine.opened().world, engine.settings());
     let mut figures = Vec::new();
     let camera = engine.look(Renderer::camera).flatten();
+    let shown = engine.look(|r| r.shown().cloned()).flatten();
+    let corrects = engine.actors().correction.is_some();
+    let comparison = match &shown {
+        Some(shown) if corrects && document["converged"] != true => {
+            // Under the light that it was shown in.
+            beside_reference(&shown.drawn.world, shown, settings.seed)?
+        }
+        _ => None,
+    };
+    if let (None, Some(shown)) = (&comparison, &shown) {
+        figures.push(figure("Last frame", "As it was shown.", &shown.rgb8)?);
+    }
     let renderer_figures = engine.look(|r| {
-        let last = r.shown().map(|s| figure("Last frame", "As shown.", &s.rgb8));
         let traced = who_traced_what(r).map(|p| {
             figure(
                 "Who traced what",
-                "Corrected pixels coloured by tracer; white: a warped sample of an earlier view.",
+                "A colour for each tracer, on the pixels that show its samples; white shows a sample of an earlier view, \
+                 reprojected. Colours that alternate in small tiles mean that all tracers were busy.",
                 &p,
             )
         });
         let pattern = sampling_pattern(r, &settings.lattice(), 5).map(|p| {
             figure(
                 "Sampling pattern",
-                "Sample positions of levels 1 (red), 2 (blue), 3 (green), 4 (yellow), 5 (violet).",
+                "Where the √5 lattice has its samples: level 1 red, 2 blue, 3 green, 4 yellow, 5 violet. Each level has \
+                 five times as many as the one before, turned by 27°, so no row or column of pixels stands out.",
                 &p,
             )
         });
-        [last, traced, pattern].into_iter().flatten().collect::<Result<Vec<_>, _>>()
+        [traced, pattern].into_iter().flatten().collect::<Result<Vec<_>, _>>()
     });
     figures.extend(renderer_figures.transpose()?.unwrap_or_default());
     if let Some(correction) = engine.actors().correction {
@@ -222,29 +333,17 @@ pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Res
         if let Some(map) = map {
             figures.push(figure(
                 "Saliency",
-                "Bright: draws the eye (square root of the map, scaled).",
+                "Bright is what draws the eye without a task (Itti et al. 1998), square root, the highest white: objects \
+                 there get their samples first.",
                 &map,
             )?);
         }
-        if let Some(camera) = camera {
+        // A walk of one frame has nothing to warp, and its process is to end with it.
+        if let Some(camera) = camera.filter(|_| walked.frame_ms.len() > 1) {
             figures.extend(warp_figures(world, &camera, settings)?);
         }
     }
-    let of = |stage| walked.stages.iter().filter(|s| s.0 == stage).map(|s| s.1).collect::<Vec<f32>>();
-    let stages = Table {
-        title: "Stages, ms per frame in which they ran".into(),
-        header: ["stage", "median", "95 %", "99 %", "frames", "the paper, 8 processors of 2001"]
-            .map(String::from)
-            .to_vec(),
-        rows: Stage::ALL
-            .into_iter()
-            .map(|stage| {
-                let values = of(stage);
-                let [median, p95, p99] = percentiles(&values).map(|v| format!("{v:.3}"));
-                vec![stage.key().into(), median, p95, p99, values.len().to_string(), paper(stage).into()]
-            })
-            .collect(),
-    };
+    let (bars, stages) = stages(walked);
     let mut levels = Table {
         title: "Cached samples by level".into(),
         header: ["level", "samples"].map(String::from).to_vec(),
@@ -262,7 +361,7 @@ pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Res
     }
     let counters = Table {
         title: "Actors".into(),
-        header: ["actor", "messages", "turns", "busy ms"].map(String::from).to_vec(),
+        header: ["actor", "messages", "turns", "busy, ms"].map(String::from).to_vec(),
         rows: engine
             .runtime()
             .counters()
@@ -272,7 +371,7 @@ pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Res
                     c.name.clone(),
                     c.delivered.to_string(),
                     c.turns.to_string(),
-                    format!("{:.1}", c.busy_ns as f64 * 1e-6),
+                    figure_of(c.busy_ns as f64 * 1e-6),
                 ]
             })
             .collect(),
@@ -310,12 +409,23 @@ pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Res
             "The last picture is still growing."
         }
     ));
-    for warning in document["warnings"].as_array().into_iter().flatten().filter_map(Value::as_str) {
-        summary.push(format!("Warning: {warning}"));
+    if let Some(known) = Known::of(walked.frame_ms.iter().copied().map(f64::from)) {
+        let p99 = match walked.frame_ms.len() {
+            100.. => format!(", the 99th percentile {} ms", figure_of(percentiles(&walked.frame_ms)[2])),
+            _ => String::new(),
+        };
+        let deadline = figure_of(1e3 / f64::from(fps));
+        summary.push(format!(
+            "Shown after {} ms (median){p99}; the deadline is at {deadline} ms.",
+            known.text()
+        ));
     }
+    let warnings = document["warnings"].as_array().into_iter().flatten().filter_map(Value::as_str);
+    let warnings = warnings.map(str::to_owned).collect();
     let frames = Plot {
         title: "Frames".into(),
-        caption: "Blue: from a frame's beginning until it was shown. Orange: drawing of the base layer. Red: the deadline."
+        caption: "Blue: from a frame's beginning until it was shown. Orange: drawing the base layer, the part that samples \
+                  have to wait for. Red: the deadline. Blue should lie just below red; what stands above it came late."
             .into(),
         unit: "ms",
         lines: vec![
@@ -328,6 +438,9 @@ pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Res
     Ok(Page {
         title: world.scene.title.clone(),
         summary,
+        warnings,
+        comparison,
+        bars: vec![bars],
         figures,
         tables: super::texture_page::bill(document)
             .into_iter()

@@ -3,8 +3,10 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use foveal::allocation::policy::{Policy, RayPolicy};
 use foveal::splatting::supersampling::Supersampling;
 use foveal_engine::controls::Setting;
+use foveal_engine::recipe::From;
 use foveal_engine::recording::TRACERS_MAX;
 use foveal_engine::{Light, Recipe, Settings};
 use foveal_terminal::arguments::{Size, bytes, positive};
@@ -20,6 +22,18 @@ pub struct InteractiveArguments {
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "512x512")]
     pub size: Size,
+    /// Begin at this camera (default: the scene's first)
+    #[arg(long, value_name = "NAME")]
+    camera: Option<String>,
+    /// Begin along this camera path, which is played until you move
+    #[arg(long, value_name = "NAME", conflicts_with = "camera")]
+    path: Option<String>,
+    /// What decides which samples come first
+    #[arg(long, value_name = "NAME", default_value_t = Policy::default())]
+    policy: Policy,
+    /// Seed of every random number
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
     /// Frames per second to aim at (default: the scene's, else 10)
     #[arg(long, value_parser = positive)]
     fps: Option<f32>,
@@ -67,6 +81,8 @@ impl InteractiveArguments {
         let noise = self.refine.unwrap_or(noise);
         let rules = Supersampling { noise, max_samples: self.refine_samples };
         let settings = Settings {
+            policy: RayPolicy::new(self.policy, self.seed),
+            seed: self.seed,
             supersampling: (noise > 0.0).then_some(rules),
             ..Settings::new(self.size.width, self.size.height, self.workers())
         };
@@ -80,6 +96,7 @@ impl InteractiveArguments {
             command,
             hashing: self.hashes.into(),
             set: self.set.clone(),
+            from: From { camera: self.camera.clone(), path: self.path.clone() },
             ..Recipe::new(&self.scene, settings)
         }
     }

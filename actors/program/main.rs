@@ -28,9 +28,10 @@ mod walk_report;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand, ValueEnum};
+use tracing_subscriber::Layer;
+use tracing_subscriber::filter::Targets;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
-use tracing_subscriber::{EnvFilter, Layer};
 
 use foveal_engine::failure::Failure;
 use foveal_terminal::progress::Progress;
@@ -154,7 +155,9 @@ fn log_to_stderr(cli: &Cli) {
             "foveal=debug,foveal_actors=debug,foveal_engine=debug,foveal_remote=debug,foveal_runtime=debug,foveal_serve=debug,foveal_window=debug"
         }
     };
-    let filter = EnvFilter::try_from_env("FOVEAL_LOG").unwrap_or_else(|_| EnvFilter::new(default));
+    // As `info`, or `foveal_engine=debug,foveal_runtime=trace`.
+    let asked = std::env::var("FOVEAL_LOG").ok().and_then(|asked| asked.parse::<Targets>().ok());
+    let filter = asked.or_else(|| default.parse().ok()).unwrap_or_default();
     let colored = match cli.color {
         ColorChoice::Always => true,
         ColorChoice::Never => false,
@@ -170,9 +173,9 @@ fn log_to_stderr(cli: &Cli) {
         .with_filter(filter);
     let listeners = tracing_subscriber::registry().with(messages);
     #[cfg(feature = "tracy")]
-    let listeners = listeners.with(
-        tracing_tracy::TracyLayer::default()
-            .with_filter(EnvFilter::new("foveal=trace,foveal_actors=trace,foveal_runtime=trace")),
-    );
+    let listeners =
+        listeners.with(tracing_tracy::TracyLayer::default().with_filter(Targets::new().with_targets(
+            ["foveal", "foveal_actors", "foveal_runtime"].map(|t| (t, tracing::Level::TRACE)),
+        )));
     listeners.init();
 }

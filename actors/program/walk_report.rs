@@ -12,6 +12,7 @@ use foveal_actors::textures::{Charge, TextureReport, TextureStore};
 use foveal_engine::process::peak_memory_bytes;
 use foveal_engine::{Engine, Event, Frame};
 use foveal_terminal::print::print_line;
+use foveal_terminal::table::figure;
 use serde_json::{Value, json};
 
 use super::walk::WalkArguments;
@@ -218,12 +219,13 @@ fn maps_json(insight: &Insight, scene: &Scene) -> Value {
 /// The lines for somebody who asked for no document.
 pub fn summary(a: &WalkArguments, d: &Value) {
     let samples = &d["samples"];
+    let ms = |key: &str| figure(d["frame_ms"][key].as_f64().unwrap_or(f64::NAN));
     print_line(&format!(
         "{} frames of {}, median {} ms, 99th percentile {} ms",
         d["frames"],
         d["title"].as_str().unwrap_or_default(),
-        d["frame_ms"]["median"],
-        d["frame_ms"]["p99"],
+        ms("median"),
+        ms("p99"),
     ));
     print_line(&format!(
         "{} samples traced, {} reused, {} expired; {}",

@@ -5,25 +5,23 @@
 //! view; to the analyzer, what was shown.
 
 pub mod overlay;
+mod samples;
 mod saved;
 mod show;
+mod textures;
 mod told;
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
 
-use foveal::allocation::policy::Policy;
-use foveal::allocation::ray_order::residual_of_batch;
 use foveal::display::FrameBuffers;
 use foveal::display::cpu_pass::{self, Passes};
-use foveal::display::environment_map::EnvironmentMap;
 use foveal::display::first_approximation::FirstApproximation;
 use foveal::display::tone::{Encoder, ToneMap};
 use foveal::illumination::stored::Illumination;
 use foveal::image::Map2d;
 use foveal::perception::tvi::TviTable;
 use foveal::perception::viewing::Viewing;
-use foveal::scene::texture::LevelTexels;
 use foveal::scene::{Camera, Scene};
 use foveal::splatting::settled::Settled;
 use foveal::splatting::supersampling::Tiles;
@@ -42,6 +40,7 @@ use crate::message::{
 use crate::outbox::Outbox;
 use crate::settings::{Adjustment, Settings};
 use crate::stages::{Begun, Stage, StageTimes};
+use textures::TextureChange;
 
 /// Most that irradiance anywhere changes from one frame to the next while light is refined: this share of itself
 /// and of the scene's mean.
@@ -53,17 +52,6 @@ pub const MARK_FRAME: u32 = 0;
 /// Share of a frame's time that drawing the base layer may take while the camera moves; where it takes more, it is drawn
 /// coarsely, so that the frame is in time and samples come into it.
 const DRAWING_SHARE: f32 = 0.7;
-
-/// Bytes of textures that one frame takes at most, if more than one level waits.
-const TEXTURE_BYTES_PER_FRAME: usize = 4 << 20;
-
-/// A texture that will have another finest level.
-struct TextureChange {
-    texture: u32,
-    finest: u32,
-    /// The finest level, where it is one more.
-    texels: Option<LevelTexels>,
-}
 
 /// Counts of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -365,59 +353,6 @@ impl Renderer {
         self.drawn_at = Some(self.stages.begin());
     }
 
-    /// Takes as many changes of textures as a frame has time for. Whether there was one.
-    fn change_textures(&mut self) -> bool {
-        let (mut bytes, mut changed) = (0, false);
-        let mut textures = Vec::new();
-        while let Some(change) = self.waiting.front() {
-            bytes += change.texels.as_ref().map_or(0, |texels| texels.as_bytes().len());
-            if changed && bytes > TEXTURE_BYTES_PER_FRAME {
-                break;
-            }
-            if !changed {
-                textures.clone_from(&self.world.scene.textures);
-            }
-            changed = true;
-            let Some(change) = self.waiting.pop_front() else { break };
-            if change.texels.is_none() {
-                self.releasing = true;
-                self.drops += 1;
-            }
-            let Some(texture) = textures.get_mut(change.texture as usize) else { continue };
-            let mips = match change.texels {
-                Some(texels) => texture.mips.with_finer(texels),
-                None => Some(texture.mips.without_finer(change.finest as usize)),
-            };
-            if let Some(mips) = mips {
-                texture.mips = Arc::new(mips);
-            }
-        }
-        if changed {
-            let world = self.world.with_resident(textures);
-            let before = std::mem::replace(&mut self.world, world);
-            self.former.push(Arc::downgrade(&before.scene));
-        }
-        changed
-    }
-
-    /// Tells the allocator once nobody holds what was dropped: neither a view that was shown, nor a job, nor a window.
-    fn look_for_former(&mut self, cx: &mut Cx<'_, RendererMessage>) {
-        if !self.releasing {
-            return;
-        }
-        self.retired.retain(|view| Arc::ptr_eq(&view.world.scene, &self.world.scene));
-        let held = self.former.iter().skip(1).filter(|scene| scene.strong_count() > 0).count();
-        // Who still holds what is a fact of the moment, so it is recorded.
-        let held = cx.observe(held as u64);
-        if let (0, Some(neighbours)) = (held, &self.neighbours) {
-            // The first scene, which others keep for good, has nothing that was ever dropped.
-            self.former.truncate(1);
-            self.releasing = false;
-            let released = AllocatorMessage::TexturesReleased { drops: self.drops };
-            self.outbox.tell(cx, &neighbours.allocator, released);
-        }
-    }
-
     /// Moves the shown light towards the newest; says whether it changed.
     fn approach_light(&mut self) -> bool {
         let Some((target, last)) = self.target.take() else { return false };
@@ -502,114 +437,6 @@ impl Renderer {
             }
         }
         FrameBuffers::new(self.settings.width as usize, self.settings.height as usize)
-    }
-
-    fn on_samples_aged(
-        &mut self,
-        view: View,
-        samples: Arc<Vec<WarpedSample>>,
-        expired: u32,
-        cx: &Cx<'_, RendererMessage>,
-    ) {
-        if view != self.view {
-            return;
-        }
-        let Some(drawn) = self.drawn.clone() else { return };
-        let (layer, buffers) = (&mut self.layer, &drawn.buffers);
-        let reused = self
-            .stages
-            .time(Stage::WarpSplat, || layer.splat_warped(&samples, &buffers.object, &buffers.depth));
-        self.counts.reused += reused as u32;
-        self.counts.expired += expired;
-        self.changed |= reused > 0;
-        if !cx.replays() {
-            self.sink.splatted(view, Splats::Warped(samples));
-        }
-    }
-
-    fn on_samples_traced(&mut self, batch: Arc<SampleBatch>, tracer: u32, cx: &mut Cx<'_, RendererMessage>) {
-        let (Some(drawn), true) = (self.drawn.clone(), batch.view == self.view.0) else {
-            self.counts.late += batch.len() as u32;
-            return;
-        };
-        self.counts.traced += batch.len() as u32;
-        self.changed = true;
-        if self.settings.policy.policy == Policy::Utility {
-            self.measure_residuals(&batch, &drawn, cx);
-        }
-        let layer = &mut self.layer;
-        let source = (tracer % 255) as u8 + 1;
-        self.stages.time(Stage::WarpSplat, || layer.splat_fresh(&batch, &drawn.buffers.object, source));
-        if !cx.replays() {
-            self.sink.splatted(self.view, Splats::Fresh { batch, source });
-        }
-    }
-
-    fn on_guides_traced(&mut self, guides: Arc<Guides>, cx: &Cx<'_, RendererMessage>) {
-        if guides.view != self.view.0 {
-            return;
-        }
-        self.changed = true;
-        let layer = &mut self.layer;
-        self.stages.time(Stage::WarpSplat, || layer.guide(&guides));
-        if !cx.replays() {
-            self.sink.splatted(self.view, Splats::Guides(guides));
-        }
-    }
-
-    /// Pixels that no sample has reached yet show the new map in the next frame.
-    fn on_environment_changed(&mut self, object: u32, map: Option<Arc<EnvironmentMap>>) {
-        let Some(approximation) = &mut self.approximation else { return };
-        approximation.set(object, map);
-        let (Some(drawn), false) = (&self.drawn, self.converged) else { return };
-        let objects = &drawn.buffers.object;
-        self.layer.disapprove(|x, y| objects.at(x, y) == object);
-        self.changed = true;
-    }
-
-    /// Tells the allocator how wrong what is shown was.
-    fn measure_residuals(&self, batch: &SampleBatch, drawn: &DrawnView, cx: &mut Cx<'_, RendererMessage>) {
-        let Some(neighbours) = &self.neighbours else { return };
-        let base = &drawn.buffers.color;
-        let between = self.between(drawn);
-        let first = |x, y| match &self.approximation {
-            Some(first) if self.layer.is_bare(x, y) => {
-                Some(first.pixel(&self.world, &drawn.frame, &drawn.buffers, x, y))
-            }
-            _ => None,
-        };
-        let of = |shown: &dyn Fn(usize, usize, usize) -> Vec3| {
-            residual_of_batch(batch, base, shown, &self.tone, &self.viewing, &self.thresholds)
-        };
-        let (residual, guided) = self.stages.time(Stage::Allocate, || {
-            let residual = of(&|_, x, y| match self.layer.guide_at(x, y) {
-                Some(guide) => between.pixel_led_by(x, y, guide),
-                None => first(x, y).unwrap_or_else(|| between.pixel(x, y)),
-            });
-            if batch.guides.is_empty() {
-                return (residual, Default::default());
-            }
-            let with = of(&|i, x, y| between.pixel_led_by(x, y, batch.guide(i)));
-            let without = of(&|_, x, y| first(x, y).unwrap_or_else(|| between.pixel_led_by(x, y, Vec3::NAN)));
-            (residual, [with, without])
-        });
-        let measured = AllocatorMessage::ResidualsMeasured {
-            view: self.view,
-            object: batch.object,
-            level: self.settings.k_max + 1 - batch.k.min(self.settings.k_max),
-            pixel: batch.pixels.first().copied().unwrap_or_default(),
-            residual,
-            guided,
-        };
-        // Where the allocator is that far behind, it learns from the next batch as well.
-        let _ = cx.tell(&neighbours.allocator, measured);
-    }
-
-    /// A new cache ager does not know what the old one was told.
-    fn on_samples_forgotten(&mut self, cx: &mut Cx<'_, RendererMessage>) {
-        if let (Some(neighbours), Some(adjustment)) = (&self.neighbours, self.adjustment) {
-            self.outbox.tell(cx, &neighbours.cache_ager, CacheAgerMessage::Adjusted(adjustment));
-        }
     }
 
     fn on_samples_doubted(&mut self, cx: &mut Cx<'_, RendererMessage>) {

@@ -2,6 +2,7 @@
 
 pub mod arguments;
 pub mod hashes;
+pub mod known;
 pub mod light;
 pub mod machine;
 pub mod mode;

@@ -42,13 +42,19 @@ const COLORS: [RGBColor; 8] = [
 ];
 const LIMIT: RGBColor = RGBColor(214, 39, 40);
 
-/// Lines over frames, as SVG; `None` where there are too few frames for a plot.
-pub(crate) fn line_plot(plot: &Plot) -> Option<String> {
+/// Width and height of a plot on a desk, and on a phone.
+pub const SIZES: [(u32, u32); 2] = [(860, 260), (360, 240)];
+
+/// Lines over frames, as SVG, on a desk and on a phone; `None` where there are too few frames for a plot.
+pub(crate) fn line_plot(plot: &Plot) -> Option<[String; 2]> {
     let frames = plot.lines.iter().map(|(_, values)| values.len()).max().filter(|n| *n > 1)?;
     let values = plot.lines.iter().flat_map(|(_, values)| values).chain(&plot.limit);
     let top = 1.1 * values.copied().filter(|v| v.is_finite()).fold(1e-3f32, f32::max);
     let lines = plot.lines.iter().map(|(name, values)| (name, values.iter().copied().enumerate()));
-    draw(None, ["frame", plot.unit], 0..frames - 1, 0.0..top, lines, plot.limit)
+    let of_size =
+        |size| draw(size, None, ["frame", plot.unit], 0..frames - 1, 0.0..top, lines.clone(), plot.limit);
+    let [wide, narrow] = SIZES.map(of_size);
+    Some([wide?, narrow?])
 }
 
 /// Curves over time, as SVG; `None` where there are too few numbers for a plot.
@@ -60,10 +66,11 @@ pub fn time_plot(title: &str, unit: &str, curves: &[Curve]) -> Option<String> {
     }
     let (low, high) = all().fold((0f32, 1e-3f32), |(low, high), p| (low.min(p.1), high.max(p.1)));
     let lines = curves.iter().map(|c| (&c.name, c.points.iter().copied().filter(|p| p.1.is_finite())));
-    draw(Some(title), ["s", unit], 0.0..end, 1.05 * low..1.05 * high, lines, None)
+    draw((860, 300), Some(title), ["s", unit], 0.0..end, 1.05 * low..1.05 * high, lines, None)
 }
 
 fn draw<'l, X, P: IntoIterator<Item = (X, f32)>>(
+    size: (u32, u32),
     title: Option<&str>,
     [x_desc, y_desc]: [&str; 2],
     x: Range<X>,
@@ -78,10 +85,10 @@ where
 {
     let mut svg = String::new();
     {
-        let root = SVGBackend::with_string(&mut svg, (860, if title.is_some() { 300 } else { 260 }));
+        let root = SVGBackend::with_string(&mut svg, size);
         let root = root.into_drawing_area();
         let mut builder = ChartBuilder::on(&root);
-        builder.margin(8).x_label_area_size(34).y_label_area_size(60);
+        builder.margin(8).x_label_area_size(34).y_label_area_size(if size.0 < 500 { 44 } else { 60 });
         if let Some(title) = title {
             root.fill(&WHITE).ok()?;
             builder.caption(title, ("sans-serif", 16));
@@ -89,6 +96,9 @@ where
         let ends = [x.start.clone(), x.end.clone()];
         let mut chart = builder.build_cartesian_2d(x, y).ok()?;
         let mut mesh = chart.configure_mesh();
+        if size.0 < 500 {
+            mesh.x_labels(5).y_labels(5);
+        }
         mesh.x_desc(x_desc).y_desc(y_desc).light_line_style(TRANSPARENT).draw().ok()?;
         for ((name, points), color) in lines.zip(COLORS.into_iter().cycle()) {
             chart

@@ -1,9 +1,13 @@
-//! The report of a walk: one HTML file that stands alone, pictures and plots inside it.
+//! Reports: HTML files that stand alone, with pictures and plots inside. One look for all of them, light and dark, on a
+//! desk and on a phone (`report.css`); pictures beside their references, under a line that can be drawn aside
+//! (`report.js`).
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use serde_json::json;
 
+use crate::known::Known;
 use crate::plots::{Plot, line_plot};
 
 /// A picture with its caption.
@@ -28,6 +32,56 @@ pub struct Table {
     pub rows: Vec<Vec<String>>,
 }
 
+/// Pictures of one view beside what they should look like, under a line that can be drawn aside.
+#[derive(Clone, Debug)]
+pub struct Comparison {
+    /// Title.
+    pub title: String,
+    /// What to look for.
+    pub caption: String,
+    /// Columns and rows.
+    pub size: [u32; 2],
+    /// What they should look like.
+    pub reference: Figure,
+    /// What was shown, and where that differs.
+    pub shown: Vec<Compared>,
+}
+
+/// A picture beside its reference.
+#[derive(Clone, Debug)]
+pub struct Compared {
+    /// The picture.
+    pub figure: Figure,
+    /// FLIP, pixel by pixel, as PNG.
+    pub flip: Vec<u8>,
+}
+
+/// Spreads of numbers, a line each.
+#[derive(Clone, Debug, Default)]
+pub struct Bars {
+    /// Title.
+    pub title: String,
+    /// What to see in it.
+    pub caption: String,
+    /// Unit of all.
+    pub unit: String,
+    /// A line for each.
+    pub bars: Vec<Bar>,
+}
+
+/// A number with its spread.
+#[derive(Clone, Debug)]
+pub struct Bar {
+    /// What it is of.
+    pub name: String,
+    /// Median and its bounds.
+    pub known: Known,
+    /// 5 and 95 % of the values.
+    pub reach: [f64; 2],
+    /// What it should not be above.
+    pub aim: Option<f64>,
+}
+
 /// A part of a page: a plot and pictures that belong together.
 #[derive(Clone, Debug, Default)]
 pub struct Section {
@@ -35,10 +89,14 @@ pub struct Section {
     pub title: String,
     /// A plot.
     pub svg: Option<String>,
+    /// The same for a phone.
+    pub narrow: Option<String>,
     /// What it shows.
     pub caption: String,
     /// Pictures.
     pub figures: Vec<Figure>,
+    /// Pictures beside what they should look like.
+    pub comparison: Option<Comparison>,
 }
 
 /// Everything on the page.
@@ -48,75 +106,197 @@ pub struct Page {
     pub title: String,
     /// Sentences under the heading.
     pub summary: Vec<String>,
+    /// What went wrong.
+    pub warnings: Vec<String>,
+    /// Pictures beside what they should look like.
+    pub comparison: Option<Comparison>,
     /// Plots.
     pub plots: Vec<Plot>,
-    /// Tables.
-    pub tables: Vec<Table>,
+    /// Spreads.
+    pub bars: Vec<Bars>,
     /// Figures.
     pub figures: Vec<Figure>,
+    /// Tables.
+    pub tables: Vec<Table>,
     /// Parts behind all of that.
     pub sections: Vec<Section>,
 }
 
-const STYLE: &str = "\
-    body{font:15px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222}\
-    figure{display:inline-block;margin:.5rem 1rem 1rem 0;vertical-align:top;max-width:32rem}\
-    img{max-width:100%;min-width:16rem;image-rendering:pixelated}figcaption{font-size:13px;color:#555}\
-    table{border-collapse:collapse;margin:.5rem 0 1.5rem}td,th{padding:.15rem .8rem .15rem 0;text-align:right}\
-    td:first-child,th:first-child{text-align:left}tr+tr{border-top:1px solid #ddd}\
-    @media(prefers-color-scheme:dark){body{background:#161616;color:#ddd}figcaption{color:#aaa}}";
+const STYLE: &str = include_str!("report.css");
+const SCRIPT: &str = include_str!("report.js");
 
 /// The page as HTML.
 pub fn html(page: &Page) -> String {
+    let compares = page.comparison.is_some() || page.sections.iter().any(|s| s.comparison.is_some());
     let markup = html! {
         (DOCTYPE)
         html lang="en" {
             head {
                 meta charset="utf-8";
-                meta name="viewport" content="width=device-width";
+                meta name="viewport" content="width=device-width, initial-scale=1";
                 style { (PreEscaped(STYLE)) }
                 title { (page.title) }
             }
             body {
-                h1 { (page.title) }
-                @for sentence in &page.summary { p { (sentence) } }
-                @for plot in &page.plots {
-                    @if let Some(svg) = line_plot(plot) { (plotted(&plot.title, &svg, &plot.caption)) }
-                }
-                @for Table { title, header, rows } in &page.tables {
-                    h2 { (title) }
-                    table {
-                        tr { @for cell in header { th { (cell) } } }
-                        @for row in rows { tr { @for cell in row { td { (cell) } } } }
+                main {
+                    h1 { (page.title) }
+                    @for sentence in &page.summary { p { (sentence) } }
+                    @for warning in &page.warnings { p.warning { "Warning: " (warning) } }
+                    @if let Some(comparison) = &page.comparison { (compared(comparison)) }
+                    @for plot in &page.plots {
+                        @if let Some([wide, narrow]) = line_plot(plot) {
+                            (plotted(&plot.title, &wide, Some(&narrow), &plot.caption))
+                        }
+                    }
+                    @for bars in &page.bars { (spread(bars)) }
+                    @if !page.figures.is_empty() { h2 { "Pictures" } }
+                    (pictures(&page.figures))
+                    @for table in &page.tables { (tabled(table)) }
+                    @for Section { title, svg, narrow, caption, figures, comparison } in &page.sections {
+                        @match svg {
+                            Some(svg) => (plotted(title, svg, narrow.as_deref(), caption)),
+                            None => { h2 { (title) } p.caption { (caption) } }
+                        }
+                        @if let Some(comparison) = comparison { (compared(comparison)) }
+                        (pictures(figures))
                     }
                 }
-                @if !page.figures.is_empty() { h2 { "Pictures" } }
-                (pictures(&page.figures))
-                @for Section { title, svg, caption, figures } in &page.sections {
-                    (plotted(title, svg.as_deref().unwrap_or_default(), caption))
-                    br;
-                    (pictures(figures))
-                }
+                @if compares { script { (PreEscaped(SCRIPT)) } }
             }
         }
     };
     markup.into_string()
 }
 
-fn plotted(title: &str, svg: &str, caption: &str) -> Markup {
+fn plotted(title: &str, wide: &str, narrow: Option<&str>, caption: &str) -> Markup {
     html! {
         h2 { (title) }
-        figure style="max-width:none" { (PreEscaped(svg)) figcaption { (caption) } }
+        figure.plot role="group" aria-label=(title) {
+            @match narrow {
+                Some(narrow) => { div.wide { (PreEscaped(wide)) } div.narrow { (PreEscaped(narrow)) } }
+                None => div.scroll { (PreEscaped(wide)) },
+            }
+            figcaption { (caption) }
+        }
     }
+}
+
+fn data(png: &[u8]) -> String {
+    format!("data:image/png;base64,{}", STANDARD.encode(png))
 }
 
 fn pictures(figures: &[Figure]) -> Markup {
     html! {
-        @for Figure { title, caption, png } in figures {
-            figure {
-                img alt=(title) src={ "data:image/png;base64," (STANDARD.encode(png)) };
-                figcaption { b { (title) } " " (caption) }
+        @if !figures.is_empty() {
+            div.pictures {
+                @for Figure { title, caption, png } in figures {
+                    figure {
+                        img alt=(title) src=(data(png));
+                        figcaption { b { (title) ". " } (caption) }
+                    }
+                }
             }
+        }
+    }
+}
+
+fn tabled(table: &Table) -> Markup {
+    // Columns of words stand to the left: of cells that hold no digit at their start.
+    let is_words = |c: usize| {
+        let starts = |row: &Vec<String>| row.get(c).and_then(|cell| cell.chars().next());
+        table.rows.iter().filter_map(starts).any(|c| c.is_alphabetic())
+    };
+    let class = |c: usize, cell: &str| match (cell, is_words(c)) {
+        ("MISSED", _) => "words missed",
+        (_, true) => "words",
+        (_, false) => "",
+    };
+    html! {
+        h2 { (table.title) }
+        div.scroll {
+            table {
+                thead { tr { @for (c, cell) in table.header.iter().enumerate() { th scope="col" class=(class(c, "")) { (cell) } } } }
+                tbody {
+                    @for row in &table.rows {
+                        tr { @for (c, cell) in row.iter().enumerate() { td class=(class(c, cell)) { (cell) } } }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Each number on one scale from 0: the median as a point, its bounds as a thin line, 5 to 95 % of all as a wide one.
+fn spread(bars: &Bars) -> Markup {
+    let reaches = bars.bars.iter().flat_map(|b| b.reach.into_iter().chain([b.known.median]).chain(b.aim));
+    let top = reaches.filter(|v| v.is_finite()).fold(0.0, f64::max);
+    let at = |v: f64| format!("{:.2}%", if top > 0.0 { 100.0 * (v / top).clamp(0.0, 1.0) } else { 0.0 });
+    let line = |class: &str, [from, to]: [f64; 2]| {
+        html! { line class=(class) x1=(at(from)) x2=(at(to)) y1="50%" y2="50%" {} }
+    };
+    html! {
+        @if top > 0.0 {
+            h2 { (bars.title) }
+            div.bars {
+                @for Bar { name, known, reach, aim } in &bars.bars {
+                    span.name { (name) }
+                    span.value { (known.text()) " " (bars.unit) }
+                    svg aria-hidden="true" {
+                        (line("reach", *reach))
+                        (line("sure", known.bounds))
+                        @if let Some(aim) = aim { line.aim x1=(at(*aim)) x2=(at(*aim)) y1="10%" y2="90%" {} }
+                        circle.middle cx=(at(known.median)) cy="50%" r="4" {}
+                    }
+                }
+            }
+            p.caption { (bars.caption) }
+        }
+    }
+}
+
+fn compared(comparison: &Comparison) -> Markup {
+    let Comparison { title, caption, size: [width, height], reference, shown } = comparison;
+    let Some(first) = shown.first() else { return html! {} };
+    let each = |c: &Compared| {
+        json!({
+            "title": c.figure.title,
+            "caption": c.figure.caption,
+            "shown": data(&c.figure.png),
+            "flip": data(&c.flip),
+        })
+    };
+    // Within a script, `</` would end it.
+    let all = serde_json::Value::from_iter(shown.iter().map(each)).to_string().replace('<', "\\u003c");
+    let modes =
+        [("split", "slider"), ("shown", "shown"), ("reference", "reference"), ("flip", "difference (FLIP)")];
+    let name = format!("mode of {title}");
+    html! {
+        h2 { (title) }
+        p.caption { (caption) }
+        div.ab data-reference=(data(&reference.png)) style=(format!("--full:{width}px")) {
+            div.row role="group" aria-label="What is shown" {
+                label hidden[shown.len() < 2] {
+                    "picture "
+                    select.which { @for (i, c) in shown.iter().enumerate() { option value=(i) { (c.figure.title) } } }
+                }
+                @for (value, text) in modes {
+                    label { input type="radio" name=(name) value=(value) checked[value == "split"]; (text) }
+                }
+                label {
+                    "zoom "
+                    select.zoom { @for zoom in [1, 2, 4, 8] { option value=(zoom) { (zoom) " ×" } } }
+                }
+            }
+            div.stage tabindex="0" role="group" aria-label=(title) {
+                div.layers {
+                    img alt="reference" width=(width) height=(height) src=(data(&reference.png));
+                    img.over alt=(first.figure.title) width=(width) height=(height) src=(data(&first.figure.png));
+                    div.line {}
+                }
+            }
+            input.cut type="range" min="0" max="1000" value="500" aria-label="How much of what was shown is seen, on the left";
+            p.caption.said { (first.figure.caption) }
+            script type="application/json" { (PreEscaped(all)) }
         }
     }
 }
@@ -127,9 +307,19 @@ mod tests {
 
     #[test]
     fn the_page_stands_alone_and_escapes_names() {
+        let figure = |title: &str| Figure { title: title.into(), caption: "y".into(), png: vec![1, 2, 3] };
+        let comparison = Comparison {
+            title: "c".into(),
+            caption: "d".into(),
+            size: [4, 3],
+            reference: figure("r"),
+            shown: vec![Compared { figure: figure("</script><b>"), flip: vec![4] }],
+        };
         let page = Page {
             title: "a<b>".into(),
-            figures: vec![Figure { title: "x".into(), caption: "y".into(), png: vec![1, 2, 3] }],
+            warnings: vec!["w".into()],
+            comparison: Some(comparison.clone()),
+            figures: vec![figure("x")],
             tables: vec![Table {
                 title: "t".into(),
                 header: vec!["h".into()],
@@ -139,6 +329,7 @@ mod tests {
             sections: vec![Section {
                 title: "<i>".into(),
                 svg: Some("<svg></svg>".into()),
+                comparison: Some(comparison),
                 ..Section::default()
             }],
             plots: vec![Plot {
@@ -148,10 +339,32 @@ mod tests {
                 lines: vec![("<b>".into(), vec![1.0, 2.0, f32::NAN])],
                 limit: Some(2.5),
             }],
+            bars: vec![Bars {
+                title: "b".into(),
+                bars: vec![Bar {
+                    name: "<u>".into(),
+                    known: Known { median: 2.0, bounds: [1.0, 3.0] },
+                    reach: [0.5, 4.0],
+                    aim: Some(5.0),
+                }],
+                ..Bars::default()
+            }],
         };
         let html = super::html(&page);
-        assert!(html.contains("a&lt;b&gt;") && !html.contains("<script>") && !html.contains("<i>"));
-        assert_eq!(html.matches("<svg").count(), 2);
-        assert!(!html.contains("src=\"http") && !html.contains("href="), "nothing is fetched");
+        assert!(html.contains("a&lt;b&gt;") && !html.contains("<i>") && !html.contains("<u>"));
+        assert_eq!(html.matches("<script").count(), 3, "two with pictures, one with what moves them");
+        assert_eq!(html.matches("</script").count(), 3);
+        // The plot twice, the section's, the bar.
+        assert_eq!(html.matches("<svg").count(), 4);
+        assert!(html.contains("40.00%") && html.contains("100.00%"), "the scale ends with the aim");
+        assert!(
+            !html.contains("src=\"http") && !html.contains("href=") && !html.contains("url("),
+            "nothing is fetched"
+        );
+    }
+
+    #[test]
+    fn a_page_that_compares_nothing_has_no_script() {
+        assert!(!super::html(&Page { title: "t".into(), ..Page::default() }).contains("<script"));
     }
 }

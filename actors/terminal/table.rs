@@ -10,9 +10,10 @@ use serde_json::{Value, json};
 use foveal_engine::failure::Failure;
 use foveal_engine::files::{make_folder, write_atomic};
 
+use crate::known::Known;
 use crate::machine::machine;
 use crate::print::{print_json, print_line};
-use crate::report::Table;
+use crate::report::{Bar, Bars, Page, Table, html};
 
 /// Arguments that all benchmarks share.
 #[derive(Args, Clone, Debug)]
@@ -218,6 +219,8 @@ pub fn finish(name: &str, rows: &[Row], notes: &[String], a: &CommonArguments) -
         let columns = "what,value,unit,runs,peer,peer_value,ratio,aim,met,low,high,reference";
         write_csv(&out.join(format!("{name}.csv")), columns, rows.iter().map(Row::columns))?;
         write_atomic(&out.join(format!("{name}.json")), format!("{document:#}\n").as_bytes())?;
+        let page = page_of(name, rows, notes, &document["machine"]);
+        write_atomic(&out.join(format!("{name}.html")), html(&page).as_bytes())?;
     }
     if a.json {
         print_json(&document);
@@ -247,6 +250,110 @@ pub fn table_of(title: &str, rows: &[Row]) -> Table {
         header: HEAD.map(String::from).to_vec(),
         rows: rows.iter().map(|r| r.cells().to_vec()).collect(),
     }
+}
+
+/// A number of a row, as it is drawn.
+struct Drawn {
+    name: String,
+    unit: String,
+    value: f64,
+    band: Option<[f64; 2]>,
+    aim: Option<f64>,
+}
+
+/// Spreads by unit, of rows that have a spread or an aim.
+fn spreads(rows: impl Iterator<Item = Drawn>) -> Vec<Bars> {
+    let mut all: Vec<Bars> = Vec::new();
+    let is_drawn = |d: &Drawn| d.value.is_finite() && d.value >= 0.0 && (d.band.is_some() || d.aim.is_some());
+    for Drawn { name, unit, value, band, aim } in rows.filter(is_drawn) {
+        let bounds = band.unwrap_or([value; 2]);
+        let bar = Bar { name, known: Known { median: value, bounds }, reach: bounds, aim };
+        match all.iter_mut().find(|bars| bars.unit == unit) {
+            Some(of_unit) => of_unit.bars.push(bar),
+            None => all.push(Bars {
+                title: if unit.is_empty() { "Ratios".into() } else { format!("In {unit}") },
+                caption: "Point: the median of the runs; line: 10 to 90 % of them, where there are several. Red: the aim."
+                    .into(),
+                unit,
+                bars: vec![bar],
+            }),
+        }
+    }
+    all
+}
+
+/// The rows as a page: spreads by unit, and the table.
+fn page_of(name: &str, rows: &[Row], notes: &[String], machine: &Value) -> Page {
+    let on = format!("{}, {} cores", machine["processor"].as_str().unwrap_or("?"), machine["cores"]);
+    let missed = rows.iter().filter(|row| row.met() == Some(false)).count();
+    let aims = rows.iter().filter(|row| row.met().is_some()).count();
+    let drawn = |row: &Row| Drawn {
+        name: row.what.clone(),
+        unit: row.unit.to_owned(),
+        value: row.value.unwrap_or(f64::NAN),
+        band: row.band,
+        aim: match row.aim {
+            Some(Aim::AtMost(aim) | Aim::AtLeast(aim)) => Some(aim),
+            _ => None,
+        },
+    };
+    let measured = match (aims, missed) {
+        (0, _) => String::new(),
+        (_, 0) => format!(" All {aims} aims are met."),
+        _ => format!(" {missed} of {aims} aims missed."),
+    };
+    Page {
+        title: format!("foveal bench {name}"),
+        summary: std::iter::once(format!("Measured on {on}.{measured}"))
+            .chain(notes.iter().cloned())
+            .collect(),
+        bars: spreads(rows.iter().map(drawn)),
+        tables: vec![table_of("All rows", rows)],
+        ..Page::default()
+    }
+}
+
+/// The same of a document that [`finish`] left: spreads by unit, and the table.
+pub fn page_of_document(document: &Value) -> (Vec<Bars>, Table) {
+    let rows = || document["rows"].as_array().into_iter().flatten();
+    let text = |row: &Value, key: &str| row[key].as_str().unwrap_or_default().to_owned();
+    let number = |row: &Value, key: &str| row[key].as_f64().unwrap_or(f64::NAN);
+    let with_unit = |row: &Value, key: &str| match row[key].as_f64() {
+        Some(v) => format!("{} {}", figure(v), text(row, "unit")),
+        None => "–".to_owned(),
+    };
+    let drawn = |row: &Value| Drawn {
+        name: text(row, "what"),
+        unit: text(row, "unit"),
+        value: number(row, "value"),
+        band: Some([row["band"][0].as_f64(), row["band"][1].as_f64()])
+            .and_then(|[low, high]| Some([low?, high?])),
+        // `≤ 10 ms`; of a ratio to a peer there is no place on this scale.
+        aim: text(row, "aim")
+            .split_whitespace()
+            .nth(1)
+            .and_then(|v| v.parse().ok())
+            .filter(|_| !text(row, "aim").ends_with("peer")),
+    };
+    let line = |row: &Value| {
+        let beside = match (row["peer"].as_str(), row["peer_value"].as_f64()) {
+            (Some(peer), Some(_)) => format!("{} ({peer})", with_unit(row, "peer_value")),
+            (peer, _) => peer.unwrap_or_default().to_owned(),
+        };
+        let met = match row["met"].as_bool() {
+            None => "",
+            Some(true) => "met",
+            Some(false) => "MISSED",
+        };
+        let ratio = row["ratio"].as_f64().map(figure).unwrap_or_default();
+        vec![text(row, "what"), with_unit(row, "value"), beside, ratio, text(row, "aim"), met.into()]
+    };
+    let table = Table {
+        title: String::new(),
+        header: HEAD.map(String::from).to_vec(),
+        rows: rows().map(line).collect(),
+    };
+    (spreads(rows().map(drawn)), table)
 }
 
 /// Rows as CSV, without a head: tuples of what is in their columns.
@@ -294,6 +401,20 @@ mod tests {
         let lines = csv_lines(rows.iter().map(Row::columns));
         assert_eq!(lines, "\"a, \"\"b\"\"\",1.5,ms,1,,,,,,1.1,1.9,\n,,,0,,,,,,,,\n");
         assert_eq!(csv_lines([("a", &(1.5, None::<u8>))]), "a,1.5,\n");
+    }
+
+    #[test]
+    fn pages_say_what_is_missed() {
+        let rows = [
+            Row::new("a", "ms", &[3.0, 1.0, 2.0]).with_band(&[3.0, 1.0, 2.0]).aim(Aim::AtMost(1.5)),
+            Row::new("b", "ms", &[1.0]).aim(Aim::AtMost(1.5)),
+            Row::new("c", "rays/s", &[7.0]),
+        ];
+        let page = page_of("x", &rows, &["a note".into()], &json!({"processor": "p", "cores": 2}));
+        assert_eq!(page.summary, ["Measured on p, 2 cores. 1 of 2 aims missed.", "a note"]);
+        assert_eq!(page.bars.len(), 1, "what has neither a spread nor an aim is in the table");
+        assert_eq!(page.bars[0].bars.len(), 2);
+        assert!(html(&page).contains("class=\"words missed\">MISSED"));
     }
 
     #[test]

@@ -1,13 +1,14 @@
 //! What the window shows: the picture with the panel beside it, and beneath it a recording's timeline. Painted onto a
 //! window by a presenter, or into a picture for whoever has no display.
 
-use egui::{Color32, Context, Rect, TextureHandle, Ui};
+use egui::{Color32, Context, Rect, TextureHandle, Ui, WidgetInfo};
 use foveal::image::Map2d;
 
 use super::legend;
 use super::painter::SoftwarePainter;
 use super::panel::{self, Shown};
 use super::timeline;
+use foveal_engine::replay::Segment;
 use foveal_engine::source::Controls;
 use foveal_engine::source::Wish;
 use foveal_engine::walk::Walk;
@@ -25,7 +26,7 @@ pub struct Interface<'a> {
 }
 
 /// What the user did, and where the picture is.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Answer {
     /// The controls, where there is a walk.
     pub controls: Option<Controls>,
@@ -57,10 +58,15 @@ pub fn interface(ui: &mut Ui, shown: &Interface<'_>, help: &mut bool) -> Answer 
             panel::panel(ui, controls, &shown);
         });
     }
-    if let Some((recording, plays)) = recording {
+    if let Some((recording, plays)) = &recording {
         egui::Panel::bottom("timeline").resizable(false).exact_size(timeline::HEIGHT).show(ui, |ui| {
-            answer.wish = timeline::timeline(ui, &recording, plays);
+            answer.wish = timeline::timeline(ui, recording, *plays);
         });
+        if !recording.state.0.is_empty() {
+            egui::Panel::left("state").resizable(false).exact_size(timeline::STATE_WIDTH).show(ui, |ui| {
+                answer.wish = timeline::state(ui, recording).or(answer.wish.take());
+            });
+        }
     }
     let space = ui.available_rect_before_wrap();
     ui.painter().rect_filled(space, 0.0, Color32::BLACK);
@@ -68,8 +74,14 @@ pub fn interface(ui: &mut Ui, shown: &Interface<'_>, help: &mut bool) -> Answer 
         answer.picture_rect = fit(size, space);
         let uv = Rect::from_min_max(egui::Pos2::ZERO, egui::pos2(1.0, 1.0));
         ui.painter().image(texture, answer.picture_rect, uv, Color32::WHITE);
+        // Painted, not laid out: who cannot see it is told by this what is there.
+        let picture = ui.interact(answer.picture_rect, ui.scope_id().with("picture"), egui::Sense::hover());
+        picture.widget_info(|| WidgetInfo::labeled(egui::Role::Image, true, "the walk's picture"));
         let overlay = answer.controls.map_or_else(Default::default, |controls| controls.overlay);
         legend::over_picture(ui.ctx(), overlay, answer.picture_rect);
+        if let Some((recording, _)) = &recording {
+            path(ui, &recording.path, answer.picture_rect, size);
+        }
     }
     if let Some(name) = shown.loading {
         let font = egui::FontId::proportional(20.0);
@@ -78,6 +90,19 @@ pub fn interface(ui: &mut Ui, shown: &Interface<'_>, help: &mut bool) -> Answer 
     }
     panel::help(ui.ctx(), help);
     answer
+}
+
+/// The way of a sample's light, over the picture.
+fn path(ui: &Ui, segments: &[Segment], rect: Rect, size: egui::Vec2) {
+    let painter = ui.painter_at(rect);
+    let at = |[x, y]: [f32; 2]| rect.min + egui::vec2(x, y) * rect.size() / size;
+    for segment in segments {
+        let [r, g, b] = segment.color();
+        let width = 1.0 + segment.share;
+        let ends = segment.ends.map(at);
+        painter.line_segment(ends, egui::Stroke::new(width, Color32::from_rgb(r, g, b)));
+        painter.circle_filled(ends[0], 2.0, Color32::WHITE);
+    }
 }
 
 /// A picture as the interface's texture.

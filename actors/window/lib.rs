@@ -13,6 +13,7 @@ mod app;
 mod decisions;
 pub mod gpu;
 pub mod interface;
+mod lanes;
 pub mod legend;
 #[cfg(test)]
 mod mirror_tests;

@@ -9,6 +9,7 @@ use foveal::splatting::supersampling::Supersampling;
 use super::decisions::decisions;
 use foveal_actors::insight::Insight;
 use foveal_actors::renderer::overlay::Overlay;
+use foveal_actors::settings::Adjustment;
 use foveal_engine::controls::controls;
 use foveal_engine::source::{ActorStatus, Controls, Names, Ranges, Status};
 use foveal_engine::walk::{FrameTimes, Notice};
@@ -19,7 +20,7 @@ const QUALITY: f32 = -0.25;
 pub const WIDTH: f32 = 310.0;
 
 /// Keys, for the help.
-pub const KEYS: [(&str, &str); 17] = [
+pub const KEYS: [(&str, &str); 19] = [
     ("W A S D", "walk"),
     ("Q E", "down, up"),
     ("right drag", "look around"),
@@ -33,8 +34,10 @@ pub const KEYS: [(&str, &str); 17] = [
     ("Tab", "next overlay"),
     ("Space, Left, Right", "in a recording: play, go by frames"),
     ("comma, period, B", "in a recording: go by messages, walk on"),
+    ("one finger, two", "look around; walk, and ahead as they part"),
     ("F1", "this help"),
     ("F5", "read the scene again"),
+    ("F11", "full screen"),
     ("F12", "screenshot"),
     ("Esc, Ctrl + Q", "release the mouse, quit"),
 ];
@@ -75,11 +78,19 @@ pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
             }
         });
         ui.separator();
-        named(ui, "fps", |text| Slider::new(&mut controls.set.fps, 1.0..=60.0).logarithmic(true).text(text));
-        // A recording is as it was.
+        let Controls { set, .. } = &mut *controls;
+        group(ui, "Picture", true, |ui| exposure(ui, set));
+        group(ui, "Time", true, |ui| {
+            named(ui, "fps", |text| Slider::new(&mut set.fps, 1.0..=60.0).logarithmic(true).text(text));
+            // A recording is as it was.
+            ui.add_enabled_ui(!shown.recorded, |ui| {
+                quality(ui, &mut set.quality);
+                named(ui, "workers", |text| {
+                    Slider::new(&mut set.workers, 1..=shown.ranges.workers).text(text)
+                });
+            });
+        });
         ui.add_enabled_ui(!shown.recorded, |ui| settings(ui, controls, shown.ranges));
-        ui.separator();
-        exposure(ui, controls);
         ui.separator();
         if let Some((insight, names)) = shown.insight {
             decisions(ui, insight, names);
@@ -104,6 +115,11 @@ fn named<'v>(ui: &mut Ui, key: &str, slider: impl FnOnce(String) -> Slider<'v>) 
     ui.add(slider(text)).on_hover_text(help)
 }
 
+/// The help of a control.
+fn help_of(key: &str) -> &'static str {
+    controls().iter().find(|control| control.key == key).map_or("", |control| control.help)
+}
+
 /// A checkbox, likewise.
 fn switch(ui: &mut Ui, key: &str, on: &mut bool) -> Response {
     let control = controls().iter().find(|control| control.key == key);
@@ -112,30 +128,38 @@ fn switch(ui: &mut Ui, key: &str, on: &mut bool) -> Response {
     ui.checkbox(on, label).on_hover_text(help)
 }
 
+/// Controls that belong together, under a heading that folds them away.
+fn group(ui: &mut Ui, name: &str, is_open: bool, content: impl FnOnce(&mut Ui)) {
+    let heading = RichText::new(name).strong();
+    egui::CollapsingHeader::new(heading).id_salt(name).default_open(is_open).show(ui, content);
+}
+
 /// What the actors are told.
 fn settings(ui: &mut Ui, controls: &mut Controls, ranges: Ranges) {
-    quality(ui, &mut controls.set.quality);
-    ui.horizontal(|ui| {
-        ui.label("task");
-        named(ui, "saliency_weight", |text| {
-            Slider::new(&mut controls.set.saliency_weight, 0.0..=1.0).text(text)
+    let Controls { set, .. } = controls;
+    group(ui, "Refinement", true, |ui| refinement(ui, &mut set.refine));
+    group(ui, "Samples", true, |ui| {
+        let policy = egui::ComboBox::from_label("policy").selected_text(set.policy.name());
+        let shown = policy.show_ui(ui, |ui| {
+            for policy in Policy::ALL {
+                ui.selectable_value(&mut set.policy, policy, policy.name());
+            }
+        });
+        shown.response.on_hover_text(help_of("policy"));
+        ui.horizontal(|ui| {
+            ui.label("task").on_hover_text(help_of("saliency_weight"));
+            named(ui, "saliency_weight", |text| Slider::new(&mut set.saliency_weight, 0.0..=1.0).text(text));
+        });
+        named(ui, "samples_per_job", |text| {
+            Slider::new(&mut set.samples_per_job, 16..=4096).logarithmic(true).text(text)
         });
     });
-    egui::ComboBox::from_label("policy").selected_text(controls.set.policy.name()).show_ui(ui, |ui| {
-        for policy in Policy::ALL {
-            ui.selectable_value(&mut controls.set.policy, policy, policy.name());
-        }
+    group(ui, "Samples kept", false, |ui| {
+        named(ui, "delta", |text| Slider::new(&mut set.ageing.delta, 0.01..=0.5).text(text));
+        named(ui, "max_age", |text| Slider::new(&mut set.ageing.max_age, 0..=256).text(text));
+        named(ui, "n_min", |text| Slider::new(&mut set.ageing.n_min, 1..=100).text(text));
     });
-    let Controls { set, .. } = controls;
-    named(ui, "samples_per_job", |text| {
-        Slider::new(&mut set.samples_per_job, 16..=4096).logarithmic(true).text(text)
-    });
-    named(ui, "delta", |text| Slider::new(&mut set.ageing.delta, 0.01..=0.5).text(text));
-    named(ui, "max_age", |text| Slider::new(&mut set.ageing.max_age, 0..=256).text(text));
-    named(ui, "n_min", |text| Slider::new(&mut set.ageing.n_min, 1..=100).text(text));
-    named(ui, "workers", |text| Slider::new(&mut set.workers, 1..=ranges.workers).text(text));
-    budgets(ui, controls, ranges);
-    refinement(ui, &mut controls.set.refine);
+    group(ui, "Memory", false, |ui| budgets(ui, set, ranges));
 }
 
 fn state(ui: &mut Ui, shown: &Shown<'_>) {
@@ -193,13 +217,13 @@ fn refinement(ui: &mut Ui, refine: &mut Option<Supersampling>) {
 }
 
 /// Most memory for textures and environment maps.
-fn budgets(ui: &mut Ui, controls: &mut Controls, ranges: Ranges) {
+fn budgets(ui: &mut Ui, set: &mut Adjustment, ranges: Ranges) {
     const MIB: f64 = (1 << 20) as f64;
-    let mut maps = controls.set.environment_bytes as f64 / MIB;
+    let mut maps = set.environment_bytes as f64 / MIB;
     if named(ui, "environment_bytes", |text| Slider::new(&mut maps, 0.0..=256.0).text(text)).changed() {
-        controls.set.environment_bytes = (maps * MIB) as u64;
+        set.environment_bytes = (maps * MIB) as u64;
     }
-    match (ranges.textures, &mut controls.set.texture_bytes) {
+    match (ranges.textures, &mut set.texture_bytes) {
         (Some([least, most]), Some(bytes)) => {
             let mut mib = *bytes as f64 / MIB;
             let range = least as f64 / MIB..=most as f64 / MIB;
@@ -213,17 +237,16 @@ fn budgets(ui: &mut Ui, controls: &mut Controls, ranges: Ranges) {
     }
 }
 
-fn exposure(ui: &mut Ui, controls: &mut Controls) {
-    let mut stops = controls.set.tone.exposure.max(1e-6).log2();
+fn exposure(ui: &mut Ui, set: &mut Adjustment) {
+    let mut stops = set.tone.exposure.max(1e-6).log2();
     if named(ui, "exposure", |text| Slider::new(&mut stops, -12.0..=12.0).text(text)).changed() {
-        controls.set.tone.exposure = stops.exp2();
+        set.tone.exposure = stops.exp2();
     }
-    let mut compresses = matches!(controls.set.tone.curve, ToneCurve::Reinhard { .. });
+    let mut compresses = matches!(set.tone.curve, ToneCurve::Reinhard { .. });
     if switch(ui, "compresses", &mut compresses).changed() {
-        controls.set.tone.curve =
-            if compresses { ToneCurve::Reinhard { white: 4.0 } } else { ToneCurve::Clamp };
+        set.tone.curve = if compresses { ToneCurve::Reinhard { white: 4.0 } } else { ToneCurve::Clamp };
     }
-    if let ToneCurve::Reinhard { white } = &mut controls.set.tone.curve {
+    if let ToneCurve::Reinhard { white } = &mut set.tone.curve {
         named(ui, "white", |text| Slider::new(white, 0.5..=64.0).logarithmic(true).text(text));
     }
 }
@@ -240,8 +263,11 @@ fn graph(ui: &mut Ui, times: &FrameTimes, fps: f32) {
         )),
         None => ui.label("no frame yet"),
     };
-    let (rect, _) =
+    let (rect, drawn) =
         ui.allocate_exact_size(Vec2::new(ui.available_width().min(WIDTH - 20.0), 48.0), Sense::hover());
+    let help = "How long each of the last frames took; the line is the deadline, red came late";
+    drawn.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, help));
+    drawn.on_hover_text(help);
     let painter = ui.painter_at(rect);
     painter.rect_filled(rect, 0.0, ui.visuals().extreme_bg_color);
     let full = 2.0 * deadline;

@@ -1,12 +1,15 @@
-//! The bar beneath a recording: a timeline to scrub, steps by frame and by message, the last deliveries, and the story of
-//! a pixel.
+//! The bar beneath a recording: a timeline to scrub, steps by frame and by message, a search, the last deliveries, what each
+//! actor did in a frame, and the story of a pixel; and beside the picture an actor's state.
 
-use egui::{RichText, Slider, Ui};
+use egui::{Color32, RichText, Slider, Ui};
 
+use super::lanes;
 use foveal_engine::source::{TimelineShown, Wish};
 
 /// Points that the bar is high.
-pub const HEIGHT: f32 = 230.0;
+pub const HEIGHT: f32 = 260.0;
+/// Points that a state is wide.
+pub const STATE_WIDTH: f32 = 280.0;
 
 /// Draws the bar. Returns what the user wants.
 pub fn timeline(ui: &mut Ui, shown: &TimelineShown, plays: bool) -> Option<Wish> {
@@ -25,13 +28,40 @@ pub fn timeline(ui: &mut Ui, shown: &TimelineShown, plays: bool) -> Option<Wish>
         button(ui, "message -", ",", Wish::Messages(-1));
         button(ui, "message +", ".", Wish::Messages(1));
         button(ui, "walk on from here", "B", Wish::Branch);
+        let shows_lanes = shown.lanes.is_some();
+        button(
+            ui,
+            if shows_lanes { "messages" } else { "lanes" },
+            "what each actor did in this frame",
+            Wish::Lanes(!shows_lanes),
+        );
+        let told = &shown.state.0;
+        let wanted =
+            if told.is_empty() { shown.actors.first().cloned().unwrap_or_default() } else { String::new() };
+        button(
+            ui,
+            if told.is_empty() { "state" } else { "no state" },
+            "what an actor knows here",
+            Wish::State(wanted),
+        );
+        if let Some(parted) = shown.parted {
+            button(ui, &format!("first difference: frame {parted}"), "", Wish::Frame(parted));
+        }
         let text = format!("frame {at} of {}", shown.frames);
         ui.add(egui::Label::new(text).wrap_mode(egui::TextWrapMode::Extend));
     });
+    wish = search(ui, shown).or(wish);
     let mut frame = at;
     ui.spacing_mut().slider_width = (ui.available_width() - 20.0).max(50.0);
-    if ui.add(Slider::new(&mut frame, 0..=last.max(1)).show_value(false)).changed() {
+    let slider = ui.add(Slider::new(&mut frame, 0..=last.max(1)).show_value(false));
+    if slider.changed() {
         wish = Some(Wish::Frame(frame.min(last)));
+    }
+    if let Some(parted) = shown.parted {
+        mark(ui, slider.rect, parted as f32 / last.max(1) as f32);
+    }
+    if let Some(lanes) = &shown.lanes {
+        return lanes::lanes(ui, lanes).or(wish);
     }
     egui::ScrollArea::both().auto_shrink(false).stick_to_bottom(shown.story.is_empty()).show(ui, |ui| {
         line_of(ui, &shown.position);
@@ -43,6 +73,58 @@ pub fn timeline(ui: &mut Ui, shown: &TimelineShown, plays: bool) -> Option<Wish>
         }
     });
     wish
+}
+
+/// A field for a condition, and the places where it comes about.
+fn search(ui: &mut Ui, shown: &TimelineShown) -> Option<Wish> {
+    let mut wish = None;
+    let id = ui.scope_id().with("condition");
+    let mut text = ui.data_mut(|data| data.get_temp::<String>(id)).unwrap_or_default();
+    ui.horizontal(|ui| {
+        ui.label("when");
+        let hint = "renderer.view > 4    pixel 100,200 changes    allocator hears JobDone";
+        let field = ui.add(egui::TextEdit::singleline(&mut text).hint_text(hint).desired_width(330.0));
+        let entered = field.lost_focus() && ui.input(|input| input.key_pressed(egui::Key::Enter));
+        if (ui.button("find").clicked() || entered) && !text.trim().is_empty() {
+            wish = Some(Wish::Find(text.trim().to_owned()));
+        }
+        if !shown.found.is_empty() {
+            let places = shown.found.iter().filter(|(_, place)| !place.is_empty()).count();
+            let title = if places > 0 { format!("{places} places") } else { shown.found[0].0.clone() };
+            egui::ComboBox::from_id_salt("found").width(260.0).selected_text(title).show_ui(ui, |ui| {
+                for (told, place) in &shown.found {
+                    let line = RichText::new(told).monospace().size(11.0);
+                    if ui.selectable_label(false, line).clicked() && !place.is_empty() {
+                        wish = Some(Wish::Place(place.clone()));
+                    }
+                }
+            });
+        }
+    });
+    ui.data_mut(|data| data.insert_temp(id, text));
+    wish
+}
+
+/// A mark on a slider.
+fn mark(ui: &Ui, rect: egui::Rect, share: f32) {
+    let x = egui::lerp(rect.left()..=rect.right(), share.clamp(0.0, 1.0));
+    let ends = [egui::pos2(x, rect.top()), egui::pos2(x, rect.bottom())];
+    ui.painter().line_segment(ends, egui::Stroke::new(2.0, Color32::from_rgb(230, 90, 60)));
+}
+
+/// Draws an actor's state. Returns whose state is wanted instead.
+pub fn state(ui: &mut Ui, shown: &TimelineShown) -> Option<Wish> {
+    let (told, lines) = &shown.state;
+    let mut chosen = told.clone();
+    egui::ComboBox::from_id_salt("actor").width(180.0).selected_text(told).show_ui(ui, |ui| {
+        for actor in &shown.actors {
+            ui.selectable_value(&mut chosen, actor.clone(), actor);
+        }
+    });
+    egui::ScrollArea::both().auto_shrink(false).show(ui, |ui| {
+        lines.iter().for_each(|line| line_of(ui, line));
+    });
+    (chosen != *told).then_some(Wish::State(chosen))
 }
 
 fn line_of(ui: &mut Ui, line: &str) {

@@ -27,17 +27,20 @@ pub(super) struct Hit {
     front: bool,
 }
 
-/// Nearest surface from `origin` along each direction, by testing every triangle: this is done a few
-/// times while loading, before there is a BVH, and takes 0.1 s for a million triangles.
+/// Nearest surface from `origin` along each direction (unit), by looking at every triangle: this is done a few times while
+/// loading, before there is a BVH, and takes 0.1 s for a million triangles.
 pub(super) fn nearest(mesh: &Mesh, origin: Vec3, directions: &[Vec3]) -> Vec<Option<Hit>> {
+    let apart = Apart::of(directions);
     let chunks: Vec<Vec<Option<Hit>>> = mesh
         .triangles
         .par_chunks(1 << 15)
         .map(|triangles| {
             let mut hits = vec![None; directions.len()];
             for t in triangles {
-                let [a, b, c] = t.map(|v| mesh.positions[v as usize]);
-                meet(origin, [a, b, c], directions, &mut hits);
+                let corners = t.map(|v| mesh.positions[v as usize]);
+                if apart.may_meet(corners.map(|p| p - origin)) {
+                    meet(origin, corners, directions, &mut hits);
+                }
             }
             hits
         })
@@ -49,6 +52,40 @@ pub(super) fn nearest(mesh: &Mesh, origin: Vec3, directions: &[Vec3]) -> Vec<Opt
         }
     }
     hits
+}
+
+/// Directions in eights, by coordinate, so that a triangle is held against many at once: most are small and lie between all
+/// of them.
+struct Apart(Vec<[[f32; 8]; 3]>);
+
+impl Apart {
+    fn of(directions: &[Vec3]) -> Self {
+        let eight = |some: &[Vec3]| {
+            // The first again where there are fewer.
+            let of = |axis: usize, i: usize| some.get(i).unwrap_or(&some[0]).normalize_or_zero()[axis];
+            std::array::from_fn(|axis| std::array::from_fn(|i| of(axis, i)))
+        };
+        Self(directions.chunks(8).map(eight).collect())
+    }
+
+    /// Whether a direction lies in the cone around the sphere that holds a triangle, which is seen from the origin.
+    fn may_meet(&self, [a, b, c]: [Vec3; 3]) -> bool {
+        /// By how much less than the cone's the cosine may be.
+        const ROUNDING: f32 = 0.999;
+        let middle = (a + b + c) / 3.0;
+        let radius = [a, b, c].map(|p| p.distance_squared(middle)).into_iter().fold(0.0, f32::max);
+        let least = (middle.length_squared() - radius).max(0.0).sqrt() * ROUNDING;
+        let mut most = [f32::NEG_INFINITY; 8];
+        for [x, y, z] in &self.0 {
+            for i in 0..8 {
+                let along = x[i] * middle.x + y[i] * middle.y + z[i] * middle.z;
+                most[i] = if along > most[i] { along } else { most[i] };
+            }
+        }
+        // Of numbers that overflow nothing is known.
+        let is_known = middle.is_finite() && least.is_finite();
+        !is_known || most.iter().any(|along| *along >= least)
+    }
 }
 
 fn keep_nearer(hit: &mut Option<Hit>, new: Option<Hit>) {
@@ -233,6 +270,27 @@ mod tests {
         let second: f32 = feelers().iter().map(|d| d.x * d.x).sum::<f32>() / FEELERS as f32;
         assert!((second - 1.0 / 3.0).abs() < 0.01);
         assert!(feelers().iter().all(|d| (d.length() - 1.0).abs() < 1e-5));
+    }
+
+    /// Triangles that are passed over are met by no direction.
+    #[test]
+    fn what_lies_between_directions_is_met_by_none() {
+        let directions = feelers();
+        let apart = Apart::of(&directions);
+        let mut passed = 0;
+        for i in 0..20_000 {
+            let mut stream = crate::rng::Stream::new(5, i, 0);
+            let mut point = || Vec3::from_array([0; 3].map(|_| 2.0 * stream.next_f32() - 1.0));
+            let (middle, size) = (point() * 3.0, 10f32.powi((i % 7) as i32 - 5));
+            let corners = [0; 3].map(|_| middle + point() * size);
+            let mut hits = vec![None; directions.len()];
+            meet(Vec3::ZERO, corners, &directions, &mut hits);
+            let may = apart.may_meet(corners);
+            assert!(may || hits.iter().all(Option::is_none), "{corners:?}");
+            passed += u32::from(!may);
+        }
+        assert!(passed > 10_000, "{passed}");
+        assert!(apart.may_meet([Vec3::NAN; 3]) && apart.may_meet([Vec3::MAX, Vec3::MIN, Vec3::X]));
     }
 
     #[test]

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec2;
+use rayon::prelude::*;
 
 use super::placement::Placement;
 use crate::image::{linear_from_srgb, srgb_byte_from_linear};
@@ -120,7 +121,8 @@ impl LevelTexels {
         Self(match &self.0 {
             Texels::Byte(_) => {
                 let of = |v: [f32; 4]| [color(v[0]), color(v[1]), color(v[2]), byte(v[3])];
-                Texels::Byte(Arc::new(Counted::new(texels.into_iter().map(of).collect())))
+                let bytes = texels.into_par_iter().with_min_len(TEXELS_AT_ONCE).map(of).collect();
+                Texels::Byte(Arc::new(Counted::new(bytes)))
             }
             Texels::Word(_) => {
                 let of = |v: [f32; 4]| v.map(|v| (v.clamp(0.0, 1.0) * 65535.0 + 0.5) as u16);
@@ -224,6 +226,18 @@ impl MipChain {
             levels.push(Level { width: w, height: h, texels: Some(texels.clone()) });
         }
         Self { levels, finest: 0, decode, gamma }
+    }
+
+    /// A chain of these levels, of texels of `size` bytes each, the finest first; `None` where the bytes are not theirs.
+    pub fn of_bytes(width: usize, height: usize, gamma: bool, size: usize, mut bytes: &[u8]) -> Option<Self> {
+        let mut levels = Vec::new();
+        for [w, h] in sizes_of(width, height) {
+            let length = (w as usize).checked_mul(h as usize)?.checked_mul(size)?;
+            let (own, rest) = bytes.split_at_checked(length)?;
+            levels.push(Level { width: w, height: h, texels: Some(LevelTexels::of_size(size, own)?) });
+            bytes = rest;
+        }
+        bytes.is_empty().then(|| Self { levels, finest: 0, decode: decode_table(gamma), gamma })
     }
 
     #[inline]
@@ -332,7 +346,7 @@ impl MipChain {
     }
 }
 
-/// The next coarser level.
+/// The next coarser level. Rows are made in parallel.
 fn halved(
     from: &Level,
     texels: &LevelTexels,
@@ -341,13 +355,27 @@ fn halved(
     gamma: bool,
 ) -> LevelTexels {
     let columns: Vec<_> = (0..w).map(|x| covered(x, w, from.width)).collect();
-    let mut out = Vec::with_capacity(w as usize * h as usize);
-    for y in 0..h {
-        let (y0, row_weights) = covered(y, h, from.height);
-        for (x0, column_weights) in &columns {
-            let mut sum = [0.0f32; 4];
+    let width = from.width as usize;
+    let is_half = (from.width, from.height) == (2 * w, 2 * h);
+    let mut out = vec![[0.0f32; 4]; w as usize * h as usize];
+    out.par_chunks_mut(w as usize).enumerate().with_min_len(ROWS_AT_ONCE).for_each(|(y, row)| {
+        if let (true, Texels::Byte(t)) = (is_half, &texels.0) {
+            // The same sums in the same order, without looking for what is covered.
+            let rows = t.0[2 * y * width..].split_at(width);
+            for (x, sum) in row.iter_mut().enumerate() {
+                for t in [rows.0[2 * x], rows.0[2 * x + 1], rows.1[2 * x], rows.1[2 * x + 1]] {
+                    let t = decoded(t, decode);
+                    for c in 0..4 {
+                        sum[c] += 0.25 * t[c];
+                    }
+                }
+            }
+            return;
+        }
+        let (y0, row_weights) = covered(y as u32, h, from.height);
+        for ((x0, column_weights), sum) in columns.iter().zip(row) {
             for (dy, wy) in row_weights.iter().enumerate().filter(|(_, w)| **w > 0.0) {
-                let row = (y0 + dy) * from.width as usize;
+                let row = (y0 + dy) * width;
                 for (dx, wx) in column_weights.iter().enumerate().filter(|(_, w)| **w > 0.0) {
                     let t = texels.fetch(row + x0 + dx, decode);
                     for c in 0..4 {
@@ -355,11 +383,16 @@ fn halved(
                     }
                 }
             }
-            out.push(sum);
         }
-    }
+    });
     texels.encode(out, gamma)
 }
+
+/// Fewer texels are not worth another thread.
+const TEXELS_AT_ONCE: usize = 1 << 14;
+
+/// Fewer rows of a level are not worth another thread.
+const ROWS_AT_ONCE: usize = 32;
 
 /// The first of `from` texels that texel `i` of `to` covers, and the shares of it and of the next two.
 fn covered(i: u32, to: u32, from: u32) -> (usize, [f32; 3]) {
@@ -508,6 +541,25 @@ mod tests {
         // Half of the light, to the nearest sRGB byte (188).
         assert!((t.mean()[0] - 0.5).abs() < 0.005, "{:?}", t.mean());
         assert_eq!(t.mean()[3], 1.0);
+    }
+
+    /// What is halved on the short way has the bits of what shares of texels sum up to.
+    #[test]
+    fn halves_of_even_sides_are_sums_of_shares() {
+        let texels: Vec<[u8; 4]> = (0..16 * 8)
+            .map(|i| crate::rng::hash(3, i, 0).to_le_bytes())
+            .map(|b| [b[0], b[1], b[2], b[3]])
+            .collect();
+        for gamma in [true, false] {
+            let chain = MipChain::from_rgba8(16, 8, texels.clone(), gamma);
+            let table = decode_table(gamma);
+            let linear = MipChain::from_linear(16, 8, texels.iter().map(|t| decoded(*t, &table)).collect());
+            let Some(LevelTexels(Texels::Float(sums))) = linear.level(1) else {
+                panic!("a level of numbers")
+            };
+            let sums = chain.level(0).unwrap().encode(sums.0.clone(), gamma);
+            assert_eq!(sums.as_bytes(), chain.level(1).unwrap().as_bytes());
+        }
     }
 
     #[test]

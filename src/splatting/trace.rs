@@ -8,6 +8,7 @@ use crate::display::cpu_pass::{primary_interaction, primary_ray};
 use crate::rng::Stream;
 use crate::scene::camera::CameraFrame;
 use crate::transport::interaction::Interaction;
+use crate::transport::tracer::witness::{Path, Scribe};
 use crate::world::World;
 
 /// The random numbers of a pixel: of the seed and the pixel alone, so that a still view converges to the
@@ -110,6 +111,23 @@ fn samples_with(
         });
     }
     batch
+}
+
+/// The sample of a pixel traced again, with its whole path; nothing where the pixel shows no surface.
+pub fn retrace(
+    world: &World,
+    frame: &CameraFrame,
+    buffers: &FrameBuffers,
+    [x, y]: [u16; 2],
+    seed: u64,
+) -> Option<(Vec3, Path)> {
+    let (px, py) = (u32::from(x), u32::from(y));
+    let hit = buffers.hit.at(usize::from(x), usize::from(y)).hit()?;
+    let at = primary_interaction(world, frame, &primary_ray(frame, px, py), &hit);
+    let base = buffers.color.at(usize::from(x), usize::from(y));
+    let tracer = world.tracer().told_to(Scribe::default());
+    let color = tracer.view_dependent(&at, base, pixel_stream(seed, px, py, 0));
+    Some((color, tracer.into_witness().path()))
 }
 
 /// What the guides of pixels show, from the hits that the display pass left: nothing where there is none.

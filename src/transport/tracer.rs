@@ -19,11 +19,12 @@ use glam::Vec3;
 use super::bsdf::bands::Band;
 use super::bsdf::{Bsdf, BsdfSample};
 use super::direct::{Found, arriving, goes_straight, mis_weight};
-use super::gather::{Gather, Trust};
+use super::gather::{Gather, LastShadows, Trust};
 use super::interaction::Interaction;
 use super::light::Lights;
 use super::medium::Media;
 use super::surface::SurfacePoint;
+use crate::geometry::packet::LANES;
 use crate::geometry::{Accel, Ray};
 use crate::illumination::Irradiance;
 use crate::illumination::Unnamed;
@@ -31,6 +32,9 @@ use crate::rng::Stream;
 use crate::scene::Scene;
 
 pub mod guide;
+pub mod witness;
+
+use witness::{Event, Nobody, Witness};
 
 /// How much is traced for one sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,7 +77,7 @@ impl Default for Settings {
 }
 
 /// Traces rays against a scene and its stored illumination.
-pub struct Tracer<'a> {
+pub struct Tracer<'a, W = Nobody> {
     scene: &'a Scene,
     accel: &'a Accel,
     lights: &'a Lights,
@@ -81,6 +85,8 @@ pub struct Tracer<'a> {
     settings: Settings,
     /// Results that were not finite and became 0.
     broken: AtomicU64,
+    /// Who is told of it.
+    witness: W,
 }
 
 /// The state of one ray of the tree.
@@ -129,7 +135,20 @@ impl<'a> Tracer<'a> {
         illumination: &'a dyn Irradiance,
         settings: Settings,
     ) -> Self {
-        Self { scene, accel, lights, illumination, settings, broken: AtomicU64::new(0) }
+        Self { scene, accel, lights, illumination, settings, broken: AtomicU64::new(0), witness: Nobody }
+    }
+
+    /// The same tracer, which tells a witness what it does.
+    pub fn told_to<W: Witness>(self, witness: W) -> Tracer<'a, W> {
+        let Self { scene, accel, lights, illumination, settings, broken, witness: Nobody } = self;
+        Tracer { scene, accel, lights, illumination, settings, broken, witness }
+    }
+}
+
+impl<W: Witness> Tracer<'_, W> {
+    /// Whom it told.
+    pub fn into_witness(self) -> W {
+        self.witness
     }
 
     /// Number of results of this tracer that were not finite and became 0.
@@ -142,16 +161,65 @@ impl<'a> Tracer<'a> {
     /// `at`, the same point with its directions, is only asked for where light comes from lights with names.
     #[inline]
     pub fn base(&self, point: &SurfacePoint, at: impl FnOnce() -> Interaction) -> Vec3 {
-        let diffuse = point.diffuse_albedo(self.scene);
-        let &SurfacePoint { triangle, b1, b2, back, .. } = point;
-        let irradiance = match self.illumination.unnamed(triangle, b1, b2, back) {
-            _ if diffuse == Vec3::ZERO => Vec3::ZERO,
-            Unnamed { rest, is_lit: false } => rest,
-            Unnamed { rest, is_lit: true } => {
-                let at = at();
-                rest + self.named(&at, &Bsdf::over(self.scene, &at, diffuse), Media::EMPTY)
-            }
+        let (diffuse, Unnamed { rest, is_lit }) = self.diffuse_and_light(point);
+        let irradiance = if is_lit {
+            let at = at();
+            rest + self.named(&at, &Bsdf::over(self.scene, &at, diffuse), Media::EMPTY)
+        } else {
+            rest
         };
+        self.base_under(point, diffuse, irradiance)
+    }
+
+    /// [`Self::base`] of those of sixteen neighbouring points that there are: the same bits, from shadow rays that go
+    /// together. `at` tells of a point's number. `last`: what threw the last shadows.
+    pub fn base_together(
+        &self,
+        points: &[Option<SurfacePoint>; LANES],
+        at: impl Fn(usize) -> Interaction,
+        last: &mut LastShadows,
+    ) -> [Vec3; LANES] {
+        let mut lit = 0;
+        let mut light = [(Vec3::ZERO, Vec3::ZERO); LANES];
+        for (lane, point) in points.iter().enumerate() {
+            let Some(point) = point else { continue };
+            let (diffuse, Unnamed { rest, is_lit }) = self.diffuse_and_light(point);
+            light[lane] = (diffuse, rest);
+            lit |= u32::from(is_lit) << lane;
+        }
+        let bsdf = |lane: usize| {
+            let at = at(lane);
+            let may_have_coat = Bsdf::may_have_coat(at.material(self.scene));
+            (at, may_have_coat.then(|| Bsdf::over(self.scene, &at, light[lane].0)))
+        };
+        let named = if lit == 0 {
+            [Vec3::ZERO; LANES]
+        } else {
+            Gather::new(self.scene, self.accel, self.lights, Trust::Nobody).named_together(lit, bsdf, last)
+        };
+        std::array::from_fn(|lane| {
+            let Some(point) = &points[lane] else { return Vec3::ZERO };
+            let (diffuse, rest) = light[lane];
+            let irradiance = if lit >> lane & 1 != 0 { rest + named[lane] } else { rest };
+            self.base_under(point, diffuse, irradiance)
+        })
+    }
+
+    /// The diffuse albedo of a point, and the irradiance there but for that of lights to be asked by name; nothing of both
+    /// where nothing is reflected.
+    #[inline]
+    fn diffuse_and_light(&self, point: &SurfacePoint) -> (Vec3, Unnamed) {
+        let diffuse = point.diffuse_albedo(self.scene);
+        if diffuse == Vec3::ZERO {
+            return (diffuse, Unnamed { rest: Vec3::ZERO, is_lit: false });
+        }
+        let &SurfacePoint { triangle, b1, b2, back, .. } = point;
+        (diffuse, self.illumination.unnamed(triangle, b1, b2, back))
+    }
+
+    /// [`Self::base`] under an irradiance.
+    #[inline]
+    fn base_under(&self, point: &SurfacePoint, diffuse: Vec3, irradiance: Vec3) -> Vec3 {
         let shown = point.emission(self.scene) + diffuse * (irradiance * FRAC_1_PI);
         let passed = point.passed_albedo(self.scene);
         if passed == Vec3::ZERO {
@@ -177,7 +245,13 @@ impl<'a> Tracer<'a> {
             spread: at.footprint / at.t.max(f32::MIN_POSITIVE),
             ..Branch::START
         };
-        self.finite(self.taken_by_coat(at, &bsdf, base) + self.scatter(at, &bsdf, branch, stream))
+        self.witness.open(|| Event::Sample);
+        self.witness.note(|| Event::surface(at, 0), Vec3::ZERO);
+        let taken = self.taken_by_coat(at, &bsdf, base);
+        self.witness.note(|| Event::Coat, taken);
+        let sum = self.finite(taken + self.scatter(at, &bsdf, branch, stream));
+        self.witness.close();
+        sum
     }
 
     /// What a coat adds to `base`, what [`Self::base`] shows of the surface, towards `at.wo`: less than nothing where it
@@ -192,7 +266,10 @@ impl<'a> Tracer<'a> {
         let Some(direction) = ray.direction.try_normalize() else { return Vec3::ZERO };
         let scale = ray.direction.length();
         let ray = Ray { direction, t_min: ray.t_min * scale, t_max: ray.t_max * scale, ..*ray };
-        self.finite(self.follow(&ray, Branch::START, stream))
+        self.witness.open(|| Event::Sample);
+        let sum = self.finite(self.follow(&ray, Branch::START, stream));
+        self.witness.close();
+        sum
     }
 
     fn finite(&self, value: Vec3) -> Vec3 {
@@ -235,11 +312,14 @@ impl<'a> Tracer<'a> {
         let mut scale = 1.0;
         if branch.contribution < self.settings.min_contribution {
             let survival = branch.contribution / self.settings.min_contribution;
+            let drawn = stream.next_f32();
+            self.witness.note(|| Event::Roulette { survival, drawn }, Vec3::ZERO);
             // Also ends what is not a number.
-            if survival.is_nan() || stream.next_f32() >= survival {
+            if survival.is_nan() || drawn >= survival {
                 return Vec3::ZERO;
             }
             scale = 1.0 / survival;
+            self.witness.scale(|| Vec3::splat(scale));
             branch.contribution = self.settings.min_contribution;
         }
         let hit = self.accel.intersect(self.scene, ray);
@@ -251,20 +331,29 @@ impl<'a> Tracer<'a> {
             light * found.weight(self.scene, self.lights, ray.direction, hit.as_ref())
         };
         let Some(hit) = &hit else {
-            return share(self.lights.escaped(self.scene, ray.direction)) * scale;
+            let light = share(self.lights.escaped(self.scene, ray.direction));
+            self.witness.note(|| Event::Escaped { direction: ray.direction }, light);
+            return light * scale;
         };
         branch.width += branch.spread * hit.t;
         let at = Interaction::at(self.scene, ray, hit).with_footprint(branch.width);
         let bsdf = branch.media.banded(Bsdf::at(self.scene, &at));
+        self.witness.note(|| Event::surface(&at, branch.depth), Vec3::ZERO);
         let mut radiance = share(at.point().emission(self.scene));
-        radiance +=
+        self.witness.note(|| Event::Emission, radiance);
+        let diffuse =
             bsdf.diffuse_albedo() * self.diffuse_light(&at, &bsdf, branch.media) * bsdf.coat_factor(at.wo);
+        self.witness.note(|| Event::Diffuse, diffuse);
+        radiance += diffuse;
         if bsdf.passed_albedo() != Vec3::ZERO {
             let behind = at.turned(self.scene);
             let light = self.light_on(&behind, &Bsdf::at(self.scene, &behind), branch.media);
-            radiance += bsdf.passed_albedo() * light * bsdf.coat_factor(at.wo);
+            let through = bsdf.passed_albedo() * light * bsdf.coat_factor(at.wo);
+            self.witness.note(|| Event::Through, through);
+            radiance += through;
         }
         let absorbed = branch.media.transmittance_to(self.scene, &at, hit.t);
+        self.witness.scale(|| absorbed);
         if bsdf.has_view_dependent() {
             branch.contribution *= absorbed.max_element();
             radiance += self.scatter(&at, &bsdf, branch, stream);
@@ -291,7 +380,9 @@ impl<'a> Tracer<'a> {
         let mut sum = Vec3::ZERO;
         let lobes = bsdf.delta_lobes(at.wo);
         if lobes.iter().all(Option::is_some) && branch.contribution <= self.settings.min_contribution {
-            return match bsdf.sample(at.wo, stream.next_2d(), stream.next_f32()) {
+            let ([u, v], lobe) = (stream.next_2d(), stream.next_f32());
+            self.witness.drew(|| vec![u, v, lobe]);
+            return match bsdf.sample(at.wo, [u, v], lobe) {
                 Some(sample) => self.follow_sample(at, &sample, branch, None, stream),
                 None => Vec3::ZERO,
             };
@@ -305,6 +396,10 @@ impl<'a> Tracer<'a> {
             return sum;
         }
         let next = Branch { repeats: true, ..branch };
+        self.witness.open(|| {
+            let (rays, lights) = self.sample_counts(at, bsdf, branch.depth == 0);
+            Event::Glossy { rays, lights }
+        });
         let (mut sum, mut largest) = self.glossy(at, bsdf, next, stream);
         // Whether to look again depends on what was found, so the mean is shifted: what is found rarely comes out too
         // dark, as under any bound, but what a second look finds again is let through.
@@ -317,6 +412,7 @@ impl<'a> Tracer<'a> {
         let repeats = !branch.repeats && self.settings.repeats_max > 1;
         while repeats && estimates < most && is_unconfirmed(largest, sum, estimates) {
             let again = stream.split(u64::MAX - estimates as u64).independent();
+            self.witness.note(|| Event::Again, Vec3::ZERO);
             let (more, brightest) = self.glossy(at, bsdf, next, again);
             sum += more;
             largest = largest.max(brightest);
@@ -326,19 +422,34 @@ impl<'a> Tracer<'a> {
             // Nothing found it again: it counts no more than all else, or than what needs no confirmation.
             let others = sum.max_element() - largest;
             let bound = others.max(self.settings.outlier * estimates / added);
-            sum *= (others + bound) / (others + largest);
+            let share = (others + bound) / (others + largest);
+            sum *= share;
+            self.witness.scale(|| Vec3::splat(share));
         }
+        self.witness.scale(|| Vec3::splat(1.0 / estimates));
+        self.witness.close();
         sum / estimates
     }
 
     /// The lobes of a surface that has several, all of them or, where little is seen of them, one by chance.
     fn scatter_layers(&self, at: &Interaction, bsdf: &Bsdf, mut branch: Branch, mut stream: Stream) -> Vec3 {
         if branch.contribution <= self.settings.min_contribution {
-            let Some((part, p, _)) = bsdf.chosen(at.wo, stream.next_f32()) else { return Vec3::ZERO };
+            let chance = stream.next_f32();
+            let Some((part, p, _)) = bsdf.chosen(at.wo, chance) else { return Vec3::ZERO };
             branch.contribution /= p;
-            return self.scatter(at, &part, branch, stream) / p;
+            self.witness.drew(|| vec![chance]);
+            self.witness.open(|| Event::Layer { number: None });
+            self.witness.scale(|| Vec3::splat(1.0 / p));
+            let sum = self.scatter(at, &part, branch, stream) / p;
+            self.witness.close();
+            return sum;
         }
-        let part = |(k, part)| self.scatter(at, &part, branch, stream.split(0x1a7e_0000 + k as u64));
+        let part = |(k, part)| {
+            self.witness.open(|| Event::Layer { number: Some(k as u32) });
+            let sum = self.scatter(at, &part, branch, stream.split(0x1a7e_0000 + k as u64));
+            self.witness.close();
+            sum
+        };
         bsdf.parts().enumerate().map(part).sum()
     }
 
@@ -346,8 +457,13 @@ impl<'a> Tracer<'a> {
     fn scatter_bands(&self, at: &Interaction, bsdf: &Bsdf, branch: Branch, mut stream: Stream) -> Vec3 {
         let entering = |band| Branch { entering: Some(band), ..branch };
         if branch.contribution <= self.settings.min_contribution {
-            let band = Band::chosen(stream.next_f32());
-            return self.scatter(at, &bsdf.where_band_crosses(band, 3.0), entering(band), stream);
+            let chance = stream.next_f32();
+            let band = Band::chosen(chance);
+            self.witness.drew(|| vec![chance]);
+            self.witness.open(|| Event::Band { color: band.color() });
+            let sum = self.scatter(at, &bsdf.where_band_crosses(band, 3.0), entering(band), stream);
+            self.witness.close();
+            return sum;
         }
         let mut sum = Vec3::ZERO;
         let [reflected, _] = bsdf.delta_lobes(at.wo);
@@ -356,12 +472,15 @@ impl<'a> Tracer<'a> {
         }
         for (k, band) in Band::ALL.into_iter().enumerate() {
             let stream = stream.split(1 + k as u64);
+            self.witness.open(|| Event::Band { color: band.color() });
             if reflected.is_none() {
                 // Rough glass: reflection and refraction are one sample.
+                self.witness.scale(|| band.color());
                 sum += self.scatter(at, &bsdf.of_band(band), entering(band), stream) * band.color();
             } else if let [_, Some(sample)] = bsdf.where_band_crosses(band, 1.0).delta_lobes(at.wo) {
                 sum += self.follow_sample(at, &sample, entering(band), None, stream);
             }
+            self.witness.close();
         }
         sum
     }
@@ -385,6 +504,7 @@ impl<'a> Tracer<'a> {
             let found = (!sample.delta).then_some(Found { from: at.into(), pdf: sample.pdf, n, m });
             let share = 1.0 / n as f32;
             let sample = BsdfSample { weight: sample.weight * share, ..sample };
+            self.witness.drew(|| vec![u, v, u_lobe]);
             add(self.follow_sample(at, &sample, branch, found, s));
         }
         let mut lights = stream.split(u64::from(n));
@@ -392,7 +512,8 @@ impl<'a> Tracer<'a> {
             let mut s = lights.sample_of(i, m);
             let choice = s.next_f32();
             let choice = if s.is_shared_out() { choice } else { (i as f32 + choice) / m as f32 };
-            let Some(light) = self.lights.sample_direct(self.scene, at.position, choice, s.next_2d()) else {
+            let [u, v] = s.next_2d();
+            let Some(light) = self.lights.sample_direct(self.scene, at.position, choice, [u, v]) else {
                 continue;
             };
             let (f, pdf) = bsdf.evaluate_and_pdf(at.wo, light.wi);
@@ -401,10 +522,17 @@ impl<'a> Tracer<'a> {
                 continue;
             }
             let weight = if light.delta { 1.0 } else { mis_weight(m, light.pdf, n, pdf) };
-            let Some(arriving) = arriving(self.scene, self.accel, at, &branch.media, &light) else {
+            let arriving = arriving(self.scene, self.accel, at, &branch.media, &light);
+            let event =
+                || Event::Light { direction: light.wi, pdf: light.pdf, weight, blocked: arriving.is_none() };
+            self.witness.drew(|| vec![choice, u, v]);
+            let Some(arriving) = arriving else {
+                self.witness.note(event, Vec3::ZERO);
                 continue;
             };
-            add(f * arriving * (weight / (light.pdf * m as f32)));
+            let found = f * arriving * (weight / (light.pdf * m as f32));
+            self.witness.note(event, found);
+            add(found);
         }
         (sum, largest)
     }
@@ -453,7 +581,15 @@ impl<'a> Tracer<'a> {
                 next.found = branch.found;
             }
         }
+        self.witness.open(|| Event::Lobe {
+            delta: sample.delta,
+            transmitted: sample.transmitted,
+            direction: sample.wi,
+            pdf: sample.pdf,
+        });
+        self.witness.scale(|| sample.weight * sample.radiance_scale);
         let radiance = self.follow(&at.spawn(sample.wi), next, stream);
+        self.witness.close();
         sample.weight * radiance * sample.radiance_scale
     }
 }

@@ -129,7 +129,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "waits",
             label: "wait until good enough",
-            help: "Frames wait until they are good enough, so the frame rate falls",
+            help: "Frames wait until they are good enough, so the frame rate falls (Dumont 2003 §3: fixed quality)",
             group: "Time",
             read: |c| Value::Switch(c.set.quality.is_some()),
             write: |c, v| c.set.quality = v.is_on().then_some(c.set.quality.unwrap_or(QUALITY)),
@@ -138,7 +138,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "quality",
             label: "least quality",
-            help: "0 less the mean visible error of a pixel",
+            help: "Q: 0 less the mean visible error of a pixel (Dumont 2003, Eq. (1))",
             group: "Time",
             unit: "JND",
             kind: slider(-4.0, 0.0),
@@ -200,7 +200,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "policy",
             label: "policy",
-            help: "What decides which samples come first",
+            help: "What decides which samples come first (attention: Haber 2001 §4.4)",
             group: "Samples",
             kind: Kind::Choice(&*POLICIES),
             read: |c| Value::Name(c.set.policy.name().to_owned()),
@@ -210,7 +210,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "saliency_weight",
             label: "saliency",
-            help: "From 0, only the task counts, to 1, only what draws the eye",
+            help: "From 0, only the task counts, to 1, only what draws the eye (w_s, Haber 2001 §3)",
             group: "Samples",
             kind: slider(0.0, 1.0),
             read: |c| Value::Number(f64::from(c.set.saliency_weight)),
@@ -220,7 +220,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "samples_per_job",
             label: "samples per job",
-            help: "What a tracer takes at once (n_job)",
+            help: "What a tracer takes at once (n_job, Haber 2001 §4.4)",
             group: "Samples",
             kind: counts(16.0, 4096.0),
             read: |c| Value::Number(f64::from(c.set.samples_per_job)),
@@ -230,7 +230,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "delta",
             label: "delta",
-            help: "Samples expire once the cosine between normal and view has changed by this",
+            help: "Samples expire once the cosine between normal and view has changed by this (δ, Haber 2001 §4.5)",
             group: "Samples kept",
             kind: slider(0.01, 0.5),
             read: |c| Value::Number(f64::from(c.set.ageing.delta)),
@@ -240,7 +240,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "max_age",
             label: "largest age",
-            help: "Samples expire after so many views (MAX_AGE)",
+            help: "Samples expire after so many views (MAX_AGE, Haber 2001 §4.5)",
             group: "Samples kept",
             unit: "views",
             kind: count(0.0, 256.0),
@@ -251,7 +251,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "n_min",
             label: "votes",
-            help: "Samples that a level needs to have a say in what expires (N_min)",
+            help: "Samples that a level needs to have a say in what expires (N_min, Haber 2001 §4.5)",
             group: "Samples kept",
             unit: "samples",
             kind: count(1.0, 100.0),
@@ -262,7 +262,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "environment_bytes",
             label: "environments",
-            help: "Most memory for environment maps",
+            help: "Most memory for environment maps; what is drawn around them follows Dumont 2003, Eq. (10)",
             group: "Memory",
             unit: "MiB",
             kind: slider(0.0, 256.0),
@@ -273,7 +273,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "texture_bytes",
             label: "textures",
-            help: "Most memory for textures",
+            help: "Most memory for textures; which mip levels stay follows Dumont 2003 §5.2",
             group: "Memory",
             unit: "MiB",
             kind: slider(0.0, 0.0),

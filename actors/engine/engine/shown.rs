@@ -25,14 +25,26 @@ fn told(done: Result<(), Failure>) {
 impl FrameSource for Engine {
     fn place(&self) -> Place {
         let scene = &self.opened.world.scene;
+        let (mut cameras, mut paths) = (scene.cameras.clone(), scene.paths.clone());
+        // The first of both is what one begins with.
+        if let Some(first) = cameras.get_mut(..=self.begins.camera) {
+            first.rotate_right(1);
+        }
+        if let Some(first) = self.begins.path.and_then(|path| paths.get_mut(..=path)) {
+            first.rotate_right(1);
+        }
         Place {
             title: scene.title.clone(),
             up: scene.up,
             diagonal: scene.diagonal(),
-            cameras: scene.cameras.clone(),
-            paths: scene.paths.clone(),
+            cameras,
+            paths,
             lamps: self.opened.lamps(),
         }
+    }
+
+    fn plays(&self) -> bool {
+        self.begins.path.is_some()
     }
 
     fn size(&self) -> [u32; 2] {

@@ -3,6 +3,7 @@
 //! that what is asked for later comes at once.
 
 use std::cell::Cell;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -25,6 +26,10 @@ enum Wish {
     Next,
     Messages(i64),
     Why(u32, u32),
+    Find(String),
+    Place(String),
+    State(String),
+    Lanes(bool),
     Controls(Controls),
 }
 
@@ -75,6 +80,14 @@ impl Beside {
     /// # Errors
     /// If it cannot be replayed, or no thread can be had.
     pub fn new(source: Source, workers: usize) -> Result<Self, Failure> {
+        Self::recorded_into(source, workers, None)
+    }
+
+    /// The same, where walks that leave it are recorded into `file`.
+    ///
+    /// # Errors
+    /// If it cannot be replayed, or no thread can be had.
+    pub fn recorded_into(source: Source, workers: usize, file: Option<PathBuf>) -> Result<Self, Failure> {
         let (asked, newest) = (Arc::<Asked>::default(), Arc::new(ArrayQueue::new(1)));
         let begun = Arc::new(ArrayQueue::new(1));
         let thread = {
@@ -84,6 +97,7 @@ impl Beside {
                 let player = Player::new(source, workers);
                 let player = match player {
                     Ok(mut player) => {
+                        player.record_into(file);
                         let first = shown(&mut player, 0, true);
                         let facts = (
                             player.place(),
@@ -176,6 +190,10 @@ fn serve(mut player: Player, asked: &Asked, newest: &ArrayQueue<Shown>) {
                 Wish::Next => goes_on = player.next_frame(),
                 Wish::Messages(messages) => player.step(messages),
                 Wish::Why(x, y) => player.why(x, y),
+                Wish::Find(condition) => player.find(&condition),
+                Wish::Place(place) => player.go_to_place(&place),
+                Wish::State(actor) => player.tell_state(&actor),
+                Wish::Lanes(shows) => player.show_lanes(shows),
                 Wish::Controls(controls) => player.set_controls(&controls),
             }
         }
@@ -216,6 +234,22 @@ impl Timeline for Beside {
 
     fn why(&mut self, x: u32, y: u32) {
         self.ask(Wish::Why(x, y));
+    }
+
+    fn find(&mut self, condition: &str) {
+        self.ask(Wish::Find(condition.to_owned()));
+    }
+
+    fn go_to_place(&mut self, place: &str) {
+        self.ask(Wish::Place(place.to_owned()));
+    }
+
+    fn tell_state(&mut self, actor: &str) {
+        self.ask(Wish::State(actor.to_owned()));
+    }
+
+    fn show_lanes(&mut self, shows: bool) {
+        self.ask(Wish::Lanes(shows));
     }
 
     fn branch(&mut self) -> Result<Branch, String> {

@@ -158,6 +158,26 @@ impl Index {
         self.read_at(|made| Some(made.iter().sum()))
     }
 
+    /// What had been delivered at each, from the first on; none of which another has less and more.
+    pub fn places(&self) -> Vec<Vec<u64>> {
+        let mut places: Vec<Vec<u64>> = self.entries.iter().map(|entry| entry.positions.clone()).collect();
+        places.sort_by_key(|place| place.iter().sum::<u64>());
+        let mut ordered: Vec<Vec<u64>> = Vec::new();
+        for place in places {
+            let follows =
+                |last: &Vec<u64>| last.len() == place.len() && last.iter().zip(&place).all(|(a, b)| a <= b);
+            if ordered.last().is_none_or(follows) && ordered.last() != Some(&place) {
+                ordered.push(place);
+            }
+        }
+        ordered
+    }
+
+    /// The snapshot of a place.
+    pub fn at(&self, place: &[u64]) -> Option<Snapshot> {
+        self.read_at(|made| (made == place).then_some(0))
+    }
+
     /// Whether there is a place to keep snapshots.
     pub fn is_kept(&self) -> bool {
         self.file.is_some()

@@ -1,17 +1,25 @@
 //! Recordings: the world they were made in, systems that replay them from any moment, and what can be asked of them.
 
 mod beside;
+pub mod diverged;
 #[cfg(test)]
 mod grown_tests;
 mod index;
+mod lanes;
+pub mod late;
+mod pair;
 mod player;
 mod source;
 mod stepper;
 pub mod when;
 pub mod why;
 mod why_light;
+mod why_path;
 
 pub use beside::Beside;
+pub use lanes::{Lanes, Timed, ring_turns};
+pub use pair::{Pair, first_other_frame};
 pub use player::Player;
-pub use source::{How, Indexing, Seen, Source, Telling, name, observe};
+pub use source::{Ground, How, Indexing, Seen, Source, Telling, name, observe};
 pub use stepper::Stepper;
+pub use why_path::{Segment, drawn_over};

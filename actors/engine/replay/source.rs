@@ -1,6 +1,7 @@
 //! A recording with the world it was made in: systems that replay it are built from here.
 
 use std::cell::RefCell;
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -21,7 +22,7 @@ use crate::bake_clock::Watch;
 use crate::failure::Failure;
 use crate::interrupt::interrupted;
 use crate::opened::Opened;
-use crate::recording::{Elsewhere, RecordedRun, light_beside, light_key, open_trace, program};
+use crate::recording::{Elsewhere, Parent, RecordedRun, light_beside, light_key, open_trace, program};
 
 /// A delivery that was looked at.
 #[derive(Clone, Debug)]
@@ -94,8 +95,8 @@ pub struct How {
     pub ring_turns: Option<usize>,
 }
 
-/// A recording and its world.
-pub struct Source {
+/// A recording and its world: what replays on several threads are made of.
+pub struct Ground {
     /// The recording.
     pub trace: Arc<Trace>,
     /// Its file.
@@ -105,40 +106,23 @@ pub struct Source {
     /// The delivery of the renderer in which each frame was shown.
     pub shown_in: Vec<u64>,
     opened: Opened,
+}
+
+/// A recording, its world, and the snapshots that are kept of it.
+pub struct Source {
+    ground: Ground,
     index: RefCell<Index>,
 }
 
-impl Source {
-    /// Reads a recording and makes its world again.
-    pub fn open(
-        path: &Path,
-        elsewhere: &Elsewhere,
-        verify: bool,
-        watch: &dyn Watch,
-    ) -> Result<Self, Failure> {
-        let trace = Arc::new(open_trace(path)?);
-        let recorded = RecordedRun::of(&trace, path)?;
-        if verify && trace.header().hashing == Hashing::Off {
-            return Err(Failure::Input(format!(
-                "{}: recorded without hashes; it cannot be verified",
-                path.display()
-            )));
-        }
-        let mut opened = recorded.open(path, elsewhere, watch)?;
-        let shown_in = shown_in(&trace);
-        let index = Index::open(path, elsewhere.cache.as_deref());
-        if let Some(refinement) = &mut opened.refinement {
-            let (beside, triangles) = (light_beside(path), refinement.world.scene.mesh.triangles.len());
-            let beside: &[&Path] = if beside.exists() { &[&beside] } else { &[] };
-            let book = LightBook::open(light_key(refinement)?, triangles, beside, index.light());
-            let delivered =
-                trace.find("illuminator").map_or(0, |from| trace.deliveries_from(renderer(&trace), from));
-            refinement.book = Some(Arc::new(book.with_delivered(delivered)));
-        }
-        let index = RefCell::new(index);
-        Ok(Self { trace, path: path.to_owned(), recorded, shown_in, opened, index })
-    }
+impl Deref for Source {
+    type Target = Ground;
 
+    fn deref(&self) -> &Ground {
+        &self.ground
+    }
+}
+
+impl Ground {
     /// The scene it was recorded in, as it began.
     pub fn opened(&self) -> &Opened {
         &self.opened
@@ -167,6 +151,68 @@ impl Source {
         let parts = machine.parts(&self.opened, None, None, stages, Box::new(Unseen));
         Runtime::build(config, |w| wire(w, parts))
             .map_err(|e| Failure::Input(format!("{}: {e}", self.path.display())))
+    }
+}
+
+impl Source {
+    /// Reads a recording and makes its world again.
+    pub fn open(
+        path: &Path,
+        elsewhere: &Elsewhere,
+        verify: bool,
+        watch: &dyn Watch,
+    ) -> Result<Self, Failure> {
+        let trace = Arc::new(open_trace(path)?);
+        let recorded = RecordedRun::of(&trace, path)?;
+        if verify && trace.header().hashing == Hashing::Off {
+            return Err(Failure::Input(format!(
+                "{}: recorded without hashes; it cannot be verified",
+                path.display()
+            )));
+        }
+        let mut opened = match &recorded.parent {
+            None => recorded.open(path, elsewhere, watch)?,
+            Some(parent) => Self::left(parent, path, &recorded, elsewhere, watch)?,
+        };
+        let shown_in = shown_in(&trace);
+        let index = Index::open(path, elsewhere.cache.as_deref());
+        if let Some(refinement) = &mut opened.refinement {
+            let (beside, triangles) = (light_beside(path), refinement.world.scene.mesh.triangles.len());
+            let beside: &[&Path] = if beside.exists() { &[&beside] } else { &[] };
+            let book = LightBook::open(light_key(refinement)?, triangles, beside, index.light());
+            let delivered =
+                trace.find("illuminator").map_or(0, |from| trace.deliveries_from(renderer(&trace), from));
+            refinement.book = Some(Arc::new(book.with_delivered(delivered)));
+        }
+        let index = RefCell::new(index);
+        let ground = Ground { trace, path: path.to_owned(), recorded, shown_in, opened };
+        Ok(Self { ground, index })
+    }
+
+    /// The world in which a walk left another recording: its light may have been on its way from one map to the next, which
+    /// nobody else can make.
+    fn left(
+        parent: &Parent,
+        path: &Path,
+        recorded: &RecordedRun,
+        elsewhere: &Elsewhere,
+        watch: &dyn Watch,
+    ) -> Result<Opened, Failure> {
+        let file = match parent.find(path) {
+            Ok(file) => file,
+            // Where the light was final the scene says all.
+            Err(e) => return recorded.open(path, elsewhere, watch).map_err(|_| e),
+        };
+        let before = Self::open(&file, elsewhere, false, watch)?;
+        let until = Some(before.frame_shown(parent.frame)?);
+        let (runtime, actors) = before.run(How { until, jump: true, ..How::default() }, |_| ())?;
+        let world = runtime.inspect(actors.renderer, |r| r.world().clone());
+        let world = world.filter(|world| recorded.began_in(&*world.illumination)).ok_or_else(|| {
+            let (child, parent) = (path.display(), parent.recording.display());
+            Failure::Check(format!("{child}: {parent} does not come to the light in which it began"))
+        })?;
+        let (light, as_read) = (before.opened.light.clone(), before.opened.as_read.clone());
+        Ok(Opened { path: before.opened.path.clone(), light, as_read, ..Opened::of_world(world) })
     }
 
     /// Replays to where it is to stop, and leaves snapshots for others on the way. `look` is called now and then.
@@ -234,6 +280,22 @@ impl Source {
     /// The last snapshot that is kept before a delivery and has nothing behind it that `cut` does not.
     pub fn kept(&self, actor: ActorId, index: u64, cut: &[u64]) -> Option<Arc<Snapshot>> {
         self.index.borrow().before(actor, index).filter(|s| s.is_before(cut)).map(Arc::new)
+    }
+
+    /// Keeps a snapshot.
+    #[cfg(test)]
+    pub(super) fn keep(&self, take: impl FnOnce() -> Option<Snapshot>) {
+        self.index.borrow_mut().keep(take);
+    }
+
+    /// What had been delivered at each snapshot that is kept, from the first on.
+    pub fn places(&self) -> Vec<Vec<u64>> {
+        self.index.borrow().places()
+    }
+
+    /// The snapshot that is kept of a place.
+    pub fn at_place(&self, place: &[u64]) -> Option<Arc<Snapshot>> {
+        self.index.borrow().at(place).map(Arc::new)
     }
 
     /// The renderer's number.

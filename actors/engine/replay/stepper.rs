@@ -19,6 +19,7 @@ use serde_json::json;
 use super::source::{How, Seen, Source, Telling};
 use super::when::{self, Condition};
 use super::why;
+use super::why_path::Segment;
 use crate::failure::Failure;
 use crate::interrupt::interrupted;
 
@@ -343,11 +344,11 @@ impl Stepper {
         Ok(())
     }
 
-    /// Why a pixel of the last shown frame looks as it does.
+    /// Why a pixel of the last shown frame looks as it does, and the path of its sample over the picture.
     ///
     /// # Errors
     /// If no frame is shown yet, there is no such pixel, or the replay diverges.
-    pub fn why(&self, pixel: (u32, u32)) -> Result<Vec<String>, Failure> {
+    pub fn why(&self, pixel: (u32, u32)) -> Result<(Vec<String>, Vec<Segment>), Failure> {
         match self.frame() {
             None => Err(Failure::Usage("no frame is shown yet".into())),
             frame => why::story(&self.source, pixel, frame, self.workers),

@@ -1,18 +1,21 @@
 //! When something came about in a recording: conditions on messages, on the state of actors and on pixels.
 //!
-//! All deliveries are replayed and looked at on the way, each actor's on the thread that makes it.
+//! Deliveries are replayed and looked at on the way, each actor's on the thread that makes it: all of them, parts beside
+//! each other, or those alone in which a counter passes a bound.
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use bytesize::ByteSize;
 use crossbeam_queue::SegQueue;
 use foveal_actors::cache_ager::CacheAger;
 use foveal_actors::renderer::Renderer;
-use foveal_runtime::{ActorId, Content, Delivery, Limit, Observer};
+use foveal_actors::wiring::Actors;
+use foveal_runtime::{ActorId, Content, Delivery, Observer, Runtime, Snapshot};
 
-use super::source::{How, Source};
+use super::source::{Ground, How, Source};
 use crate::failure::Failure;
 use crate::interrupt::interrupted;
 
@@ -197,58 +200,243 @@ fn standing(content: &Content, path: &str) -> Content {
     content.at(path).cloned().unwrap_or_default()
 }
 
+/// Numbers of a state that never fall: where such a one passes a bound is found by halves.
+const COUNTERS: [(&str, &str); 6] = [
+    ("renderer", "view"),
+    ("allocator", "begun"),
+    ("analyzer", "analyzed"),
+    ("illuminator", "turns"),
+    ("illuminator", "rounds"),
+    ("illuminator", "published_in"),
+];
+/// Parts of a recording that are searched beside each other, for each thread: so that none waits long for another.
+const PARTS_PER_THREAD: usize = 4;
+
+/// A stretch of a recording: from a snapshot, or the start, up to a place, or the end.
+struct Part {
+    from: Option<Arc<Snapshot>>,
+    /// What has been delivered at its end.
+    end: Vec<u64>,
+}
+
 /// All places where a condition comes to hold, in the order of the actor's deliveries.
+///
+/// Where snapshots are kept all along the recording, its parts are searched beside each other; where a number that never
+/// falls passes a bound, only the part is searched in which it does. Else all of it is replayed, and leaves snapshots.
 ///
 /// # Errors
 /// If the recording has no such actor, object or pixel, no state ever has such a path, or the replay diverges.
 pub fn when(source: &Source, condition: &Condition, workers: usize) -> Result<Vec<Met>, Failure> {
     let (actor, look) = looked_at(source, condition)?;
-    let queue: Arc<SegQueue<(u64, Content)>> = Arc::default();
-    let sink = Arc::clone(&queue);
-    let observer: Observer = Arc::new(move |d: &Delivery<'_>| {
+    let look: Arc<Look> = Arc::new(look);
+    let values = match by_halves(source, condition, actor, &look) {
+        Some(values) => values,
+        None => match parts(source, workers) {
+            Some(all) => beside(source, condition, actor, &look, &all, workers)?,
+            None => seen_in_whole(source, condition, actor, &look, workers)?,
+        },
+    };
+    if let Of::State(name, Test { path, .. }) | Of::Changes(name, path) = &condition.of
+        && values.values().all(|value| *value == Content::Untold)
+    {
+        return Err(Failure::Usage(format!(
+            "nothing ever stands at {name}.{path}; `--state {name:?}` shows what does"
+        )));
+    }
+    Ok(met(source, condition, actor, values))
+}
+
+/// All deliveries of a recording.
+fn whole(source: &Source) -> Vec<u64> {
+    let nodes = 0..source.trace.header().nodes.len() as u32;
+    nodes.map(|number| source.trace.deliveries(ActorId(number))).collect()
+}
+
+/// Puts what is looked at into a queue.
+fn observer(queue: &Arc<SegQueue<(u64, Content)>>, actor: ActorId, look: &Arc<Look>) -> Observer {
+    let (sink, look) = (Arc::clone(queue), Arc::clone(look));
+    Arc::new(move |d: &Delivery<'_>| {
         if d.actor == actor
             && let Some(value) = look(d)
         {
             sink.push((d.index, value));
         }
-    });
-    let how = How { threads: workers, observer: Some(observer), ..How::default() };
-    let (mut runtime, actors) = source.system(how)?;
-    runtime.pump_until(Limit::IDLE, |_| interrupted());
-    if interrupted() {
-        return Err(Failure::Interrupted("interrupted while replaying".into()));
+    })
+}
+
+/// What was seen, by the delivery that it came about in; and what the last one left.
+fn collect(
+    ground: &Ground,
+    condition: &Condition,
+    actor: ActorId,
+    queue: &SegQueue<(u64, Content)>,
+    (runtime, actors): (&Runtime, &Actors),
+    end: u64,
+) -> Result<BTreeMap<u64, Content>, Failure> {
+    let mut values: BTreeMap<u64, Content> = std::iter::from_fn(|| queue.pop()).collect();
+    if matches!(condition.of, Of::Hears(..)) {
+        return Ok(values);
     }
+    // What was seen before a delivery is what the one before left; the last one's is still to be seen.
+    let last = match &condition.of {
+        Of::State(_, Test { path, .. }) | Of::Changes(_, path) => {
+            runtime.content(actor).map(|content| standing(&content, path))
+        }
+        Of::Pixel(x, y) => runtime.inspect(actors.renderer, |r| pixel(r, *x, *y)).flatten(),
+        Of::Loses(name) => {
+            let object = object(ground, name)?;
+            let ager = actors.correction.as_ref().map(|correction| correction.cache_ager);
+            ager.and_then(|ager| runtime.inspect(ager, |ager| samples_of(ager, object)))
+        }
+        Of::Hears(..) => None,
+    };
+    values.extend(last.map(|value| (end, value)));
+    Ok(values.into_iter().filter_map(|(index, value)| Some((index.checked_sub(1)?, value))).collect())
+}
+
+fn seen_in_whole(
+    source: &Source,
+    condition: &Condition,
+    actor: ActorId,
+    look: &Arc<Look>,
+    workers: usize,
+) -> Result<BTreeMap<u64, Content>, Failure> {
+    let queue = Arc::default();
+    let how = How { threads: workers, observer: Some(observer(&queue, actor, look)), ..How::default() };
+    let (mut runtime, actors) = source.run(how, |_| ())?;
     if let Some(divergence) = runtime.replay_report().divergence {
         return Err(Failure::Check(format!("the replay diverges: {divergence}")));
     }
-    let mut values: BTreeMap<u64, Content> = std::iter::from_fn(|| queue.pop()).collect();
-    let is_message = matches!(condition.of, Of::Hears(..));
-    if !is_message {
-        // What was seen before a delivery is what the one before left; the last one's is still to be seen.
-        let end = source.trace.deliveries(actor);
-        let last = match &condition.of {
-            Of::State(_, Test { path, .. }) | Of::Changes(_, path) => {
-                runtime.content(actor).map(|content| standing(&content, path))
-            }
-            Of::Pixel(x, y) => runtime.inspect(actors.renderer, |r| pixel(r, *x, *y)).flatten(),
-            Of::Loses(name) => {
-                let object = object(source, name)?;
-                let ager = actors.correction.as_ref().map(|correction| correction.cache_ager);
-                ager.and_then(|ager| runtime.inspect(ager, |ager| samples_of(ager, object)))
-            }
-            Of::Hears(..) => None,
-        };
-        values.extend(last.map(|value| (end, value)));
-        if let Of::State(name, Test { path, .. }) | Of::Changes(name, path) = &condition.of
-            && values.values().all(|value| *value == Content::Untold)
-        {
-            return Err(Failure::Usage(format!(
-                "nothing ever stands at {name}.{path}; `--state {name:?}` shows what does"
-            )));
-        }
-        values =
-            values.into_iter().filter_map(|(index, value)| Some((index.checked_sub(1)?, value))).collect();
+    runtime.positions();
+    let end = source.trace.deliveries(actor);
+    collect(source, condition, actor, &queue, (&runtime, &actors), end)
+}
+
+/// What is seen in a part. `None` where it cannot be replayed from its snapshot.
+fn seen_in(
+    ground: &Ground,
+    condition: &Condition,
+    actor: ActorId,
+    look: &Arc<Look>,
+    part: &Part,
+) -> Option<BTreeMap<u64, Content>> {
+    let queue = Arc::default();
+    let how =
+        How { from: part.from.clone(), observer: Some(observer(&queue, actor, look)), ..How::default() };
+    let (mut runtime, actors) = ground.system(how).ok()?;
+    if !runtime.run_to(&part.end) || runtime.diverged() {
+        return None;
     }
+    let end = part.end[actor.0 as usize];
+    collect(ground, condition, actor, &queue, (&runtime, &actors), end).ok()
+}
+
+/// The parts between the snapshots that are kept, about as many as keep all threads busy; none where there are too few.
+fn parts(source: &Source, workers: usize) -> Option<Vec<Part>> {
+    let (places, end) = (source.places(), whole(source));
+    let count = workers.max(1) * PARTS_PER_THREAD;
+    if workers < 2 || places.len() < count {
+        return None;
+    }
+    let progress = |place: &[u64]| place.iter().sum::<u64>();
+    let step = progress(&end) / count as u64;
+    let mut begins: Vec<Vec<u64>> = vec![vec![0; end.len()]];
+    for place in places {
+        let before = begins.last().map_or(0, |place| progress(place));
+        if progress(&place) >= before + step && progress(&place) < progress(&end) {
+            begins.push(place);
+        }
+    }
+    let ends = begins[1..].iter().cloned().chain([end]).collect::<Vec<_>>();
+    // The longest decides how long it takes.
+    let longest = begins.iter().zip(&ends).map(|(begin, end)| progress(end) - progress(begin)).max()?;
+    if longest > 4 * step.max(1) {
+        return None;
+    }
+    let part = |(begin, end): (Vec<u64>, Vec<u64>)| {
+        let from = if progress(&begin) == 0 { None } else { Some(source.at_place(&begin)?) };
+        Some(Part { from, end })
+    };
+    begins.into_iter().zip(ends).map(part).collect()
+}
+
+/// What is seen in all parts, each replayed on a thread of its own.
+fn beside(
+    source: &Source,
+    condition: &Condition,
+    actor: ActorId,
+    look: &Arc<Look>,
+    parts: &[Part],
+    workers: usize,
+) -> Result<BTreeMap<u64, Content>, Failure> {
+    let ground: &Ground = source;
+    let next = AtomicUsize::new(0);
+    let found = std::thread::scope(|scope| {
+        let work = || {
+            let mut found = Vec::new();
+            while let Some(part) = parts.get(next.fetch_add(1, Ordering::Relaxed)) {
+                if interrupted() {
+                    break;
+                }
+                found.push(seen_in(ground, condition, actor, look, part));
+            }
+            found
+        };
+        let threads: Vec<_> = (0..workers.min(parts.len())).map(|_| scope.spawn(work)).collect();
+        threads
+            .into_iter()
+            .flat_map(|thread| thread.join().unwrap_or_else(|_| vec![None]))
+            .collect::<Vec<_>>()
+    });
+    if interrupted() {
+        return Err(Failure::Interrupted("interrupted while replaying".into()));
+    }
+    match found.into_iter().collect::<Option<Vec<_>>>() {
+        Some(found) => Ok(found.into_iter().flatten().collect()),
+        // A snapshot may be at fault.
+        None => seen_in_whole(source, condition, actor, look, workers),
+    }
+}
+
+/// What is seen in the part in which a number that never falls passes a bound, found by halves. `None` where the condition
+/// does not ask for that, or what is kept does not do.
+fn by_halves(
+    source: &Source,
+    condition: &Condition,
+    actor: ActorId,
+    look: &Arc<Look>,
+) -> Option<BTreeMap<u64, Content>> {
+    let Of::State(_, test) = &condition.of else { return None };
+    let grows = matches!(test.comparison, Comparison::More | Comparison::AtLeast);
+    let counts = COUNTERS.contains(&(source.name(actor), test.path.as_str()));
+    let places = source.places();
+    if !grows || !counts || places.is_empty() {
+        return None;
+    }
+    // Snapshots at which it does not hold, and those at which it does.
+    let (mut below, mut above) = (0, places.len());
+    while below < above {
+        let middle = usize::midpoint(below, above);
+        let from = Some(source.at_place(&places[middle])?);
+        let (runtime, _) = source.system(How { from, ..How::default() }).ok()?;
+        let state = runtime.content(actor)?;
+        if test.holds(&standing(&state, &test.path)) {
+            above = middle;
+        } else {
+            below = middle + 1;
+        }
+    }
+    let from = match below.checked_sub(1) {
+        Some(last) => Some(source.at_place(&places[last])?),
+        None => None,
+    };
+    let end = places.get(below).cloned().unwrap_or_else(|| whole(source));
+    seen_in(source, condition, actor, look, &Part { from, end })
+}
+
+/// Where a condition comes to hold, of the values that were seen.
+fn met(source: &Source, condition: &Condition, actor: ActorId, values: BTreeMap<u64, Content>) -> Vec<Met> {
+    let is_message = matches!(condition.of, Of::Hears(..));
     let mut met = Vec::new();
     let mut before: Option<Content> = None;
     for (index, value) in values {
@@ -271,7 +459,7 @@ pub fn when(source: &Source, condition: &Condition, workers: usize) -> Result<Ve
         }
         before = Some(value);
     }
-    Ok(met)
+    met
 }
 
 /// Whose deliveries are looked at, and what at each of them.
@@ -328,7 +516,7 @@ fn samples_of(ager: &CacheAger, object: u32) -> Content {
 }
 
 /// An object's number by its name.
-fn object(source: &Source, name: &str) -> Result<u32, Failure> {
+fn object(source: &Ground, name: &str) -> Result<u32, Failure> {
     let objects = &source.world().scene.objects;
     objects.iter().position(|object| object.name == name).map(|id| id as u32).ok_or_else(|| {
         let mut names: Vec<&str> =
@@ -342,7 +530,7 @@ fn object(source: &Source, name: &str) -> Result<u32, Failure> {
 mod tests {
     use super::*;
     use crate::recording::Elsewhere;
-    use foveal_runtime::Until;
+    use foveal_runtime::{Limit, Until};
     use std::path::Path;
 
     fn kept(name: &str) -> Source {
@@ -390,7 +578,7 @@ mod tests {
         let view = |index: u64| {
             let until = Some(Until::Delivery { actor: renderer, index });
             let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
-            runtime.pump(Limit::IDLE);
+            runtime.pump(foveal_runtime::Limit::IDLE);
             runtime.content(renderer).and_then(|c| c.at("view").and_then(Content::number)).expect("a view")
         };
         let met = places(&source, "renderer.view >= 3");
@@ -435,6 +623,70 @@ mod tests {
             let condition = Condition::parse(text).expect(text);
             let failure = when(&source, &condition, 1).expect_err(text).to_string();
             assert!(failure.contains(says), "{text}: {failure}");
+        }
+    }
+
+    /// Leaves a snapshot after each so many deliveries of the renderer, in a folder of its own.
+    fn with_snapshots(name: &str, folder: &Path, every: usize) -> Source {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../traces").join(name);
+        let elsewhere = Elsewhere { cache: Some(folder.to_owned()), ..Elsewhere::default() };
+        let source = Source::open(&path, &elsewhere, true, &()).expect("a walk");
+        let renderer = source.renderer();
+        for index in (0..source.trace.deliveries(renderer)).step_by(every) {
+            let until = Some(Until::Delivery { actor: renderer, index });
+            let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
+            runtime.pump(Limit::IDLE);
+            source.keep(|| runtime.snapshot());
+        }
+        source
+    }
+
+    /// By halves, in parts and as a whole, the same is found.
+    #[test]
+    fn snapshots_change_nothing_but_how_long_it_takes() {
+        let folders = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
+        let kept = with_snapshots("gallery.fvl", folders[0].path(), 3);
+        let bare = with_snapshots("gallery.fvl", folders[1].path(), usize::MAX >> 1);
+        assert!(parts(&kept, 2).is_some_and(|parts| parts.len() >= 4), "{} places", kept.places().len());
+        assert!(parts(&bare, 2).is_none());
+        for text in [
+            "renderer.view > 3",
+            "renderer.view >= 1",
+            "renderer.view > 1000",
+            "allocator.begun >= 2",
+            "renderer.view changes",
+            "renderer.counts.traced > 0",
+            "cache ager.samples changes",
+            "allocator hears JobDone samples > 10",
+            "pixel 32,24 changes",
+        ] {
+            let condition = Condition::parse(text).expect(text);
+            let [a, b] = [&kept, &bare].map(|source| when(source, &condition, 2).expect(text));
+            assert_eq!(a, b, "{text}");
+        }
+        for text in ["renderer.view > 3", "renderer.view >= 1", "renderer.view > 1000"] {
+            let condition = Condition::parse(text).expect(text);
+            let (actor, look) = looked_at(&kept, &condition).expect(text);
+            let seen = by_halves(&kept, &condition, actor, &Arc::new(look)).expect(text);
+            assert!((seen.len() as u64) < kept.trace.deliveries(actor) / 2, "{text}: {}", seen.len());
+        }
+    }
+
+    /// What is found by halves never falls, in any of the kept walks.
+    #[test]
+    fn counters_never_fall() {
+        for name in ["box.fvl", "duck.fvl", "gallery.fvl", "table.fvl"] {
+            let source = kept(name);
+            for (actor, path) in COUNTERS {
+                if source.trace.find(actor).is_none() {
+                    continue;
+                }
+                for met in places(&source, &format!("{actor}.{path} changes")) {
+                    let [before, now] =
+                        [met.before.as_ref(), Some(&met.value)].map(|value| value.and_then(Content::number));
+                    assert!(before.is_none() || before <= now, "{name}, {actor}.{path}: {met}");
+                }
+            }
         }
     }
 }

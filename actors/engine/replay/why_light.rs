@@ -58,15 +58,17 @@ fn light(drawn: &DrawnView, at: &Interaction) -> Value {
     json!({
         // W/m² per band.
         "irradiance": all.to_array(),
-        // Of its luminance at this place.
-        "stated_error": stored.map(|map| map.lookup(at.triangle, at.b1, at.b2, at.back).w),
+        // Of its luminance at this place. A first estimate holds none: nothing was held back to find it by.
+        "stated_error": stored
+            .filter(|map| map.summary.rounds > 0)
+            .map(|map| map.lookup(at.triangle, at.b1, at.b2, at.back).w),
         "direct": lamps.collect::<Vec<_>>(),
         // What the map has beyond that, and where it errs; nothing where nothing is stored, as on metal.
         "indirect": (all != Vec3::ZERO).then(|| (all - straight).to_array()),
         "map": stored.map(|map| json!({
             "rounds": map.summary.rounds,
             "paths": map.summary.particles,
-            "stated_error": map.summary.relative_error,
+            "stated_error": (map.summary.rounds > 0).then_some(map.summary.relative_error),
         })),
     })
 }
@@ -118,7 +120,10 @@ pub fn told(surface: &Value) -> Vec<String> {
     ));
     let light = &surface["light"];
     let stated = light["stated_error"].as_f64();
-    let stated = stated.map_or_else(String::new, |error| format!(", ± {error:.4} stated at this place"));
+    let stated = stated.map_or_else(
+        || ", its error not known".to_owned(),
+        |error| format!(", ± {error:.4} stated at this place"),
+    );
     lines.push(format!("light     {} W/m²{stated}", band(&light["irradiance"])));
     for lamp in light["direct"].as_array().into_iter().flatten() {
         let noise = lamp["noise"].as_f64().unwrap_or_default();
@@ -131,11 +136,18 @@ pub fn told(surface: &Value) -> Vec<String> {
     });
     let map = &light["map"];
     if !map.is_null() {
-        let error = 100.0 * map["stated_error"].as_f64().unwrap_or_default();
-        lines.push(format!(
-            "  map       of round {}, {} paths, stated error {error:.2} %",
-            map["rounds"], map["paths"]
-        ));
+        let of = match map["stated_error"].as_f64() {
+            Some(error) => {
+                format!(
+                    "of round {}, {} paths, stated error {:.2} %",
+                    map["rounds"],
+                    map["paths"],
+                    100.0 * error
+                )
+            }
+            None => format!("a first estimate of {} paths", map["paths"]),
+        };
+        lines.push(format!("  map       {of}"));
     }
     let texture = &surface["texture"];
     if !texture.is_null() {

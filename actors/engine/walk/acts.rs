@@ -62,6 +62,15 @@ impl Walk {
         }
     }
 
+    /// Goes so far at once, scene units: to the right, upwards, ahead.
+    pub fn stride(&mut self, aside: f32, up: f32, ahead: f32, now: f64) {
+        let camera = self.camera_at(now);
+        let forward = (camera.target - camera.eye).normalize_or_zero();
+        let right = forward.cross(self.place.up).normalize_or_zero();
+        let by = aside * right + up * self.place.up + ahead * forward;
+        self.act(Act::Stand(Camera { eye: camera.eye + by, target: camera.target + by, ..camera }), now);
+    }
+
     /// Whether a frame has begun and not yet ended.
     pub fn is_in_frame(&self) -> bool {
         self.frame.is_some()

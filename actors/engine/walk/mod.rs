@@ -93,7 +93,8 @@ impl Walk {
             Camera { eye: glam::Vec3::ZERO, target: glam::Vec3::NEG_Z, up: place.up, fov_y: 0.8 },
             |c| c.camera,
         );
-        Self {
+        let plays = source.plays();
+        let mut walk = Self {
             navigator: Navigator::new(&start, place.up, place.diagonal, now),
             controls: source.controls(),
             ways: Ways::new(&place),
@@ -114,7 +115,11 @@ impl Walk {
             replaying: None,
             notice: None,
             leaving: Vec::new(),
+        };
+        if plays {
+            walk.toggle_playing(now);
         }
+        walk
     }
 
     /// The same walk through another version of the scene: camera, bookmarks and controls stay.

@@ -22,11 +22,18 @@ impl Walk {
             Wish::Messages(messages) => timeline.step(messages),
             Wish::Play => self.replaying = if replaying.is_none() { Some(now) } else { None },
             Wish::Why(x, y) => timeline.why(x, y),
+            Wish::Find(condition) => timeline.find(&condition),
+            Wish::Place(place) => timeline.go_to_place(&place),
+            Wish::State(actor) => timeline.tell_state(&actor),
+            Wish::Lanes(shows) => timeline.show_lanes(shows),
             Wish::Branch => match timeline.branch() {
-                Ok(Branch { source, camera }) => {
+                Ok(Branch { source, camera, recorded }) => {
                     self.move_to(source, now);
                     self.navigator.set_camera(&camera, now);
-                    self.tell("walking on from the recording".into());
+                    self.tell(match recorded {
+                        Some(file) => format!("walking on from the recording, into {}", file.display()),
+                        None => "walking on from the recording".into(),
+                    });
                 }
                 Err(e) => self.complain(e),
             },

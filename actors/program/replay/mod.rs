@@ -8,14 +8,15 @@ mod step;
 #[cfg(feature = "window")]
 mod view;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::Args;
 use crossbeam_queue::SegQueue;
+use foveal::image::Map2d;
 use foveal_engine::Failure;
 use foveal_engine::files::{png_bytes, write_atomic};
-use foveal_engine::replay::{How, Source, Telling, observe, why};
+use foveal_engine::replay::{How, Source, Telling, diverged, drawn_over, late, observe, ring_turns, why};
 #[cfg(feature = "serve")]
 use foveal_engine::{replay::Player, source::FrameSource};
 use foveal_runtime::{Delivery, Divergence, ReplayReport};
@@ -58,6 +59,14 @@ pub struct ReplayArguments {
     #[cfg(feature = "window")]
     #[arg(long, conflicts_with_all = ["verify", "until", "step", "back", "show", "why", "actor", "export", "json"])]
     view: bool,
+    /// Another recording, shown beside it at the same frame, with the first frame marked that differs
+    #[cfg(feature = "window")]
+    #[arg(long, value_name = "FVL", requires = "view")]
+    beside: Option<PathBuf>,
+    /// Record walks that leave it into this file; they name this recording and the frame
+    #[cfg(feature = "window")]
+    #[arg(long, value_name = "FVL", requires = "view")]
+    record: Option<PathBuf>,
     /// Show it in a browser: the same timeline and stories, at this address
     #[cfg(feature = "serve")]
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, require_equals = true, default_missing_value = "127.0.0.1:8080", conflicts_with_all = ["verify", "until", "step", "back", "show", "why", "actor", "export"])]
@@ -69,15 +78,22 @@ pub struct ReplayArguments {
     /// Write this frame's picture to --out
     #[arg(long, value_name = "FRAME", requires = "out", conflicts_with = "until")]
     show: Option<u32>,
-    /// Where --show writes the picture
-    #[arg(long, value_name = "PNG", requires = "show")]
+    /// Where --show writes the picture, and --path draws it over the picture
+    #[arg(long, value_name = "PNG")]
     out: Option<PathBuf>,
+    /// With --why: trace the sample's whole path again: surfaces, lobes, random numbers and what each adds
+    #[arg(long, requires = "why")]
+    path: bool,
     /// Why this pixel of --frame looks as it does: the chain from input to sample
     #[arg(long, value_name = "X,Y", value_parser = pixel)]
     why: Option<(u32, u32)>,
     /// The frame that --why looks at (default: the last)
     #[arg(long, requires = "why")]
     frame: Option<u32>,
+    /// Why this frame took as long as it did: what each thread did, the chain that it waited for, what of it would have had
+    /// to be faster
+    #[arg(long, value_name = "FRAME")]
+    why_late: Option<u32>,
     /// Say what was delivered to this actor
     #[arg(long, value_name = "NAME")]
     actor: Option<String>,
@@ -147,11 +163,25 @@ pub fn run(a: &ReplayArguments, progress: Progress) -> Result<(), Failure> {
             false => Ok(()),
         };
     }
+    if a.out.is_some() && a.show.is_none() && a.why.is_none() {
+        return Err(Failure::Usage("--out is where --show and --why draw".into()));
+    }
     if let Some(pixel) = a.why {
-        let document = why::explain(&source, pixel, a.frame, workers)?;
+        let explained = why::explain(&source, pixel, a.frame, a.path, workers)?;
+        if let Some(out) = &a.out {
+            write_picture(out, &drawn_over(&explained.picture, &explained.segments, pixel))?;
+        }
+        match a.json {
+            true => print_json(&explained.document),
+            false => why::told(&explained.document).iter().for_each(|line| print_line(line)),
+        }
+        return Ok(());
+    }
+    if let Some(frame) = a.why_late {
+        let document = late::explain(&source, frame, workers)?;
         match a.json {
             true => print_json(&document),
-            false => why::told(&document).iter().for_each(|line| print_line(line)),
+            false => late::told(&document).iter().for_each(|line| print_line(line)),
         }
         return Ok(());
     }
@@ -199,7 +229,7 @@ fn verify(
     if all {
         // One delivery a turn, and all of them kept: so each has its time.
         how.turn = Some(1);
-        how.ring_turns = Some(export::ring_turns(&source.trace));
+        how.ring_turns = Some(ring_turns(&source.trace));
     }
     tracing::info!("recorded by {}", source.trace.header().fingerprint);
     let (mut runtime, actors) = source.run(how, |_| ())?;
@@ -217,9 +247,7 @@ fn verify(
     if let (Some(frame), Some(out)) = (a.show, &a.out)
         && let Some(snapshot) = shown.as_ref().filter(|s| s.index.0 == frame)
     {
-        let picture = &snapshot.rgb8;
-        let (width, height) = (picture.width() as u32, picture.height() as u32);
-        write_atomic(out, &png_bytes(width, height, picture.data().as_flattened())?)?;
+        write_picture(out, &snapshot.rgb8)?;
     }
     if let Some((format, file)) = export {
         write_atomic(&file, &export::bytes(format, source, &runtime, &seen))?;
@@ -228,6 +256,29 @@ fn verify(
     let complete =
         report.complete || until.is_some() && source.trace.complete() && report.divergence.is_none();
     let mut document = document(&report, source, frames, workers, complete);
+    let looked = report.divergence.as_ref().map(|d| diverged::look_at(source, d, workers)).transpose()?;
+    if let Some(found) = looked.flatten() {
+        if a.json {
+            let differs = found.differs.iter().map(|d| json!({"path": d.path, "a": d.left, "b": d.right}));
+            document["diverged"]["says"] = json!(found.says);
+            document["diverged"]["state"] = json!(found.state);
+            document["diverged"]["replays_differ"] = differs.collect();
+        } else {
+            print_line(&format!("there it says {}", found.says));
+            match found.differs.is_empty() {
+                true => print_line(
+                    "two more replays say the same there: this program says something else than that one did",
+                ),
+                false => print_line(
+                    "two more replays differ there, so it depends on something that is no message:",
+                ),
+            }
+            found
+                .differs
+                .iter()
+                .for_each(|d| print_line(&format!("  {}: {} and {}", d.path, d.left, d.right)));
+        }
+    }
     if let Some(asked) = asked {
         document["deliveries"] =
             seen.iter().filter(|s| s.actor == asked).map(|s| source.document(s)).collect();
@@ -247,6 +298,11 @@ fn verify(
             ),
         })),
     }
+}
+
+fn write_picture(out: &Path, picture: &Map2d<[u8; 3]>) -> Result<(), Failure> {
+    let (width, height) = (picture.width() as u32, picture.height() as u32);
+    write_atomic(out, &png_bytes(width, height, picture.data().as_flattened())?)
 }
 
 fn document(report: &ReplayReport, source: &Source, frames: u32, workers: usize, complete: bool) -> Value {

@@ -51,7 +51,7 @@ fn print(session: &mut Stepper) {
 
 fn why(session: &Stepper, text: &str) -> Result<(), Failure> {
     let pixel = super::pixel(text).map_err(Failure::Usage)?;
-    session.why(pixel)?.iter().for_each(|line| print_line(line));
+    session.why(pixel)?.0.iter().for_each(|line| print_line(line));
     Ok(())
 }
 

@@ -1,5 +1,6 @@
 //! Actors that do what an actor must not are found by replay at the very message where they did.
 
+use crossbeam_queue::SegQueue;
 use foveal_runtime::*;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -15,6 +16,12 @@ enum Leak {
     Clock,
     /// The order of a map with a random seed.
     Map,
+    /// The same, by the last bits of sums.
+    Float,
+    /// Nothing.
+    Nothing,
+    /// A bit of its state, changed by hand.
+    Hand,
 }
 
 /// Passes tokens to its neighbour; at one of them it leaks.
@@ -46,7 +53,16 @@ impl Actor for Leaky {
                 self.state ^=
                     map.keys().fold(1, |sum: u64, key| sum.wrapping_mul(31).wrapping_add(u64::from(*key)));
             }
-            None => {}
+            Some((Leak::Float, _)) => {
+                // One sum has few values that it can round to; of sixteen it shows that their order is another.
+                for _ in 0..16 {
+                    let map: HashMap<u32, f32> = (1..256).map(|key| (key, 1.0 / key as f32)).collect();
+                    let sum: f32 = map.values().sum();
+                    self.state = self.state.rotate_left(5) ^ u64::from(sum.to_bits());
+                }
+            }
+            Some((Leak::Hand, _)) => self.state ^= 1 << 7,
+            Some((Leak::Nothing, _)) | None => {}
         }
         if let (Some(to), true) = (&self.to, token.hops > 0) {
             let token = Token { hops: token.hops - 1, value: self.state };
@@ -87,27 +103,65 @@ fn wire(wiring: &mut Wiring, leak: (Leak, u64), digests: bool) {
     }
 }
 
+/// What the message at a place says in a replay.
+fn says(trace: &Arc<Trace>, leak: (Leak, u64), digests: bool, place: (ActorId, u64)) -> Content {
+    let found: Arc<SegQueue<Content>> = Arc::default();
+    let sink = Arc::clone(&found);
+    let observer: Observer = Arc::new(move |d: &Delivery<'_>| {
+        if (d.actor, d.index) == place {
+            sink.push((d.told)());
+        }
+    });
+    let config = Config { observer: Some(observer), ..Config::replay(trace.clone(), 0) };
+    let (mut runtime, ()) = Runtime::build(config, |wiring| wire(wiring, leak, digests)).expect("builds");
+    assert!(runtime.replay().divergence.is_some());
+    found.pop().expect("it comes there")
+}
+
 #[test]
-fn a_clock_and_a_random_map_are_found_at_their_message() {
+fn what_an_actor_must_not_do_is_found_at_its_message() {
     let folder = tempfile::tempdir().expect("a folder");
-    for (number, leak) in [Leak::Clock, Leak::Map].into_iter().enumerate() {
+    // What leaked while it was recorded, and in the replay.
+    let leaks = [
+        (Leak::Clock, Leak::Clock),
+        (Leak::Map, Leak::Map),
+        (Leak::Float, Leak::Float),
+        (Leak::Nothing, Leak::Hand),
+    ];
+    for (number, (recorded, replayed)) in leaks.into_iter().enumerate() {
         for digests in [true, false] {
             let path = folder.path().join(format!("{number}-{digests}.fvlog"));
             let config = Config::live(2).record(&path);
             let (mut runtime, ()) =
-                Runtime::build(config, |wiring| wire(wiring, (leak, 17), digests)).expect("builds");
+                Runtime::build(config, |wiring| wire(wiring, (recorded, 17), digests)).expect("builds");
             assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
             runtime.shutdown(WAIT);
             let trace = Arc::new(Trace::open(&path).expect("reads"));
+            // With the state's hash it is the message itself; without, the first that tells of it.
+            let expected = if digests { (ActorId(1), 17) } else { (ActorId(0), 18) };
             for threads in [0, 2] {
                 let config = Config::replay(trace.clone(), threads);
                 let (mut runtime, ()) =
-                    Runtime::build(config, |wiring| wire(wiring, (leak, 17), digests)).expect("builds");
+                    Runtime::build(config, |wiring| wire(wiring, (replayed, 17), digests)).expect("builds");
                 let divergence = runtime.replay().divergence.expect("it leaks");
-                // With the state's hash it is the message itself; without, the first that tells of it.
-                let expected = if digests { (ActorId(1), 17) } else { (ActorId(0), 18) };
-                assert_eq!((divergence.actor, divergence.index), expected, "{leak:?}: {divergence}");
+                assert_eq!((divergence.actor, divergence.index), expected, "{replayed:?}: {divergence}");
                 assert_eq!((divergence.kind, divergence.turns[0].index), ("Token", expected.1));
+            }
+            if digests {
+                continue;
+            }
+            // Two replays differ there in the field, with both values, if it is no function of the messages.
+            let [one, two] = [(); 2].map(|()| says(&trace, (replayed, 17), digests, expected));
+            let differs = one.differences(&two);
+            match replayed {
+                Leak::Hand => assert!(differs.is_empty(), "{differs:?}"),
+                _ => {
+                    assert!(
+                        differs.iter().any(|d| d.path.ends_with("value")),
+                        "{replayed:?}: {one} and {two}"
+                    );
+                    assert!(differs.iter().all(|d| d.left != d.right));
+                }
             }
         }
     }

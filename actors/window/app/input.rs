@@ -1,9 +1,9 @@
 //! Keys and the mouse: what they do to the walk and to the window.
 
-use winit::event::{ElementState, MouseButton, MouseScrollDelta, WindowEvent};
+use winit::event::{ElementState, MouseButton, MouseScrollDelta, Touch, TouchPhase, WindowEvent};
 use winit::event_loop::ActiveEventLoop;
 use winit::keyboard::KeyCode;
-use winit::window::CursorGrabMode;
+use winit::window::{CursorGrabMode, Fullscreen};
 
 use super::App;
 use foveal_engine::navigation::Motion;
@@ -69,6 +69,7 @@ impl App {
         match key {
             KeyCode::F1 if pressed && !repeated => self.help = !self.help,
             KeyCode::F5 if pressed && !repeated && self.loading.is_none() => self.load(None),
+            KeyCode::F11 if pressed && !repeated => self.toggle_full_screen(),
             KeyCode::F12 if pressed && !repeated => self.screenshot(),
             KeyCode::Escape if pressed => self.look_around(false),
             // A key that went down before a value was typed must still go up.
@@ -105,6 +106,52 @@ impl App {
         }
     }
 
+    fn toggle_full_screen(&self) {
+        let Some(screen) = &self.screen else { return };
+        let is_full = screen.window.fullscreen().is_some();
+        screen.window.set_fullscreen((!is_full).then_some(Fullscreen::Borderless(None)));
+    }
+
+    /// One finger on the picture looks around; two walk, to where both are dragged, and ahead as they part. Where one
+    /// lies on the panel, that has them (egui makes a pointer of the first).
+    fn on_touch(&mut self, touch: &Touch, now: f64) {
+        let at = (touch.location.x, touch.location.y);
+        match touch.phase {
+            TouchPhase::Started => {
+                self.pointer = at;
+                if self.fingers.len() < 2 && self.pointer_on_picture() {
+                    self.fingers.push((touch.id, at));
+                }
+            }
+            TouchPhase::Moved => {
+                let Some(moved) = self.fingers.iter().position(|(id, _)| *id == touch.id) else { return };
+                let spread = |fingers: &[(u64, (f64, f64))]| match fingers {
+                    [(_, a), (_, b)] => (a.0 - b.0).abs().max((a.1 - b.1).abs()),
+                    _ => 0.0,
+                };
+                let before = (self.fingers[moved].1, spread(&self.fingers));
+                self.fingers[moved].1 = at;
+                let (right, down) = (at.0 - before.0.0, at.1 - before.0.1);
+                let is_alone = self.fingers.len() == 1;
+                let after = spread(&self.fingers);
+                let Some(walk) = &mut self.walk else { return };
+                if is_alone {
+                    walk.act(Act::Look(right as f32, down as f32), now);
+                } else {
+                    // Both fingers' way counts, half of it each.
+                    let size =
+                        self.screen.as_ref().map_or(512.0, |s| f64::from(s.picture_rect.width().max(1.0)));
+                    let points = f64::from(self.context.pixels_per_point()) * size;
+                    let step = |pixels: f64| (pixels / points * f64::from(walk.place().diagonal)) as f32;
+                    let (aside, up, ahead) = (step(-0.5 * right), step(0.5 * down), step(after - before.1));
+                    walk.stride(aside, up, ahead, now);
+                }
+            }
+            TouchPhase::Ended | TouchPhase::Cancelled => self.fingers.retain(|(id, _)| *id != touch.id),
+        }
+        self.request_redraw();
+    }
+
     /// Begins or ends looking around with the mouse.
     pub(super) fn look_around(&mut self, begins: bool) {
         let Some(screen) = &self.screen else { return };
@@ -132,6 +179,7 @@ impl App {
     pub(super) fn on_pointer(&mut self, event: &WindowEvent) {
         let now = self.now();
         match event {
+            WindowEvent::Touch(touch) => self.on_touch(touch, now),
             WindowEvent::CursorMoved { position, .. } => {
                 self.pointer = (position.x, position.y);
                 if let (Some(from), Some(walk)) = (self.looking.replace(self.pointer), &mut self.walk) {

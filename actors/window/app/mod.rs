@@ -85,10 +85,20 @@ pub enum WindowError {
 }
 
 /// What other threads tell the event loop.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 pub enum Wake {
     /// A scene was loaded, or not.
     Loaded,
+    /// A screen reader wants to know, or do, something.
+    #[cfg(feature = "accesskit")]
+    Access(egui_winit::accesskit_winit::Event),
+}
+
+#[cfg(feature = "accesskit")]
+impl From<egui_winit::accesskit_winit::Event> for Wake {
+    fn from(event: egui_winit::accesskit_winit::Event) -> Self {
+        Self::Access(event)
+    }
 }
 
 /// Shows a window until it is closed.
@@ -142,6 +152,8 @@ struct App {
     /// The mouse looks around since this position, pixels.
     looking: Option<(f64, f64)>,
     pointer: (f64, f64),
+    /// Fingers on the picture, two at most, and where they are.
+    fingers: Vec<(u64, (f64, f64))>,
     help: bool,
     hidden: bool,
     /// The textures of the picture must be made anew.
@@ -164,6 +176,7 @@ impl App {
             modifiers: ModifiersState::default(),
             looking: None,
             pointer: (0.0, 0.0),
+            fingers: Vec::new(),
             help: false,
             hidden: false,
             picture_is_new: false,
@@ -251,6 +264,8 @@ impl ApplicationHandler<Wake> for App {
     fn user_event(&mut self, event_loop: &ActiveEventLoop, event: Wake) {
         match event {
             Wake::Loaded => self.on_loaded(),
+            #[cfg(feature = "accesskit")]
+            Wake::Access(event) => self.on_access(event.window_event),
         }
         if self.failure.is_some() {
             event_loop.exit();

@@ -36,13 +36,16 @@ impl App {
         );
         let attributes = Window::default_attributes()
             .with_title(format!("foveal - {}", self.options.name))
-            .with_inner_size(size);
+            .with_inner_size(size)
+            // Whoever reads it aloud must be there before it is seen.
+            .with_visible(!cfg!(feature = "accesskit"));
         let failed = |e: String| WindowError::Environment(no_display(&e));
         let window = Arc::new(event_loop.create_window(attributes).map_err(|e| failed(e.to_string()))?);
         let display = event_loop.owned_display_handle();
         let presenter = Presenter::new(&window, display, self.options.backend, self.options.drawn_by)
             .map_err(WindowError::Environment)?;
-        let egui = egui_winit::State::new(
+        #[cfg_attr(not(feature = "accesskit"), expect(unused_mut, reason = "for screen readers alone"))]
+        let mut egui = egui_winit::State::new(
             self.context.clone(),
             egui::ViewportId::ROOT,
             &window,
@@ -50,6 +53,11 @@ impl App {
             None,
             Some(presenter.texture_side_max()),
         );
+        #[cfg(feature = "accesskit")]
+        {
+            egui.init_accesskit(event_loop, &window, self.proxy.clone());
+            window.set_visible(true);
+        }
         window.request_redraw();
         Ok(Screen {
             window,
@@ -75,6 +83,8 @@ impl App {
                 screen.presenter = presenter;
                 // A new context sends its fonts again.
                 self.context = egui::Context::default();
+                #[cfg(feature = "accesskit")]
+                let reader = screen.egui.accesskit.take();
                 screen.egui = egui_winit::State::new(
                     self.context.clone(),
                     egui::ViewportId::ROOT,
@@ -83,6 +93,11 @@ impl App {
                     None,
                     Some(screen.presenter.texture_side_max()),
                 );
+                #[cfg(feature = "accesskit")]
+                {
+                    screen.egui.accesskit = reader;
+                    self.context.enable_accesskit();
+                }
                 screen.picture = None;
                 screen.shown = None;
                 self.picture_is_new = true;
@@ -97,6 +112,21 @@ impl App {
                 self.failure = Some(WindowError::Environment(e));
                 event_loop.exit();
             }
+        }
+    }
+
+    /// What a screen reader asks for.
+    #[cfg(feature = "accesskit")]
+    pub(super) fn on_access(&mut self, event: egui_winit::accesskit_winit::WindowEvent) {
+        use egui_winit::accesskit_winit::WindowEvent;
+        match event {
+            WindowEvent::InitialTreeRequested => self.context.enable_accesskit(),
+            WindowEvent::ActionRequested(request) => {
+                if let Some(screen) = &mut self.screen {
+                    screen.egui.on_accesskit_action_request(request);
+                }
+            }
+            WindowEvent::AccessibilityDeactivated => self.context.disable_accesskit(),
         }
     }
 

@@ -7,6 +7,7 @@ use glam::Vec3;
 
 use super::Library;
 use super::error::{Place, SceneError, Warning};
+use super::gltf::surround::Surround;
 use super::obj::ObjFile;
 use crate::scene::{CameraPath, ExtensionUse, Light, MaterialId, Mesh, NamedCamera, TriangleIndex};
 
@@ -67,6 +68,8 @@ pub(super) struct Own {
     pub cameras: Vec<NamedCamera>,
     pub paths: Vec<CameraPath>,
     pub extensions: Vec<ExtensionUse>,
+    /// What is all around in the first file that says it, and where that is said.
+    pub surround: Option<(Surround, Place)>,
 }
 
 /// What is known of triangles besides the mesh.

@@ -36,6 +36,7 @@ use super::hierarchy;
 use super::light_units;
 use super::{Environment, Material, MaterialId, Model, Reflectance, Scene, SceneParts, TextureId};
 use assemble::Joined;
+pub use folder::Sources;
 use folder::{Folder, read_file};
 use from_mtl::Doubts;
 use mtl::MtlMaterial;
@@ -90,6 +91,8 @@ pub struct Loaded {
     pub warnings: Vec<Warning>,
     /// Every file that was read: its name relative to the scene's folder, and its BLAKE3.
     pub files: Vec<(String, [u8; 32])>,
+    /// What it was read from, where that is all known.
+    pub sources: Option<Sources>,
 }
 
 /// Whether a name ends as scenes do: `.obj`, `.gltf`, `.glb`, or `.toml` for a sidecar.
@@ -125,7 +128,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     }
     let mut folder = Folder::of(path, options.file_bytes_max).map_err(|p| refuse(path, p))?;
     let sidecar_path = if is_mesh { path.with_extension("toml") } else { path.to_path_buf() };
-    let mut sidecar = if !is_mesh || sidecar_path.is_file() {
+    let mut sidecar = if !is_mesh || folder.is_file(&file_name(&sidecar_path)) {
         // A sidecar is written by hand; 16 MiB hold any path.
         let limit = options.file_bytes_max.min(16 << 20);
         let contents = read_file(&sidecar_path, limit).map_err(|p| refuse(&sidecar_path, p))?;
@@ -163,7 +166,14 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         gltf::surfaces::finish(&mut materials, &mut textures, pending, &ids, &mut warnings);
     }
     hidden_texels::recolor(&mut materials, &mut textures);
-    let environment = environment(&sidecar, &mut folder, options, &mut warnings);
+    let mut environment = environment(&sidecar, &mut folder, options, &mut warnings);
+    let mut is_surrounded = false;
+    if let (None, Some((surround, place))) = (&environment, own.surround) {
+        match gltf::surround::environment(surround, sidecar.up, &mut folder, options) {
+            Ok(made) => (environment, is_surrounded) = (Some(made), true),
+            Err(why) => warnings.push(Warning::new(place, format!("surroundings {why}; not shown"))),
+        }
+    }
 
     let name = path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
     let (mesh, labels) = joined.into_mesh(path, own.any, &mut warnings)?;
@@ -186,6 +196,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         budget: sidecar.budget,
         extensions: own.extensions,
         content_hash: content_hash(&folder, options),
+        files: folder.files().to_vec(),
     }
     .with_textures(textures);
     scene.mesh.objects = grouped.of_triangle;
@@ -197,7 +208,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     let emits = own.any && scene.materials.iter().any(Material::is_emissive);
     // What glows in the open (labels, screens, coals) is no lighting: viewers show such files in surroundings of their own.
     let glows = emits && scene.lights.is_empty() && scene.environment.is_none() && defaults::is_open(&scene);
-    scene.display.metered = (has_lights || emits) && !glows && !sidecar.exposure_given;
+    scene.display.metered = (has_lights || emits || is_surrounded) && !glows && !sidecar.exposure_given;
     let doubt = if has_lights && emits { light_units::doubt(&scene) } else { None };
     for message in doubt.into_iter().chain(defaults::complete(&mut scene, glows)) {
         warnings.push(Warning::new(Place::new(path, 0), message));
@@ -207,7 +218,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         warnings.truncate(WARNINGS_MAX);
         warnings.push(Warning::new(Place::new(path, 0), format!("{more} more warnings")));
     }
-    Ok(Loaded { scene, warnings, files: folder.files() })
+    Ok(Loaded { scene, warnings, files: folder.files().to_vec(), sources: folder.sources() })
 }
 
 /// Everything that was read, and what was chosen beside it.
@@ -241,6 +252,11 @@ fn read_meshes(
 ) -> Result<Joined, SceneError> {
     let given = file_name(path);
     let mut joined = Joined::default();
+    let beside = if sidecar.files.is_none() && !is_mesh {
+        MESHES.iter().map(|e| path.with_extension(e)).find(|p| folder.is_file(&file_name(p)))
+    } else {
+        None
+    };
     let mut read = |name: &str, asked_by, joined: &mut Joined, warnings: &mut Vec<Warning>| {
         let source = MeshSource { name, asked_by, choices: &sidecar.gltf, options };
         read_mesh(&source, folder, joined, warnings)
@@ -249,7 +265,6 @@ fn read_meshes(
         let (name, asked_by) = if is_mesh {
             (given, None)
         } else {
-            let beside = MESHES.iter().map(|e| path.with_extension(e)).find(|p| p.is_file());
             let name = file_name(&beside.unwrap_or_else(|| path.with_extension("obj")));
             (name, Some(Place::new(sidecar_path, 0)))
         };
@@ -298,6 +313,8 @@ fn read_mesh(
         joined.own.cameras.extend(file.cameras);
         joined.own.paths.extend(file.paths);
         joined.own.extensions.extend(file.extensions);
+        let surround = file.surround.map(|surround| (surround, Place::new(&shown, 0)));
+        joined.own.surround = joined.own.surround.take().or(surround);
         let library =
             Library { relative, shown: shown.clone(), materials: Definitions::Gltf(file.materials) };
         joined.add(file.mesh, shown, base, vec![library]);

@@ -428,6 +428,50 @@ mod tests {
         check("v 0 0 0 \\", "v 0 0 0;");
     }
 
+    /// Each thing that is put right here is one that `tobj` alone refuses, or reads as something else.
+    #[test]
+    fn what_is_put_right_is_what_tobj_cannot() {
+        let corners = |text: &str| {
+            let options = tobj::LoadOptions {
+                single_index: true,
+                triangulate: false,
+                ignore_points: true,
+                ignore_lines: true,
+            };
+            let none = |_: &std::path::Path| Err(tobj::LoadError::OpenFileFailed);
+            let read = tobj::load_obj_buf(&mut text.as_bytes(), &options, none);
+            read.map(|(models, _)| models.iter().map(|m| m.mesh.indices.len()).sum::<usize>()).ok()
+        };
+        let v = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
+        for (what, rest, expected) in [
+            ("a coordinate that is no number", "v 1,5 0 0\nf 1 2 3", 3),
+            ("two coordinates", "v 1 5\nf 1 2 3", 3),
+            ("a w of zero", "v 1 1 1 0\nf 1 2 3", 3),
+            ("a remark behind numbers", "v 1 1 1 # x\nf 1 2 3", 3),
+            ("a texture of one dimension", "vt .5\nf 1/1 2/1 3/1", 3),
+            ("a normal that is no number", "vn x 0 1\nf 1//1 2//1 3//1", 3),
+            ("an index beyond the end", "f 1 2 3\nf 1 2 4", 3),
+            ("an index before the beginning", "f 1 2 3\nf -4 1 2", 3),
+            ("an index of nothing", "vt 0 0\nvn 0 0 1\nf 1 2 3\nf 1/9/9 2/9/9 3/9/9", 6),
+            ("a vertex that comes later", "o a\nf 1 2 4\no b\nv 1 1 1\nf 1 2 3", 6),
+            ("a continued line", "f 1 2 \\\n3", 3),
+            ("an old word for a face", "fo 1 2 3", 3),
+            ("more than three indices of a corner", "f 1/1/1/1 2 3\nf 1 2 3", 3),
+            ("blanks that are none elsewhere", "\0f 1 2 3", 3),
+        ] {
+            let text = format!("{v}{rest}\n");
+            let mut clean = String::new();
+            ObjLines::new(&text).read_to_string(&mut clean).expect("clean");
+            assert_eq!(corners(&clean), Some(expected), "{what}, cleaned");
+            assert_ne!(corners(&text), Some(expected), "{what}, as it is");
+        }
+        // What it reads by itself comes out with the same corners.
+        let sound = format!("{v}vt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3/1/1\nf -1/-1 -2/-1 -3/-1\nl 1 2\n");
+        let mut clean = String::new();
+        ObjLines::new(&sound).read_to_string(&mut clean).expect("clean");
+        assert_eq!((corners(&sound), corners(&clean)), (Some(6), Some(6)));
+    }
+
     #[test]
     fn segments_follow_names_materials_and_smoothing() {
         let mut lines = ObjLines::new(

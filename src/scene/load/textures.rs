@@ -322,6 +322,21 @@ fn decode(
     Ok((mips, alpha))
 }
 
+/// Decodes a face of surroundings: with an alpha channel, colours are divided by it (RGBD), else they are as bright as they look.
+pub(super) fn radiance_face(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<Map2d<Vec3>, String> {
+    // Six of them are held at once.
+    let options = LoadOptions { picture_bytes_max: options.picture_bytes_max / 8, ..options.clone() };
+    let image = pixels(bytes, path, &options)?;
+    let (width, height, has_alpha) = (image.width(), image.height(), image.color().has_alpha());
+    let texel = |p: &image::Rgba<u8>| {
+        let [r, g, b, a] = p.0;
+        let divisor = if has_alpha { f32::from(a.max(1)) / 255.0 } else { 1.0 };
+        Vec3::from([r, g, b].map(|v| crate::image::linear_from_srgb(f32::from(v) / 255.0))) / divisor
+    };
+    let texels = image.into_rgba8().pixels().map(texel).collect();
+    Ok(Map2d::from_vec(width as usize, height as usize, texels))
+}
+
 /// Decodes an equirectangular map. Returns the number of texels that were no radiance (negative,
 /// NaN or infinite) and were set to 0, or to the largest half float where they were infinite.
 pub(super) fn radiance_map(

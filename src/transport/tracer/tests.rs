@@ -301,3 +301,47 @@ fn choosing_a_branch_keeps_the_mean() {
         last = error;
     }
 }
+
+/// Being looked at changes no bit, and what the steps of a path add is what the sample shows.
+#[test]
+fn a_witness_sees_all_that_a_sample_is_made_of() {
+    use super::witness::{Event, Scribe};
+    let mut several = 0;
+    for model in [
+        Model::Mirror { specular: white() },
+        glass(1.5, 0.9, false),
+        Model::Dielectric { ior: 1.5, transmittance: Vec3::ONE, thin: false, roughness: rough(0.2) },
+        Model::Metal { specular: white(), roughness: rough(0.3) },
+        Model::Plastic { albedo: Reflectance::constant(Vec3::splat(0.6)), coat: Coat::new(1.5, rough(0.1)) },
+    ] {
+        let mut b = Builder::default();
+        let material = b.material(model.clone());
+        let light = b.emitter(lambert(0.0), Vec3::splat(3.0));
+        b.sphere(Vec3::ZERO, 1.0, 16, material);
+        b.rectangle(Vec3::new(0.0, 3.0, -2.0), Vec3::X * 1.5, Vec3::Z * 1.5, light);
+        let p = Prepared::new(b.under_sky(Vec3::new(0.5, 1.0, 2.0)), 2.0);
+        for i in 0..40 {
+            let ray = Ray::new(Vec3::new(0.1 + 0.015 * i as f32, 0.3, -3.0), Vec3::Z);
+            let hit = p.accel.intersect(&p.scene, &ray).expect("the sphere");
+            let at = Interaction::at(&p.scene, &ray, &hit);
+            let tracer = p.tracer(Settings::default());
+            let stream = Stream::of_pixel(5, i, 9, 0);
+            let base = tracer.base(&at.point(), || at);
+            let seen = tracer.view_dependent(&at, base, stream);
+            let told = tracer.told_to(Scribe::default());
+            let again = told.view_dependent(&at, base, stream);
+            assert_eq!(seen.to_array().map(f32::to_bits), again.to_array().map(f32::to_bits), "{model:?}");
+            let path = told.into_witness().path();
+            let added = path.added();
+            let sum = added[0];
+            assert!(
+                (sum - seen).abs().max_element() <= 1e-4 * (1.0 + seen.max_element()),
+                "{model:?}: {sum} of {seen}"
+            );
+            assert!(path.steps[1..].iter().zip(1..).all(|(s, number)| s.parent.is_some_and(|p| p < number)));
+            several +=
+                usize::from(path.steps.iter().filter(|s| matches!(s.event, Event::Lobe { .. })).count() > 1);
+        }
+    }
+    assert!(several > 100, "{several}");
+}

@@ -66,6 +66,36 @@ pub(super) struct RootExtensions {
     pub lights: Option<Lights>,
     #[serde(rename = "KHR_materials_variants")]
     pub variants: Option<Variants>,
+    #[serde(rename = "EXT_lights_image_based")]
+    pub surrounds: Option<Surrounds>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Surrounds {
+    #[serde(default)]
+    pub lights: List<Surround>,
+}
+
+/// Radiance from all around as the faces of cubes, the finest first.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Surround {
+    #[serde(default = "one")]
+    pub intensity: f32,
+    #[serde(default = "unturned")]
+    pub rotation: [f32; 4],
+    #[serde(default)]
+    pub specular_images: List<[Index; 6]>,
+}
+
+fn unturned() -> [f32; 4] {
+    [0.0, 0.0, 0.0, 1.0]
+}
+
+#[derive(Debug, Default, Deserialize)]
+pub(super) struct SceneExtensions {
+    #[serde(rename = "EXT_lights_image_based")]
+    pub surround: Option<NodeLight>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -111,6 +141,8 @@ pub(super) struct Scene {
     pub name: Option<String>,
     #[serde(default)]
     pub nodes: List<Index, NODES_MAX>,
+    #[serde(default)]
+    pub extensions: SceneExtensions,
 }
 
 #[derive(Debug, Default, Deserialize)]

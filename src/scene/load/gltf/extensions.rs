@@ -9,6 +9,7 @@ use crate::scene::load::error::{Place, SceneError};
 
 /// Extensions that are known, in order, and what becomes of them.
 const KNOWN: [(&str, &str); 31] = [
+    ("EXT_lights_image_based", "the finest pictures are the surroundings; light is computed from them"),
     ("EXT_mesh_gpu_instancing", "shown"),
     ("EXT_meshopt_compression", "decoded"),
     ("EXT_texture_webp", "shown"),
@@ -40,8 +41,6 @@ const KNOWN: [(&str, &str); 31] = [
     ("KHR_xmp", NOTHING),
     ("KHR_xmp_json_ld", NOTHING),
     ("MSFT_lod", "the finest level is shown"),
-    // Known only where it is not required.
-    (SURROUNDING, "not shown; the sidecar's [environment] may have a picture of it"),
     // Of builds without them known only where they are not required.
     (
         DRACO,
@@ -61,7 +60,6 @@ const KNOWN: [(&str, &str); 31] = [
     ),
 ];
 
-const SURROUNDING: &str = "EXT_lights_image_based";
 const DRACO: &str = "KHR_draco_mesh_compression";
 const BASISU: &str = "KHR_texture_basisu";
 
@@ -70,7 +68,7 @@ const NOTHING: &str = "nothing to show";
 /// Whether a file may require it.
 fn known(name: &str) -> bool {
     let is_built = (name != DRACO || cfg!(feature = "draco")) && (name != BASISU || cfg!(feature = "basisu"));
-    is_built && name != SURROUNDING && listed(name)
+    is_built && listed(name)
 }
 
 /// Whether what becomes of it is known, required or not.
@@ -156,9 +154,6 @@ pub(super) fn check(
     }
     let used = used(document, json, ignored);
     for extension in &used {
-        if extension.name == SURROUNDING && extension.times > 0 {
-            odd.count(SURROUNDING, "not shown; the sidecar's [environment] may have a picture of it");
-        }
         if !document
             .extensions_used
             .iter()

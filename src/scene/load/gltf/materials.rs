@@ -187,6 +187,8 @@ pub(in super::super) struct Source {
     pub emission_map: Option<MapUse>,
     /// Whether an eye sees through its back.
     pub culled: bool,
+    /// Emission leaves both sides of a sheet.
+    pub glows_behind: bool,
     /// r from which on it counts as diffuse.
     pub gloss_floor: f32,
 }
@@ -248,9 +250,6 @@ pub(super) fn read(
     let base = color([r, g, b]);
     let strength = e.emissive_strength.as_ref().map_or(1.0, |s| s.emissive_strength);
     let emission = Vec3::from(material.emissive_factor.map(|v| bounded(v * strength, RADIANCE_MAX)));
-    if material.double_sided && emission.max_element() > 0.0 {
-        odd.count("a double-sided light", "shines from its front only");
-    }
     if material.occlusion_texture.is_some() {
         odd.count("occlusion map", "not used; what lies in shadow is computed");
     }
@@ -267,6 +266,7 @@ pub(super) fn read(
     let scale = material.normal_texture.as_ref().map_or(1.0, |n| n.scale);
     let normal_scale = if scale.is_finite() { scale.clamp(-1e3, 1e3) } else { 1.0 };
     let culled = choices.cull && !material.double_sided && !matches!(kind, Kind::Glass { .. });
+    let is_unlit = matches!(kind, Kind::Unlit);
     let source = Source {
         name,
         kind,
@@ -279,6 +279,7 @@ pub(super) fn read(
         emission,
         emission_map,
         culled,
+        glows_behind: material.double_sided && emission.max_element() > 0.0 && !is_unlit,
         gloss_floor: choices.gloss_floor,
     };
     Ok((source, coordinates))

@@ -271,6 +271,37 @@ impl Part {
         let tangents = self.tangents.iter().map(along).collect();
         Some(Stands { positions, normals, tangents, turned: determinant < 0.0 })
     }
+
+    /// The other side of its triangles where a node puts them, as sheets of their own a hair behind: a surface emits from its
+    /// front only.
+    pub fn back(&self, world: &DMat4) -> Option<Self> {
+        /// Of the sheet's size.
+        const GAP: f32 = 2e-5;
+        /// Of the largest coordinate, of which numbers keep some 6e-8.
+        const STEPS: f32 = 5e-7;
+        let Stands { positions, normals, tangents, turned } = self.placed(world)?;
+        let (low, high) = positions
+            .iter()
+            .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
+        let gap = (GAP * (high - low).max_element()).max(STEPS * low.abs().max(high.abs()).max_element());
+        let mut back = Self::default();
+        for &[a, b, c] in &self.triangles {
+            let corners = (if turned { [a, b, c] } else { [a, c, b] }).map(|v| v as usize);
+            let [p, q, r] = corners.map(|v| positions[v]);
+            let ahead = (q - p).cross(r - p).normalize_or_zero() * gap;
+            let first = back.positions.len() as u32;
+            for v in corners {
+                back.positions.push(positions[v] + ahead);
+                back.normals.push(-normals[v]);
+                back.tangents.extend(tangents.get(v).map(|t| t.truncate().extend(-t.w)));
+                for (set, of) in back.uvs.iter_mut().zip(&self.uvs) {
+                    set.extend(of.get(v));
+                }
+            }
+            back.triangles.push([first, first + 1, first + 2]);
+        }
+        Some(back)
+    }
 }
 
 #[cfg(test)]

@@ -24,6 +24,7 @@ mod pointers;
 mod reader;
 mod skins;
 pub(super) mod surfaces;
+pub(super) mod surround;
 mod tangents;
 #[cfg(test)]
 mod tests;
@@ -146,6 +147,8 @@ pub(super) struct GltfFile {
     pub cameras: Vec<NamedCamera>,
     /// Of cameras that an animation moves, by their names.
     pub paths: Vec<CameraPath>,
+    /// What is all around.
+    pub surround: Option<surround::Surround>,
     /// Its extensions.
     pub extensions: Vec<ExtensionUse>,
 }

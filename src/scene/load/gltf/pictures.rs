@@ -161,7 +161,8 @@ impl<'a> Pictures<'a> {
         Ok(MapUse { name, picture, placement })
     }
 
-    fn picture(&self, source: Index, buffers: &mut Buffers<'_>) -> Result<(String, Picture), Problem> {
+    /// A picture and its name.
+    pub fn picture(&self, source: Index, buffers: &mut Buffers<'_>) -> Result<(String, Picture), Problem> {
         let image = get(&self.document.images, source, "images")?;
         let number = format!("image {}", source.0);
         Ok(match (&image.uri, image.buffer_view) {

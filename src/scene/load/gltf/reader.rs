@@ -16,7 +16,7 @@ use super::meshes::{self, Part, Stands};
 use super::number::Index;
 use super::pictures::{Coordinates, Pictures};
 use super::tangents::{self, Along};
-use super::{Choices, GltfFile, Oddities, Problem, get, lights, materials, nodes, skins};
+use super::{Choices, GltfFile, Oddities, Problem, get, lights, materials, nodes, skins, surround};
 use crate::scene::camera::PathKey;
 use crate::scene::{CameraPath, NamedCamera};
 
@@ -80,7 +80,14 @@ impl<'d, 'o> Reader<'d, 'o> {
         self.choose_variant();
         let every: Vec<Index>;
         let roots: &[Index] = match self.scene()? {
-            Some(scene) => &get(&document.scenes, scene, "scenes")?.nodes,
+            Some(scene) => {
+                let scene = get(&document.scenes, scene, "scenes")?;
+                if let Some(of) = &scene.extensions.surround {
+                    self.out.surround =
+                        surround::read(document, of.light, &self.pictures, buffers, self.odd)?;
+                }
+                &scene.nodes
+            }
             None => {
                 every = (0..document.nodes.len() as u32).map(Index).collect();
                 &every
@@ -176,9 +183,14 @@ impl<'d, 'o> Reader<'d, 'o> {
                     let key = is_shared.then_some((index.0, number, color, slot));
                     let dressed = along.and_then(|along| self.dressed(&part, along, key));
                     let part = dressed.as_deref().unwrap_or(&part);
+                    // The inside of a body glows for nobody.
+                    let has_back = self.out.materials[slot as usize].glows_behind && part.is_open();
                     for world in stands {
-                        self.add(part, world, slot, name_index)
-                            .map_err(|message| Problem::new(format!("/nodes/{}", p.node), message))?;
+                        let mut added = self.add(part, world, slot, name_index);
+                        if has_back && let Some(back) = part.back(world) {
+                            added = added.and_then(|()| self.add(&back, &DMat4::IDENTITY, slot, name_index));
+                        }
+                        added.map_err(|message| Problem::new(format!("/nodes/{}", p.node), message))?;
                     }
                 }
             }

@@ -207,6 +207,95 @@ fn backs_are_seen_through_and_lit_all_the_same() {
 }
 
 #[test]
+fn sheets_glow_on_both_sides_where_they_are_double_sided() {
+    let seen = |scene: &Scene, z: f32| {
+        let world = World::new(scene.clone().into(), std::sync::Arc::new(Uniform(Vec3::ZERO)));
+        let ray = Ray::new(Vec3::new(0.3, 0.4, z), Vec3::NEG_Z * z.signum());
+        world.path_radiance(&ray, Stream::new(1, 2, 3)).x
+    };
+    let one = r#""emissiveFactor": [1, 1, 1], "pbrMetallicRoughness": {"baseColorFactor": [0, 0, 0, 1]}"#;
+    let single = with_materials("gltf-glow-single", &format!("[{{{one}}}]"));
+    let double = with_materials("gltf-glow-double", &format!(r#"[{{{one}, "doubleSided": true}}]"#));
+    assert!(double.warnings.iter().all(|w| !w.message.contains("double-sided")), "{:?}", double.warnings);
+    let [single, double] = [single, double].map(|loaded| loaded.scene);
+    assert_eq!(double.mesh.triangles.len(), 2 * single.mesh.triangles.len());
+    // Its gloss shows a little of the sky.
+    let glows = |v: f32| (1.0..1.1).contains(&v);
+    assert!(glows(seen(&double, 1.0)) && glows(seen(&double, -1.0)));
+    assert!(glows(seen(&single, 1.0)) && !glows(seen(&single, -1.0)));
+    // Both sides are light sources.
+    let power = |scene: &Scene, z: f32| {
+        const SHARES: u32 = 4096;
+        let lights = crate::transport::light::Lights::build(scene);
+        let drawn = (0..SHARES).filter_map(|i| {
+            let u = (i as f32 + 0.5) / SHARES as f32;
+            lights.sample_direct(scene, Vec3::new(0.5, 0.5, z), u, [0.5, 0.5])
+        });
+        // Without the sky that such a scene gets.
+        let near = drawn.filter(|sample| sample.distance.is_finite());
+        near.map(|sample| sample.radiance.x / sample.pdf).sum::<f32>() / SHARES as f32
+    };
+    assert!((power(&double, 1.0) / power(&double, -1.0) - 1.0).abs() < 2e-2);
+    assert!((power(&double, 1.0) / power(&single, 1.0) - 1.0).abs() < 2e-2 && power(&single, -1.0) == 0.0);
+    // What is closed has an inside that nobody sees.
+    let body = format!(r#"[{{{one}, "doubleSided": true}}]"#);
+    let body = with_body("gltf-glow-body", &body).scene;
+    let plain = with_body("gltf-plain-body", "[{}]").scene;
+    assert_eq!(body.mesh.triangles.len(), plain.mesh.triangles.len());
+}
+
+/// The right half of each face is black, seen from within; the last face is half as bright again as white.
+#[test]
+fn pictures_all_around_light_the_scene() {
+    let face = |[r, g, b]: [u8; 3], alpha: u8| {
+        let (color, dark) = ([r, g, b, alpha], [0, 0, 0, 255]);
+        data_png_of(2, &[color, dark, color, dark])
+    };
+    let colors = [[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0], [0, 255, 255], [255, 255, 255]];
+    let faces: Vec<String> =
+        colors.iter().enumerate().map(|(i, c)| face(*c, if i == 5 { 170 } else { 255 })).collect();
+    let scene = |name: &str, rest: &str, images: &str| {
+        with_materials(
+            name,
+            &format!(
+                r#"[{{}}], "images": [{images}], "scene": 0, "extensionsRequired": ["EXT_lights_image_based"],
+                "extensionsUsed": ["EXT_lights_image_based"],
+                "scenes": [{{"nodes": [0], "extensions": {{"EXT_lights_image_based": {{"light": 0}}}}}}],
+                "extensions": {{"EXT_lights_image_based": {{"lights": [{{"intensity": 2, {rest}
+                "irradianceCoefficients": [], "specularImageSize": 2, "specularImages": [[0, 1, 2, 3, 4, 5]]}}]}}}}"#
+            ),
+        )
+    };
+    let loaded = scene("gltf-surround", "", &faces.join(","));
+    assert!(!loaded.warnings.iter().any(|w| w.message.contains("no light")), "{:?}", loaded.warnings);
+    assert!(loaded.scene.display.metered);
+    let around = loaded.scene.environment.as_ref().expect("surroundings");
+    let axes = [Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z];
+    // What is upright there, or behind where up is looked at, and what is to the right of both.
+    let ups = [Vec3::Y, Vec3::Y, Vec3::NEG_Z, Vec3::Z, Vec3::Y, Vec3::Y];
+    for ((axis, up), color) in axes.into_iter().zip(ups).zip(colors) {
+        let expected = Vec3::from(color.map(f32::from)) / 255.0 * if axis == Vec3::NEG_Z { 3.0 } else { 2.0 };
+        let right = axis.cross(up);
+        let close = |a: Vec3, b: Vec3| assert!((a - b).length() < 0.02, "{axis}: {a}, not {b}");
+        close(around.radiance(axis - right * 0.6), expected);
+        close(around.radiance(axis + right * 0.6), Vec3::ZERO);
+    }
+    // A quarter turn about y brings what was at +z to +x.
+    let h = 0.5f32.sqrt();
+    let turned =
+        scene("gltf-surround-turned", &format!(r#""rotation": [0, {h}, 0, {h}],"#), &faces.join(","));
+    let turned = turned.scene.environment.as_ref().expect("surroundings");
+    let seen = |around: &crate::scene::Environment, d: Vec3| around.radiance(d + d.cross(Vec3::NEG_Y) * 0.6);
+    assert!((seen(turned, Vec3::X) - seen(around, Vec3::Z)).length() < 0.02);
+    // Pictures that are no cube are told, and a sky is made up.
+    let mut odd = faces.clone();
+    odd[3] = data_png_of(1, &[[9; 4]; 2]);
+    let broken = scene("gltf-surround-odd", "", &odd.join(","));
+    assert!(broken.warnings.iter().any(|w| w.message.contains("six squares")), "{:?}", broken.warnings);
+    assert!(broken.scene.environment.as_ref().is_some_and(|e| e.map.is_none()));
+}
+
+#[test]
 fn normals_lean_along_tangents_of_the_file_or_made_ones() {
     // Leans towards +x of the tangent frame by half a right angle.
     let leaning = data_png(&[[218, 128, 218, 255]; 4]);

@@ -37,6 +37,8 @@ pub const CREDITS_MAX: u32 = 128;
 pub const VIEWS: usize = 4;
 /// Answers of a guest that are checked in full before it is trusted with more jobs than cores.
 const PROVING: u32 = 4;
+/// One job of so many may be given to others as well.
+const SHARED: u64 = 20;
 /// One sample of so many is checked.
 const CHECKED: usize = 64;
 
@@ -150,7 +152,7 @@ struct Out {
     sent: u64,
     slow: u64,
     due: u64,
-    /// Whether others may by now.
+    /// Whether that time has come: others may do it by now, if not too many are shared already.
     shared: bool,
 }
 
@@ -402,8 +404,11 @@ impl Station {
             self.out.iter().filter(|(_, out)| out.due <= now).map(|(lease, _)| *lease).collect();
         for out in self.out.values_mut().filter(|out| out.due > now && !out.shared && out.slow <= now) {
             out.shared = true;
-            self.counts.shared += 1;
-            cx.share(&self.pool, out.job);
+            // Few, or on a machine that is busy with other things half of all jobs would be done twice.
+            if self.counts.shared * SHARED <= self.counts.jobs + SHARED {
+                self.counts.shared += 1;
+                cx.share(&self.pool, out.job);
+            }
         }
         for lease in &over {
             if let Some(out) = self.out.remove(lease) {

@@ -11,7 +11,9 @@ use std::time::Duration;
 
 use crossbeam_queue::ArrayQueue;
 use foveal_actors::station::wire::{DoneJob, FromGuest, JOBS_MAX, PROTOCOL, Refusal, ToGuest};
-use foveal_actors::station::{CREDITS_MAX, Found, Heard, Outlet, STATIONS_MAX, StationMessage, bits};
+use foveal_actors::station::{
+    CREDITS_MAX, Found, Heard, Outlet, Outlets, STATIONS_MAX, StationMessage, bits,
+};
 use foveal_engine::failure::Failure;
 use foveal_runtime::Port;
 use xxhash_rust::xxh3::Xxh3;
@@ -305,7 +307,7 @@ impl Door {
     }
 
     /// What leads from the stations to the door, for [`foveal_engine::Options::outlets`].
-    pub fn outlets(&self) -> Arc<dyn Fn() -> Vec<Box<dyn Outlet>> + Send + Sync> {
+    pub fn outlets(&self) -> Outlets {
         let (shared, waker) = (Arc::clone(&self.shared), self.waker.clone());
         Arc::new(move || {
             let to_door = |station| {

@@ -48,6 +48,9 @@ pub trait Outlet: Send + 'static {
     fn send(&mut self, message: ToGuest);
 }
 
+/// Makes the outlets of all stations of a walk, by number.
+pub type Outlets = Arc<dyn Fn() -> Vec<Box<dyn Outlet>> + Send + Sync>;
+
 /// Where nobody listens: in replay, and at stations of a walk without a door.
 pub struct Silent;
 

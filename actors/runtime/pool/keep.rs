@@ -25,9 +25,12 @@ impl Kept {
     }
 }
 
+/// Jobs by their identity.
+type Jobs<J> = BTreeMap<u64, Entry<J>>;
+
 /// The jobs that one worker keeps. Only that worker's turns come here.
 pub(super) struct Keeping<J> {
-    jobs: AtomicCell<Option<Box<BTreeMap<u64, Entry<J>>>>>,
+    jobs: AtomicCell<Option<Box<Jobs<J>>>>,
     /// Whether the job at hand is to be kept.
     pub(super) asked: AtomicBool,
 }
@@ -39,7 +42,7 @@ impl<J> Default for Keeping<J> {
 }
 
 impl<J> Keeping<J> {
-    pub(super) fn look<R>(&self, look: impl FnOnce(&mut BTreeMap<u64, Entry<J>>) -> R) -> R {
+    pub(super) fn look<R>(&self, look: impl FnOnce(&mut Jobs<J>) -> R) -> R {
         let mut jobs = self.jobs.take().unwrap_or_default();
         let seen = look(&mut jobs);
         self.jobs.store(Some(jobs));

@@ -137,6 +137,11 @@ impl Actor for CacheAger {
             CacheAgerMessage::SamplesTraced { batch, hash: _ } => self.on_samples_traced(batch),
             CacheAgerMessage::Adjusted(adjustment) => self.settings.adjust(&adjustment),
             CacheAgerMessage::SendAgain => self.outbox.send(cx),
+            CacheAgerMessage::Doubted => {
+                self.cache = SampleCache::new(self.settings.cache_capacity);
+                // From here, so that nothing of before is warped into the view that begins then.
+                self.outbox.tell(cx, &self.renderer, RendererMessage::SamplesDoubted);
+            }
         }
     }
 

@@ -7,6 +7,7 @@
 //! | [`allocator`] | progress of every object, policy | what is traced next |
 //! | [`tracer`] (several) | nothing that lasts | nothing: a job in, a batch of samples out |
 //! | [`cache_ager`] | the sample cache | which samples still hold for this view |
+//! | [`station`] (where other machines may trace) | the jobs that a machine is at | when it has waited for it long enough |
 //!
 //! Who tells whom what stands in [`message`]; mailboxes and their bounds in [`wiring`].
 
@@ -23,6 +24,7 @@ pub mod renderer;
 pub mod settings;
 #[expect(clippy::disallowed_methods, reason = "durations that no actor can read")]
 pub mod stages;
+pub mod station;
 pub mod textures;
 pub mod tracer;
 pub mod wiring;

@@ -43,6 +43,13 @@ pub struct Settings {
     /// light, as both papers draw them.
     #[serde(default = "approximates")]
     pub approximates: bool,
+    /// Places for other machines among the tracers.
+    #[serde(default, skip_serializing_if = "has_none")]
+    pub stations: u32,
+}
+
+fn has_none(stations: &u32) -> bool {
+    *stations == 0
 }
 
 /// Recordings of before it could be chosen.
@@ -131,6 +138,7 @@ impl Settings {
             supersampling: None,
             winner_takes_all: false,
             approximates: approximates(),
+            stations: 0,
         }
     }
 

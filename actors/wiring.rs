@@ -9,6 +9,7 @@
 //! | allocator | views, ranks, one answer for each job in flight | jobs in flight are bounded by `Settings::jobs_in_flight` |
 //! | illuminator | its own word to go on | it is the only sender |
 //! | analyzer | one frame, the newest | |
+//! | station | answers of its guest | those are bounded by the jobs that it keeps |
 //!
 //! What a panic does to each of them:
 //!
@@ -17,6 +18,7 @@
 //! | tracer | its job goes back, it goes on | it tells only after it has traced |
 //! | analyzer | it starts anew | the next frame says all it has to know |
 //! | cache ager | it starts anew, without samples; the renderer tells it again what the user changed | samples are only reused |
+//! | station | it goes on; jobs it has lost sight of are handed back when it stops | its guest may come anew |
 //! | allocator, renderer, illuminator | the walk ends in order | nobody else knows what is out, shown, or baked so far |
 
 use std::sync::Arc;
@@ -40,6 +42,7 @@ use crate::message::{AllocatorMessage, RendererInput, RendererMessage, TraceJob}
 use crate::renderer::{FrameSink, Neighbours, Renderer};
 use crate::settings::Settings;
 use crate::stages::StageTimes;
+use crate::station::{CREDITS_MAX, Heard, Listeners, Outlet, STATIONS_MAX, Silent, Station, StationMessage};
 use crate::textures::TextureStore;
 use crate::tracer::Tracer;
 
@@ -69,6 +72,8 @@ pub struct Parts {
     pub stages: StageTimes,
     /// Who sees the frames.
     pub sink: Box<dyn FrameSink>,
+    /// What leads from each [station](Settings::stations) to its guest; the others lead nowhere.
+    pub outlets: Vec<Box<dyn Outlet>>,
 }
 
 impl Parts {
@@ -86,6 +91,7 @@ impl Parts {
             insight: None,
             stages: StageTimes::default(),
             sink,
+            outlets: Vec::new(),
         }
     }
 }
@@ -104,6 +110,10 @@ pub struct Actors {
     pub illuminator: Option<Handle<Illuminator>>,
     /// What the tracers take their work from.
     pub pool: Option<JobPool<TraceJob>>,
+    /// By number; none where no machine may come.
+    pub stations: Vec<Handle<Station>>,
+    /// What leads from each guest to its station.
+    pub station_inputs: Vec<Port<Heard, StationMessage>>,
 }
 
 /// The actors behind the corrections.
@@ -128,8 +138,19 @@ fn batches_on_their_way(settings: &Settings) -> usize {
 
 /// Makes mailboxes and starts actors. The same function for live, recorded, replayed and simulated runs.
 pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
-    let Parts { settings, world, probes, passes, corrects, textures, refinement, insight, stages, sink } =
-        parts;
+    let Parts {
+        settings,
+        world,
+        probes,
+        passes,
+        corrects,
+        textures,
+        refinement,
+        insight,
+        stages,
+        sink,
+        outlets,
+    } = parts;
     let batches = batches_on_their_way(&settings);
     let look_around = || probes.unwrap_or_else(|| Arc::new(Probes::of_world(&world)));
     let probes = corrects.then(look_around);
@@ -151,13 +172,22 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
     let Some(probes) = probes else {
         let actor = Renderer::new(settings, world, passes, None, None, stages, sink).awaiting_light(refines);
         let renderer = wiring.spawn(renderer, actor, OnPanic::End);
-        return Actors { input, renderer, correction: None, tracers: Vec::new(), pool: None, illuminator };
+        return Actors {
+            input,
+            renderer,
+            correction: None,
+            tracers: Vec::new(),
+            pool: None,
+            illuminator,
+            stations: Vec::new(),
+            station_inputs: Vec::new(),
+        };
     };
     let cache_ager: Declared<CacheAger> = wiring.declare(Bounds::messages(batches + 64));
     let analyzer: Declared<Analyzer> = wiring.declare(Bounds::messages(4));
     let allocator: Declared<Allocator> =
-        wiring.declare(Bounds::messages(2 * settings.jobs_in_flight() as usize + 256));
-    let pool: JobPool<TraceJob> = wiring.pool(settings.jobs_in_flight() as usize + 64);
+        wiring.declare(Bounds::messages(2 * jobs_in_flight_at_most(&settings) + 256));
+    let pool: JobPool<TraceJob> = wiring.pool(jobs_in_flight_at_most(&settings) + 64);
     wiring.supervisor(&allocator.address(), AllocatorMessage::Incident);
     wiring.gives_up(&pool, &allocator.address(), AllocatorMessage::JobDead);
     wiring.leases(&pool, LEASE);
@@ -175,6 +205,11 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
         // It tells only after it has traced, so what it holds is whole whatever it panicked over.
         tracers.push(wiring.spawn_worker(tracer, actor, &pool, OnPanic::Resume));
     }
+    let listeners = Listeners {
+        renderer: renderer.address(),
+        cache_ager: cache_ager.address(),
+        allocator: allocator.address(),
+    };
     let neighbours = Neighbours {
         cache_ager: cache_ager.address(),
         allocator: allocator.address(),
@@ -210,7 +245,35 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
     let actor = Renderer::new(settings, world, passes, Some(neighbours), approximation, stages, sink)
         .awaiting_light(refines);
     let renderer = wiring.spawn(renderer, actor, OnPanic::End);
-    Actors { input, renderer, correction: Some(correction), tracers, pool: Some(pool), illuminator }
+    // Behind all others, whose numbers do not depend on them.
+    let (mut stations, mut station_inputs) = (Vec::new(), Vec::new());
+    let mut outlets = outlets.into_iter();
+    for number in 0..settings.stations.min(STATIONS_MAX) {
+        // An answer for each job, and those who come and go.
+        let station: Declared<Station> = wiring.declare(Bounds::messages(4 * CREDITS_MAX as usize));
+        station_inputs.push(wiring.port(&format!("guest {number}"), &station.address()));
+        let outlet = outlets.next().unwrap_or_else(|| Box::new(Silent));
+        let (index, to) = (settings.tracers + number, listeners.clone());
+        let actor = Station::new(index, settings.lattice(), pool.clone(), to, outlet);
+        // A job is over in its state before anybody is told.
+        stations.push(wiring.spawn_worker(station, actor, &pool, OnPanic::Resume));
+    }
+    Actors {
+        input,
+        renderer,
+        correction: Some(correction),
+        tracers,
+        pool: Some(pool),
+        illuminator,
+        stations,
+        station_inputs,
+    }
+}
+
+/// Jobs of samples that can be out: those of the tracers, and what stations can have beside them.
+fn jobs_in_flight_at_most(settings: &Settings) -> usize {
+    let stations = settings.stations.min(STATIONS_MAX) as usize;
+    settings.jobs_in_flight() as usize + stations * CREDITS_MAX as usize
 }
 
 #[cfg(test)]

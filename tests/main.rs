@@ -13,6 +13,7 @@ mod exits;
 mod faults;
 mod hostile;
 mod packages;
+mod remote;
 mod replay;
 #[cfg(feature = "serve")]
 mod serve;

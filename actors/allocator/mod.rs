@@ -22,7 +22,7 @@ mod saved;
 pub mod textures;
 mod told;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use foveal::allocation::ray_order::RayOrder;
@@ -69,6 +69,8 @@ pub struct Allocator {
     attention: Vec<f32>,
     /// Jobs of samples in the pool or with a tracer, of any view.
     in_flight: u32,
+    /// Jobs that each station can have beside those of the tracers.
+    credits: BTreeMap<u32, u32>,
     /// First approximations.
     environments: Environments,
     /// Textures, where they do not all fit into memory.
@@ -129,6 +131,7 @@ impl Allocator {
             saliency: Arc::new(Vec::new()),
             attention: Vec::new(),
             in_flight: 0,
+            credits: BTreeMap::new(),
             environments,
             textures,
             portion_waits: false,
@@ -194,6 +197,10 @@ impl Actor for Allocator {
             AllocatorMessage::Adjusted(adjustment) => self.on_adjusted(&adjustment, cx),
             AllocatorMessage::Incident(incident) => self.on_incident(incident, cx),
             AllocatorMessage::JobDead(dead) => self.on_job_dead(dead, cx),
+            AllocatorMessage::StationChanged { station, credits } => {
+                self.credits.insert(station, credits);
+                self.fill_pool(cx);
+            }
             AllocatorMessage::DecideOn => self.on_decide_on(cx),
             AllocatorMessage::SendAgain => self.outbox.send(cx),
         }

@@ -30,6 +30,11 @@ impl Allocator {
         self.tell_insight_if_due();
     }
 
+    /// Those of the tracers, and what stations can have beside them.
+    fn jobs_in_flight(&self) -> u32 {
+        self.settings.jobs_in_flight() + self.credits.values().sum::<u32>()
+    }
+
     pub(super) fn update_attention(&mut self) {
         for (id, s) in self.statistics.iter_mut().enumerate() {
             s.saliency = self.saliency.get(id).copied().unwrap_or(0.0);
@@ -42,7 +47,7 @@ impl Allocator {
         let Some(drawn) = self.drawn.clone() else { return };
         let stages = self.stages.clone();
         stages.time(Stage::Allocate, || {
-            while self.in_flight < self.settings.jobs_in_flight() {
+            while self.in_flight < self.jobs_in_flight() {
                 let Some((order, priority)) = self.order.next(&drawn.buffers.object) else { break };
                 let attention = self.attention.get(order.object as usize).copied().unwrap_or(0.0);
                 let seed = self.settings.seed;

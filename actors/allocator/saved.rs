@@ -29,6 +29,7 @@ impl Allocator {
             saliency,
             attention,
             in_flight,
+            credits,
             environments,
             textures,
             portion_waits,
@@ -44,6 +45,9 @@ impl Allocator {
             return saver.refuse();
         }
         saver.put(adjustment);
+        if self.settings.stations > 0 {
+            saver.put(credits);
+        }
         saver.put(&(order, statistics, saliency.as_slice(), attention));
         saver.put(&(
             begun,
@@ -77,6 +81,9 @@ impl Allocator {
     pub(super) fn restore_state(&mut self, loader: &mut Loader<'_>) -> Option<()> {
         if let Some(adjustment) = loader.take()? {
             self.adjust(&adjustment);
+        }
+        if self.settings.stations > 0 {
+            self.credits = loader.take()?;
         }
         let saliency: Vec<f32>;
         (self.order, self.statistics, saliency, self.attention) = loader.take()?;

@@ -28,9 +28,10 @@ use foveal_actors::renderer::overlay::Overlay;
 use foveal_actors::renderer::{FrameCounts, FrameSink, Renderer, Splats};
 use foveal_actors::settings::{Adjustment, Settings};
 use foveal_actors::stages::StageTimes;
+use foveal_actors::station::{Heard, Station, StationMessage, StationStatus};
 use foveal_actors::textures::TextureStore;
-use foveal_actors::wiring::{Actors, wire};
-use foveal_runtime::{BuildError, Control, Exit, Limit, Mode, RecordingStatus, Runtime, Shutdown};
+use foveal_actors::wiring::{Actors, Parts, wire};
+use foveal_runtime::{BuildError, Control, Exit, Limit, Mode, Port, RecordingStatus, Runtime, Shutdown};
 
 use crate::bake_clock::Watch;
 use crate::failure::Failure;
@@ -178,7 +179,9 @@ impl Engine {
         let (slot, stages) = (InsightSlot::default(), StageTimes::default());
         let all = || {
             let sink = Box::new(newest.clone());
-            machine.parts(&opened, options.probes.clone(), Some(slot.clone()), stages.clone(), sink)
+            let parts =
+                machine.parts(&opened, options.probes.clone(), Some(slot.clone()), stages.clone(), sink);
+            Parts { outlets: options.outlets.as_ref().map_or_else(Vec::new, |make| make()), ..parts }
         };
         let live = || Clock::Real.config(&settings, machine.threads(&opened), gives_way, options.ring_turns);
         let mut config = clock.config(&settings, machine.threads(&opened), gives_way, options.ring_turns);
@@ -519,6 +522,17 @@ impl Engine {
     /// While it is being dropped.
     pub fn runtime(&self) -> &Runtime {
         self.runtime.as_ref().expect("only a drop takes it")
+    }
+
+    /// What leads from other machines to the stations, by number: for whoever listens to them. Empty the second time.
+    pub fn station_inputs(&mut self) -> Vec<Port<Heard, StationMessage>> {
+        std::mem::take(&mut self.actors.station_inputs)
+    }
+
+    /// The stations as they are, once the walk is [finished](Engine::finish): before, others run them.
+    pub fn stations(&self) -> Vec<StationStatus> {
+        let look = |station| self.runtime.as_ref()?.inspect(station, |station: &Station| station.status());
+        self.actors.stations.iter().filter_map(|&station| look(station)).collect()
     }
 
     /// Its actors, to look into.

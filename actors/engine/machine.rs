@@ -65,6 +65,7 @@ impl Machine {
             insight,
             stages,
             sink,
+            outlets: Vec::new(),
         }
     }
 }

@@ -146,6 +146,15 @@ pub fn load_scene_as(path: &Path, reading: &Reading) -> Result<(Arc<Scene>, Vec<
     Ok((Arc::new(loaded.scene), warnings))
 }
 
+/// The files that a scene is read from, relative to its folder, each with its BLAKE3. Reads them.
+///
+/// # Errors
+/// If the scene cannot be read.
+pub fn files(path: &Path, reading: &Reading) -> Result<Vec<(String, [u8; 32])>, Failure> {
+    let loaded = load::load_with(path, &reading.options()).map_err(|e| Failure::Input(e.to_string()))?;
+    Ok(loaded.files)
+}
+
 /// Loads a scene and its illumination.
 pub fn open(path: &Path, light: &Light, watch: &dyn Watch) -> Result<Opened, Failure> {
     with_light(path, kept_scene::read(path, light)?, light, watch)

@@ -7,6 +7,7 @@ use foveal::display::first_approximation::Probes;
 use foveal_actors::illuminator::Refinement;
 use foveal_actors::light_book::LightBook;
 use foveal_actors::settings::Settings;
+use foveal_actors::station::Outlets;
 use foveal_runtime::simulate::Simulation;
 use foveal_runtime::{Config, Hashing, Record};
 
@@ -45,6 +46,8 @@ pub struct Options {
     pub ring_turns: Option<usize>,
     /// What each object sees around, where somebody has looked already: of many objects that takes seconds.
     pub probes: Option<Arc<Probes>>,
+    /// What leads to the machines that trace for [`Settings::stations`], made anew for each attempt to start.
+    pub outlets: Option<Outlets>,
     /// Names and values for a screenshot's metadata.
     pub facts: Vec<(String, String)>,
 }
@@ -66,6 +69,7 @@ impl Options {
             keeps_light: true,
             ring_turns: None,
             probes: None,
+            outlets: None,
             facts: Vec::new(),
         }
     }

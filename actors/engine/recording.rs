@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use foveal_actors::illuminator::Refinement;
 use foveal_actors::settings::Settings;
+use foveal_actors::station::STATIONS_MAX;
 
 use crate::bake_clock::Watch;
 use crate::failure::Failure;
@@ -353,6 +354,7 @@ fn unsound(s: &Settings) -> Option<String> {
     let checks = [
         (side.contains(&s.width) && side.contains(&s.height) && pixels <= 1 << 26, "picture size"),
         ((1..=TRACERS_MAX).contains(&s.tracers), "number of tracers"),
+        (s.stations <= STATIONS_MAX && s.tracers + s.stations <= TRACERS_MAX + 1, "number of stations"),
         ((1..=1 << 20).contains(&s.samples_per_job), "samples of a job"),
         (s.k_max <= 7, "number of levels"),
         (s.cache_capacity <= 1 << 26, "size of the sample cache"),

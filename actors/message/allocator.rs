@@ -149,4 +149,11 @@ pub enum AllocatorMessage {
         /// Hash of it.
         hash: u64,
     },
+    /// From a station: how many jobs its guest can have beside those of the tracers.
+    StationChanged {
+        /// Which one, among tracers and stations.
+        station: u32,
+        /// Jobs.
+        credits: u32,
+    },
 }

@@ -35,4 +35,6 @@ pub enum CacheAgerMessage {
     Adjusted(Adjustment),
     /// From its own timer: send what was not accepted.
     SendAgain,
+    /// From a station: what its guest found is not true, so no sample is kept.
+    Doubted,
 }

@@ -147,6 +147,8 @@ pub enum RendererMessage {
     SamplesForgotten,
     /// From its own timer: send what was not accepted.
     SendAgain,
+    /// From the cache ager: no sample is to be believed. The view begins anew.
+    SamplesDoubted,
 }
 
 impl RendererInput {

@@ -277,6 +277,10 @@ impl Job for TraceJob {
         }
     }
 
+    fn travels(&self) -> bool {
+        crate::station::travels(self)
+    }
+
     fn kind(&self) -> &'static str {
         match self {
             Self::Samples(_) => "TraceJob",

@@ -95,6 +95,7 @@ pub fn run(a: &DoctorArguments) -> Result<(), Failure> {
         "adapter_missing": adapter.as_ref().err(),
         "display": display(),
         "serve": served,
+        "bits": format!("{:016x}", foveal_actors::station::bits::probe()),
         "cache": foveal_engine::opened::cache_folder(None).map(|p| p.display().to_string()),
     });
     if a.json {
@@ -116,6 +117,8 @@ pub fn run(a: &DoctorArguments) -> Result<(), Failure> {
         display().unwrap_or_else(|| "none named by DISPLAY or WAYLAND_DISPLAY".into())
     ));
     print_line(&format!("serve     {serves}"));
+    let bits = document["bits"].as_str().unwrap_or_default();
+    print_line(&format!("bits      {bits}: machines that trace together have the same"));
     let cache = document["cache"].as_str().unwrap_or("none (set FOVEAL_CACHE)");
     print_line(&format!("bakes     {cache}"));
     let endings = foveal::scene::load::MESHES.map(|e| format!(".{e}"));

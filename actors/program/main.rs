@@ -18,6 +18,8 @@ mod serve;
 mod shell;
 mod simulate;
 mod texture_page;
+mod trace;
+mod tracers;
 #[cfg(feature = "window")]
 mod view;
 mod walk;
@@ -76,6 +78,8 @@ enum Command {
     Bake(bake::BakeArguments),
     /// Render the gold standard: what a still view converges to, or an unbiased path-traced picture
     Reference(reference::ReferenceArguments),
+    /// Trace with this machine's cores for a walk elsewhere (its --tracers)
+    Trace(trace::TraceArguments),
     /// Run a recorded walk again, on any number of threads, and compare every message
     Replay(replay::ReplayArguments),
     /// Run the actors on one thread under seeded schedules and faults
@@ -115,6 +119,7 @@ fn main() -> ExitCode {
         Command::Walk(a) => walk::run(&a, progress),
         Command::Bake(a) => bake::run(&a, progress),
         Command::Reference(a) => reference::run(&a, progress),
+        Command::Trace(a) => trace::run(&a, progress),
         Command::Replay(a) => replay::run(&a, progress),
         Command::Simulate(a) => simulate::run(&a, progress),
         Command::Log(a) => log::run(&a),
@@ -144,10 +149,10 @@ fn log_to_stderr(cli: &Cli) {
         (true, _) => "error",
         (_, 0) => "warn",
         (_, 1) => {
-            "foveal=info,foveal_actors=info,foveal_engine=info,foveal_runtime=info,foveal_serve=info,foveal_window=info"
+            "foveal=info,foveal_actors=info,foveal_engine=info,foveal_remote=info,foveal_runtime=info,foveal_serve=info,foveal_window=info"
         }
         _ => {
-            "foveal=debug,foveal_actors=debug,foveal_engine=debug,foveal_runtime=debug,foveal_serve=debug,foveal_window=debug"
+            "foveal=debug,foveal_actors=debug,foveal_engine=debug,foveal_remote=debug,foveal_runtime=debug,foveal_serve=debug,foveal_window=debug"
         }
     };
     // As `info`, or `foveal_engine=debug,foveal_runtime=trace`.

@@ -26,6 +26,7 @@ use foveal_terminal::progress::Progress;
 use foveal_terminal::report;
 
 use super::pictures::PictureWriter;
+use super::tracers::{self, TracersArguments};
 use super::walk_report::{Walked, document, summary, textures_json};
 use super::{figures, replay};
 
@@ -122,6 +123,8 @@ pub struct WalkArguments {
     environment_budget: u64,
     #[command(flatten)]
     illumination: IlluminationArguments,
+    #[command(flatten)]
+    tracers: TracersArguments,
     /// One JSON document
     #[arg(long)]
     json: bool,
@@ -183,7 +186,10 @@ impl Motion<'_> {
 /// Runs the command.
 pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
     foveal_terminal::progress::end_on_interrupt();
-    let mut opened = opened::open(&a.scene, &a.illumination.light(), &progress.baking())?;
+    let mut light = a.illumination.light();
+    // Guests get the light once.
+    light.baked |= a.tracers.is_asked_for();
+    let mut opened = opened::open(&a.scene, &light, &progress.baking())?;
     opened.limit_textures(a.texture_budget.or(opened.world.scene.budget.texture_bytes))?;
     let scene = opened.world.scene.clone();
     let start_camera = camera(&scene, a.camera.as_deref())?.camera;
@@ -223,6 +229,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         supersampling: a.refine.map(|noise| Supersampling { noise, max_samples: a.refine_samples }),
         ..Settings::new(a.size.width, a.size.height, a.workers.unwrap_or(cores.min(TRACERS_MAX)))
     };
+    let settings = a.tracers.settings(settings);
     if let Some(out) = &a.out {
         make_folder(out)?;
     }
@@ -231,7 +238,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         hashing: a.hashes.into(),
         command: "walk",
     });
-    let options = Options {
+    let mut options = Options {
         fps: Some(fps),
         quality: a.mode.least_quality(),
         texture_bytes: a.texture_budget,
@@ -241,7 +248,9 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         gives_way: true,
         ..Options::new(settings)
     };
+    let door = a.tracers.open(&opened, &settings, &mut options)?;
     let mut engine = Engine::start(opened, options)?;
+    a.tracers.attach(door.as_ref(), &mut engine)?;
     let pictures = a.out.as_ref().map(|out| PictureWriter::new(out.clone()));
 
     let walked =
@@ -256,7 +265,11 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
     let linear = if a.out.is_some() { engine.look(Renderer::picture).flatten() } else { None };
     // Only the main thread's actors can be looked at while others run.
     let end = engine.finish(Duration::from_secs(10));
+    drop(door);
     let mut document = document(a, &engine, fps, &walked, converged);
+    if a.tracers.is_asked_for() {
+        document["stations"] = tracers::document(&engine.stations());
+    }
     let store = engine.opened().textures.as_ref();
     if let Some(textures) = store.and_then(|store| textures_json(store, &walked.textures, &scene)) {
         document["textures"] = textures;

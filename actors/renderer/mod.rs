@@ -439,6 +439,12 @@ impl Renderer {
         FrameBuffers::new(self.settings.width as usize, self.settings.height as usize)
     }
 
+    fn on_samples_doubted(&mut self, cx: &mut Cx<'_, RendererMessage>) {
+        if let Some(camera) = self.camera {
+            self.begin_view(&camera, 1, cx);
+        }
+    }
+
     fn on_view_converged(&mut self, view: View) {
         if view == self.view {
             self.converged = true;
@@ -501,6 +507,7 @@ impl Actor for Renderer {
             RendererMessage::Illuminated { map, last, hash: _ } => self.target = Some((map, last)),
             RendererMessage::SamplesForgotten => self.on_samples_forgotten(cx),
             RendererMessage::SendAgain => self.outbox.send(cx),
+            RendererMessage::SamplesDoubted => self.on_samples_doubted(cx),
         }
     }
 

@@ -94,7 +94,7 @@ impl<A> Handle<A> {
 }
 
 /// Names a timer of one actor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TimerId(u32);
 
 /// Names a question of one actor: it goes with the question and comes back with the answer. See [`Cx::ask`].

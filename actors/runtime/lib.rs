@@ -218,7 +218,7 @@ pub use message::content::{Content, Difference, List};
 pub use message::incident::Incident;
 pub use message::saved::{Loader, Saver};
 pub use message::{ActorId, Credits, Digest, LATEST_KEYS, Lane, Message, Reason, Rejected};
-pub use pool::{DeadJob, Death, Job, JobPool, PoolStats, Worker};
+pub use pool::{DeadJob, Death, Job, JobPool, Kept, PoolStats, Worker};
 pub use replay::ReplayReport;
 pub use runtime::config::{BuildError, Config, Mode, Record, Steering};
 pub use runtime::shutdown::{Ending, Shutdown};

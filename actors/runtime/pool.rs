@@ -4,6 +4,7 @@
 //! of the worker that made it, so a recording knows who did what, and replay hands each job to the same worker.
 
 mod bitmap;
+mod keep;
 mod lease;
 mod seat;
 
@@ -32,6 +33,8 @@ use crate::scheduler::signals::signal;
 pub use crate::actor::seat::KILLS_MAX;
 
 pub(crate) use bitmap::Bitmap;
+use keep::Keeping;
+pub use keep::Kept;
 use lease::Hold;
 use seat::SeatOf;
 
@@ -79,6 +82,11 @@ pub trait Job: Send + Sync + 'static {
         "job"
     }
 
+    /// Whether workers that [keep](Worker::KEEPS) jobs may take it; the others may take any.
+    fn travels(&self) -> bool {
+        false
+    }
+
     /// What it says, as [`Message::content`].
     fn content(&self) -> Content {
         Content::Name(self.kind().into())
@@ -103,6 +111,16 @@ pub trait Worker: Actor {
     /// What it does.
     type Job: Job;
 
+    /// Whether it [keeps](Cx::keep) jobs, and ends them in later turns: whoever hands them to others that are not of this
+    /// system, say. It is given only what [travels](Job::travels) and nobody handed back, and a pool with such a worker needs
+    /// another one that does not keep.
+    const KEEPS: bool = false;
+
+    /// Whether it takes a job now. Asked before each, of workers that keep; not in replay.
+    fn room(&self) -> bool {
+        true
+    }
+
     /// Does one job. If this panics, the job goes back and another worker does it. Where the pool
     /// [leases](crate::Wiring::leases) its jobs, ask [`Cx::claim`] before telling anybody what came of it.
     fn run(&mut self, job: &Self::Job, cx: &mut Cx<'_, Self::Msg>);
@@ -124,8 +142,12 @@ pub struct PoolStats {
     pub dead: u64,
     /// Times a job went back because its worker panicked or lost its lease.
     pub requeued: u64,
-    /// Jobs that wait.
+    /// Jobs that wait, those among them that were [shared](Cx::share).
     pub waiting: u64,
+    /// Jobs that workers [keep](Cx::keep).
+    pub kept: u64,
+    /// Jobs that two have, because they were shared.
+    pub twice: u64,
     /// Workers that take jobs.
     pub workers: u64,
     /// Simulation: jobs that were popped while a better one waited.
@@ -140,6 +162,8 @@ struct Entry<J> {
     /// Deliveries to its maker before it was pushed, the one at hand included.
     pushed_in: u64,
     job: Carried<J>,
+    /// Whether one of the two who have it has come to its end, where it was [shared](Cx::share).
+    rival: Option<Arc<AtomicBool>>,
 }
 
 impl<J> Entry<J> {
@@ -149,7 +173,11 @@ impl<J> Entry<J> {
             Carried::Alone(job) => Arc::new(job),
             Carried::Shared(job) => job,
         };
-        (Self { job: Carried::Shared(Arc::clone(&job)), ..self }, Self { job: Carried::Shared(job), ..self })
+        let rival = self.rival.clone();
+        (
+            Self { job: Carried::Shared(Arc::clone(&job)), rival, ..self },
+            Self { job: Carried::Shared(job), ..self },
+        )
     }
 }
 
@@ -180,12 +208,61 @@ struct Place<J> {
     /// Takes no jobs: paused, stopped, or hanging.
     away: AtomicBool,
     hold: Hold<J>,
+    /// Of a worker that keeps jobs, those.
+    keeping: Option<Keeping<J>>,
+}
+
+/// Jobs by priority.
+struct Heap<J> {
+    buckets: Box<[SegQueue<Entry<J>>]>,
+    bitmap: Bitmap,
+}
+
+impl<J> Heap<J> {
+    fn new() -> Self {
+        Self { buckets: (0..BUCKETS).map(|_| SegQueue::new()).collect(), bitmap: Bitmap::new() }
+    }
+
+    fn put(&self, entry: Entry<J>) {
+        let bucket = entry.bucket;
+        self.buckets[bucket as usize].push(entry);
+        self.bitmap.raise(bucket);
+    }
+
+    fn take(&self, base: u32) -> Option<Entry<J>> {
+        self.bitmap.take(
+            base,
+            |bucket| self.buckets[bucket as usize].pop(),
+            |bucket| self.buckets[bucket as usize].is_empty(),
+        )
+    }
+
+    /// How far behind `base` (cyclically) the first bucket is that has something; 64 where none has.
+    fn rank(&self, base: u32) -> u32 {
+        let mut bits = self.bitmap.from(base);
+        while bits != 0 {
+            let rank = bits.trailing_zeros();
+            // A bucket keeps its bit until somebody finds it empty.
+            if !self.buckets[((base + rank) % 64) as usize].is_empty() {
+                return rank;
+            }
+            bits &= bits - 1;
+        }
+        64
+    }
+
+    /// Whether something waits in one of the first `rank` buckets.
+    fn has_better(&self, base: u32, rank: u32) -> bool {
+        (0..rank).any(|step| !self.buckets[((base + step) % 64) as usize].is_empty())
+    }
 }
 
 struct Shared<J: Job> {
     env: Arc<Env>,
-    buckets: Box<[SegQueue<Entry<J>>]>,
-    bitmap: Bitmap,
+    /// For all workers.
+    common: Heap<J>,
+    /// For those that do not keep jobs, where others do.
+    own: Heap<J>,
     base: AtomicU32,
     capacity: usize,
     waiting: AtomicUsize,
@@ -197,6 +274,10 @@ struct Shared<J: Job> {
     lease: OnceLock<u64>,
     watched: AtomicBool,
     idle: EventCount,
+    idle_keepers: EventCount,
+    keepers: AtomicUsize,
+    kept: AtomicU64,
+    twice: AtomicU64,
     workers: AtomicUsize,
     pushed: AtomicU64,
     completed: AtomicU64,
@@ -217,18 +298,29 @@ impl<J: Job> Shared<J> {
     }
 
     fn put(&self, entry: Entry<J>, thread: &ThreadCx) {
-        let bucket = entry.bucket;
-        self.buckets[bucket as usize].push(entry);
-        self.bitmap.raise(bucket);
+        let travels = self.keepers.load(Ordering::Relaxed) == 0 || entry.attempt == 0 && entry.job.travels();
+        let heap = if travels { &self.common } else { &self.own };
+        heap.put(entry);
         self.wake(thread);
     }
 
+    /// Whether something waits for a worker of this kind.
+    fn is_empty_for(&self, keeps: bool) -> bool {
+        self.common.bitmap.is_empty() && (keeps || self.own.bitmap.is_empty())
+    }
+
+    /// Wakes somebody for what waits: rather one that does the job than one that keeps it.
     fn wake(&self, thread: &ThreadCx) {
-        if let Some(place) = self.idle.notify_one()
-            && let Some(place) = self.places().get(place)
+        let keeper = || if self.common.bitmap.is_empty() { None } else { self.idle_keepers.notify_one() };
+        if let Some(place) = self.idle.notify_one().or_else(keeper)
+            && let Some(place) = self.places().iter().find(|other| other.number == place)
         {
             place.link.raise(signal::JOBS, thread);
         }
+    }
+
+    fn idle_of(&self, place: &Place<J>) -> &EventCount {
+        if place.keeping.is_some() { &self.idle_keepers } else { &self.idle }
     }
 
     /// Replay: a job goes straight to those who popped it when the recording was made, all of them at once.
@@ -248,7 +340,8 @@ impl<J: Job> Shared<J> {
     fn hand_on(&self, entry: Entry<J>, from: usize, thread: &ThreadCx) {
         let places = self.places();
         let others = (1..places.len()).map(|step| &places[(from + step) % places.len()]);
-        match others.into_iter().find(|place| !place.away.load(Ordering::SeqCst)) {
+        let works = |place: &&Arc<Place<J>>| place.keeping.is_none() && !place.away.load(Ordering::SeqCst);
+        match others.into_iter().find(works) {
             Some(place) => {
                 place.inbound.push(entry);
                 place.link.raise(signal::JOBS, thread);
@@ -288,17 +381,19 @@ impl<J: Job> Shared<J> {
         self.env.end(Incident::JobLost { actor: worker, job, message });
     }
 
-    fn take(&self) -> Option<Entry<J>> {
+    fn take(&self, keeps: bool) -> Option<Entry<J>> {
         let base = self.base.load(Ordering::Relaxed);
-        let entry = self.bitmap.take(
-            base,
-            |bucket| self.buckets[bucket as usize].pop(),
-            |bucket| self.buckets[bucket as usize].is_empty(),
-        )?;
+        let entry = if keeps || self.own.bitmap.is_empty() {
+            self.common.take(base)?
+        } else if self.own.rank(base) <= self.common.rank(base) {
+            self.own.take(base).or_else(|| self.common.take(base))?
+        } else {
+            self.common.take(base).or_else(|| self.own.take(base))?
+        };
         if self.env.simulated() {
             // Alone, the best is the best: on several threads a better one may come while this one is popped.
             let rank = (entry.bucket + 64 - base) % 64;
-            let better = (0..rank).any(|step| !self.buckets[((base + step) % 64) as usize].is_empty());
+            let better = self.common.has_better(base, rank) || !keeps && self.own.has_better(base, rank);
             self.disorder.fetch_add(u64::from(better), Ordering::Relaxed);
         }
         Some(entry)
@@ -320,8 +415,8 @@ impl<J: Job> JobPool<J> {
     pub(crate) fn new(env: &Arc<Env>, capacity: usize) -> Self {
         let shared = Shared {
             env: Arc::clone(env),
-            buckets: (0..BUCKETS).map(|_| SegQueue::new()).collect(),
-            bitmap: Bitmap::new(),
+            common: Heap::new(),
+            own: Heap::new(),
             base: AtomicU32::new(0),
             capacity,
             waiting: AtomicUsize::new(0),
@@ -332,6 +427,10 @@ impl<J: Job> JobPool<J> {
             lease: OnceLock::new(),
             watched: AtomicBool::new(false),
             idle: EventCount::new(),
+            idle_keepers: EventCount::new(),
+            keepers: AtomicUsize::new(0),
+            kept: AtomicU64::new(0),
+            twice: AtomicU64::new(0),
             workers: AtomicUsize::new(0),
             pushed: AtomicU64::new(0),
             completed: AtomicU64::new(0),
@@ -353,6 +452,8 @@ impl<J: Job> JobPool<J> {
             dead: shared.dead.load(Ordering::Relaxed),
             requeued: shared.requeued.load(Ordering::Relaxed),
             waiting: shared.waiting.load(Ordering::Relaxed) as u64,
+            kept: shared.kept.load(Ordering::Relaxed),
+            twice: shared.twice.load(Ordering::Relaxed),
             workers: shared.workers.load(Ordering::Relaxed) as u64,
             disorder: shared.disorder.load(Ordering::Relaxed),
         }
@@ -366,7 +467,9 @@ impl<J: Job> JobPool<J> {
             inbound: SegQueue::new(),
             away: AtomicBool::new(false),
             hold: Hold::new(),
+            keeping: A::KEEPS.then(Keeping::default),
         });
+        self.shared.keepers.fetch_add(usize::from(A::KEEPS), Ordering::SeqCst);
         assert!(number < 64, "a pool has at most 64 workers");
         self.shared.arriving.push(Arc::clone(&place));
         Box::new(SeatOf {
@@ -430,7 +533,7 @@ impl<M: Message> Cx<'_, M> {
         let id = self.journal.next_job();
         let bucket = (u32::from(bucket.min(BUCKETS - 1)) + shared.base.load(Ordering::Relaxed)) % 64;
         let pushed_in = self.journal.index;
-        let entry = Entry { id, attempt: 0, epoch, bucket, pushed_in, job: Carried::Alone(job) };
+        let entry = Entry { id, attempt: 0, epoch, bucket, pushed_in, job: Carried::Alone(job), rival: None };
         if self.journal.replaying() {
             shared.route(entry, self.thread);
         } else {
@@ -450,7 +553,8 @@ impl<M: Message> Cx<'_, M> {
     pub fn age<J: Job>(&mut self, pool: &JobPool<J>) {
         let shared = &pool.shared;
         let base = shared.base.load(Ordering::Relaxed);
-        if shared.buckets[base as usize].is_empty() {
+        let is_empty = |heap: &Heap<J>| heap.buckets[base as usize].is_empty();
+        if is_empty(&shared.common) && is_empty(&shared.own) {
             shared.base.store((base + 1) % 64, Ordering::Relaxed);
         }
     }

@@ -330,14 +330,15 @@ impl Simulator {
 
     fn check(&mut self, runtime: &Runtime) -> Result<(), String> {
         for pool in &runtime.pools {
-            let PoolStats { pushed, completed, stale, dead, waiting, disorder, .. } = pool.stats();
+            let PoolStats { pushed, completed, stale, dead, waiting, kept, twice, disorder, .. } =
+                pool.stats();
             if disorder > 0 {
                 return Err("a job was popped while a better one waited".to_owned());
             }
-            if pushed != completed + stale + dead + waiting {
+            if pushed + twice != completed + stale + dead + waiting + kept {
                 return Err(format!(
                     "jobs are lost or counted twice: {pushed} pushed, {completed} done, {stale} stale, {dead} dead, \
-                     {waiting} wait"
+                     {waiting} wait, {kept} kept, {twice} twice"
                 ));
             }
         }

@@ -341,6 +341,32 @@ pub fn job_pixels<'a>(
         .take(job.count as usize)
 }
 
+/// The pixels of a job, of samples or of guides, where objects are told pixel by pixel as they are asked for.
+pub fn pixels_as_told(
+    lattice: &Lattice,
+    job: &SampleJob,
+    mut object_at: impl FnMut(i32, i32) -> u32,
+) -> Vec<(i32, i32)> {
+    let SampleJob { object, level, rect, start, count, .. } = *job;
+    let mut pixels = Vec::with_capacity(count.min(1 << 16) as usize);
+    if count == 0 {
+        return pixels;
+    }
+    let mut take = |(x, y): (i32, i32)| {
+        if object_at(x, y) == object {
+            pixels.push((x, y));
+        }
+        pixels.len() < count as usize
+    };
+    if level == GUIDES {
+        let row = move |y: i32| (if y == start.y { start.x } else { rect.x0 }..rect.x1).map(move |x| (x, y));
+        (start.y..rect.y1).flat_map(row).all(&mut take);
+    } else {
+        lattice.samples(level, rect, start).all(&mut take);
+    }
+    pixels
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -401,6 +427,8 @@ mod tests {
                 let part = jobs.part_at(job.object, job.level, at.unwrap());
                 prop_assert_eq!(part, Some(whole.id));
                 let mut found = 0;
+                let told = pixels_as_told(&lattice, &job, |x, y| ids.at(x as usize, y as usize));
+                prop_assert!(job_pixels(&lattice, &job, &ids).eq(told));
                 for (x, y) in job_pixels(&lattice, &job, &ids) {
                     prop_assert_eq!(lattice.level(x, y), job.level);
                     *traced.at_mut(x as usize, y as usize) += 1;

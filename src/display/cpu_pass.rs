@@ -102,27 +102,120 @@ pub fn draw_in_cells(
             };
             for row in (0..rows).step_by(PACKET[1] * cell) {
                 for x in (0..width).step_by(PACKET[0] * cell) {
-                    let wanted = |lane: usize| (x + lane % PACKET[0] * cell, row + lane / PACKET[0] * cell);
-                    // Lanes beyond the picture's edge repeat the last pixel.
-                    let pixel = |lane: usize| {
-                        let (px, py) = wanted(lane);
-                        (px.min(width - 1), py.min(rows - 1))
-                    };
-                    let directions: [Vec3; LANES] = std::array::from_fn(|lane| {
-                        let (px, py) = pixel(lane);
-                        frame.direction(px as f32 + 0.5, (b * BAND + py) as f32 + 0.5)
-                    });
-                    let hits = world.accel.intersect_packet(&world.scene, frame.eye, &directions);
-                    let is_wanted = |lane: usize| pixel(lane) == wanted(lane);
-                    let hits = std::array::from_fn(|l| hits[l].filter(|_| is_wanted(l)));
-                    let surfaces = shade(world, frame, &directions, &hits, passes.texture_ids, &mut last);
-                    for lane in (0..LANES).filter(|&lane| is_wanted(lane)) {
-                        let (px, py) = wanted(lane);
-                        show(px, py, &surfaces[lane]);
-                    }
+                    packet(
+                        world,
+                        frame,
+                        cell,
+                        [x, row],
+                        b * BAND,
+                        rows,
+                        passes.texture_ids,
+                        &mut last,
+                        &mut show,
+                    );
                 }
             }
         });
+}
+
+/// What one packet of cells shows, whose first pixel is given in the band that begins at row `top` and has `rows` rows:
+/// tells pixel and surface of each. In which packet a ray goes decides its last bits.
+#[expect(clippy::too_many_arguments, reason = "a piece of a loop that two have")]
+fn packet(
+    world: &World,
+    frame: &CameraFrame,
+    cell: usize,
+    [x, row]: [usize; 2],
+    top: usize,
+    rows: usize,
+    texture_ids: bool,
+    last: &mut LastShadows,
+    tell: &mut impl FnMut(usize, usize, &Surface),
+) {
+    let width = frame.size[0] as usize;
+    let wanted = |lane: usize| (x + lane % PACKET[0] * cell, row + lane / PACKET[0] * cell);
+    // Lanes beyond the picture's edge repeat the last pixel.
+    let pixel = |lane: usize| {
+        let (px, py) = wanted(lane);
+        (px.min(width - 1), py.min(rows - 1))
+    };
+    let directions: [Vec3; LANES] = std::array::from_fn(|lane| {
+        let (px, py) = pixel(lane);
+        frame.direction(px as f32 + 0.5, (top + py) as f32 + 0.5)
+    });
+    let hits = world.accel.intersect_packet(&world.scene, frame.eye, &directions);
+    let is_wanted = |lane: usize| pixel(lane) == wanted(lane);
+    let hits = std::array::from_fn(|l| hits[l].filter(|_| is_wanted(l)));
+    let surfaces = shade(world, frame, &directions, &hits, texture_ids, last);
+    for lane in (0..LANES).filter(|&lane| is_wanted(lane)) {
+        let (px, py) = wanted(lane);
+        tell(px, py, &surfaces[lane]);
+    }
+}
+
+/// A view that is drawn where somebody looks, in blocks that hold whole packets: each pixel has the bits that
+/// [`draw_in_cells`] gives it. Textures are not told.
+pub struct PartlyDrawn {
+    frame: CameraFrame,
+    buffers: FrameBuffers,
+    /// By block, in rows.
+    drawn: Vec<bool>,
+}
+
+impl PartlyDrawn {
+    /// Nothing of a view of which each ray covers `cell` × `cell` pixels, 1 or 2.
+    ///
+    /// # Panics
+    /// If the cell is of another size: a bug of the caller.
+    pub fn new(frame: CameraFrame, cell: u32) -> Self {
+        assert!(cell == 1 || cell == 2, "bands hold whole packets of cells");
+        let [width, height] = frame.size.map(|s| s as usize);
+        let mut buffers = FrameBuffers::new(width, height);
+        buffers.cell = cell;
+        Self { frame, buffers, drawn: vec![false; width.div_ceil(BAND) * height.div_ceil(BAND)] }
+    }
+
+    /// Its camera.
+    pub fn frame(&self) -> &CameraFrame {
+        &self.frame
+    }
+
+    /// What is drawn so far; elsewhere there is nothing.
+    pub fn buffers(&self) -> &FrameBuffers {
+        &self.buffers
+    }
+
+    /// Draws what is around a pixel, if it is not yet there, and tells the pixel's object.
+    ///
+    /// # Panics
+    /// If the pixel is not in the picture: a bug of the caller.
+    pub fn object_at(&mut self, world: &World, x: usize, y: usize) -> u32 {
+        let [width, height] = self.frame.size.map(|s| s as usize);
+        let block = y / BAND * width.div_ceil(BAND) + x / BAND;
+        if !std::mem::replace(&mut self.drawn[block], true) {
+            let (left, top, cell) = (x / BAND * BAND, y / BAND * BAND, self.buffers.cell as usize);
+            let rows = BAND.min(height - top);
+            let FrameBuffers { cell: _, color, depth, object, texture: _, hit } = &mut self.buffers;
+            let frame = &self.frame;
+            let mut last = LastShadows::default();
+            let mut show = |px: usize, row: usize, surface: &Surface| {
+                for row in row..(row + cell).min(rows) {
+                    for i in px..(px + cell).min(width) {
+                        *hit.at_mut(i, top + row) = surface.hit;
+                        *color.at_mut(i, top + row) = surface.color;
+                        *depth.at_mut(i, top + row) = surface.depth;
+                        *object.at_mut(i, top + row) = surface.object;
+                    }
+                }
+            };
+            for row in (0..rows).step_by(PACKET[1] * cell) {
+                for x in (left..(left + BAND).min(width)).step_by(PACKET[0] * cell) {
+                    packet(world, frame, cell, [x, row], top, rows, false, &mut last, &mut show);
+                }
+            }
+        }
+        self.buffers.object.at(x, y)
+    }
 }
 
 /// What the display shows at one pixel.
@@ -282,6 +375,29 @@ mod tests {
                 assert_eq!(coarse.texture.at(x, y).texture(), fine.texture.at(fx, fy).texture());
                 assert_eq!(coarse.hit.at(x, y).triangle, fine.hit.at(fx, fy).triangle);
             }
+        }
+    }
+
+    /// Whatever is drawn first, each pixel has the bits of the whole.
+    #[test]
+    fn parts_are_drawn_like_the_whole() {
+        let world = checkered();
+        let camera = Camera { eye: Vec3::new(0.1, 0.2, 0.9), target: Vec3::ZERO, up: Vec3::Y, fov_y: 1.2 };
+        for ([width, height], cell) in [([41, 33], 1), ([40, 30], 2), ([1, 1], 1), ([7, 50], 2), ([33, 9], 2)]
+        {
+            let frame = camera.frame(width as u32, height as u32);
+            let mut whole = FrameBuffers::new(width, height);
+            draw_in_cells(&world, &frame, Passes { texture_ids: false }, cell, &mut whole);
+            let mut parts = PartlyDrawn::new(frame, cell);
+            for i in 0..width * height {
+                // In an order that jumps.
+                let i = (i * 7919) % (width * height);
+                let (x, y) = (i % width, i / width);
+                assert_eq!(parts.object_at(&world, x, y), whole.object.at(x, y));
+                assert_eq!(parts.buffers().hit.at(x, y), whole.hit.at(x, y));
+                assert_eq!(parts.buffers().color.at(x, y), whole.color.at(x, y));
+            }
+            assert_eq!(parts.buffers().depth.data(), whole.depth.data());
         }
     }
 

@@ -7,6 +7,7 @@ use crate::display::FrameBuffers;
 use crate::display::cpu_pass::{primary_interaction, primary_ray};
 use crate::rng::Stream;
 use crate::scene::camera::CameraFrame;
+use crate::transport::interaction::Interaction;
 use crate::transport::tracer::witness::{Path, Scribe};
 use crate::world::World;
 
@@ -36,22 +37,76 @@ pub fn trace_samples(
     pixels: impl Iterator<Item = (i32, i32)>,
     seed: u64,
 ) -> SampleBatch {
+    let tracer = world.tracer();
+    samples_with(world, frame, buffers, owner, pixels, |(x, y), at| {
+        let base = buffers.color.at(x as usize, y as usize);
+        Some(tracer.view_dependent(at, base, pixel_stream(seed, x as u32, y as u32, 0)))
+    })
+}
+
+/// The colours alone of what [`trace_samples`] traces: all that cannot be known without tracing.
+pub fn trace_colors(
+    world: &World,
+    frame: &CameraFrame,
+    buffers: &FrameBuffers,
+    pixels: impl Iterator<Item = (i32, i32)>,
+    seed: u64,
+) -> Vec<Vec3> {
+    let tracer = world.tracer();
+    let color = |(x, y): (i32, i32)| {
+        let hit = buffers.hit.at(x as usize, y as usize).hit()?;
+        let ray = primary_ray(frame, x as u32, y as u32);
+        let at = primary_interaction(world, frame, &ray, &hit);
+        let base = buffers.color.at(x as usize, y as usize);
+        Some(tracer.view_dependent(&at, base, pixel_stream(seed, x as u32, y as u32, 0)))
+    };
+    pixels.filter_map(color).collect()
+}
+
+/// The samples that [`trace_samples`] traces, from their colours. Of another number of colours no batch is made.
+pub fn samples_of_colors(
+    world: &World,
+    frame: &CameraFrame,
+    buffers: &FrameBuffers,
+    owner: Owner,
+    pixels: impl Iterator<Item = (i32, i32)>,
+    colors: &[Vec3],
+) -> Option<SampleBatch> {
+    let mut colors = colors.iter();
+    let mut missing = false;
+    let batch = samples_with(world, frame, buffers, owner, pixels, |_, _| {
+        let color = colors.next().copied();
+        missing |= color.is_none();
+        color
+    });
+    (!missing && colors.next().is_none()).then_some(batch)
+}
+
+/// One sample through the centre of each pixel, from the hits that the display pass left, with the colour that `color`
+/// says; none where it says none.
+fn samples_with(
+    world: &World,
+    frame: &CameraFrame,
+    buffers: &FrameBuffers,
+    owner: Owner,
+    pixels: impl Iterator<Item = (i32, i32)>,
+    mut color: impl FnMut((i32, i32), &Interaction) -> Option<Vec3>,
+) -> SampleBatch {
     let mut batch =
         SampleBatch::new(owner.view, owner.object, owner.k, pixels.size_hint().1.unwrap_or(0).min(4096));
-    let tracer = world.tracer();
     for (x, y) in pixels {
         let Some(hit) = buffers.hit.at(x as usize, y as usize).hit() else { continue };
         let ray = primary_ray(frame, x as u32, y as u32);
         let at = primary_interaction(world, frame, &ray, &hit);
         let normal =
             if at.shading_normal.dot(ray.direction) > 0.0 { -at.shading_normal } else { at.shading_normal };
-        let base = buffers.color.at(x as usize, y as usize);
+        let Some(color) = color((x, y), &at) else { continue };
         batch.push(Sample {
             pixel: [x as u16, y as u16],
             position: at.position,
             normal,
             view: -ray.direction,
-            color: tracer.view_dependent(&at, base, pixel_stream(seed, x as u32, y as u32, 0)),
+            color,
             pixel_width: hit.t * ray.direction.dot(frame.forward) * frame.pixel_angle(),
         });
     }

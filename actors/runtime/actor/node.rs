@@ -281,13 +281,13 @@ impl<A: Actor> Node<A> {
             self.envelope(core, thread, envelope, lane::DATA)?;
         }
         // Jobs come after messages, one a turn.
-        if let Some(seat) = &mut core.seat {
-            if let Some(popped) = seat.pop(thread) {
+        if let Core { seat: Some(seat), actor: Some(actor), .. } = core {
+            if let Some(popped) = seat.pop(actor, thread) {
                 turn.messages += 1;
                 turn.again = true;
                 self.deliver_job(core, thread, popped)?;
             } else {
-                turn.again = !seat.rest();
+                turn.again = !seat.rest(actor);
             }
         }
         Ok(())

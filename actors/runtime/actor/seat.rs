@@ -24,8 +24,8 @@ pub(crate) struct Popped {
 
 /// A worker's side of its pool, whatever the jobs are.
 pub(crate) trait Seat<A: Actor>: Send {
-    /// Pops the best job and holds it.
-    fn pop(&mut self, thread: &ThreadCx) -> Option<Popped>;
+    /// Pops the best job for this actor, if it takes one, and holds it.
+    fn pop(&mut self, actor: &A, thread: &ThreadCx) -> Option<Popped>;
     /// Replay: holds this job and tells when it was pushed; none if it was not yet.
     fn hold(&mut self, id: u64, attempt: u32) -> Option<u64>;
     fn digest(&self, digest: &mut Digest);
@@ -42,8 +42,8 @@ pub(crate) trait Seat<A: Actor>: Send {
     fn give_up(&mut self, journal: &mut Journal, thread: &ThreadCx);
     /// The job panicked with this: it goes back, or is given up.
     fn killed(&mut self, journal: &mut Journal, thread: &ThreadCx, message: &str);
-    /// Waits for jobs; false if one is there already.
-    fn rest(&self) -> bool;
+    /// Waits for jobs, if the actor takes any; false if one is there already.
+    fn rest(&self, actor: &A) -> bool;
     /// Takes no jobs for now; somebody else is told of one that waits.
     fn decline(&self, thread: &ThreadCx);
     /// Leaves for good unless nobody else is left.
@@ -60,6 +60,8 @@ pub(crate) trait Lease: Send + Sync {
     fn claim(&self, journal: &mut Journal) -> bool;
     /// Whether its epoch has not passed, by now.
     fn is_wanted(&self) -> bool;
+    /// Says that the job is not over with this delivery; its identity and attempt.
+    fn keep(&self) -> (u64, u32);
 }
 
 /// The journal's part in a pop.

@@ -22,6 +22,11 @@ impl Bitmap {
         self.bits.load(Ordering::SeqCst) == 0
     }
 
+    /// Which buckets may have something, from `base` on (cyclically), which is the lowest bit.
+    pub(crate) fn from(&self, base: u32) -> u64 {
+        self.bits.load(Ordering::SeqCst).rotate_right(base)
+    }
+
     /// Takes from the first bucket at or after `base` (cyclically) that has something. A bucket found empty loses its
     /// bit and is looked at once more: a job that came in between had its bit cleared with the old one.
     pub(crate) fn take<T>(

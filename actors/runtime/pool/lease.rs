@@ -6,7 +6,7 @@
 
 use crossbeam_utils::atomic::AtomicCell;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 
 use super::{Entry, Job, Place, Shared};
 use crate::actor::seat::Lease;
@@ -21,6 +21,10 @@ pub(super) struct Hold<J> {
     /// When the lease is over, in nanoseconds; 0 where there is none.
     until: AtomicU64,
     claim: AtomicU8,
+    /// Whether it is lent, and not only shared.
+    is_lent: AtomicBool,
+    /// As [`Entry::rival`].
+    rival: AtomicCell<Option<Arc<AtomicBool>>>,
 }
 
 const UNCLAIMED: u8 = 0;
@@ -29,12 +33,20 @@ const LOST: u8 = 2;
 
 impl<J> Hold<J> {
     pub(super) fn new() -> Self {
-        Self { lent: AtomicCell::new(None), until: AtomicU64::new(0), claim: AtomicU8::new(KEPT) }
+        Self {
+            lent: AtomicCell::new(None),
+            until: AtomicU64::new(0),
+            claim: AtomicU8::new(KEPT),
+            is_lent: AtomicBool::new(false),
+            rival: AtomicCell::new(None),
+        }
     }
 
-    /// The worker begins a job that nobody takes from it.
-    pub(super) fn own(&self) {
-        self.claim.store(KEPT, Ordering::Relaxed);
+    /// The worker begins a job that nobody takes from it, unless who has it too is done first.
+    pub(super) fn own(&self, entry: &Entry<J>) {
+        self.claim.store(if entry.rival.is_some() { UNCLAIMED } else { KEPT }, Ordering::Relaxed);
+        self.is_lent.store(false, Ordering::Relaxed);
+        self.rival.store(entry.rival.clone());
     }
 
     /// It begins one of which the recording says whether it was taken.
@@ -45,6 +57,8 @@ impl<J> Hold<J> {
     /// It begins this one, which is its own until then.
     pub(super) fn lend(&self, entry: Entry<J>, until: u64) {
         self.claim.store(UNCLAIMED, Ordering::Relaxed);
+        self.is_lent.store(true, Ordering::Relaxed);
+        self.rival.store(entry.rival.clone());
         self.until.store(until, Ordering::SeqCst);
         self.lent.store(Some(Box::new(entry)));
     }
@@ -55,11 +69,20 @@ pub(super) struct AtHand<'a, J: Job> {
     pub place: &'a Place<J>,
     pub shared: &'a Shared<J>,
     pub epoch: u64,
+    pub id: u64,
+    pub attempt: u32,
 }
 
 impl<J: Job> Lease for AtHand<'_, J> {
     fn claim(&self, journal: &mut Journal) -> bool {
-        self.place.claim(journal)
+        self.place.claim(self.shared, journal)
+    }
+
+    fn keep(&self) -> (u64, u32) {
+        if let Some(keeping) = &self.place.keeping {
+            keeping.asked.store(true, Ordering::Relaxed);
+        }
+        (self.id, self.attempt)
     }
 
     fn is_wanted(&self) -> bool {
@@ -69,13 +92,14 @@ impl<J: Job> Lease for AtHand<'_, J> {
 
 impl<J: Job> Place<J> {
     /// As [`Lease::claim`].
-    pub(super) fn claim(&self, journal: &mut Journal) -> bool {
-        let Hold { lent, until, claim } = &self.hold;
+    pub(super) fn claim(&self, shared: &Shared<J>, journal: &mut Journal) -> bool {
+        let Hold { lent, until, claim, is_lent, rival } = &self.hold;
         if claim.load(Ordering::Relaxed) == UNCLAIMED {
             let kept = journal.keeps_lease(|| {
-                let kept = lent.take().is_some();
+                let kept = !is_lent.load(Ordering::Relaxed) || lent.take().is_some();
                 until.store(0, Ordering::SeqCst);
-                kept
+                // Whoever took the job from this worker has the rival's word, too.
+                kept && shared.is_first(rival.take().as_deref())
             });
             claim.store(if kept { KEPT } else { LOST }, Ordering::Relaxed);
         }

@@ -24,20 +24,23 @@ pub(super) struct SeatOf<J: Job> {
 }
 
 impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
-    fn pop(&mut self, thread: &ThreadCx) -> Option<Popped> {
+    fn pop(&mut self, actor: &A, thread: &ThreadCx) -> Option<Popped> {
         let shared = &self.pool.shared;
+        if A::KEEPS && !actor.room() {
+            return None;
+        }
         self.place.away.store(false, Ordering::SeqCst);
-        let entry = self.place.inbound.pop().or_else(|| shared.take())?;
+        let entry = self.place.inbound.pop().or_else(|| shared.take(A::KEEPS))?;
         shared.waiting.fetch_sub(1, Ordering::Relaxed);
-        shared.idle.cancel(self.place.number);
-        if !shared.bitmap.is_empty() {
+        shared.idle_of(&self.place).cancel(self.place.number);
+        if !shared.is_empty_for(false) {
             // The one who was woken for what is left may be this busy worker.
             shared.wake(thread);
         }
         let stale = entry.epoch < shared.epoch.load(Ordering::Relaxed);
         let popped = Popped { id: entry.id, attempt: entry.attempt, pushed_in: entry.pushed_in, stale };
         self.current = Some(match shared.lease.get() {
-            Some(time) if !stale && entry.attempt < KILLS_MAX => {
+            Some(time) if !stale && !A::KEEPS && entry.attempt < KILLS_MAX => {
                 let until = shared.env.scheduler.clock.now().saturating_add(*time);
                 let (own, lent) = entry.split();
                 self.place.hold.lend(lent, until);
@@ -47,7 +50,7 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
                 own
             }
             _ => {
-                self.place.hold.own();
+                self.place.hold.own(&entry);
                 entry
             }
         });
@@ -89,20 +92,34 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
     fn run(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>) {
         if let Some(entry) = &self.current {
             let (place, shared) = (&*self.place, &*self.pool.shared);
-            actor.run(&entry.job, &mut cx.at(&AtHand { place, shared, epoch: entry.epoch }));
+            let Entry { id, attempt, epoch, .. } = *entry;
+            actor.run(&entry.job, &mut cx.at(&AtHand { place, shared, epoch, id, attempt }));
         }
     }
 
     fn stale(&mut self, actor: &mut A, cx: &mut Cx<'_, A::Msg>) {
         if let Some(entry) = self.current.take() {
-            self.pool.shared.stale.fetch_add(1, Ordering::Relaxed);
+            let shared = &self.pool.shared;
+            if !cx.journal.keeps_lease(|| shared.is_first(entry.rival.as_deref())) {
+                return;
+            }
+            shared.stale.fetch_add(1, Ordering::Relaxed);
             actor.stale(&entry.job, cx);
         }
     }
 
     fn completed(&mut self, journal: &mut Journal) {
-        if self.current.take().is_some() && self.place.claim(journal) {
-            self.pool.shared.completed.fetch_add(1, Ordering::Relaxed);
+        let Some(entry) = self.current.take() else { return };
+        let shared = &self.pool.shared;
+        match &self.place.keeping {
+            Some(keeping) if keeping.asked.swap(false, Ordering::Relaxed) => {
+                shared.kept.fetch_add(1, Ordering::Relaxed);
+                keeping.put(entry);
+            }
+            _ if self.place.claim(shared, journal) => {
+                shared.completed.fetch_add(1, Ordering::Relaxed);
+            }
+            _ => {}
         }
     }
 
@@ -112,14 +129,20 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
 
     fn give_up(&mut self, journal: &mut Journal, thread: &ThreadCx) {
         if let Some(entry) = self.current.take() {
-            self.pool.shared.bury(&entry, Death::Expired, journal, thread);
+            let shared = &self.pool.shared;
+            if journal.keeps_lease(|| shared.is_first(entry.rival.as_deref())) {
+                shared.bury(&entry, Death::Expired, journal, thread);
+            }
         }
     }
 
     fn killed(&mut self, journal: &mut Journal, thread: &ThreadCx, message: &str) {
         let shared = &self.pool.shared;
         let Some(entry) = self.current.take() else { return };
-        if !self.place.claim(journal) {
+        if let Some(keeping) = &self.place.keeping {
+            keeping.asked.store(false, Ordering::Relaxed);
+        }
+        if !self.place.claim(shared, journal) {
             return;
         }
         let attempt = entry.attempt + 1;
@@ -129,16 +152,21 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
         shared.requeued.fetch_add(1, Ordering::Relaxed);
         if !shared.env.replaying() {
             shared.waiting.fetch_add(1, Ordering::Relaxed);
-            shared.hand_on(Entry { attempt, ..entry }, self.place.number, thread);
+            // Who had it too is late from now on.
+            shared.hand_on(Entry { attempt, rival: None, ..entry }, self.place.number, thread);
         }
     }
 
-    fn rest(&self) -> bool {
+    fn rest(&self, actor: &A) -> bool {
         let shared = &self.pool.shared;
-        shared.idle.prepare(self.place.number);
-        let rests = shared.bitmap.is_empty() && self.place.inbound.is_empty();
+        if A::KEEPS && !actor.room() {
+            return true;
+        }
+        let idle = shared.idle_of(&self.place);
+        idle.prepare(self.place.number);
+        let rests = shared.is_empty_for(A::KEEPS) && self.place.inbound.is_empty();
         if !rests {
-            shared.idle.cancel(self.place.number);
+            idle.cancel(self.place.number);
         }
         rests
     }
@@ -149,9 +177,9 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
             return;
         }
         self.place.away.store(true, Ordering::SeqCst);
-        shared.idle.cancel(self.place.number);
+        shared.idle_of(&self.place).cancel(self.place.number);
         shared.give_back(&self.place, thread);
-        if !shared.bitmap.is_empty() {
+        if !shared.is_empty_for(false) {
             shared.wake(thread);
         }
     }
@@ -170,6 +198,9 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
         if self.left.swap(true, Ordering::Relaxed) {
             return;
         }
+        if let Some(keeping) = &self.place.keeping {
+            self.pool.shared.hand_back_all(keeping, thread);
+        }
         let fewer = |workers: usize| workers.checked_sub(1);
         let _ = self.pool.shared.workers.fetch_update(Ordering::SeqCst, Ordering::SeqCst, fewer);
         Seat::<A>::decline(self, thread);
@@ -179,20 +210,42 @@ impl<J: Job, A: Worker<Job = J>> Seat<A> for SeatOf<J> {
         while let Some(entry) = self.place.inbound.pop() {
             self.early.insert((entry.id, entry.attempt), entry);
         }
-        saver.put(&(self.early.len() as u64));
-        for Entry { id, attempt, epoch, bucket, pushed_in, job } in self.early.values() {
-            saver.put(&(*id, *attempt, *epoch, *bucket, *pushed_in));
-            job.save(saver);
+        save_entries(self.early.values(), saver);
+        if let Some(keeping) = &self.place.keeping {
+            keeping.look(|kept| save_entries(kept.values(), saver));
         }
     }
 
     fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
-        let count: u64 = loader.take()?;
-        for _ in 0..count {
-            let (id, attempt, epoch, bucket, pushed_in) = loader.take()?;
-            let job = Carried::Alone(J::restore(loader)?);
-            self.early.insert((id, attempt), Entry { id, attempt, epoch, bucket, pushed_in, job });
+        for entry in load_entries(loader)? {
+            self.early.insert((entry.id, entry.attempt), entry);
+        }
+        if let Some(keeping) = &self.place.keeping {
+            for entry in load_entries(loader)? {
+                self.pool.shared.kept.fetch_add(1, Ordering::Relaxed);
+                keeping.put(entry);
+            }
         }
         Some(())
     }
+}
+
+fn save_entries<'e, J: Job>(entries: impl ExactSizeIterator<Item = &'e Entry<J>>, saver: &mut Saver) {
+    saver.put(&(entries.len() as u64));
+    for Entry { id, attempt, epoch, bucket, pushed_in, job, rival: _ } in entries {
+        saver.put(&(*id, *attempt, *epoch, *bucket, *pushed_in));
+        job.save(saver);
+    }
+}
+
+fn load_entries<J: Job>(loader: &mut Loader<'_>) -> Option<Vec<Entry<J>>> {
+    let count: u64 = loader.take()?;
+    let mut entries = Vec::new();
+    for _ in 0..count {
+        let (id, attempt, epoch, bucket, pushed_in) = loader.take()?;
+        let job = Carried::Alone(J::restore(loader)?);
+        // Who is first is recorded.
+        entries.push(Entry { id, attempt, epoch, bucket, pushed_in, job, rival: None });
+    }
+    Some(entries)
 }

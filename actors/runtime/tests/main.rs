@@ -9,6 +9,7 @@ mod derived;
 mod ends;
 mod giving_up;
 mod hostile;
+mod keeping;
 mod leases;
 mod live;
 mod panics;

@@ -89,6 +89,8 @@ pub struct Loaded {
     pub scene: Scene,
     /// In the order of the files.
     pub warnings: Vec<Warning>,
+    /// Every file that was read: its name relative to the scene's folder, and its BLAKE3.
+    pub files: Vec<(String, [u8; 32])>,
     /// What it was read from, where that is all known.
     pub sources: Option<Sources>,
 }
@@ -216,7 +218,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         warnings.truncate(WARNINGS_MAX);
         warnings.push(Warning::new(Place::new(path, 0), format!("{more} more warnings")));
     }
-    Ok(Loaded { scene, warnings, sources: folder.sources() })
+    Ok(Loaded { scene, warnings, files: folder.files().to_vec(), sources: folder.sources() })
 }
 
 /// Everything that was read, and what was chosen beside it.

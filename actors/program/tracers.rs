@@ -1,0 +1,131 @@
+//! `--tracers`: other machines that trace for a walk.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use clap::Args;
+use foveal_actors::station::{STATIONS_MAX, StationStatus};
+use foveal_engine::failure::Failure;
+use foveal_engine::interrupt::interrupted;
+use foveal_engine::recording::TRACERS_MAX;
+use foveal_engine::{Engine, Opened, Options, Settings};
+use foveal_remote::door::Door;
+use foveal_remote::key::{Invitation, Key};
+use foveal_remote::package::Package;
+use serde_json::{Value, json};
+
+/// Arguments of commands that other machines can trace for.
+#[derive(Args, Debug)]
+pub struct TracersArguments {
+    /// Have other machines trace as well: listens at tcp/ADDRESS:PORT for `foveal trace`; light is baked first
+    #[arg(long, value_name = "ADDRESS")]
+    tracers: Option<String>,
+    /// File for what they join with (made, or its key is taken again; default: printed)
+    #[arg(long, value_name = "FILE", requires = "tracers")]
+    tracers_key: Option<PathBuf>,
+    /// Most machines at once
+    #[arg(long, value_name = "N", default_value_t = STATIONS_MAX, requires = "tracers", value_parser = clap::value_parser!(u32).range(1..=i64::from(STATIONS_MAX)))]
+    tracers_max: u32,
+    /// Begin once so many are there
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "tracers", value_parser = clap::value_parser!(u32).range(0..=i64::from(STATIONS_MAX)))]
+    tracers_wait: u32,
+}
+
+impl TracersArguments {
+    /// Whether other machines may come.
+    pub fn is_asked_for(&self) -> bool {
+        self.tracers.is_some()
+    }
+
+    /// Places for them.
+    pub fn settings(&self, settings: Settings) -> Settings {
+        let stations = if self.is_asked_for() { self.tracers_max } else { 0 };
+        Settings { stations, tracers: settings.tracers.min(TRACERS_MAX + 1 - stations), ..settings }
+    }
+
+    /// Opens the door, if one was asked for.
+    pub fn open(
+        &self,
+        opened: &Opened,
+        settings: &Settings,
+        options: &mut Options,
+    ) -> Result<Option<Door>, Failure> {
+        let Some(address) = &self.tracers else { return Ok(None) };
+        let key = match &self.tracers_key {
+            Some(file) if file.exists() => read(file)?.key,
+            _ => Key::new().map_err(Failure::Environment)?,
+        };
+        let door = Door::open(address, key, Package::of(opened)?, settings.k_max, settings.stations)?;
+        match &self.tracers_key {
+            Some(file) => write(file, door.invitation())?,
+            None => invite(door.invitation()),
+        }
+        options.outlets = Some(door.outlets());
+        Ok(Some(door))
+    }
+
+    /// Has guests lead to the walk, and waits for as many as are wanted.
+    pub fn attach(&self, door: Option<&Door>, engine: &mut Engine) -> Result<(), Failure> {
+        let Some(door) = door else { return Ok(()) };
+        door.attach(engine.station_inputs());
+        while door.serving() < self.tracers_wait {
+            if interrupted() {
+                return Err(Failure::Interrupted("interrupted while waiting for other machines".into()));
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        Ok(())
+    }
+}
+
+/// A walk prints its results on standard output; this is none.
+#[expect(clippy::print_stderr, reason = "what others need to come")]
+fn invite(invitation: &Invitation) {
+    eprintln!("other machines come with: foveal trace --join {invitation}");
+}
+
+/// An invitation from a file.
+pub fn read(file: &Path) -> Result<Invitation, Failure> {
+    let wrong = |what: String| Failure::Input(format!("{}: {what}", file.display()));
+    let long = std::fs::metadata(file).map_err(|e| wrong(e.to_string()))?.len() > 4096;
+    if long {
+        return Err(wrong("this is no key".into()));
+    }
+    std::fs::read_to_string(file).map_err(|e| wrong(e.to_string()))?.parse().map_err(wrong)
+}
+
+/// Into a file that nobody else reads.
+fn write(file: &Path, invitation: &Invitation) -> Result<(), Failure> {
+    let wrong = |e: std::io::Error| Failure::Environment(format!("{}: {e}", file.display()));
+    let mut options = std::fs::OpenOptions::new();
+    options.write(true).create(true).truncate(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    let mut out = options.open(file).map_err(wrong)?;
+    writeln!(out, "{invitation}").map_err(wrong)
+}
+
+/// The stations of a walk that has come to rest, those that had a guest.
+pub fn document(stations: &[StationStatus]) -> Value {
+    let station = |(number, s): (usize, &StationStatus)| {
+        let StationStatus { guest, cores, suspect, jobs, round_trip, counts } = s;
+        json!({
+            "station": number,
+            "guest": guest,
+            "cores": cores,
+            "suspect": suspect,
+            "credits": jobs[1],
+            "round_trip_ms": f64::from(*round_trip) * 1e3,
+            "samples": counts.samples,
+            "jobs": counts.jobs,
+            "late": counts.late,
+            "returned": counts.returned,
+            "shared": counts.shared,
+            "checked": counts.checked,
+            "banned": counts.banned,
+        })
+    };
+    let used = |(_, s): &(usize, &StationStatus)| s.guest.is_some() || s.counts != Default::default();
+    stations.iter().enumerate().filter(used).map(station).collect()
+}

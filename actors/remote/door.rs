@@ -1,0 +1,405 @@
+//! The walk's side of the door: a thread between a link and the stations.
+//!
+//! The [`Hall`] is a state machine: events in, effects out. It knows who may come, what was sent to whom, and which station
+//! a guest has; what jobs a guest gets, and what becomes of them, the stations decide.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use crossbeam_queue::ArrayQueue;
+use foveal_actors::station::wire::{DoneJob, FromGuest, JOBS_MAX, PROTOCOL, Refusal, ToGuest};
+use foveal_actors::station::{
+    CREDITS_MAX, Found, Heard, Outlet, Outlets, STATIONS_MAX, StationMessage, bits,
+};
+use foveal_engine::failure::Failure;
+use foveal_runtime::Port;
+use xxhash_rust::xxh3::Xxh3;
+
+use crate::key::{Invitation, Key};
+use crate::link::{self, Event, HostLink, Peer, Waker};
+use crate::package::Package;
+use crate::program;
+
+/// Messages that a station may be ahead of the door.
+const AHEAD: usize = 8 * CREDITS_MAX as usize;
+/// Pieces of blobs that one guest is sent before others are heard.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Something that the hall wants done.
+#[derive(Debug)]
+pub enum Effect {
+    /// Say this to a guest.
+    Send(Peer, ToGuest),
+    /// End its connection.
+    Close(Peer),
+    /// Tell this station.
+    Tell(usize, Heard),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// It has not said who it is.
+    Silent,
+    /// It gets what it needs, in a place that is kept for it.
+    Stocking(usize),
+    /// It traces.
+    Serving(usize),
+}
+
+/// Somebody at the door.
+struct Guest {
+    stage: Stage,
+    incarnation: u64,
+    cores: u16,
+    name: String,
+}
+
+/// Who comes, and who has which station.
+pub struct Hall {
+    package: Arc<Package>,
+    k_max: u32,
+    places: Vec<Option<Peer>>,
+    guests: BTreeMap<Peer, Guest>,
+    incarnations: u64,
+    bits: u64,
+    /// Numbers that no guest can know before.
+    salt: fn() -> u64,
+}
+
+/// A number of the system's.
+fn random() -> u64 {
+    let mut bytes = [0; 8];
+    // Without any, checks are those that a guest could foresee: what it sends is checked all the same.
+    let _ = getrandom::fill(&mut bytes);
+    u64::from_le_bytes(bytes)
+}
+
+impl Hall {
+    /// For a walk with so many stations.
+    pub fn new(package: Arc<Package>, k_max: u32, stations: u32) -> Self {
+        let places = vec![None; stations.min(STATIONS_MAX) as usize];
+        Self {
+            package,
+            k_max,
+            places,
+            guests: BTreeMap::new(),
+            incarnations: 0,
+            bits: bits::probe(),
+            salt: random,
+        }
+    }
+
+    /// Guests that trace.
+    pub fn serving(&self) -> u32 {
+        self.guests.values().filter(|guest| matches!(guest.stage, Stage::Serving(_))).count() as u32
+    }
+
+    /// Something came over the link.
+    pub fn heard(&mut self, event: Event, effects: &mut Vec<Effect>) {
+        match event {
+            Event::Opened(peer) => {
+                let (incarnation, name) = (self.incarnations, String::new());
+                self.incarnations += 1;
+                self.guests.insert(peer, Guest { stage: Stage::Silent, incarnation, cores: 1, name });
+            }
+            Event::Closed(peer) => self.leave(peer, false, effects),
+            Event::Message(peer, bytes) => match FromGuest::of_bytes(&bytes) {
+                Some(message) => self.said(peer, message, effects),
+                None => self.ban(peer, effects),
+            },
+        }
+    }
+
+    /// A station has something for its guest.
+    pub fn passes(&mut self, station: usize, message: ToGuest, effects: &mut Vec<Effect>) {
+        let Some(peer) = self.places.get(station).copied().flatten() else { return };
+        if matches!(message, ToGuest::Refused(Refusal::Banned)) {
+            // The station has seen to its jobs already.
+            return self.ban(peer, effects);
+        }
+        effects.push(Effect::Send(peer, message));
+    }
+
+    fn said(&mut self, peer: Peer, message: FromGuest, effects: &mut Vec<Effect>) {
+        let Some(guest) = self.guests.get_mut(&peer) else { return };
+        match (message, guest.stage) {
+            (FromGuest::Hello { protocol, program: theirs, bits, cores, name }, Stage::Silent) => {
+                let wanted = program();
+                let refusal = if protocol != PROTOCOL || theirs != wanted {
+                    Some(Refusal::Version { wanted })
+                } else if bits != self.bits {
+                    Some(Refusal::OtherBits { wanted: self.bits })
+                } else {
+                    None
+                };
+                let place = self.places.iter().position(Option::is_none);
+                let (refusal, place) = match (refusal, place) {
+                    (None, Some(place)) => (None, place),
+                    (refusal, _) => (Some(refusal.unwrap_or(Refusal::Full)), 0),
+                };
+                if let Some(refusal) = refusal {
+                    effects.push(Effect::Send(peer, ToGuest::Refused(refusal)));
+                    effects.push(Effect::Close(peer));
+                    self.guests.remove(&peer);
+                    return;
+                }
+                (guest.cores, guest.name, guest.stage) = (cores, name, Stage::Stocking(place));
+                self.places[place] = Some(peer);
+                let (package, bytes) = self.package.manifest();
+                let (incarnation, k_max) = (guest.incarnation, self.k_max);
+                effects.push(Effect::Send(peer, ToGuest::Welcome { incarnation, package, bytes, k_max }));
+            }
+            (FromGuest::Want { hash, at }, Stage::Stocking(_)) => match self.package.piece(&hash, at) {
+                Some(bytes) => effects.push(Effect::Send(peer, ToGuest::Piece { hash, at, bytes })),
+                None => self.ban(peer, effects),
+            },
+            (FromGuest::Ready { incarnation }, Stage::Stocking(place))
+                if incarnation == guest.incarnation =>
+            {
+                guest.stage = Stage::Serving(place);
+                let (cores, name) = (guest.cores, guest.name.clone());
+                effects.push(Effect::Tell(place, Heard::Joined { incarnation, cores, name }));
+            }
+            (FromGuest::Done { incarnation, jobs }, Stage::Serving(place)) => {
+                if jobs.iter().any(|job| job.found.as_ref().is_some_and(|found| !found.is_sound())) {
+                    return self.ban(peer, effects);
+                }
+                let jobs = jobs.into_iter().map(found).collect();
+                let salt = (self.salt)();
+                effects.push(Effect::Tell(place, Heard::Done { incarnation, salt, jobs }));
+            }
+            (FromGuest::Leaving, _) => {
+                effects.push(Effect::Close(peer));
+                self.leave(peer, false, effects);
+            }
+            // It may have wanted more than it needs before it said that it is ready.
+            (FromGuest::Want { .. }, Stage::Serving(_)) => {}
+            _ => self.ban(peer, effects),
+        }
+    }
+
+    fn ban(&mut self, peer: Peer, effects: &mut Vec<Effect>) {
+        effects.push(Effect::Send(peer, ToGuest::Refused(Refusal::Banned)));
+        effects.push(Effect::Close(peer));
+        self.leave(peer, true, effects);
+    }
+
+    fn leave(&mut self, peer: Peer, banned: bool, effects: &mut Vec<Effect>) {
+        let Some(guest) = self.guests.remove(&peer) else { return };
+        if let Stage::Stocking(place) | Stage::Serving(place) = guest.stage {
+            self.places[place] = None;
+        }
+        if let Stage::Serving(place) = guest.stage {
+            effects.push(Effect::Tell(place, Heard::Left { incarnation: guest.incarnation, banned }));
+        }
+    }
+}
+
+/// An answer as the station hears it.
+fn found(job: DoneJob) -> Found {
+    let DoneJob { lease, micros, found } = job;
+    let hash = found.as_ref().map_or(0, |found| {
+        let mut h = Xxh3::new();
+        for color in found.colors.iter().chain(&found.guides) {
+            color.to_array().iter().for_each(|v| h.update(&v.to_bits().to_le_bytes()));
+        }
+        h.digest()
+    });
+    let count = found.as_ref().map(|found| found.colors.len() as u32);
+    Found { lease, micros, count, hash, colors: found.map(Arc::new) }
+}
+
+/// What door, stations and walk share.
+struct Shared {
+    /// By station.
+    outlets: Vec<ArrayQueue<ToGuest>>,
+    /// What leads to the stations, on its way to the door.
+    inputs: ArrayQueue<Vec<Port<Heard, StationMessage>>>,
+    closing: AtomicBool,
+    serving: AtomicU32,
+}
+
+/// An outlet that leads to the door.
+struct ToDoor {
+    station: usize,
+    shared: Arc<Shared>,
+    waker: Waker,
+}
+
+impl Outlet for ToDoor {
+    fn send(&mut self, message: ToGuest) {
+        // What finds no room is overdue some time.
+        if self.shared.outlets[self.station].push(message).is_ok() {
+            self.waker.wake();
+        }
+    }
+}
+
+/// A door that is open.
+pub struct Door {
+    shared: Arc<Shared>,
+    waker: Waker,
+    invitation: Invitation,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Door {
+    /// Opens it at an address, for a walk of a scene that is open.
+    ///
+    /// # Errors
+    /// If nobody can listen there.
+    pub fn open(
+        address: &str,
+        key: Key,
+        package: Package,
+        k_max: u32,
+        stations: u32,
+    ) -> Result<Self, Failure> {
+        let stations = stations.min(STATIONS_MAX);
+        let shared = Arc::new(Shared {
+            outlets: (0..stations).map(|_| ArrayQueue::new(AHEAD)).collect(),
+            inputs: ArrayQueue::new(1),
+            closing: AtomicBool::new(false),
+            serving: AtomicU32::new(0),
+        });
+        let hall = Hall::new(Arc::new(package), k_max, stations);
+        let opened = Arc::new(ArrayQueue::new(1));
+        let (inside, tells, asker) = (Arc::clone(&shared), Arc::clone(&opened), thread::current());
+        let (at, own_key) = (address.to_owned(), key.clone());
+        let run = move || {
+            // The link's messages come to the thread that made it.
+            let link = link::listen(&at, &own_key);
+            let (link, told) = match link {
+                Ok(link) => {
+                    let told = Ok((link.address(), link.waker()));
+                    (Some(link), told)
+                }
+                Err(e) => (None, Err(e)),
+            };
+            let _ = tells.push(told);
+            asker.unpark();
+            if let Some(link) = link {
+                serve(link, hall, &inside);
+            }
+        };
+        let thread = thread::Builder::new().name("door".into()).spawn(run);
+        let thread = thread.map_err(|e| Failure::Environment(format!("no thread for the door: {e}")))?;
+        let (address, waker) = loop {
+            match opened.pop() {
+                Some(told) => break told.map_err(Failure::Environment)?,
+                None => thread::park_timeout(Duration::from_millis(10)),
+            }
+        };
+        Ok(Self { shared, waker, invitation: Invitation { address, key }, thread: Some(thread) })
+    }
+
+    /// What guests need to come.
+    pub fn invitation(&self) -> &Invitation {
+        &self.invitation
+    }
+
+    /// Guests that trace.
+    pub fn serving(&self) -> u32 {
+        self.shared.serving.load(Ordering::Relaxed)
+    }
+
+    /// What leads from the stations to the door, for [`foveal_engine::Options::outlets`].
+    pub fn outlets(&self) -> Outlets {
+        let (shared, waker) = (Arc::clone(&self.shared), self.waker.clone());
+        Arc::new(move || {
+            let to_door = |station| {
+                let (shared, waker) = (Arc::clone(&shared), waker.clone());
+                Box::new(ToDoor { station, shared, waker }) as Box<dyn Outlet>
+            };
+            (0..shared.outlets.len()).map(to_door).collect()
+        })
+    }
+
+    /// Has what guests say lead to these stations from now on; nobody is let in before.
+    pub fn attach(&self, inputs: Vec<Port<Heard, StationMessage>>) {
+        let _ = self.shared.inputs.push(inputs);
+        self.waker.wake();
+    }
+}
+
+impl Drop for Door {
+    fn drop(&mut self) {
+        self.shared.closing.store(true, Ordering::SeqCst);
+        self.waker.wake();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// What a station could not be told yet, in order.
+type Waiting = VecDeque<Heard>;
+
+fn serve(mut link: Box<dyn HostLink>, mut hall: Hall, shared: &Shared) {
+    let mut effects = Vec::new();
+    let mut inputs: Vec<Port<Heard, StationMessage>> = Vec::new();
+    let mut waiting: Vec<Waiting> = shared.outlets.iter().map(|_| Waiting::new()).collect();
+    while !shared.closing.load(Ordering::SeqCst) {
+        if inputs.is_empty() {
+            match shared.inputs.pop() {
+                Some(given) => inputs = given,
+                None => {
+                    thread::park_timeout(LOOK);
+                    continue;
+                }
+            }
+        }
+        let blocked = waiting.iter().any(|waiting| !waiting.is_empty());
+        let event = link.next(if blocked { Duration::from_millis(1) } else { LOOK });
+        if let Some(event) = event {
+            hall.heard(event, &mut effects);
+        }
+        for (station, outlet) in shared.outlets.iter().enumerate() {
+            pass(station, outlet, &mut hall, &mut effects);
+        }
+        for effect in effects.drain(..) {
+            match effect {
+                Effect::Send(peer, message) => link.send(peer, &message.to_bytes()),
+                Effect::Close(peer) => link.close(peer),
+                Effect::Tell(station, heard) => waiting[station].push_back(heard),
+            }
+        }
+        for (input, waiting) in inputs.iter().zip(&mut waiting) {
+            while let Some(heard) = waiting.front() {
+                if input.send(heard.clone()).is_err() {
+                    break;
+                }
+                waiting.pop_front();
+            }
+        }
+        shared.serving.store(hall.serving(), Ordering::Relaxed);
+    }
+    for peer in hall.guests.keys() {
+        link.send(*peer, &ToGuest::Farewell.to_bytes());
+    }
+}
+
+/// Takes what a station has for its guest; jobs that follow each other go together.
+fn pass(station: usize, outlet: &ArrayQueue<ToGuest>, hall: &mut Hall, effects: &mut Vec<Effect>) {
+    let mut bundle = Vec::new();
+    while let Some(message) = outlet.pop() {
+        match message {
+            ToGuest::Jobs(jobs) if bundle.len() + jobs.len() <= JOBS_MAX => bundle.extend(jobs),
+            other => {
+                if !bundle.is_empty() {
+                    hall.passes(station, ToGuest::Jobs(std::mem::take(&mut bundle)), effects);
+                }
+                match other {
+                    ToGuest::Jobs(jobs) => bundle = jobs,
+                    other => hall.passes(station, other, effects),
+                }
+            }
+        }
+    }
+    if !bundle.is_empty() {
+        hall.passes(station, ToGuest::Jobs(bundle), effects);
+    }
+}

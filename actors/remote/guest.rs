@@ -1,0 +1,293 @@
+//! The guest's side: says who it is, gets the scene, traces what it is given, until the walk ends or it is told to leave.
+
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use foveal::sampling::Lattice;
+use foveal_actors::station::wire::{
+    FromGuest, Hash, JOBS_MAX, JobSpec, PIECE_BYTES_MAX, PROTOCOL, Refusal, ToGuest, ViewSpec,
+};
+use foveal_actors::station::{VIEWS, bits};
+use foveal_engine::failure::Failure;
+
+use crate::link::{Gone, GuestLink};
+use crate::package::{Arriving, MANIFEST_BYTES_MAX, Manifest, Stock, open};
+use crate::program;
+use crate::work::{Crew, VIEW_PIXELS_MAX};
+
+/// How a guest traces.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Threads.
+    pub cores: u16,
+    /// Where scenes are kept.
+    pub stock: PathBuf,
+    /// Most bytes of one scene.
+    pub stock_bytes_max: u64,
+    /// Its name, for people.
+    pub name: String,
+}
+
+/// Why a stay ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum End {
+    /// The walk is over.
+    Farewell,
+    /// The walk does not want it.
+    Refused(Refusal),
+    /// The link is gone.
+    Gone,
+    /// Somebody here wants to leave.
+    Left,
+}
+
+/// What is told while it goes on.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Progress {
+    /// Bytes that came, of all that are wanted.
+    Stocking {
+        /// Bytes.
+        got: u64,
+        /// Of so many.
+        of: u64,
+    },
+    /// The scene is made ready.
+    Building,
+    /// It traces.
+    Ready,
+}
+
+/// What was done.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Done {
+    /// Jobs.
+    pub jobs: u64,
+    /// Samples and guides.
+    pub samples: u64,
+    /// Time that all cores took for them.
+    pub busy: Duration,
+    /// From the first word until jobs could be taken.
+    pub joined: Option<Duration>,
+}
+
+/// Somebody to ask, and to tell.
+pub trait Host {
+    /// Whether it is to leave.
+    fn leaves(&self) -> bool;
+    /// How far it is.
+    fn progress(&mut self, progress: Progress);
+}
+
+/// Pieces that are asked for ahead.
+const PIECES_AHEAD: u64 = 4;
+/// For so long a walk may say nothing that was asked for.
+const SILENCE: Duration = Duration::from_secs(30);
+/// How often somebody looks whether it is to leave.
+const LOOK: Duration = Duration::from_millis(20);
+/// Bytes of colours in one message, about.
+const BUNDLE_BYTES: usize = 512 << 10;
+
+enum Broken {
+    Ended(End),
+    Failed(Failure),
+}
+
+impl From<Gone> for Broken {
+    fn from(_: Gone) -> Self {
+        Self::Ended(End::Gone)
+    }
+}
+
+/// Traces for the walk at the other end of `link`.
+///
+/// # Errors
+/// If what the walk sends makes no sense, or cannot be kept here.
+pub fn stay(
+    link: &mut dyn GuestLink,
+    options: &Options,
+    host: &mut dyn Host,
+    done: &mut Done,
+) -> Result<End, Failure> {
+    match (Stay { link, options, host, done }).run() {
+        Ok(end) | Err(Broken::Ended(end)) => Ok(end),
+        Err(Broken::Failed(failure)) => Err(failure),
+    }
+}
+
+struct Stay<'a> {
+    link: &'a mut dyn GuestLink,
+    options: &'a Options,
+    host: &'a mut dyn Host,
+    done: &'a mut Done,
+}
+
+fn senseless(what: &str) -> Broken {
+    Broken::Failed(Failure::Input(format!("the walk sent what makes no sense: {what}")))
+}
+
+fn failed(what: String) -> Broken {
+    Broken::Failed(Failure::Environment(what))
+}
+
+impl Stay<'_> {
+    fn say(&mut self, message: &FromGuest) -> Result<(), Broken> {
+        Ok(self.link.send(&message.to_bytes())?)
+    }
+
+    /// The next message, if one comes within `wait`.
+    fn hear(&mut self, wait: Duration) -> Result<Option<ToGuest>, Broken> {
+        if self.host.leaves() {
+            let _ = self.link.send(&FromGuest::Leaving.to_bytes());
+            return Err(Broken::Ended(End::Left));
+        }
+        let Some(bytes) = self.link.next(wait)? else { return Ok(None) };
+        match ToGuest::of_bytes(&bytes) {
+            Some(ToGuest::Refused(refusal)) => Err(Broken::Ended(End::Refused(refusal))),
+            Some(ToGuest::Farewell) => Err(Broken::Ended(End::Farewell)),
+            Some(message) => Ok(Some(message)),
+            None => Err(senseless("no message")),
+        }
+    }
+
+    /// The next message, which was asked for.
+    fn answer(&mut self) -> Result<ToGuest, Broken> {
+        let began = Instant::now();
+        while began.elapsed() < SILENCE {
+            if let Some(message) = self.hear(LOOK)? {
+                return Ok(message);
+            }
+        }
+        Err(Broken::Ended(End::Gone))
+    }
+
+    fn run(&mut self) -> Result<End, Broken> {
+        let began = Instant::now();
+        let Options { cores, stock, name, .. } = self.options.clone();
+        let stock = Stock::new(stock).map_err(Broken::Failed)?;
+        let (program, bits) = (program(), bits::probe());
+        self.say(&FromGuest::Hello { protocol: PROTOCOL, program, bits, cores, name })?;
+        let ToGuest::Welcome { incarnation, package, bytes, k_max } = self.answer()? else {
+            return Err(senseless("no welcome"));
+        };
+        let manifest = self.stocked(&stock, package, bytes)?;
+        self.host.progress(Progress::Building);
+        let (scene, light) = stock.lay_out(&manifest, &package).map_err(failed)?;
+        let opened = open(&manifest, &scene, &light).map_err(Broken::Failed)?;
+        let mut crew = Crew::new(opened.world, k_max, cores, self.link.waker()).map_err(failed)?;
+        self.say(&FromGuest::Ready { incarnation })?;
+        self.done.joined.get_or_insert(began.elapsed());
+        self.host.progress(Progress::Ready);
+        let mut views: VecDeque<Arc<ViewSpec>> = VecDeque::new();
+        loop {
+            match self.hear(LOOK)? {
+                Some(ToGuest::View(view)) => {
+                    let [width, height] = view.frame.size.map(u64::from);
+                    if width * height > VIEW_PIXELS_MAX {
+                        return Err(failed(format!(
+                            "the walk's picture of {width} × {height} is too large for here"
+                        )));
+                    }
+                    views.push_back(Arc::new(view));
+                    if views.len() > VIEWS {
+                        views.pop_front();
+                    }
+                }
+                Some(ToGuest::Jobs(jobs)) => self.take(&mut crew, &views, k_max, jobs)?,
+                Some(ToGuest::Retire { below }) => crew.retire(below),
+                // More of a blob than was needed.
+                Some(ToGuest::Piece { .. }) | None => {}
+                Some(_) => return Err(senseless("a second welcome")),
+            }
+            self.tell(&crew, incarnation)?;
+        }
+    }
+
+    fn take(
+        &mut self,
+        crew: &mut Crew,
+        views: &VecDeque<Arc<ViewSpec>>,
+        k_max: u32,
+        jobs: Vec<JobSpec>,
+    ) -> Result<(), Broken> {
+        for job in jobs {
+            // One that it does not remember is answered by nobody, and overdue.
+            let Some(view) = views.iter().rev().find(|view| view.view == job.view) else { continue };
+            let size = view.frame.size;
+            let lattice = Lattice::new(k_max, size.map(|side| side as i32 / 2));
+            if !job.fits(&lattice, size) || crew.waiting() > JOBS_MAX {
+                return Err(senseless("a job outside of its picture, or too many"));
+            }
+            crew.take(view, job);
+        }
+        Ok(())
+    }
+
+    /// Says what is done, in as few messages as may be.
+    fn tell(&mut self, crew: &Crew, incarnation: u64) -> Result<(), Broken> {
+        loop {
+            let (mut jobs, mut bytes) = (Vec::new(), 0);
+            while jobs.len() < JOBS_MAX && bytes < BUNDLE_BYTES {
+                let Some(job) = crew.done() else { break };
+                let samples = job.found.as_ref().map_or(0, |found| found.colors.len());
+                bytes += 12 * (samples + job.found.as_ref().map_or(0, |found| found.guides.len()));
+                self.done.jobs += u64::from(job.found.is_some());
+                self.done.samples += samples as u64;
+                self.done.busy += Duration::from_micros(u64::from(job.micros));
+                jobs.push(job);
+            }
+            if jobs.is_empty() {
+                return Ok(());
+            }
+            self.say(&FromGuest::Done { incarnation, jobs })?;
+        }
+    }
+
+    /// Gets what is not here yet of a package.
+    fn stocked(&mut self, stock: &Stock, package: Hash, bytes: u64) -> Result<Manifest, Broken> {
+        if bytes > MANIFEST_BYTES_MAX {
+            return Err(senseless("a list of files that is too long"));
+        }
+        let mut got = 0;
+        if !stock.has(&package, bytes) {
+            self.fetch(stock, package, bytes, &mut got, bytes)?;
+        }
+        let list = stock.read(&package, MANIFEST_BYTES_MAX);
+        let manifest = list.as_deref().and_then(Manifest::of_bytes);
+        let manifest = manifest.ok_or_else(|| senseless("a list of files that is none"))?;
+        let wanted: Vec<_> = manifest.blobs().filter(|(hash, bytes)| !stock.has(hash, *bytes)).collect();
+        let of = wanted.iter().map(|(_, bytes)| *bytes).fold(0_u64, u64::saturating_add);
+        if of > self.options.stock_bytes_max {
+            let most = self.options.stock_bytes_max;
+            return Err(failed(format!(
+                "the scene has {of} bytes, more than the {most} that are kept here (--cache-size)"
+            )));
+        }
+        let mut got = 0;
+        for (hash, bytes) in wanted {
+            if !stock.has(&hash, bytes) {
+                self.fetch(stock, hash, bytes, &mut got, of)?;
+            }
+        }
+        Ok(manifest)
+    }
+
+    fn fetch(&mut self, stock: &Stock, hash: Hash, bytes: u64, got: &mut u64, of: u64) -> Result<(), Broken> {
+        let mut arriving: Arriving = stock.begin(hash, bytes).map_err(failed)?;
+        let mut asked = 0;
+        while let Some((hash, at)) = arriving.wants() {
+            while asked < bytes && asked < at + PIECES_AHEAD * PIECE_BYTES_MAX as u64 {
+                self.say(&FromGuest::Want { hash, at: asked })?;
+                asked += PIECE_BYTES_MAX as u64;
+            }
+            let ToGuest::Piece { hash, at, bytes: piece } = self.answer()? else {
+                return Err(senseless("something else than a piece that was asked for"));
+            };
+            arriving.take(&hash, at, &piece).map_err(|e| senseless(&e))?;
+            *got += piece.len() as u64;
+            self.host.progress(Progress::Stocking { got: *got, of });
+        }
+        arriving.keep().map_err(|e| senseless(&e))
+    }
+}

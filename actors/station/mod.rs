@@ -1,0 +1,619 @@
+//! A station: stands for another machine among the tracers. It keeps the jobs that the machine, its guest, is at, and tells
+//! of what comes back what a tracer would tell.
+//!
+//! Hears: that a guest came or left, and what it found, as external messages. Says: what a tracer says, and how many jobs it
+//! can have. What goes to the guest is an effect, which no replay has.
+//!
+//! A recording holds order, job and duration of what was found, not the colours: a station in replay traces them itself.
+//! Nothing of a guest is believed: of each answer some samples, which it cannot know before, are traced here, and of the
+//! first answers all.
+
+pub mod bits;
+mod estimate;
+mod saved;
+pub mod wire;
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+use std::time::Duration;
+
+use foveal::allocation::jobs::{GUIDES, SampleJob, guide_pixels, job_pixels};
+use foveal::sampling::Lattice;
+use foveal::splatting::trace::{Owner, samples_of_colors, trace_colors, trace_guides};
+use foveal::splatting::{Guides, SampleBatch};
+use foveal_runtime::{Actor, Address, Content, Cx, JobPool, Kept, Loader, Message, Saver, TimerId, Worker};
+use serde::{Deserialize, Serialize};
+
+use crate::message::{AllocatorMessage, CacheAgerMessage, RendererMessage, SampleOrder, TraceJob};
+use crate::outbox::Outbox;
+use estimate::Estimate;
+use wire::{Colors, JobSpec, SAMPLES_MAX, ToGuest, ViewSpec};
+
+/// Stations of a walk, at most: with the tracers they share the places of the pool.
+pub const STATIONS_MAX: u32 = 16;
+/// Jobs that a station keeps, at most.
+pub const CREDITS_MAX: u32 = 128;
+/// Views that a guest remembers.
+pub const VIEWS: usize = 4;
+/// Answers of a guest that are checked in full before it is trusted with more jobs than cores.
+const PROVING: u32 = 4;
+/// One job of so many may be given to others as well.
+const SHARED: u64 = 20;
+/// One sample of so many is checked.
+const CHECKED: usize = 64;
+
+/// Takes what is for a guest. An effect: nothing comes back but messages.
+pub trait Outlet: Send + 'static {
+    /// Sends it, or loses it: then the jobs in it are overdue some time.
+    fn send(&mut self, message: ToGuest);
+}
+
+/// Makes the outlets of all stations of a walk, by number.
+pub type Outlets = Arc<dyn Fn() -> Vec<Box<dyn Outlet>> + Send + Sync>;
+
+/// Where nobody listens: in replay, and at stations of a walk without a door.
+pub struct Silent;
+
+impl Outlet for Silent {
+    fn send(&mut self, _: ToGuest) {}
+}
+
+/// What reaches a station from outside: recorded.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Heard {
+    /// A guest came. One that was there is gone.
+    Joined {
+        /// Names its stay.
+        incarnation: u64,
+        /// Its cores.
+        cores: u16,
+        /// Its name, for people.
+        name: String,
+    },
+    /// Jobs are done.
+    Done {
+        /// Whose stay it was.
+        incarnation: u64,
+        /// Decides which samples are checked; the guest cannot know it.
+        salt: u64,
+        /// Which jobs, and what was found.
+        jobs: Vec<Found>,
+    },
+    /// The guest left, or sent what makes no sense.
+    Left {
+        /// Whose stay is over.
+        incarnation: u64,
+        /// Whether it may not come back.
+        banned: bool,
+    },
+}
+
+/// An answer.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Found {
+    /// The job.
+    pub lease: u64,
+    /// Time of one core, µs, as the guest says.
+    pub micros: u32,
+    /// Colours found; none where the job was not begun.
+    pub count: Option<u32>,
+    /// Hash of them.
+    pub hash: u64,
+    /// They themselves. Not recorded: whoever replays traces them.
+    #[serde(skip)]
+    pub colors: Option<Arc<Colors>>,
+}
+
+/// What a station can be told.
+#[derive(Clone, Debug, Message)]
+pub enum StationMessage {
+    /// From outside.
+    #[message(kind = _0.kind())]
+    Heard(Heard),
+    /// From its own timer: a job is overdue.
+    Overdue,
+    /// From its own timer: send what was not accepted.
+    SendAgain,
+}
+
+impl Heard {
+    /// The variant's name, for reports.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Joined { .. } => "Joined",
+            Self::Done { .. } => "Done",
+            Self::Left { .. } => "Left",
+        }
+    }
+}
+
+impl From<Heard> for StationMessage {
+    fn from(heard: Heard) -> Self {
+        Self::Heard(heard)
+    }
+}
+
+/// A guest, while it is there.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Guest {
+    incarnation: u64,
+    cores: u16,
+    name: String,
+    /// Answers that were checked in full and right.
+    proved: u32,
+    /// A job was overdue, and nothing came since.
+    suspect: bool,
+    estimate: Estimate,
+}
+
+/// A job that the guest has.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Out {
+    job: Kept,
+    samples: u32,
+    /// When it was sent, when others may do it as well, and when it is overdue; nanoseconds.
+    sent: u64,
+    slow: u64,
+    due: u64,
+    /// Whether that time has come: others may do it by now, if not too many are shared already.
+    shared: bool,
+}
+
+impl Out {
+    /// When somebody has to look at it.
+    fn next(&self) -> u64 {
+        if self.shared { self.due } else { self.slow.min(self.due) }
+    }
+}
+
+/// What became of a station's jobs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StationCounts {
+    /// Samples and guides that came.
+    pub samples: u64,
+    /// Jobs that were done.
+    pub jobs: u64,
+    /// Answers that came too late, twice or for nothing.
+    pub late: u64,
+    /// Jobs that went to others.
+    pub returned: u64,
+    /// Jobs that others were given as well.
+    pub shared: u64,
+    /// Samples that were traced here as well, to compare.
+    pub checked: u64,
+    /// Guests that were banned.
+    pub banned: u64,
+}
+
+/// A station as people see it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StationStatus {
+    /// The guest's name; none where there is no guest.
+    pub guest: Option<String>,
+    /// Its cores.
+    pub cores: u16,
+    /// Whether it does not answer.
+    pub suspect: bool,
+    /// Jobs that it has, and may have.
+    pub jobs: [u32; 2],
+    /// The way there and back, seconds.
+    pub round_trip: f32,
+    /// What became of its jobs so far.
+    pub counts: StationCounts,
+}
+
+/// Whom a station tells.
+#[derive(Clone)]
+pub(crate) struct Listeners {
+    pub renderer: Address<RendererMessage>,
+    pub cache_ager: Address<CacheAgerMessage>,
+    pub allocator: Address<AllocatorMessage>,
+}
+
+/// A station's state.
+pub struct Station {
+    /// Its number among tracers and stations.
+    index: u32,
+    lattice: Lattice,
+    pool: JobPool<TraceJob>,
+    to: Listeners,
+    outbox: Outbox<StationMessage>,
+    outlet: Box<dyn Outlet>,
+    guest: Option<Guest>,
+    /// Jobs out, by lease.
+    out: BTreeMap<u64, Out>,
+    /// Views that the guest knows, the newest last.
+    views: VecDeque<u32>,
+    /// The timer of the earliest job that is due, and when.
+    timer: Option<(u64, TimerId)>,
+    /// Jobs that the allocator was told of last.
+    credits: u32,
+    counts: StationCounts,
+}
+
+impl Station {
+    pub(crate) fn new(
+        index: u32,
+        lattice: Lattice,
+        pool: JobPool<TraceJob>,
+        to: Listeners,
+        outlet: Box<dyn Outlet>,
+    ) -> Self {
+        Self {
+            index,
+            lattice,
+            pool,
+            to,
+            outbox: Outbox::new(|| StationMessage::SendAgain),
+            outlet,
+            guest: None,
+            out: BTreeMap::new(),
+            views: VecDeque::new(),
+            timer: None,
+            credits: 0,
+            counts: StationCounts::default(),
+        }
+    }
+
+    /// As people see it.
+    pub fn status(&self) -> StationStatus {
+        StationStatus {
+            guest: self.guest.as_ref().map(|guest| guest.name.clone()),
+            cores: self.guest.as_ref().map_or(0, |guest| guest.cores),
+            suspect: self.guest.as_ref().is_some_and(|guest| guest.suspect),
+            jobs: [self.out.len() as u32, self.window()],
+            round_trip: self.guest.as_ref().map_or(0.0, |guest| guest.estimate.round_trip().as_secs_f32()),
+            counts: self.counts,
+        }
+    }
+
+    /// Jobs that it may keep now.
+    fn window(&self) -> u32 {
+        match &self.guest {
+            Some(guest) if guest.suspect => 0,
+            Some(guest) if guest.proved < PROVING => u32::from(guest.cores).min(PROVING),
+            Some(guest) => guest.estimate.window(guest.cores),
+            None => 0,
+        }
+    }
+
+    /// Does what is for the guest, where there is one.
+    fn post(&mut self, message: ToGuest, cx: &Cx<'_, StationMessage>) {
+        if !cx.replays() {
+            self.outlet.send(message);
+        }
+    }
+
+    fn on_joined(&mut self, incarnation: u64, cores: u16, name: String, cx: &mut Cx<'_, StationMessage>) {
+        self.hand_all_back(cx);
+        self.views.clear();
+        let estimate = Estimate::default();
+        let cores = cores.clamp(1, CREDITS_MAX as u16 - 1);
+        self.guest = Some(Guest { incarnation, cores, name, proved: 0, suspect: false, estimate });
+        self.tell_credits(cx);
+    }
+
+    fn on_left(&mut self, incarnation: u64, banned: bool, cx: &mut Cx<'_, StationMessage>) {
+        if self.guest.as_ref().is_some_and(|guest| guest.incarnation == incarnation) {
+            if banned {
+                self.ban(cx);
+            }
+            self.guest = None;
+            self.hand_all_back(cx);
+            self.tell_credits(cx);
+        }
+    }
+
+    fn on_done(&mut self, incarnation: u64, salt: u64, jobs: Vec<Found>, cx: &mut Cx<'_, StationMessage>) {
+        if self.guest.as_ref().is_none_or(|guest| guest.incarnation != incarnation) {
+            self.counts.late += jobs.len() as u64;
+            return;
+        }
+        let now = cx.now().0;
+        for found in jobs {
+            // Somebody who was banned over the job before is not heard any more.
+            let Some(guest) = &mut self.guest else { return };
+            guest.suspect = false;
+            let Some(out) = self.out.remove(&found.lease) else {
+                self.counts.late += 1;
+                continue;
+            };
+            self.on_found(out, &found, salt, now, cx);
+        }
+        self.tell_credits(cx);
+        self.watch(now, cx);
+    }
+
+    fn on_found(&mut self, out: Out, found: &Found, salt: u64, now: u64, cx: &mut Cx<'_, StationMessage>) {
+        let Some(job) = cx.kept(&self.pool, out.job) else { return };
+        let TraceJob::Samples(order) = &*job else { return };
+        let Some(count) = found.count else {
+            // It had not begun, since the view is over.
+            if cx.is_stale(&self.pool, out.job) {
+                if cx.finish(&self.pool, out.job) {
+                    self.job_done(order, 0, 0.0, cx);
+                }
+            } else {
+                self.counts.returned += 1;
+                cx.hand_back(&self.pool, out.job);
+            }
+            return;
+        };
+        let Some(guest) = &mut self.guest else { return };
+        let proving = guest.proved < PROVING;
+        guest.proved = guest.proved.saturating_add(1);
+        guest.estimate.learn(out.samples, found.micros, now.saturating_sub(out.sent));
+        let traced = match &found.colors {
+            Some(colors) => Arc::clone(colors),
+            // Nobody kept them: they are what anybody traces.
+            None => Arc::new(colors_of(order, &self.lattice, None)),
+        };
+        let checked = if proving { usize::MAX } else { count.div_ceil(CHECKED as u32) as usize };
+        self.counts.checked += u64::from(count).min(checked as u64);
+        let answer = Answer::of(order, &self.lattice, &traced);
+        // What was found then counts, whoever looks at it now.
+        let is_right = || answer.is_some() && is_right(order, &self.lattice, &traced, checked, salt);
+        let right = cx.replays() || is_right();
+        if cx.observe(u64::from(right)) == 0 {
+            cx.hand_back(&self.pool, out.job);
+            return self.ban(cx);
+        }
+        let Some(answer) = answer else { return };
+        if !cx.finish(&self.pool, out.job) {
+            self.counts.late += 1;
+            return;
+        }
+        self.counts.jobs += 1;
+        self.counts.samples += u64::from(out.samples);
+        match answer {
+            Answer::Samples(batch) => {
+                let (hash, tracer, batch) = (batch.digest(), self.index, Arc::new(batch));
+                // As a tracer: samples before the word that the job is done.
+                let traced = RendererMessage::SamplesTraced { batch: batch.clone(), tracer, hash };
+                self.outbox.tell(cx, &self.to.renderer, traced);
+                let traced = CacheAgerMessage::SamplesTraced { batch, hash };
+                self.outbox.tell(cx, &self.to.cache_ager, traced);
+            }
+            Answer::Guides(guides) => {
+                let (hash, guides) = (guides.digest(), Arc::new(guides));
+                let traced = RendererMessage::GuidesTraced { guides, hash };
+                self.outbox.tell(cx, &self.to.renderer, traced);
+            }
+        }
+        self.job_done(order, count, found.micros as f32 * 1e-6, cx);
+    }
+
+    fn job_done(&mut self, job: &SampleOrder, samples: u32, seconds: f32, cx: &mut Cx<'_, StationMessage>) {
+        let SampleJob { object, level, .. } = job.order;
+        let done = AllocatorMessage::JobDone { view: job.drawn.view, object, level, samples, seconds };
+        self.outbox.tell(cx, &self.to.allocator, done);
+    }
+
+    /// The guest sent what is not in the scene: nothing that came from it stays.
+    fn ban(&mut self, cx: &mut Cx<'_, StationMessage>) {
+        let Some(guest) = self.guest.take() else { return };
+        tracing::warn!("{}: what it sends is not what is there; it is banned", guest.name);
+        self.counts.banned += 1;
+        self.hand_all_back(cx);
+        self.post(ToGuest::Refused(wire::Refusal::Banned), cx);
+        self.outbox.tell(cx, &self.to.cache_ager, CacheAgerMessage::Doubted);
+        self.tell_credits(cx);
+    }
+
+    fn on_overdue(&mut self, cx: &mut Cx<'_, StationMessage>) {
+        self.timer = None;
+        let now = cx.now().0;
+        let over: Vec<u64> =
+            self.out.iter().filter(|(_, out)| out.due <= now).map(|(lease, _)| *lease).collect();
+        for out in self.out.values_mut().filter(|out| out.due > now && !out.shared && out.slow <= now) {
+            out.shared = true;
+            // Few, or on a machine that is busy with other things half of all jobs would be done twice.
+            if self.counts.shared * SHARED <= self.counts.jobs + SHARED {
+                self.counts.shared += 1;
+                cx.share(&self.pool, out.job);
+            }
+        }
+        for lease in &over {
+            if let Some(out) = self.out.remove(lease) {
+                self.counts.returned += 1;
+                cx.hand_back(&self.pool, out.job);
+            }
+        }
+        if let Some(guest) = &mut self.guest
+            && !over.is_empty()
+        {
+            guest.suspect = true;
+            guest.estimate.was_late();
+            self.tell_credits(cx);
+        }
+        self.watch(now, cx);
+    }
+
+    fn hand_all_back(&mut self, cx: &mut Cx<'_, StationMessage>) {
+        for (_, out) in std::mem::take(&mut self.out) {
+            self.counts.returned += 1;
+            cx.hand_back(&self.pool, out.job);
+        }
+    }
+
+    /// One timer, for the job that is due first.
+    fn watch(&mut self, now: u64, cx: &mut Cx<'_, StationMessage>) {
+        let Some(due) = self.out.values().map(Out::next).min() else { return };
+        match self.timer {
+            Some((at, _)) if at <= due => return,
+            Some((_, timer)) => drop(cx.cancel(timer)),
+            None => {}
+        }
+        let wait = Duration::from_nanos(due.saturating_sub(now));
+        self.timer = cx.after(wait, StationMessage::Overdue).ok().map(|timer| (due, timer));
+    }
+
+    /// The allocator keeps as many jobs more in flight.
+    fn tell_credits(&mut self, cx: &mut Cx<'_, StationMessage>) {
+        let credits = self.window();
+        // Not each step: what changes by less than a quarter changes nothing.
+        if credits.abs_diff(self.credits) * 4 <= self.credits && credits > 0 {
+            return;
+        }
+        let station = self.index;
+        if credits != self.credits {
+            self.credits = credits;
+            self.outbox.tell(cx, &self.to.allocator, AllocatorMessage::StationChanged { station, credits });
+        }
+    }
+}
+
+/// The answer to a job, made whole again.
+enum Answer {
+    Samples(SampleBatch),
+    Guides(Guides),
+}
+
+impl Answer {
+    /// None where the colours are not as many as the job wants.
+    fn of(order: &SampleOrder, lattice: &Lattice, traced: &Colors) -> Option<Self> {
+        let SampleOrder { drawn, order: job, .. } = order;
+        if job.level == GUIDES {
+            let pixels = guide_pixels(job, &drawn.buffers.object);
+            let pixels: Vec<_> = pixels.map(|(x, y)| [x as u16, y as u16]).collect();
+            let fits = pixels.len() == traced.colors.len() && traced.guides.is_empty();
+            return fits
+                .then(|| Self::Guides(Guides { view: drawn.view.0, pixels, colors: traced.colors.clone() }));
+        }
+        let owner = Owner { view: drawn.view.0, object: job.object, k: lattice.k_of(job.level) };
+        let pixels = job_pixels(lattice, job, &drawn.buffers.object);
+        let (world, frame, buffers) = (&drawn.world, &drawn.frame, &drawn.buffers);
+        let mut batch = samples_of_colors(world, frame, buffers, owner, pixels, &traced.colors)?;
+        let guides = if job.guided { batch.len() } else { 0 };
+        if traced.guides.len() != guides {
+            return None;
+        }
+        batch.guides.clone_from(&traced.guides);
+        Some(Self::Samples(batch))
+    }
+}
+
+/// The colours of a job as they are, of all its pixels or of those that `only` names by their number.
+fn colors_of(order: &SampleOrder, lattice: &Lattice, only: Option<&[usize]>) -> Colors {
+    let SampleOrder { drawn, order: job, seed, .. } = order;
+    let (world, frame, buffers) = (&drawn.world, &drawn.frame, &drawn.buffers);
+    let all: Vec<(i32, i32)> = match job.level {
+        GUIDES => guide_pixels(job, &buffers.object).collect(),
+        _ => job_pixels(lattice, job, &buffers.object)
+            .filter(|&(x, y)| buffers.hit.at(x as usize, y as usize).hit().is_some())
+            .collect(),
+    };
+    let pixels: Vec<(i32, i32)> = match only {
+        Some(only) => only.iter().filter_map(|i| all.get(*i).copied()).collect(),
+        None => all,
+    };
+    let guides = |pixels: &[(i32, i32)]| trace_guides(world, frame, buffers, pixels.iter().copied());
+    if job.level == GUIDES {
+        return Colors { colors: guides(&pixels), guides: Vec::new() };
+    }
+    Colors {
+        colors: trace_colors(world, frame, buffers, pixels.iter().copied(), *seed),
+        guides: if job.guided { guides(&pixels) } else { Vec::new() },
+    }
+}
+
+/// Whether so many of the colours, chosen by `salt`, are what is traced here.
+fn is_right(order: &SampleOrder, lattice: &Lattice, traced: &Colors, checked: usize, salt: u64) -> bool {
+    let count = traced.colors.len();
+    let which: Option<Vec<usize>> = (checked < count).then(|| {
+        let drawn =
+            |i: usize| foveal::rng::hash(salt, i as u64, u64::from(order.order.object)) as usize % count;
+        (0..checked).map(drawn).collect()
+    });
+    let here = colors_of(order, lattice, which.as_deref());
+    let bits = |c: &glam::Vec3| c.to_array().map(f32::to_bits);
+    let same = |here: &[glam::Vec3], there: &[glam::Vec3]| match &which {
+        None => here.iter().map(bits).eq(there.iter().map(bits)),
+        Some(which) => {
+            let there = which.iter().filter_map(|i| there.get(*i));
+            here.iter().map(bits).eq(there.map(bits))
+        }
+    };
+    same(&here.colors, &traced.colors) && same(&here.guides, &traced.guides)
+}
+
+impl Actor for Station {
+    type Msg = StationMessage;
+    const NAME: &'static str = "station";
+
+    fn handle(&mut self, message: StationMessage, cx: &mut Cx<'_, StationMessage>) {
+        match message {
+            StationMessage::Heard(Heard::Joined { incarnation, cores, name }) => {
+                self.on_joined(incarnation, cores, name, cx);
+            }
+            StationMessage::Heard(Heard::Done { incarnation, salt, jobs }) => {
+                self.on_done(incarnation, salt, jobs, cx);
+            }
+            StationMessage::Heard(Heard::Left { incarnation, banned }) => {
+                self.on_left(incarnation, banned, cx)
+            }
+            StationMessage::Overdue => self.on_overdue(cx),
+            StationMessage::SendAgain => self.outbox.send(cx),
+        }
+    }
+
+    fn content(&self) -> Content {
+        let status = self.status();
+        Content::fields([("status", Content::of(&status)), ("out", Content::of(&self.out.len()))])
+    }
+
+    fn save(&self, saver: &mut Saver) {
+        self.save_state(saver);
+    }
+
+    fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
+        self.restore_state(loader)
+    }
+}
+
+impl Worker for Station {
+    type Job = TraceJob;
+    const KEEPS: bool = true;
+
+    fn room(&self) -> bool {
+        (self.out.len() as u32) < self.window()
+    }
+
+    fn run(&mut self, job: &TraceJob, cx: &mut Cx<'_, StationMessage>) {
+        let TraceJob::Samples(SampleOrder { drawn, order, seed, .. }) = job else { return };
+        let kept = cx.keep();
+        let (view, lease, samples) = (drawn.view.0, kept.number(), order.count);
+        if !self.views.contains(&view) {
+            if self.views.back().is_some_and(|last| *last < view) {
+                self.post(ToGuest::Retire { below: view }, cx);
+            }
+            self.views.push_back(view);
+            if self.views.len() > VIEWS {
+                self.views.pop_front();
+            }
+            let spec = ViewSpec { view, frame: drawn.frame, cell: drawn.buffers.cell };
+            self.post(ToGuest::View(spec), cx);
+        }
+        self.post(ToGuest::Jobs(vec![JobSpec { lease, view, order: *order, seed: *seed }]), cx);
+        let sent = cx.now().0;
+        let ahead: u64 = self.out.values().map(|out| u64::from(out.samples)).sum();
+        let within = match &self.guest {
+            Some(guest) => guest.estimate.within(ahead, samples, guest.cores),
+            None => Duration::ZERO,
+        };
+        let [slow, due] = [within / 2, within].map(|time| sent.saturating_add(time.as_nanos() as u64));
+        self.out.insert(lease, Out { job: kept, samples, sent, slow, due, shared: false });
+        self.watch(sent, cx);
+    }
+
+    fn stale(&mut self, job: &TraceJob, cx: &mut Cx<'_, StationMessage>) {
+        if let TraceJob::Samples(order) = job {
+            self.job_done(order, 0, 0.0, cx);
+        }
+    }
+}
+
+/// Whether a job can be done elsewhere: samples of a view under the light that the walk began with.
+pub(crate) fn travels(job: &TraceJob) -> bool {
+    matches!(job, TraceJob::Samples(SampleOrder { order, .. }) if order.count <= SAMPLES_MAX)
+}

@@ -1,0 +1,132 @@
+//! Walks that other processes trace for, which are killed, stopped, and have wrong keys.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use crate::support::*;
+
+const WALK: &str = "walk --frames 1 --until-converged --seed 5 --workers 1 --n-job 64";
+
+/// A walk that is walked with so many guests, recorded; and the file that they join with.
+fn walk(size: &str, out: &Path, wait: u32) -> (Running, PathBuf) {
+    let key = out.join("key");
+    let words = format!(
+        "{WALK} --size {size} {CHEAP_BAKE} --tracers tcp/127.0.0.1:0 --tracers-max 4 --tracers-wait {wait} --json"
+    );
+    let walk = Foveal::new(&words)
+        .arg(scene("box"))
+        .arg("--out")
+        .arg(out)
+        .arg("--record")
+        .arg(out.join("walk.fvl"))
+        .arg("--tracers-key")
+        .arg(&key)
+        .start();
+    let mut walk = walk;
+    let began = Instant::now();
+    while fs::read_to_string(&key).map_or(true, |text| !text.ends_with('\n')) {
+        assert!(walk.is_running() && began.elapsed() < Duration::from_secs(120), "{}", walk.said());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    (walk, key)
+}
+
+fn join(key: &Path) -> Running {
+    Foveal::new("trace --cores 1 --once --json --join").arg(format!("@{}", key.display())).start()
+}
+
+fn local(size: &str) -> PathBuf {
+    let out = folder("local");
+    Foveal::new(&format!("{WALK} --size {size} {CHEAP_BAKE} --out")).arg(&out).arg(scene("box")).ok();
+    out
+}
+
+fn assert_same(found: &Path, expected: &Path) {
+    assert_same_bits(&picture(&found.join("last.exr")), &picture(&expected.join("last.exr")), "with guests");
+}
+
+fn signal(name: &str, process: &Running) {
+    let sent = Command::new("kill").arg(name).arg(process.id().to_string()).status();
+    assert!(sent.is_ok_and(|status| status.success()));
+}
+
+#[test]
+fn two_guests_trace_for_a_walk_and_its_recording_replays_without_them() {
+    let (out, expected) = (folder("remote"), local("128x96"));
+    let (walk, key) = walk("128x96", &out, 2);
+    let guests = [join(&key), join(&key)];
+    let ended = walk.wait();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let document = ended.json();
+    let of = |name: &str| {
+        let stations = document["stations"].as_array().expect("a list");
+        stations.iter().map(|station| station[name].as_u64().expect("a number")).sum::<u64>()
+    };
+    assert!(of("samples") > 500 && of("banned") == 0, "{document:#}");
+    assert_same(&out, &expected);
+    let samples: u64 = guests
+        .map(|guest| {
+            let ended = guest.wait();
+            assert_eq!(ended.code, Some(0), "{}", ended.err);
+            ended.json()["samples"].as_u64().expect("a number")
+        })
+        .iter()
+        .sum();
+    assert!(samples >= of("samples"), "{samples} were traced, {} came", of("samples"));
+    let replayed = Foveal::new("replay --verify").arg(out.join("walk.fvl")).json();
+    assert!(replayed["diverged"].is_null() && replayed["complete"] == true, "{replayed:#}");
+}
+
+#[test]
+fn guests_that_are_killed_or_stopped_or_come_again_change_no_bit() {
+    let (out, expected) = (folder("remote-killed"), local("320x240"));
+    let (walk, key) = walk("320x240", &out, 2);
+    let (killed, stopped) = (join(&key), join(&key));
+    let began = Instant::now();
+    // They trace once the walk has begun to write pictures, or soon.
+    while !out.join("frame-0000.png").exists() && began.elapsed() < Duration::from_secs(60) {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    killed.kill();
+    let again = join(&key);
+    signal("-STOP", &stopped);
+    std::thread::sleep(Duration::from_millis(300));
+    signal("-CONT", &stopped);
+    let ended = walk.wait();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_same(&out, &expected);
+    stopped.kill();
+    again.kill();
+    let replayed = Foveal::new("replay --verify").arg(out.join("walk.fvl")).json();
+    assert!(replayed["diverged"].is_null() && replayed["complete"] == true, "{replayed:#}");
+}
+
+#[test]
+fn who_has_no_key_or_a_wrong_one_is_told_so() {
+    let out = folder("remote-keys");
+    let (mut walk, key) = walk("48x36", &out, 1);
+    let text = fs::read_to_string(&key).expect("a key");
+    // Another letter of the secret.
+    let other = if &text[10..11] == "A" { "B" } else { "A" };
+    let wrong = format!("{}{other}{}", &text[..10], text[11..].trim());
+    Foveal::new("trace --once --join").arg(&wrong).fails(5, &["another key"]);
+    Foveal::new("trace --once --join fvj1-nothing").fails(3, &["no key"]);
+    Foveal::new("trace --once --join @/nowhere/at/all").fails(3, &["/nowhere"]);
+    Foveal::new("trace --once --join -").input("what is this\n").fails(3, &["no key"]);
+    assert!(walk.is_running(), "{}", walk.said());
+    let guest = Foveal::new("trace --once --join -").input(&text).start();
+    assert_eq!(walk.wait().code, Some(0));
+    assert_eq!(guest.wait().code, Some(0));
+    Foveal::new("trace --once --join").arg(text.trim()).fails(5, &["nobody answers"]);
+}
+
+#[test]
+fn a_door_is_opened_only_where_it_may_be() {
+    let of = |address: &str| {
+        Foveal::new(&format!("walk --frames 1 --size 32x24 --quick --tracers {address}")).arg(scene("box"))
+    };
+    of("tcp/0.0.0.0:0").fails(5, &["not encrypted"]);
+    of("carrier-pigeon/roof").fails(5, &["no such link"]);
+}

@@ -77,7 +77,7 @@ impl Actor for Chief {
                 }
                 for _ in 0..pieces {
                     let bucket = (cx.random() % 64) as u8;
-                    cx.push(&self.pool, bucket, self.epoch, Piece(self.made)).ok().expect("room");
+                    cx.push(&self.pool, bucket, self.epoch, Piece(self.made)).expect("room");
                     self.made += 1;
                 }
             }
@@ -168,7 +168,7 @@ impl Actor for Shelf {
                 cx.share(&self.pool, job);
                 self.kept.insert(number, (job, true));
                 let delay = Duration::from_micros(cx.random() % 200);
-                cx.after(delay, ShelfMsg::Due(number)).ok().expect("few run");
+                cx.after(delay, ShelfMsg::Due(number)).expect("few run");
             }
             _ => {
                 if cx.finish(&self.pool, job) {
@@ -204,7 +204,7 @@ impl Worker for Shelf {
         let job = cx.keep();
         self.kept.insert(job.number(), (job, false));
         let delay = Duration::from_micros(cx.random() % 300);
-        cx.after(delay, ShelfMsg::Due(job.number())).ok().expect("few run");
+        cx.after(delay, ShelfMsg::Due(job.number())).expect("few run");
     }
 
     fn stale(&mut self, piece: &Piece, cx: &mut Cx<'_, ShelfMsg>) {

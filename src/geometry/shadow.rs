@@ -1,8 +1,8 @@
 //! Sixteen shadow rays at once, from neighbouring points to one light.
 //!
-//! Rays that point into one octant, along one dominant axis, go through the tree as one beam ([`super::beam`]); of a
+//! Rays that point into one octant, along one dominant axis, go through the tree as one beam (`beam`); of a
 //! leaf's triangles those are tested that the beam may meet, for all rays at once. Each ray meets a triangle by the very
-//! operations of a single ray ([`super::block`]), so that what is found does not depend on its company, to the bit.
+//! operations of a single ray (`block`), so that what is found does not depend on its company, to the bit.
 //! A shadow is often thrown by what threw the last one: that leaf is looked at first.
 
 use arrayvec::ArrayVec;

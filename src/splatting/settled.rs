@@ -169,6 +169,23 @@ impl<'a> Pixels<'a> {
         Some(residual.into_iter().zip(missing).map(|(r, m)| r + m).collect())
     }
 
+    /// Variance of each block's luminance by what the halves of the diffuse part know nothing of: lobes, by their batches, and
+    /// edges of what the map and lamps show, pixel by pixel.
+    fn noise_beside(&self, width: usize, height: usize) -> Vec<f64> {
+        let lobes: [Vec<f64>; BATCHES] = std::array::from_fn(|batch| {
+            let of = &[batch][..];
+            let traced = |i: usize| self.traced.map_or(Vec3::ZERO, |traced| traced.lobes(i, of));
+            let value = |i: usize| match &self.at[i] {
+                Some(means) => luminance(means.lobes(of) + means.lobes_excess(of) + traced(i)),
+                None => 0.0,
+            };
+            blocks(width, height, value)
+        });
+        let edges = blocks(width, height, |i| self.at[i].as_ref().map_or(0.0, PixelMeans::shown_variance));
+        let pixels = (BLOCK * BLOCK) as f64;
+        edges.iter().enumerate().map(|(i, edge)| edge / pixels + of_batches(&lobes, i).1).collect()
+    }
+
     /// What lobes show.
     fn lobes(&self) -> Halves {
         let mut halves = Halves::of_nothing(self.at.len());
@@ -197,6 +214,13 @@ fn mean_and_error(values: &[f64]) -> (f64, f64) {
     let mean = values.iter().sum::<f64>() / n;
     let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
     (mean, (variance / n).sqrt())
+}
+
+/// Mean over all batches of a block, and its variance.
+fn of_batches(means: &[Vec<f64>; BATCHES], block: usize) -> (f64, f64) {
+    let n = BATCHES as f64;
+    let mean = means.iter().map(|m| m[block]).sum::<f64>() / n;
+    (mean, means.iter().map(|m| (m[block] - mean).powi(2)).sum::<f64>() / (n * (n - 1.0)))
 }
 
 /// Luminances of the means of blocks; those that the edges cut are left out unless there are no others.
@@ -302,7 +326,8 @@ pub fn settled(
     let lobes = pixels.lobes().mean(&surfaces, goes_on)?;
     let bright = blocks(width, height, |i| luminance(diffuse[i] + lobes[i]));
     let mean = bright.iter().sum::<f64>() / bright.len().max(1) as f64;
-    let (squared, doubt) = mean_and_error(&beside.errors[usize::from(!corrects)]);
+    let errors = beside.errors[usize::from(!corrects)].iter().zip(pixels.noise_beside(width, height));
+    let (squared, doubt) = mean_and_error(&errors.map(|(error, noise)| error + noise).collect::<Vec<f64>>());
     let limit = (squared + CERTAIN * doubt).max(0.0).sqrt();
     let known = pixels.at.iter().all(Option::is_some) && mean > 0.0;
     let enough = |t: &&Arc<TileSums>| t.samples as usize >= BATCHES;
@@ -345,11 +370,8 @@ pub fn intervals(
         };
         blocks(width, height, value)
     });
-    let n = BATCHES as f64;
     let interval = |i: usize| {
-        let of = |b: usize| means[b][i];
-        let mean = (0..BATCHES).map(of).sum::<f64>() / n;
-        let variance = (0..BATCHES).map(|b| (of(b) - mean).powi(2)).sum::<f64>() / (n * (n - 1.0));
+        let (mean, variance) = of_batches(&means, i);
         Interval { mean: mean as f32, reach: OF_FOUR * variance.sqrt() as f32 }
     };
     (0..means[0].len()).map(interval).collect()

@@ -184,6 +184,11 @@ impl PixelMeans<'_> {
         self.sums.shown / self.samples.max(1) as f32
     }
 
+    /// Variance of the luminance of that mean.
+    pub fn shown_variance(&self) -> f32 {
+        self.variances()[PARTS]
+    }
+
     /// Mean reflectance of the D part times π.
     pub fn albedo(&self) -> Vec3 {
         self.sums.albedo / self.samples.max(1) as f32

@@ -328,8 +328,9 @@ pub fn settled(
     let mean = bright.iter().sum::<f64>() / bright.len().max(1) as f64;
     let errors = beside.errors[usize::from(!corrects)].iter().zip(pixels.noise_beside(width, height));
     let (squared, doubt) = mean_and_error(&errors.map(|(error, noise)| error + noise).collect::<Vec<f64>>());
-    let limit = (squared + CERTAIN * doubt).max(0.0).sqrt();
-    let known = pixels.at.iter().all(Option::is_some) && mean > 0.0;
+    // A mean below zero is noise: it takes nothing from the doubt.
+    let limit = (squared.max(0.0) + CERTAIN * doubt).sqrt();
+    let known = pixels.at.iter().all(Option::is_some) && mean > 0.0 && limit.is_finite();
     let enough = |t: &&Arc<TileSums>| t.samples as usize >= BATCHES;
     let samples = tiles.iter().map(|t| t.as_ref().filter(enough).map_or(0, |t| t.samples)).collect();
     Some(Settled {

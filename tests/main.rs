@@ -8,12 +8,15 @@
 mod approximation;
 mod bake;
 mod bench;
+mod book;
 mod bundled;
 mod exits;
 mod faults;
 mod hostile;
 mod packages;
 mod replay;
+#[cfg(feature = "serve")]
+mod report;
 #[cfg(feature = "serve")]
 mod serve;
 mod shell;

@@ -16,6 +16,7 @@ pub mod display;
 pub mod geometry;
 pub mod illumination;
 pub mod image;
+pub mod kept;
 pub mod math;
 pub mod metrics;
 pub mod perception;

@@ -402,7 +402,7 @@ fn recordings_that_do_not_fit_are_refused_by_name() {
         file
     };
     let other = Foveal::new("replay --scene").arg(scene("duck")).arg(&trace);
-    other.fails(3, &["walk.fvl", "another scene", "duck.toml"]);
+    other.fails(3, &["walk.fvl", "another scene", "duck.toml", "is not read any more"]);
     let version = altered(&|b| b[6] += 1);
     Foveal::new("replay").arg(&version).fails(3, &["altered.fvl", "version"]);
     let foreign = altered(&|b| b[0] = b'X');

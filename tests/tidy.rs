@@ -122,12 +122,13 @@ fn only_the_command_line_prints() {
 }
 
 /// The core's modules, each of which may use the ones before it.
-const CORE: [&str; 15] = [
+const CORE: [&str; 16] = [
     "rng",
     "math",
     "image",
     "scene",
     "geometry",
+    "kept",
     "transport",
     "illumination",
     "radiosity",

@@ -12,6 +12,7 @@ use clap::Args;
 use foveal::geometry::bvh::Accel;
 use foveal::geometry::bvh_peers::{Peer, PeerTree};
 use foveal::geometry::packet::LANES;
+use foveal::geometry::shadow::{LastShadow, Shadows};
 use foveal::geometry::{Hit, Ray};
 use foveal::rng::Stream;
 use foveal::scene::{Material, MaterialId, Mesh, Model, Reflectance, Scene};
@@ -198,7 +199,20 @@ fn ours(pool: &rayon::ThreadPool, scene: &Scene, accel: &Accel, kind: Kind, rays
             chunk.iter().fold(0u64, |sum, ray| sum.rotate_left(5) ^ of_hit(accel.intersect(scene, ray)))
         }),
         Kind::Shadow => rate(pool, rays, |chunk| {
-            chunk.iter().fold(0u64, |sum, ray| sum.rotate_left(5) ^ u64::from(accel.occluded(scene, ray)))
+            let (mut sum, mut last) = (0u64, LastShadow::default());
+            for rays in chunk.chunks(LANES) {
+                let found = match rays.try_into() {
+                    Ok(packet) => accel.shadows(scene, packet, 0xffff, &mut last, |_| true),
+                    Err(_) => Shadows { blocked: 0, unclear: 0xffff },
+                };
+                for (lane, ray) in rays.iter().enumerate() {
+                    let is_alone = found.unclear >> lane & 1 != 0;
+                    let blocked =
+                        if is_alone { accel.occluded(scene, ray) } else { found.blocked >> lane & 1 != 0 };
+                    sum = sum.rotate_left(5) ^ u64::from(blocked);
+                }
+            }
+            sum
         }),
     };
     (rate, digest(&found))
@@ -299,6 +313,7 @@ fn plain_scene(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Scene {
         budget: Default::default(),
         extensions: Vec::new(),
         content_hash: [0; 32],
+        files: Vec::new(),
     }
     .with_textures(Vec::new())
 }

@@ -47,6 +47,7 @@ pub mod engine;
 pub mod failure;
 pub mod files;
 pub mod interrupt;
+mod kept_scene;
 pub mod light;
 pub mod look;
 pub mod machine;

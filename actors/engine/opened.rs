@@ -25,6 +25,7 @@ use crate::bake_clock::{BakeClock, Watch};
 use crate::edit::EditError;
 use crate::failure::Failure;
 use crate::interrupt::interrupted;
+use crate::kept_scene::{self, Read};
 use crate::light::{Light, Reading};
 use crate::source::NamedLamp;
 
@@ -147,18 +148,22 @@ pub fn load_scene_as(path: &Path, reading: &Reading) -> Result<(Arc<Scene>, Vec<
 
 /// Loads a scene and its illumination.
 pub fn open(path: &Path, light: &Light, watch: &dyn Watch) -> Result<Opened, Failure> {
-    let (scene, warnings) = load_scene_as(path, &light.reading)?;
-    illuminated(path, scene, warnings, light, watch)
+    with_light(path, kept_scene::read(path, light)?, light, watch)
 }
 
 /// The illumination of a scene that is loaded, with what went wrong so far.
 pub fn illuminated(
     path: &Path,
     scene: Arc<Scene>,
-    mut warnings: Vec<String>,
+    warnings: Vec<String>,
     light: &Light,
     watch: &dyn Watch,
 ) -> Result<Opened, Failure> {
+    with_light(path, Read::of(scene, warnings), light, watch)
+}
+
+fn with_light(path: &Path, mut read: Read, light: &Light, watch: &dyn Watch) -> Result<Opened, Failure> {
+    let (scene, mut warnings) = (read.scene.clone(), std::mem::take(&mut read.warnings));
     let as_read = AsRead::of(&scene);
     let edits = &light.edits;
     let edited = |scene: &Arc<Scene>| match edits.is_empty() {
@@ -167,11 +172,15 @@ pub fn illuminated(
     };
     let changed = edited(&scene).map_err(|e| Failure::Input(format!("{}: {e}", path.display())))?;
     // What is kept is read while the geometry index is built.
-    let (accel, kept) =
-        rayon::join(|| Arc::new(Accel::build(&scene)), || kept(&changed, light, &mut warnings));
+    let index = read.accel.take();
+    let (accel, kept) = rayon::join(
+        || index.unwrap_or_else(|| Arc::new(Accel::build(&scene))),
+        || kept(&changed, light, &mut warnings),
+    );
     let mut lights = Arc::new(Lights::build(&scene));
     // As it was read: an exposure that followed the lamps would undo what is done to them.
     let mut scene = metered(scene, &accel, &lights);
+    read.keep(&scene, &accel);
     if !edits.is_empty() {
         let display = scene.display;
         scene = changed;

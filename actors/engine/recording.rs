@@ -7,6 +7,7 @@ use foveal::illumination::Irradiance;
 use foveal::illumination::bake::cache_key;
 use foveal::illumination::cache::{encode, save};
 use foveal::illumination::stored::Illumination;
+use foveal::scene::Scene;
 use foveal::scene::edit::AsRead;
 use foveal_runtime::{Trace, TraceError};
 use serde::{Deserialize, Serialize};
@@ -50,6 +51,9 @@ pub struct RecordedRun {
     pub particles: u64,
     /// Relative error of that illumination.
     pub relative_error: f32,
+    /// Names and BLAKE3 of the files that the scene was read from: so that it can be said which one is another now.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub scene_files: Vec<(String, String)>,
     /// The recording that it goes on from, if it does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub parent: Option<Parent>,
@@ -109,6 +113,7 @@ impl RecordedRun {
             illumination_hash: illumination_hash(&*opened.world.illumination)?,
             particles,
             relative_error,
+            scene_files: files_of(&opened.world.scene),
             parent: None,
         })
     }
@@ -157,10 +162,11 @@ impl RecordedRun {
         let here = hex(AsRead::of(&scene).hash(&self.illumination.edits));
         if here != self.scene_hash {
             return Err(wrong(format!(
-                "recorded in another scene: {} had the content {} then, {} has {here}",
+                "recorded in another scene: {} had the content {} then, {} has {here}{}",
                 self.scene.display(),
                 self.scene_hash,
-                scene_file.display()
+                scene_file.display(),
+                changed(&self.scene_files, &files_of(&scene)),
             )));
         }
         let mut illumination = self.illumination.clone();
@@ -255,6 +261,41 @@ pub fn program() -> String {
     concat!("foveal ", env!("CARGO_PKG_VERSION")).to_owned()
 }
 
+/// Files of a scene that a message names at most.
+const NAMED_MAX: usize = 3;
+
+fn files_of(scene: &Scene) -> Vec<(String, String)> {
+    scene.files.iter().map(|(name, hash)| (name.clone(), hex(*hash))).collect()
+}
+
+/// Which files are other ones now, as the end of a message; nothing where a recording does not say which it was made of.
+fn changed(then: &[(String, String)], now: &[(String, String)]) -> String {
+    let of = |files: &[(String, String)], name: &str| {
+        files.iter().find(|(of, _)| of == name).map(|(_, hash)| hash.clone())
+    };
+    if then.is_empty() {
+        return String::new();
+    }
+    let mut told: Vec<String> = then
+        .iter()
+        .filter_map(|(name, hash)| match of(now, name) {
+            None => Some(format!("{name} is not read any more")),
+            Some(here) if here != *hash => Some(format!("{name} has changed")),
+            Some(_) => None,
+        })
+        .chain(
+            now.iter().filter(|(name, _)| of(then, name).is_none()).map(|(name, _)| format!("{name} is new")),
+        )
+        .collect();
+    if told.is_empty() {
+        told.push("its files are the same, what was chosen of them or edited is not".into());
+    }
+    let more = told.len().saturating_sub(NAMED_MAX);
+    told.truncate(NAMED_MAX);
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    format!("; {}{more}", told.join(", "))
+}
+
 fn hex(hash: [u8; 32]) -> String {
     blake3::Hash::from_bytes(hash).to_hex().to_string()
 }
@@ -337,6 +378,22 @@ mod tests {
         let found = find(Path::new("scenes/unheard-of.obj"), &trace).expect("found");
         assert_eq!(found, scene.canonicalize().expect("there"));
         assert_eq!(find(Path::new("scenes/other.obj"), &trace), None);
+    }
+
+    #[test]
+    fn the_file_that_is_another_one_is_named() {
+        let file = |name: &str, hash: &str| (name.to_owned(), hash.to_owned());
+        let then = [file("a.toml", "1"), file("a.obj", "2"), file("floor.png", "3")];
+        let check = |now: &[(String, String)], says: &str| assert_eq!(changed(&then, now), says);
+        check(&[file("a.toml", "1"), file("a.obj", "4"), file("floor.png", "3")], "; a.obj has changed");
+        check(
+            &[file("a.toml", "1"), file("a.obj", "2"), file("wall.png", "3")],
+            "; floor.png is not read any more, wall.png is new",
+        );
+        check(&then, "; its files are the same, what was chosen of them or edited is not");
+        let other: Vec<_> = ["v", "w", "x"].iter().map(|name| file(name, "5")).collect();
+        assert!(changed(&then, &other).ends_with("floor.png is not read any more and 3 more"));
+        assert_eq!(changed(&[], &then), "", "an older recording does not say");
     }
 
     #[test]

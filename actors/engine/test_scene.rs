@@ -153,6 +153,7 @@ pub fn room(n: usize) -> Scene {
         budget: Default::default(),
         extensions: Vec::new(),
         content_hash: [0; 32],
+        files: Vec::new(),
     }
     .with_textures(vec![Texture::new("checker", MipChain::from_rgba8(64, 32, checker, true)), mask])
 }

@@ -338,7 +338,8 @@ pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Res
                 &map,
             )?);
         }
-        if let Some(camera) = camera {
+        // A walk of one frame has nothing to warp, and its process is to end with it.
+        if let Some(camera) = camera.filter(|_| walked.frame_ms.len() > 1) {
             figures.extend(warp_figures(world, &camera, settings)?);
         }
     }

@@ -1,7 +1,7 @@
 //! Foveal for Python. What Python sees is described in `foveal/_foveal.pyi`; this is how it comes about.
 //!
 //! An [`Engine`](foveal_engine::Engine) and a replay belong to the thread that began them. Here that is a thread of their own
-//! ([`beside`]): whichever Python thread asks waits for the answer without the interpreter's lock, so that others go on, and
+//! (`beside`): whichever Python thread asks waits for the answer without the interpreter's lock, so that others go on, and
 //! looks for Ctrl-C meanwhile.
 //!
 //! `pyo3`'s macros write the `unsafe` of the C interface into their expansions, which allow it themselves; there is none in

@@ -10,6 +10,10 @@ use super::{MARK_FRAME, Renderer, Unseen};
 use crate::message::{AnalyzerMessage, DrawnView, FrameIndex, FrameSnapshot, RendererMessage};
 use crate::stages::Stage;
 
+/// First approximations that a frame has time for pixel by pixel: 5 ms of two cores. Of more, neighbours share one. A
+/// number of pixels and no time, so that the same samples give the same picture wherever it is shown.
+const SINGLY: usize = 1 << 15;
+
 impl Renderer {
     /// Shows the frame; while nothing changes the last picture stands, and nobody has work.
     pub(super) fn on_deadline_reached(&mut self, index: FrameIndex, cx: &mut Cx<'_, RendererMessage>) {
@@ -59,9 +63,19 @@ impl Renderer {
     /// few pixels are left; a pixel is looked up once in a view.
     fn approximate_the_rest(&mut self, drawn: &DrawnView) {
         let (Some(first), false) = (&self.approximation, self.converged) else { return };
-        let (layer, world) = (&mut self.layer, &self.world);
+        let (layer, world, buffers) = (&mut self.layer, &self.world, &drawn.buffers);
+        let own = |x, y| first.pixel(world, &drawn.frame, buffers, x, y);
         self.counts.approximated += self.stages.time(Stage::Compose, || {
-            layer.approximate(|x, y| first.pixel(world, &drawn.frame, &drawn.buffers, x, y)) as u32
+            let is_dear = |x: usize, y: usize| buffers.object.at(x, y) != 0 && layer.is_bare(x, y);
+            let rows = (0..buffers.height()).into_par_iter();
+            let dear: usize = rows.map(|y| (0..buffers.width()).filter(|&x| is_dear(x, y)).count()).sum();
+            let count = if dear <= SINGLY {
+                layer.approximate(own)
+            } else {
+                let cells = first.cells(world, &drawn.frame, buffers, |x, y| layer.is_bare(x, y));
+                layer.approximate(|x, y| cells.pixel(buffers, x, y).unwrap_or_else(|| own(x, y)))
+            };
+            count as u32
         });
     }
 

@@ -1,12 +1,15 @@
-//! The display pass on the processor: primary rays through the same BVH, sixteen at a time.
+//! The display pass on the processor: primary rays through the same BVH, sixteen at a time, and so the
+//! shadow rays from where they end to lights without area.
 
 use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{FrameBuffers, PrimaryHit, TextureLevel};
+use crate::geometry::packet::LANES;
 use crate::geometry::{Hit, Ray};
-use crate::scene::Scene;
 use crate::scene::camera::CameraFrame;
+use crate::scene::{Environment, Scene};
+use crate::transport::gather::LastShadows;
 use crate::transport::interaction::Interaction;
 use crate::transport::surface::SurfacePoint;
 use crate::world::World;
@@ -83,11 +86,11 @@ pub fn draw_in_cells(
         .enumerate()
         .for_each(|(b, ((((color, depth), object), hit), texture))| {
             let rows = color.len() / width;
-            let mut shade = |x: usize, row: usize, primary: PrimaryHit, direction: Vec3| {
-                let surface = shade_pixel(world, frame, direction, primary, passes.texture_ids);
+            let mut last = LastShadows::default();
+            let mut show = |x: usize, row: usize, surface: &Surface| {
                 for row in row..(row + cell).min(rows) {
                     for i in row * width + x..row * width + (x + cell).min(width) {
-                        hit[i] = primary;
+                        hit[i] = surface.hit;
                         color[i] = surface.color;
                         depth[i] = surface.depth;
                         object[i] = surface.object;
@@ -105,16 +108,17 @@ pub fn draw_in_cells(
                         let (px, py) = wanted(lane);
                         (px.min(width - 1), py.min(rows - 1))
                     };
-                    let directions: [Vec3; 16] = std::array::from_fn(|lane| {
+                    let directions: [Vec3; LANES] = std::array::from_fn(|lane| {
                         let (px, py) = pixel(lane);
                         frame.direction(px as f32 + 0.5, (b * BAND + py) as f32 + 0.5)
                     });
                     let hits = world.accel.intersect_packet(&world.scene, frame.eye, &directions);
-                    for (lane, (&primary, &direction)) in hits.iter().zip(&directions).enumerate() {
-                        let (px, py) = pixel(lane);
-                        if (px, py) == wanted(lane) {
-                            shade(px, py, primary.into(), direction);
-                        }
+                    let is_wanted = |lane: usize| pixel(lane) == wanted(lane);
+                    let hits = std::array::from_fn(|l| hits[l].filter(|_| is_wanted(l)));
+                    let surfaces = shade(world, frame, &directions, &hits, passes.texture_ids, &mut last);
+                    for lane in (0..LANES).filter(|&lane| is_wanted(lane)) {
+                        let (px, py) = wanted(lane);
+                        show(px, py, &surfaces[lane]);
                     }
                 }
             }
@@ -123,33 +127,47 @@ pub fn draw_in_cells(
 
 /// What the display shows at one pixel.
 struct Surface {
+    hit: PrimaryHit,
     color: Vec3,
     depth: f32,
     object: u32,
     texture: TextureLevel,
 }
 
-fn shade_pixel(
+/// What rays show that go from the eye along `directions` and end at `hits`.
+fn shade(
     world: &World,
     frame: &CameraFrame,
-    direction: Vec3,
-    primary: PrimaryHit,
+    directions: &[Vec3; LANES],
+    hits: &[Option<Hit>; LANES],
     texture_ids: bool,
-) -> Surface {
-    let Some(hit) = primary.hit() else {
-        let color = world.scene.environment.as_ref().map_or(Vec3::ZERO, |e| e.radiance(direction));
-        return Surface { color, depth: f32::INFINITY, object: 0, texture: TextureLevel::NONE };
+    last: &mut LastShadows,
+) -> [Surface; LANES] {
+    let footprint = |hit: &Hit| hit.t * frame.pixel_angle();
+    let points = std::array::from_fn(|lane| {
+        hits[lane].map(|hit| SurfacePoint::at(&world.scene, directions[lane], &hit, footprint(&hit)))
+    });
+    let at = |lane: usize| {
+        let hit = hits[lane].expect("only points are asked for");
+        Interaction::at(&world.scene, &Ray::new(frame.eye, directions[lane]), &hit)
+            .with_footprint(footprint(&hit))
     };
-    let point = SurfacePoint::at(&world.scene, direction, &hit, hit.t * frame.pixel_angle());
-    Surface {
-        color: world.tracer().base(&point, || {
-            Interaction::at(&world.scene, &Ray::new(frame.eye, direction), &hit)
-                .with_footprint(hit.t * frame.pixel_angle())
-        }),
-        depth: primary.t * direction.dot(frame.forward),
-        object: world.scene.mesh.objects[primary.triangle as usize],
-        texture: if texture_ids { wanted_texture(&world.scene, &point) } else { TextureLevel::NONE },
-    }
+    let colors = world.tracer().base_together(&points, at, last);
+    std::array::from_fn(|lane| match (&hits[lane], &points[lane]) {
+        (&Some(hit), Some(point)) => Surface {
+            hit: Some(hit).into(),
+            color: colors[lane],
+            depth: hit.t * directions[lane].dot(frame.forward),
+            object: world.scene.mesh.objects[hit.triangle as usize],
+            texture: if texture_ids { wanted_texture(&world.scene, point) } else { TextureLevel::NONE },
+        },
+        _ => {
+            let around = |e: &Environment| e.radiance(directions[lane]);
+            let color = world.scene.environment.as_ref().map_or(Vec3::ZERO, around);
+            let (hit, texture) = (None.into(), TextureLevel::NONE);
+            Surface { hit, color, depth: f32::INFINITY, object: 0, texture }
+        }
+    })
 }
 
 #[cfg(test)]
@@ -157,11 +175,13 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::illumination::Uniform;
+    use crate::illumination::{Irradiance, Uniform, Unnamed};
     use crate::math;
     use crate::scene::test_scenes::{add_box, grey, scene};
     use crate::scene::texture::MipChain;
-    use crate::scene::{Camera, Mesh, Model, Reflectance, Texture, TextureId};
+    use crate::scene::{
+        Camera, Distribution, Light, Mesh, Model, Reflectance, Roughness, Texture, TextureId,
+    };
 
     /// A checker of single texels on all walls of a room; `Vec3::ONE` of light everywhere.
     fn checkered() -> World {
@@ -176,6 +196,69 @@ mod tests {
         let mut scene = scene(mesh, vec![material]);
         scene.textures.push(Texture::new("checker", MipChain::from_rgba8(256, 256, texels, true)));
         World::new(Arc::new(scene), Arc::new(Uniform(Vec3::splat(std::f32::consts::PI))))
+    }
+
+    /// Shadow rays that go together find what single ones find, to the bit: on whole surfaces and edges, through panes and
+    /// holes, from lamps and suns.
+    #[test]
+    fn light_is_that_of_single_rays() {
+        let mut mesh = Mesh::default();
+        add_box(&mut mesh, Vec3::splat(-1.0), Vec3::ONE, 0, true);
+        for i in 0..40 {
+            let mut s = crate::rng::Stream::new(4, i, 0);
+            let at = Vec3::new(s.next_f32(), s.next_f32(), s.next_f32()) * 1.6 - 0.8;
+            add_box(
+                &mut mesh,
+                at,
+                at + 0.15 * Vec3::new(s.next_f32(), s.next_f32(), 0.1),
+                i as u32 % 3,
+                false,
+            );
+        }
+        let pane = Model::Dielectric {
+            ior: 1.5,
+            transmittance: Vec3::splat(0.9),
+            thin: true,
+            roughness: Roughness { alpha_x: 0.0, alpha_y: 0.0, distribution: Distribution::Ggx },
+        };
+        let mut hole = grey();
+        hole.opacity = 0.0;
+        let mut made = scene(mesh, vec![grey(), crate::scene::test_scenes::material("pane", pane), hole]);
+        let lamp = |position: Vec3| Light::Point { position, intensity: Vec3::ONE, range: f32::INFINITY };
+        let sun =
+            Light::Directional { direction: Vec3::new(0.1, -1.0, 0.3).normalize(), irradiance: Vec3::ONE };
+        made.lights = vec![lamp(Vec3::new(0.2, 0.9, 0.1)), sun, lamp(Vec3::new(-0.6, 0.0, 0.8))];
+        let world = World::new(Arc::new(made), Arc::new(AskEverywhere));
+        let camera = Camera { eye: Vec3::new(0.1, 0.2, 0.95), target: Vec3::ZERO, up: Vec3::Y, fov_y: 1.4 };
+        let frame = camera.frame(101, 75);
+        let mut buffers = FrameBuffers::new(101, 75);
+        draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
+        let (mut dark, mut lit) = (0, 0);
+        for (x, y) in (0..75).flat_map(|y| (0..101).map(move |x| (x, y))) {
+            let hit = buffers.hit.at(x, y).hit().expect("a closed room");
+            let ray = primary_ray(&frame, x as u32, y as u32);
+            let at = primary_interaction(&world, &frame, &ray, &hit);
+            let single = world.tracer().base(&at.point(), || at);
+            assert_eq!(
+                buffers.color.at(x, y).to_array().map(f32::to_bits),
+                single.to_array().map(f32::to_bits)
+            );
+            *(if single == Vec3::ZERO { &mut dark } else { &mut lit }) += 1;
+        }
+        assert!(dark > 20 && lit > 1000, "{dark} {lit}");
+    }
+
+    /// No light but that of lights to be asked.
+    struct AskEverywhere;
+
+    impl Irradiance for AskEverywhere {
+        fn irradiance(&self, _: u32, _: f32, _: f32, _: bool) -> Vec3 {
+            Vec3::ZERO
+        }
+
+        fn unnamed(&self, _: u32, _: f32, _: f32, _: bool) -> Unnamed {
+            Unnamed { rest: Vec3::ZERO, is_lit: true }
+        }
     }
 
     /// Cells show their first pixel, to the picture's edges, and nothing else is there.

@@ -39,6 +39,29 @@ impl Probes {
     }
 }
 
+/// Approximations shared by neighbouring pixels ([`FirstApproximation::cells`]).
+#[derive(Clone, Debug)]
+pub struct Cells {
+    columns: usize,
+    /// The pixel that each square of 2 × 2 was looked up for, and what it shows.
+    cells: Vec<Option<([u32; 2], Vec3)>>,
+}
+
+impl Cells {
+    /// Depths of one surface differ by less than this share between neighbours.
+    const SAME: f32 = 0.02;
+
+    /// What a pixel shows; `None` where its square's is of another object or another surface.
+    pub fn pixel(&self, buffers: &FrameBuffers, x: usize, y: usize) -> Option<Vec3> {
+        let ([ox, oy], shown) = (*self.cells.get(y / 2 * self.columns + x / 2)?)?;
+        let (ox, oy) = (ox as usize, oy as usize);
+        let (depth, other) = (buffers.depth.at(x, y), buffers.depth.at(ox, oy));
+        let is_same = buffers.object.at(x, y) == buffers.object.at(ox, oy)
+            && (depth - other).abs() <= Self::SAME * other;
+        is_same.then_some(shown)
+    }
+}
+
 /// Approximates the view-dependent part of pictures.
 #[derive(Clone, Debug)]
 pub struct FirstApproximation {
@@ -114,6 +137,30 @@ impl FirstApproximation {
         Some((exit.position, leaving.wi, absorbed))
     }
 
+    /// Approximations for one pixel of each square of 2 × 2 that has any with a lobe for which `is_wanted` is true: its first
+    /// such pixel.
+    pub fn cells(
+        &self,
+        world: &World,
+        frame: &CameraFrame,
+        buffers: &FrameBuffers,
+        is_wanted: impl Fn(usize, usize) -> bool + Sync,
+    ) -> Cells {
+        let [width, height] = [buffers.width(), buffers.height()];
+        let cell = |i: usize, j: usize| {
+            let corners = [[0, 0], [1, 0], [0, 1], [1, 1]].map(|[dx, dy]| [2 * i + dx, 2 * j + dy]);
+            let is_there = |&[x, y]: &[usize; 2]| {
+                x < width && y < height && buffers.object.at(x, y) != 0 && is_wanted(x, y)
+            };
+            let [x, y] = corners.into_iter().find(is_there)?;
+            Some(([x as u32, y as u32], self.pixel(world, frame, buffers, x, y)))
+        };
+        let rows = (0..height.div_ceil(2)).into_par_iter();
+        let cells =
+            rows.flat_map_iter(|j| (0..width.div_ceil(2)).map(move |i| (i, j))).map(|(i, j)| cell(i, j));
+        Cells { columns: width.div_ceil(2), cells: cells.collect() }
+    }
+
     /// Fills `out`, of the view's size, with what the view shows until rays correct it: zero at diffuse pixels.
     pub fn draw(&self, world: &World, frame: &CameraFrame, buffers: &FrameBuffers, out: &mut Map2d<Vec3>) {
         let width = buffers.width();
@@ -138,5 +185,54 @@ impl FirstApproximation {
         };
         let ray = primary_ray(frame, x as u32, y as u32);
         self.at(world, &primary_interaction(world, frame, &ray, &hit), buffers.color.at(x, y))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::display::PrimaryHit;
+    use crate::scene::test_scenes::{add_box, mirror, scene, with_camera};
+    use crate::scene::{Environment, Mesh};
+
+    /// Neighbours share what the first of them shows, and nobody what another surface does.
+    #[test]
+    fn cells_are_shared_by_one_surface() {
+        let mut mesh = Mesh::default();
+        add_box(&mut mesh, Vec3::splat(0.2), Vec3::splat(0.6), 0, false);
+        let mut made = with_camera(scene(mesh, vec![mirror()]));
+        made.environment = Some(Environment::constant(Vec3::ONE));
+        let frame = made.cameras[0].camera.frame(31, 23);
+        let world = World::new(Arc::new(made), Arc::new(crate::illumination::Uniform(Vec3::ONE)));
+        let mut buffers = FrameBuffers::new(31, 23);
+        let passes = crate::display::cpu_pass::Passes { texture_ids: false };
+        crate::display::cpu_pass::draw(&world, &frame, passes, &mut buffers);
+        let first = FirstApproximation::new(Arc::new(Probes::of_world(&world)));
+        let cells = first.cells(&world, &frame, &buffers, |x, y| (x + y) % 3 != 0);
+        let mut shared = 0;
+        for (x, y) in (0..23).flat_map(|y| (0..31).map(move |x| (x, y))) {
+            let cell = |x: usize, y: usize| {
+                (0..2).flat_map(move |dy| (0..2).map(move |dx| (x / 2 * 2 + dx, y / 2 * 2 + dy)))
+            };
+            let is_there = |&(x, y): &(usize, usize)| {
+                x < 31 && y < 23 && (x + y) % 3 != 0 && buffers.object.at(x, y) != 0
+            };
+            let Some((ox, oy)) = cell(x, y).find(is_there) else {
+                assert_eq!(cells.pixel(&buffers, x, y), None);
+                continue;
+            };
+            match cells.pixel(&buffers, x, y) {
+                Some(shown) => {
+                    assert_eq!(shown, first.pixel(&world, &frame, &buffers, ox, oy));
+                    assert_eq!(buffers.object.at(x, y), buffers.object.at(ox, oy));
+                    shared += usize::from((x, y) != (ox, oy));
+                }
+                None => assert!(
+                    buffers.hit.at(x, y) == PrimaryHit::MISS
+                        || (buffers.depth.at(x, y) / buffers.depth.at(ox, oy) - 1.0).abs() > 0.02
+                ),
+            }
+        }
+        assert!(shared > 50, "{shared}");
     }
 }

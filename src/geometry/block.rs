@@ -24,19 +24,8 @@ pub(super) struct Shear<E: Simd<8>> {
 impl<E: Simd<8>> Shear<E> {
     #[inline(always)]
     pub fn new(e: E, origin: Vec3, direction: Vec3) -> Self {
-        let a = direction.abs();
-        let kz = if a.x > a.y {
-            if a.x > a.z { 0 } else { 2 }
-        } else if a.y > a.z {
-            1
-        } else {
-            2
-        };
-        let (mut kx, mut ky) = ((kz + 1) % 3, (kz + 2) % 3);
+        let [kx, ky, kz] = axes(direction);
         let (d, o) = (direction.to_array(), origin.to_array());
-        if d[kz] < 0.0 {
-            std::mem::swap(&mut kx, &mut ky); // keeps the winding
-        }
         Self {
             axes: [kx, ky, kz],
             origin: [e.splat(o[kx]), e.splat(o[ky]), e.splat(o[kz])],
@@ -57,6 +46,21 @@ impl<E: Simd<8>> Shear<E> {
     }
 }
 
+/// The axes in a ray's own order: that of its direction's largest component last, so that windings are kept.
+#[inline(always)]
+pub(super) fn axes(direction: Vec3) -> [usize; 3] {
+    let a = direction.abs();
+    let kz = if a.x > a.y {
+        if a.x > a.z { 0 } else { 2 }
+    } else if a.y > a.z {
+        1
+    } else {
+        2
+    };
+    let (kx, ky) = ((kz + 1) % 3, (kz + 2) % 3);
+    if direction[kz] < 0.0 { [ky, kx, kz] } else { [kx, ky, kz] }
+}
+
 /// Most triangles of a block.
 pub(super) const LEAF: usize = 8;
 
@@ -70,6 +74,10 @@ pub(super) struct Block {
     /// Each in the mesh, with [`CUT_OUT`] where it may not be there; `u32::MAX` after the last.
     pub index: [u32; LEAF],
 }
+
+/// How far boxes are padded, for each unit of their largest coordinate: slab tests round, and without it rays leak at
+/// shared edges.
+pub(super) const PADDING: f32 = 1.0 / 1_048_576.0;
 
 /// Flag of triangles that may be cut out.
 pub(super) const CUT_OUT: u32 = 1 << 31;
@@ -87,12 +95,47 @@ impl Block {
             return;
         }
         let lane = self.index.iter().position(|&i| i == u32::MAX).expect("at most eight");
+        self.set(lane, corners);
+        self.index[lane] = index;
+    }
+
+    /// The block of these triangles, with [`CUT_OUT`] where they may not be there; `u32::MAX` holds none.
+    pub fn of(index: [u32; LEAF], corners: impl Fn(u32) -> [Vec3; 3]) -> Self {
+        let mut block = Self { index, ..Self::EMPTY };
+        for (lane, &index) in index.iter().enumerate().filter(|(_, index)| **index != u32::MAX) {
+            block.set(lane, corners(index & !CUT_OUT));
+        }
+        block
+    }
+
+    fn set(&mut self, lane: usize, corners: [Vec3; 3]) {
         for (c, p) in corners.iter().enumerate() {
             for axis in 0..3 {
                 self.corner[c][axis][lane] = p[axis];
             }
         }
-        self.index[lane] = index;
+    }
+
+    /// A bit for each lane that holds a triangle.
+    #[inline(always)]
+    pub fn used(&self) -> u32 {
+        let lanes = self.index.iter().enumerate();
+        lanes.fold(0, |used, (lane, &index)| used | u32::from(index != u32::MAX) << lane)
+    }
+
+    /// Lower x, y, z and upper x, y, z of boxes around the triangles, padded as those of the tree are
+    /// ([`bvh`](super::bvh)).
+    #[inline(always)]
+    pub fn bounds<E: Simd<8>>(&self, e: E) -> [E::Lanes; 6] {
+        let zero = e.splat(0.0);
+        let corner = |c: usize, axis: usize| e.load(&self.corner[c][axis]);
+        let low = |axis: usize| e.min(e.min(corner(0, axis), corner(1, axis)), corner(2, axis));
+        let high = |axis: usize| e.max(e.max(corner(0, axis), corner(1, axis)), corner(2, axis));
+        let (lx, ly, lz, hx, hy, hz) = (low(0), low(1), low(2), high(0), high(1), high(2));
+        let far = |low: E::Lanes, high: E::Lanes| e.max(e.sub(zero, low), high);
+        let farthest = e.max(e.max(far(lx, hx), far(ly, hy)), far(lz, hz));
+        let pad = e.add(e.mul(farthest, e.splat(PADDING)), e.splat(1e-30));
+        [e.sub(lx, pad), e.sub(ly, pad), e.sub(lz, pad), e.add(hx, pad), e.add(hy, pad), e.add(hz, pad)]
     }
 
     /// Distances and barycentric weights of the second and third corner, and a bit for each lane that
@@ -173,7 +216,7 @@ impl Lanes {
 }
 
 /// The test in f64 for sheared corners on an edge as seen in f32: the products of f32 are exact.
-fn exact(a: [f64; 3], b: [f64; 3], c: [f64; 3], sz: f64) -> Option<(f32, f32, f32)> {
+pub(super) fn exact(a: [f64; 3], b: [f64; 3], c: [f64; 3], sz: f64) -> Option<(f32, f32, f32)> {
     let u = c[0] * b[1] - c[1] * b[0];
     let v = a[0] * c[1] - a[1] * c[0];
     let w = b[0] * a[1] - b[1] * a[0];

@@ -7,9 +7,10 @@ use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
 use obvhs::ploc::PlocBuilder;
 use obvhs::{Boundable, BvhBuildParams};
 
-use super::block::CUT_OUT;
+use super::block::{CUT_OUT, PADDING};
 use super::collapse::BinaryNode;
 use super::packet::{self, LANES};
+use super::shadow::{self, LastShadow, Meets, Shadows};
 use super::split::{Part, split};
 use super::wide::{LeafHit, Wide};
 use super::{Hit, Ray};
@@ -21,11 +22,11 @@ const LARGEST: f32 = 1e18;
 /// Index over all triangles of a scene.
 #[derive(Clone, Debug, Default)]
 pub struct Accel {
-    wide: Wide,
+    pub(super) wide: Wide,
     /// Number of triangles in it.
-    count: usize,
+    pub(super) count: usize,
     /// Whether a triangle may lie in several leaves.
-    is_split: bool,
+    pub(super) is_split: bool,
 }
 
 impl Accel {
@@ -68,6 +69,12 @@ impl Accel {
         self.count == 0
     }
 
+    /// From now on with other instructions.
+    #[cfg(test)]
+    pub(super) fn set_level(&mut self, level: super::level::Level) {
+        self.wide.set_level(level);
+    }
+
     /// Bytes held.
     pub fn size_bytes(&self) -> usize {
         self.wide.size_bytes()
@@ -76,8 +83,7 @@ impl Accel {
 
 impl Boundable for Part {
     fn aabb(&self) -> Aabb {
-        // Slab tests round: without padding rays leak at shared edges.
-        let pad = self.min.abs().max(self.max.abs()).max_element() * (1.0 / 1_048_576.0) + 1e-30;
+        let pad = self.min.abs().max(self.max.abs()).max_element() * PADDING + 1e-30;
         Aabb { min: Vec3A::from(self.min - pad), max: Vec3A::from(self.max + pad) }
     }
 }
@@ -173,6 +179,28 @@ impl Accel {
             (!blocked).then_some(f32::INFINITY)
         });
         blocked
+    }
+
+    /// Which of sixteen rays, those that `lanes` has a bit for, something blocks: a hit that `blocks` is true of. Each finds
+    /// what [`Self::any_hit`] finds; rays from neighbouring points to one light do so together. `last` remembers what
+    /// threw the last shadow, for the next packet to the same light.
+    pub fn shadows(
+        &self,
+        scene: &Scene,
+        rays: &[Ray; LANES],
+        lanes: u32,
+        last: &mut LastShadow,
+        blocks: impl Fn(&Hit) -> bool,
+    ) -> Shadows {
+        shadow::cast(&self.wide, rays, lanes, last, &|lane, found| match self.accepted(
+            scene,
+            &rays[lane],
+            &found,
+        ) {
+            None => Meets::Nothing,
+            Some(hit) if blocks(&hit) => Meets::Blocker,
+            Some(_) => Meets::Other,
+        })
     }
 
     /// The hit in the scene's terms, unless the ray ignores the triangle or it is cut out there.
@@ -363,7 +391,7 @@ mod tests {
             let best = Accel::build(&scene);
             let others = Level::all().into_iter().skip(1).map(|level| {
                 let mut other = best.clone();
-                other.wide.set_level(level);
+                other.set_level(level);
                 other
             });
             let others: Vec<Accel> = others.collect();

@@ -9,10 +9,10 @@
 use arrayvec::ArrayVec;
 use glam::Vec3;
 
+use super::beam::{Beam, inverses, most, transposed};
 use super::block::CUT_OUT;
 use super::level::{Vectors, Work};
-use super::node::{CHILDREN, Child, Node};
-use super::offset::gamma;
+use super::node::Child;
 use super::simd::Simd;
 use super::stack::{STACK, Stack};
 use super::wide::Wide;
@@ -119,7 +119,7 @@ impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
         let packet = Packet::new(v, directions, axis);
         let up = packet.up(v);
         if up.iter().all(|&bits| bits == 0 || bits == ALL) {
-            let beam = Beam::of(v, self.origin, &packet.inverse);
+            let beam = Beam::from_point(v, self.origin, &packet.inverse);
             self.travel(v, &packet, &beam, Simd::<16>::splat(v, f32::INFINITY), hits, stack);
             return;
         }
@@ -131,7 +131,7 @@ impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
             left &= !members;
             let is_member = |l: usize| members >> l & 1 != 0;
             let theirs = std::array::from_fn(|l| directions[if is_member(l) { l } else { lane as usize }]);
-            let beam = Beam::of(v, self.origin, &inverses(v, transposed(v, &theirs)));
+            let beam = Beam::from_point(v, self.origin, &inverses(v, transposed(v, &theirs)));
             // No ray but its own keeps a beam going.
             let reach = std::array::from_fn(|l| if is_member(l) { f32::INFINITY } else { 0.0 });
             self.travel(v, &packet, &beam, Simd::<16>::load(v, &reach), hits, stack);
@@ -150,7 +150,7 @@ impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
     ) {
         let (nodes, blocks) = self.wide.parts();
         let [kx, ky, kz] = packet.axes;
-        let origin = [beam.origin[kx], beam.origin[ky], beam.origin[kz]];
+        let origin = [beam.from[kx][0], beam.from[ky][0], beam.from[kz][0]];
         let mut farthest = hits.farthest(v, reach);
         let mut current = Child::node(0);
         loop {
@@ -181,7 +181,7 @@ impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
                 }
             } else {
                 let node = &nodes[current.index()];
-                let (enter, mask) = beam.meet(v, node, farthest);
+                let (enter, mask) = beam.meet(v, |side| Simd::<8>::load(v, &node.bounds[side]), farthest);
                 if mask != 0 {
                     current = stack.visit::<true>(node, &enter, mask, |_| ());
                     continue;
@@ -198,56 +198,6 @@ impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
     }
 }
 
-/// Bounds of rays that point into one octant.
-struct Beam<E: Simd<8>> {
-    origin: [E::Lanes; 3],
-    /// Least inverse of the directions.
-    lower: [E::Lanes; 3],
-    /// Largest.
-    upper: [E::Lanes; 3],
-    /// The sides of a box where the rays enter and leave.
-    sides: [[usize; 2]; 3],
-}
-
-impl<V: Vectors> Beam<V> {
-    #[inline(always)]
-    fn of(v: V, origin: Vec3, inverse: &[<V as Simd<16>>::Lanes; 3]) -> Self {
-        let [x, y, z] = *inverse;
-        let lower = [least(v, x), least(v, y), least(v, z)];
-        let upper = [most(v, x), most(v, y), most(v, z)];
-        Self {
-            origin: splat3(v, origin.to_array()),
-            lower: splat3(v, lower),
-            upper: splat3(v, upper),
-            sides: std::array::from_fn(|k| if lower[k] > 0.0 { [k, k + 3] } else { [k + 3, k] }),
-        }
-    }
-}
-
-impl<E: Simd<8>> Beam<E> {
-    /// Entry distances of the boxes, and a bit for each that any ray may meet before `farthest`. Each ray's own bounds
-    /// lie within these, since rounding is monotone.
-    #[inline(always)]
-    fn meet(&self, e: E, node: &Node, farthest: f32) -> ([f32; CHILDREN], u32) {
-        let (mut enter, mut leave) = (e.splat(0.0), e.splat(f32::MAX));
-        for axis in 0..3 {
-            let [near, far] = self.sides[axis];
-            let near = e.sub(e.load(&node.bounds[near]), self.origin[axis]);
-            let far = e.sub(e.load(&node.bounds[far]), self.origin[axis]);
-            let (lower, upper) = (self.lower[axis], self.upper[axis]);
-            enter = e.max(e.min(e.mul(near, lower), e.mul(near, upper)), enter);
-            leave = e.min(e.max(e.mul(far, lower), e.mul(far, upper)), leave);
-        }
-        let leave = e.min(e.mul(leave, e.splat(1.0 + 2.0 * gamma(3))), e.splat(farthest));
-        (e.store(enter), e.bits(e.at_most(enter, leave)))
-    }
-}
-
-#[inline(always)]
-fn splat3<E: Simd<8>>(e: E, v: [f32; 3]) -> [E::Lanes; 3] {
-    [e.splat(v[0]), e.splat(v[1]), e.splat(v[2])]
-}
-
 fn dominant_axis(d: Vec3) -> usize {
     let a = d.abs();
     if a.x > a.y && a.x > a.z {
@@ -257,47 +207,6 @@ fn dominant_axis(d: Vec3) -> usize {
     } else {
         2
     }
-}
-
-/// Pairs, pairs of pairs, and so on. What is not a number counts for nothing unless all is.
-#[inline(always)]
-fn fold<S: Simd<16>>(s: S, lanes: S::Lanes, choose: impl Fn(f32, f32) -> f32) -> f32 {
-    let lanes = s.store(lanes);
-    let eight: [f32; 8] = std::array::from_fn(|i| choose(lanes[i], lanes[i + 8]));
-    let four: [f32; 4] = std::array::from_fn(|i| choose(eight[i], eight[i + 4]));
-    choose(choose(four[0], four[2]), choose(four[1], four[3]))
-}
-
-#[inline(always)]
-fn least<S: Simd<16>>(s: S, lanes: S::Lanes) -> f32 {
-    fold(s, lanes, |a, b| if a < b { a } else { b })
-}
-
-#[inline(always)]
-fn most<S: Simd<16>>(s: S, lanes: S::Lanes) -> f32 {
-    fold(s, lanes, |a, b| if a > b { a } else { b })
-}
-
-/// Directions axis by axis.
-#[inline(always)]
-fn transposed<S: Simd<16>>(s: S, directions: &[Vec3; LANES]) -> [S::Lanes; 3] {
-    let mut lanes = [[0.0; LANES]; 3];
-    for (i, d) in directions.iter().enumerate() {
-        (lanes[0][i], lanes[1][i], lanes[2][i]) = (d.x, d.y, d.z);
-    }
-    [s.load(&lanes[0]), s.load(&lanes[1]), s.load(&lanes[2])]
-}
-
-#[inline(always)]
-fn inverses<S: Simd<16>>(s: S, [x, y, z]: [S::Lanes; 3]) -> [S::Lanes; 3] {
-    [inverse(s, x), inverse(s, y), inverse(s, z)]
-}
-
-/// A component of zero would make 0 · ∞; boxes are padded by far more than this moves them.
-#[inline(always)]
-fn inverse<S: Simd<16>>(s: S, d: S::Lanes) -> S::Lanes {
-    let tiny = s.and(s.below(d, s.splat(1e-20)), s.below(s.splat(-1e-20), d));
-    s.div(s.splat(1.0), s.select(tiny, s.splat(1e-20), d))
 }
 
 /// Rays prepared for triangles.

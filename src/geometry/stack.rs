@@ -36,6 +36,7 @@ impl Entry {
 pub(super) trait Stack: DerefMut<Target = [Entry]> {
     fn push(&mut self, entry: Entry);
     fn pop(&mut self) -> Option<Entry>;
+    fn clear(&mut self);
 
     /// Takes the children of `node` that `mask` names, which is not 0: returns one, the nearest if `ORDERED`, and puts the
     /// others on top, near ones last if `ORDERED`. `enter`: where the ray enters each; `meet` is told of all of them.
@@ -87,6 +88,11 @@ macro_rules! stack {
             #[inline(always)]
             fn pop(&mut self) -> Option<Entry> {
                 self.pop()
+            }
+
+            #[inline(always)]
+            fn clear(&mut self) {
+                self.clear();
             }
         }
     };

@@ -73,7 +73,12 @@ impl Wide {
         }
         let Grown { nodes, blocks, deepest } = wide;
         assert!(nodes.len().max(blocks.len()) <= Child::INDEX_MAX, "more nodes than an index holds");
-        let mut tree = Self { nodes, blocks, stack: deepest + 1, ..Self::default() };
+        Self::of(nodes, blocks, deepest + 1)
+    }
+
+    /// A tree of these parts, whose traversal needs `stack` entries.
+    pub fn of(nodes: Vec<Node>, blocks: Vec<Block>, stack: usize) -> Self {
+        let mut tree = Self { nodes, blocks, stack, ..Self::default() };
         tree.is_large = tree.size_bytes() > LARGE;
         tree
     }

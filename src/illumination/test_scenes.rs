@@ -113,6 +113,7 @@ pub fn scene(mesh: Mesh, materials: Vec<Material>, lights: Vec<Light>) -> Scene 
         budget: Default::default(),
         extensions: Vec::new(),
         content_hash: [0; 32],
+        files: Vec::new(),
     }
     .with_textures(Vec::new())
 }

@@ -105,7 +105,7 @@ impl CameraFrame {
 }
 
 /// A camera with its name in the sidecar.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct NamedCamera {
     /// Unique name.
     pub name: String,
@@ -114,7 +114,7 @@ pub struct NamedCamera {
 }
 
 /// One key of a path.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PathKey {
     /// Seconds.
     pub t: f32,
@@ -125,7 +125,7 @@ pub struct PathKey {
 }
 
 /// A camera path: Catmull–Rom through its keys, by time. At least one key, times ascending.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct CameraPath {
     /// Unique name.
     pub name: String,

@@ -24,7 +24,7 @@ const SAMPLES: u32 = 512;
 const STEPS: usize = 512;
 
 /// The coat of a plastic.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Coat {
     /// Its refractive index, in [1, 3]. With 1 there is none.
     pub ior: f32,

@@ -1,5 +1,7 @@
 //! Materials as a scene describes them. `transport::bsdf` turns one into lobes at a point.
 
+use std::cell::Cell;
+
 use glam::Vec3;
 
 use super::coat::Coat;
@@ -7,15 +9,39 @@ use super::metal_rough::MetalRough;
 use super::recipe::Recipe;
 
 /// Index into `Scene::materials`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Default, serde::Serialize, serde::Deserialize,
+)]
 pub struct MaterialId(pub u32);
 
 /// Index into `Scene::textures`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize)]
 pub struct TextureId(pub u32);
 
+thread_local! {
+    /// How many textures there are in the scene that is being read on this thread.
+    static TEXTURES: Cell<u32> = const { Cell::new(0) };
+}
+
+impl TextureId {
+    /// What `read` deserialises, in which no id is `textures` or above: others are errors.
+    pub fn below<R>(textures: u32, read: impl FnOnce() -> R) -> R {
+        TEXTURES.set(textures);
+        let value = read();
+        TEXTURES.set(0);
+        value
+    }
+}
+
+impl<'de> serde::Deserialize<'de> for TextureId {
+    fn deserialize<D: serde::Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        let id = <u32 as serde::Deserialize>::deserialize(from)?;
+        if id < TEXTURES.get() { Ok(Self(id)) } else { Err(serde::de::Error::custom("no such texture")) }
+    }
+}
+
 /// A colour, or a texture times a colour. Linear RGB.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Reflectance {
     /// The colour, or the factor of the texture.
     pub color: Vec3,
@@ -31,7 +57,7 @@ impl Reflectance {
 }
 
 /// Microfacet distribution.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub enum Distribution {
     /// Trowbridge–Reitz with height-correlated Smith shadowing.
     #[default]
@@ -41,7 +67,7 @@ pub enum Distribution {
 }
 
 /// Roughness along the tangent and bitangent. α (not its root); 0 is smooth.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Roughness {
     /// α along the tangent (∂p/∂u).
     pub alpha_x: f32,
@@ -62,7 +88,7 @@ impl Roughness {
 }
 
 /// Reflectance models (`SCENES.md`).
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum Model {
     /// Ideal diffuse.
     Lambert {
@@ -172,7 +198,7 @@ impl Model {
 }
 
 /// A material.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Material {
     /// Name in the MTL, unique.
     pub name: String,

@@ -14,6 +14,8 @@
 //! shows the one by itself, a lobe needs the other with r, and neither needs a third map.
 
 pub use super::film::Film;
+use serde::Deserialize;
+
 use super::lobe_albedo::LobeAlbedo;
 use super::recipe::Recipe;
 use super::{Reflectance, Sheen};
@@ -22,7 +24,7 @@ use super::{Reflectance, Sheen};
 const STEPS: usize = 32;
 
 /// A surface between metal and dielectric.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct MetalRough {
     /// Albedo of the view-independent part, (1 − m) b (1 − Ē); with Ē on top where it is all.
     pub diffuse: Reflectance,
@@ -59,7 +61,7 @@ pub struct MetalRough {
 }
 
 /// A clear coat of index 1.5.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Coat {
     /// How much of it is there, in [0, 1].
     pub strength: f32,
@@ -86,7 +88,7 @@ impl Coat {
 }
 
 /// Grooves in one direction.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Grain {
     /// How much longer highlights are along them, in [0, 1].
     pub strength: f32,
@@ -103,7 +105,7 @@ impl Grain {
 }
 
 /// What lies over a layer and its base, and dims both.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Over {
     /// A clear coat over everything.
     pub coat: Option<Coat>,
@@ -186,14 +188,21 @@ impl MetalRough {
 }
 
 /// The reflecting layer of a dielectric.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Layer {
     /// Reflectance at normal incidence, the largest of the bands.
     pub f0: f32,
     /// Reflectance at grazing incidence.
     pub f90: f32,
     /// Ē at `STEPS` + 1 values of r from 0 to 1.
+    #[serde(deserialize_with = "all_means")]
     means: Vec<f32>,
+}
+
+/// As many means as there are to be.
+fn all_means<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Vec<f32>, D::Error> {
+    let means = Vec::<f32>::deserialize(from)?;
+    if means.len() == STEPS + 1 { Ok(means) } else { Err(serde::de::Error::custom("means of a layer")) }
 }
 
 impl Layer {

@@ -13,6 +13,7 @@ pub mod environment;
 pub mod film;
 pub mod fresnel;
 pub mod hierarchy;
+pub mod kept;
 mod light_units;
 pub mod load;
 pub mod lobe_albedo;
@@ -137,7 +138,7 @@ pub struct Object {
 }
 
 /// A light without area. Area lights are the triangles whose material emits.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum Light {
     /// Equal intensity in all directions.
     Point {
@@ -203,7 +204,7 @@ impl Light {
 }
 
 /// How the picture is shown (sidecar `[display]`).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Display {
     /// Factor on radiance before the tone curve.
     pub exposure: f32,
@@ -218,7 +219,7 @@ pub struct Display {
 }
 
 /// A screen and the distance of its viewer.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Screen {
     /// Pixels across.
     pub pixels: f32,
@@ -235,7 +236,7 @@ impl Default for Display {
 }
 
 /// An extension of a glTF file.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct ExtensionUse {
     /// As the file calls it.
     pub name: String,
@@ -246,7 +247,7 @@ pub struct ExtensionUse {
 }
 
 /// Limits of the sidecar (`[budget]`).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Budget {
     /// Bytes of resident textures.
     pub texture_bytes: Option<u64>,
@@ -313,6 +314,8 @@ pub struct SceneParts {
     pub extensions: Vec<ExtensionUse>,
     /// BLAKE3 of everything that was read: geometry, materials, textures, sidecar.
     pub content_hash: [u8; 32],
+    /// Names and BLAKE3 of the files that were read, in order; names are relative to the scene's folder.
+    pub files: Vec<(String, [u8; 32])>,
 }
 
 impl SceneParts {

@@ -5,7 +5,7 @@ use glam::Vec2;
 use crate::math;
 
 /// What lies beyond the edge of a picture.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 pub enum Wrap {
     /// The picture again.
     #[default]
@@ -46,7 +46,7 @@ impl Wrap {
 }
 
 /// How a texture lies on surfaces. By default it repeats and is read at the mesh's own coordinates.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Placement {
     /// Beyond the left and right edges, and beyond the lower and upper ones.
     pub wrap: [Wrap; 2],

@@ -8,7 +8,7 @@ use super::{LobeAlbedo, Reflectance, Sheen, TextureId};
 use crate::math;
 
 /// A channel of a map.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum Channel {
     /// The first.
     Red,
@@ -21,7 +21,7 @@ pub enum Channel {
 }
 
 /// A factor times one channel of a map; linear.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Scalar {
     /// The factor, or the value where there is no map.
     pub factor: f32,
@@ -42,7 +42,7 @@ impl Scalar {
 }
 
 /// A film whose strength and thickness may come from maps.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct FilmMaps {
     /// How much of it is there.
     pub strength: Scalar,
@@ -55,7 +55,7 @@ pub struct FilmMaps {
 }
 
 /// What a surface is made of.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Recipe {
     /// b.
     pub base: Reflectance,

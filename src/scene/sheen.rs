@@ -18,7 +18,7 @@ const SIDE: usize = 24;
 const ALPHA_MIN: f32 = 0.01;
 
 /// The layer.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Sheen {
     /// Reflectance, per band.
     pub color: Vec3,

@@ -42,6 +42,7 @@ pub fn of_triangles(corners: &[[Vec3; 3]]) -> Scene {
         budget: Budget::default(),
         extensions: Vec::new(),
         content_hash: [0; 32],
+        files: Vec::new(),
     }
     .with_textures(Vec::new())
 }
@@ -102,6 +103,7 @@ pub fn scene(mesh: Mesh, materials: Vec<Material>) -> Scene {
         budget: Budget::default(),
         extensions: Vec::new(),
         content_hash: [0; 32],
+        files: Vec::new(),
     }
     .with_textures(Vec::new());
     let grouped = super::hierarchy::group(&scene.mesh, &scene.materials, scene.up, |_| "");

@@ -228,6 +228,18 @@ impl MipChain {
         Self { levels, finest: 0, decode, gamma }
     }
 
+    /// A chain of these levels, of texels of `size` bytes each, the finest first; `None` where the bytes are not theirs.
+    pub fn of_bytes(width: usize, height: usize, gamma: bool, size: usize, mut bytes: &[u8]) -> Option<Self> {
+        let mut levels = Vec::new();
+        for [w, h] in sizes_of(width, height) {
+            let length = (w as usize).checked_mul(h as usize)?.checked_mul(size)?;
+            let (own, rest) = bytes.split_at_checked(length)?;
+            levels.push(Level { width: w, height: h, texels: Some(LevelTexels::of_size(size, own)?) });
+            bytes = rest;
+        }
+        bytes.is_empty().then(|| Self { levels, finest: 0, decode: decode_table(gamma), gamma })
+    }
+
     #[inline]
     fn fetch(&self, level: &Level, at: usize) -> [f32; 4] {
         // Look-ups go to levels that are there.

@@ -6,6 +6,8 @@ use super::bsdf::{Bsdf, BsdfSample, fresnel};
 use super::interaction::Interaction;
 use super::light::{LightSample, Lights, Receiver};
 use super::medium::Media;
+use crate::geometry::packet::LANES;
+use crate::geometry::shadow::{LastShadow, Shadows};
 use crate::geometry::{Accel, Hit, Ray};
 use crate::scene::{Model, Scene};
 
@@ -23,6 +25,38 @@ pub(super) fn mis_weight(n: u32, p: f32, m: u32, q: f32) -> f32 {
 
 /// Relative difference of distances that are one: a few roundings.
 const SAME: f32 = 2e-6;
+
+/// Whether light may pass straight on through a triangle.
+#[inline]
+fn may_pass(scene: &Scene, triangle: u32) -> bool {
+    match &scene.material_of(triangle).model {
+        Model::Dielectric { thin, .. } => *thin,
+        Model::MetalRough(m) => m.is_seen_through(),
+        _ => false,
+    }
+}
+
+/// The share of light that passes along those of sixteen rays that `lanes` has a bit for, to the bit as [`visibility`] finds
+/// it of each; from neighbouring points to one light they go together. `last`: see [`Accel::shadows`].
+pub(super) fn visibilities(
+    scene: &Scene,
+    accel: &Accel,
+    rays: &[Ray; LANES],
+    lanes: u32,
+    last: &mut LastShadow,
+) -> [Vec3; LANES] {
+    let Shadows { blocked, unclear } =
+        accel.shadows(scene, rays, lanes, last, |hit| !may_pass(scene, hit.triangle));
+    std::array::from_fn(|l| {
+        if blocked >> l & 1 != 0 {
+            Vec3::ZERO
+        } else if unclear >> l & 1 != 0 {
+            visibility(scene, accel, &rays[l])
+        } else {
+            Vec3::ONE
+        }
+    })
+}
 
 /// The share of light that passes along `ray`: thin panes and veils let it through attenuated, in a straight line; all
 /// else blocks it, refracting glass too, whose light arrives by other ways.
@@ -59,6 +93,16 @@ pub(crate) fn visibility(scene: &Scene, accel: &Accel, ray: &Ray) -> Vec3 {
     if blocked { Vec3::ZERO } else { passed }
 }
 
+/// The shadow ray of a light sample.
+#[inline]
+pub(super) fn towards(at: &Interaction, sample: &LightSample) -> Ray {
+    if sample.distance.is_finite() {
+        at.spawn_to(at.position + sample.wi * sample.distance)
+    } else {
+        at.spawn(sample.wi)
+    }
+}
+
 /// A light sample for `at`, which lies inside of `media`, with the share of it that arrives; `None` where that is
 /// nothing.
 #[inline]
@@ -69,12 +113,7 @@ pub(super) fn arriving(
     media: &Media,
     sample: &LightSample,
 ) -> Option<Vec3> {
-    let ray = if sample.distance.is_finite() {
-        at.spawn_to(at.position + sample.wi * sample.distance)
-    } else {
-        at.spawn(sample.wi)
-    };
-    let mut passed = visibility(scene, accel, &ray);
+    let mut passed = visibility(scene, accel, &towards(at, sample));
     if sample.distance.is_finite() && !media.is_empty() {
         passed *= media.transmittance(scene, sample.distance);
     }

@@ -19,11 +19,12 @@ use glam::Vec3;
 use super::bsdf::bands::Band;
 use super::bsdf::{Bsdf, BsdfSample};
 use super::direct::{Found, arriving, goes_straight, mis_weight};
-use super::gather::{Gather, Trust};
+use super::gather::{Gather, LastShadows, Trust};
 use super::interaction::Interaction;
 use super::light::Lights;
 use super::medium::Media;
 use super::surface::SurfacePoint;
+use crate::geometry::packet::LANES;
 use crate::geometry::{Accel, Ray};
 use crate::illumination::Irradiance;
 use crate::illumination::Unnamed;
@@ -160,16 +161,65 @@ impl<W: Witness> Tracer<'_, W> {
     /// `at`, the same point with its directions, is only asked for where light comes from lights with names.
     #[inline]
     pub fn base(&self, point: &SurfacePoint, at: impl FnOnce() -> Interaction) -> Vec3 {
-        let diffuse = point.diffuse_albedo(self.scene);
-        let &SurfacePoint { triangle, b1, b2, back, .. } = point;
-        let irradiance = match self.illumination.unnamed(triangle, b1, b2, back) {
-            _ if diffuse == Vec3::ZERO => Vec3::ZERO,
-            Unnamed { rest, is_lit: false } => rest,
-            Unnamed { rest, is_lit: true } => {
-                let at = at();
-                rest + self.named(&at, &Bsdf::over(self.scene, &at, diffuse), Media::EMPTY)
-            }
+        let (diffuse, Unnamed { rest, is_lit }) = self.diffuse_and_light(point);
+        let irradiance = if is_lit {
+            let at = at();
+            rest + self.named(&at, &Bsdf::over(self.scene, &at, diffuse), Media::EMPTY)
+        } else {
+            rest
         };
+        self.base_under(point, diffuse, irradiance)
+    }
+
+    /// [`Self::base`] of those of sixteen neighbouring points that there are: the same bits, from shadow rays that go
+    /// together. `at` tells of a point's number. `last`: what threw the last shadows.
+    pub fn base_together(
+        &self,
+        points: &[Option<SurfacePoint>; LANES],
+        at: impl Fn(usize) -> Interaction,
+        last: &mut LastShadows,
+    ) -> [Vec3; LANES] {
+        let mut lit = 0;
+        let mut light = [(Vec3::ZERO, Vec3::ZERO); LANES];
+        for (lane, point) in points.iter().enumerate() {
+            let Some(point) = point else { continue };
+            let (diffuse, Unnamed { rest, is_lit }) = self.diffuse_and_light(point);
+            light[lane] = (diffuse, rest);
+            lit |= u32::from(is_lit) << lane;
+        }
+        let bsdf = |lane: usize| {
+            let at = at(lane);
+            let may_have_coat = Bsdf::may_have_coat(at.material(self.scene));
+            (at, may_have_coat.then(|| Bsdf::over(self.scene, &at, light[lane].0)))
+        };
+        let named = if lit == 0 {
+            [Vec3::ZERO; LANES]
+        } else {
+            Gather::new(self.scene, self.accel, self.lights, Trust::Nobody).named_together(lit, bsdf, last)
+        };
+        std::array::from_fn(|lane| {
+            let Some(point) = &points[lane] else { return Vec3::ZERO };
+            let (diffuse, rest) = light[lane];
+            let irradiance = if lit >> lane & 1 != 0 { rest + named[lane] } else { rest };
+            self.base_under(point, diffuse, irradiance)
+        })
+    }
+
+    /// The diffuse albedo of a point, and the irradiance there but for that of lights to be asked by name; nothing of both
+    /// where nothing is reflected.
+    #[inline]
+    fn diffuse_and_light(&self, point: &SurfacePoint) -> (Vec3, Unnamed) {
+        let diffuse = point.diffuse_albedo(self.scene);
+        if diffuse == Vec3::ZERO {
+            return (diffuse, Unnamed { rest: Vec3::ZERO, is_lit: false });
+        }
+        let &SurfacePoint { triangle, b1, b2, back, .. } = point;
+        (diffuse, self.illumination.unnamed(triangle, b1, b2, back))
+    }
+
+    /// [`Self::base`] under an irradiance.
+    #[inline]
+    fn base_under(&self, point: &SurfacePoint, diffuse: Vec3, irradiance: Vec3) -> Vec3 {
         let shown = point.emission(self.scene) + diffuse * (irradiance * FRAC_1_PI);
         let passed = point.passed_albedo(self.scene);
         if passed == Vec3::ZERO {

@@ -263,7 +263,8 @@ pub(super) struct Way {
     quality: Option<f32>,
     opened: Opened,
     facts: Vec<(String, String)>,
-    parent: Parent,
+    /// The recording that is left, and the frame on show.
+    parent: (PathBuf, u32),
     records_into: Option<PathBuf>,
 }
 
@@ -281,7 +282,11 @@ impl Way {
             *taken = next_name(taken);
         }
         let recording = file.as_ref().map(|file| Recording::file(file, "replay"));
-        let parent = Some(parent);
+        // Only where it is said: the file may be large.
+        let parent = file.is_some().then(|| {
+            let (recording, frame) = parent;
+            Parent { hash: Parent::hash_of(&recording), recording, frame }
+        });
         let options = Options { fps, quality, facts, recording, parent, ..Options::interactive(settings) };
         let source = Engine::start(opened, options).map_err(|e| e.to_string())?;
         Ok(Branch { source: Box::new(source), camera, recorded: file })
@@ -338,11 +343,7 @@ impl Player {
         let (light, as_read) = (recorded.light.clone(), recorded.as_read.clone());
         let opened = Opened { path: recorded.path.clone(), light, as_read, ..Opened::of_world(world) };
         let quality = adjusted.and_then(|adjusted| adjusted.quality);
-        let parent = Parent {
-            recording: self.source.path.clone(),
-            hash: Parent::hash_of(&self.source.path),
-            frame: self.stepper.frame().unwrap_or(0),
-        };
+        let parent = (self.source.path.clone(), self.stepper.frame().unwrap_or(0));
         let records_into = self.records_into.clone();
         Ok(Way { camera, settings, quality, opened, facts: self.facts(), parent, records_into })
     }

@@ -14,7 +14,7 @@ use foveal_actors::message::{
     AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameSnapshot, RendererInput,
     RendererMessage, SampleOrder, TraceJob,
 };
-use foveal_runtime::{ActorId, Delivery, Observer};
+use foveal_runtime::{ActorId, Delivery, Event, Observer};
 use glam::Vec3;
 use serde_json::{Value, json};
 
@@ -30,7 +30,6 @@ type At = (ActorId, u64);
 enum Note {
     Began {
         frame: u32,
-        camera: Camera,
     },
     Shown {
         frame: u32,
@@ -104,28 +103,23 @@ impl Notes {
         }
     }
 
-    /// The last frame that began with another camera than the one before, or that was the first.
-    fn moved(&self, source: &Source) -> Option<At> {
-        let renderer = source.renderer();
-        let (mut last, mut moved) = (None, None);
-        for (at, (_, note)) in self.all.range((renderer, 0)..=(renderer, u64::MAX)) {
-            if let Note::Began { frame, camera } = note {
-                let before = last.replace(*camera);
-                if *frame == 0 || before.is_some_and(|before| before != *camera) {
-                    moved = Some(*at);
-                }
-            }
-        }
-        moved
-    }
-
     /// Whether they reach back to all that is told of a pixel.
-    fn tell_all(&self, source: &Source, shown: &Shown, found: Option<&Found>) -> bool {
+    fn tell_all(
+        &self,
+        shown: &Shown,
+        found: Option<&Found>,
+        is_diffuse: bool,
+        moved: Option<(At, u32)>,
+    ) -> bool {
         // A view may be overtaken on its way to the allocator; that an older one came says as much.
         let reach_back_to =
             |of: u32| self.all.values().any(|(_, note)| matches!(note, Note::Drawn { view } if *view <= of));
+        // All that is told of a diffuse surface is in the view itself.
+        if is_diffuse {
+            return true;
+        }
         let view = shown.drawn.view.0;
-        if !reach_back_to(view) && self.moved(source).is_none() {
+        if !reach_back_to(view) && !moved.is_some_and(|(at, _)| self.all.contains_key(&at)) {
             return false;
         }
         let Some(found) = found else { return true };
@@ -150,6 +144,27 @@ impl Notes {
     }
 }
 
+/// The last frame up to this one that began with another camera than the one before, or that was the first: where it began,
+/// and its number. What comes from outside stands in the recording.
+fn moved(source: &Source, frame: u32) -> Option<(At, u32)> {
+    let renderer = source.renderer();
+    let (mut last, mut moved) = (None, None);
+    for event in source.trace.events(renderer) {
+        let Event::Delivered { index, external: Some(bytes), .. } = event else { continue };
+        let Ok(RendererInput::FrameBegan { frame: began, camera, .. }) = postcard::from_bytes(&bytes) else {
+            continue;
+        };
+        if began.0 > frame {
+            break;
+        }
+        let before = last.replace(camera);
+        if began.0 == 0 || before.is_some_and(|before: Camera| before != camera) {
+            moved = Some(((renderer, index), began.0));
+        }
+    }
+    moved
+}
+
 fn note(d: &Delivery<'_>) -> Option<Note> {
     let content = d.content;
     if let Some(job) = content.downcast_ref::<TraceJob>() {
@@ -158,9 +173,7 @@ fn note(d: &Delivery<'_>) -> Option<Note> {
     }
     if let Some(message) = content.downcast_ref::<RendererMessage>() {
         return Some(match message {
-            RendererMessage::Input(RendererInput::FrameBegan { frame, camera, time: _ }) => {
-                Note::Began { frame: frame.0, camera: *camera }
-            }
+            RendererMessage::Input(RendererInput::FrameBegan { frame, .. }) => Note::Began { frame: frame.0 },
             RendererMessage::Input(RendererInput::DeadlineReached { frame }) => {
                 Note::Shown { frame: frame.0 }
             }
@@ -262,7 +275,9 @@ pub fn explain(
     let max_age = settings.ageing.max_age;
     let mut how = How { threads: workers, until, observer: Some(observer), jump: true, ..How::default() };
     let (px, py) = (x as usize, y as usize);
-    let mut looks = [2, 16, max_age as usize + 8].into_iter();
+    let moved = moved(source, frame);
+    let stood = moved.map_or(0, |(_, began)| frame.saturating_sub(began) as usize);
+    let mut looks = [2, stood + 2, stood + 16, stood + max_age as usize + 8].into_iter();
     let (runtime, actors, shown, found, notes) = loop {
         match looks.next() {
             Some(frames) => how.frames_before = frames,
@@ -284,12 +299,12 @@ pub fn explain(
             return Err(Failure::Check("nothing was shown".into()));
         };
         let found = find(source, &notes, &shown, px, py);
-        // Where nothing is corrected all that is told is in the view.
-        if !how.jump || !source.recorded.corrects || notes.tell_all(source, &shown, found.as_ref()) {
+        let is_diffuse = !source.recorded.corrects || shown.drawn.buffers.object.at(px, py) == 0;
+        if !how.jump || notes.tell_all(&shown, found.as_ref(), is_diffuse, moved) {
             break (runtime, actors, shown, found, notes);
         }
     };
-    let mut document = document(source, &notes, &shown, found.as_ref(), (px, py));
+    let mut document = document(source, &notes, &shown, found.as_ref(), (px, py), moved);
     let allocator = actors.correction.map(|correction| correction.allocator);
     let insight = allocator.and_then(|allocator| runtime.inspect(allocator, |a| a.insight()));
     document["surface"] = why_light::surface(&shown.drawn, (px, py), insight.as_ref());
@@ -399,6 +414,7 @@ fn document(
     shown: &Shown,
     found: Option<&Found>,
     (x, y): (usize, usize),
+    moved: Option<(At, u32)>,
 ) -> Value {
     let drawn = &shown.drawn;
     let object = drawn.buffers.object.at(x, y);
@@ -416,15 +432,17 @@ fn document(
     };
     let view = drawn.view.0 - found.map_or(0, |f| f.age.min(drawn.view.0));
     let began = notes.all.iter().find(|(_, (_, note))| matches!(note, Note::Drawn { view: v } if *v == view));
-    // The newest view may not yet have come to the allocator.
-    let newest = || (view == drawn.view.0).then(|| notes.moved(source)).flatten();
-    let input = began.and_then(|(_, (cause, _))| *cause).or_else(newest);
+    // The newest view may not yet have come to the allocator, or have come long before.
+    let newest = moved.filter(|_| view == drawn.view.0);
+    let input = began.and_then(|(_, (cause, _))| *cause).or(newest.map(|(at, _)| at));
     if let Some(at) = input {
-        let frame = match notes.note(at) {
-            Some(Note::Began { frame, .. }) => {
-                format!("frame {frame} began with a camera that had moved: view {view}")
-            }
-            _ => format!("view {view} began"),
+        let noted = match notes.note(at) {
+            Some(Note::Began { frame, .. }) => Some(*frame),
+            _ => newest.filter(|(of, _)| *of == at).map(|(_, frame)| frame),
+        };
+        let frame = match noted {
+            Some(frame) => format!("frame {frame} began with a camera that had moved: view {view}"),
+            None => format!("view {view} began"),
         };
         chain.push(link(source, "input", Some(at), frame));
     }
@@ -458,7 +476,25 @@ fn light(source: &Source, notes: &Notes, shown: &Shown, chain: &mut Vec<Value>) 
     if let Some((at, (cause, _))) = came {
         let made = cause.map_or_else(String::new, |cause| format!(", made in {}", source.at(cause)));
         chain.push(link(source, "light", Some(*at), format!("the map of round {rounds} came{made}")));
+    } else if let Some(at) = newest_map(source, shown) {
+        chain.push(link(
+            source,
+            "light",
+            Some(at),
+            "the newest map by then came from the illuminator".into(),
+        ));
     }
+}
+
+/// The last word of the illuminator before the frame was shown, as the recording has it.
+fn newest_map(source: &Source, shown: &Shown) -> Option<At> {
+    let (renderer, illuminator) = (source.renderer(), source.trace.find("illuminator")?);
+    let end = *source.shown_in.get(shown.snapshot.index.0 as usize)?;
+    let told = source.trace.events(renderer).filter_map(|event| match event {
+        Event::Delivered { index, from, .. } if from == illuminator => Some(index),
+        _ => None,
+    });
+    told.take_while(|index| *index <= end).last().map(|index| (renderer, index))
 }
 
 /// The links from what the analyzer saw to the sample.

@@ -304,7 +304,7 @@ fn line(picture: &mut Map2d<[u8; 3]>, [a, b]: [[f32; 2]; 2], color: [u8; 3], opa
         let (s, t) = (-from / by, (size[i] - from) / by);
         (first, last) = (first.max(s.min(t)), last.min(s.max(t)));
     }
-    if !(first <= last) {
+    if first > last || !(last - first).is_finite() {
         return;
     }
     let at = |t: f32| [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t];

@@ -1,8 +1,12 @@
 //! Reads files of one folder and nothing outside of it.
 
+use std::cell::RefCell;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Component, Path, PathBuf};
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::error::FileProblem;
 
@@ -15,6 +19,41 @@ pub(super) struct Folder {
     limit: u64,
     /// Names and BLAKE3 of what was read, in order.
     read: Vec<(String, [u8; 32])>,
+    /// What was looked for, and where it was.
+    asked: RefCell<Vec<Asked>>,
+}
+
+/// What was looked for in a folder.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+enum Asked {
+    /// A name, from a folder below, and where it was.
+    Find { base: String, name: String, found: Option<String> },
+    /// Whether a name is that of a file.
+    IsFile { name: String, is: bool },
+}
+
+/// All that a scene was read from: what was looked for in its folder, and what the files held. A scene that is read when the
+/// same questions have the same answers is the same.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Sources {
+    asked: Vec<Asked>,
+    read: Vec<(String, [u8; 32])>,
+}
+
+impl Sources {
+    /// Whether all is still there as it was for the scene at `path`; reads all files again, those beyond `limit` bytes not.
+    pub fn hold(&self, path: &Path, limit: u64) -> bool {
+        let Ok(folder) = Folder::of(path, limit) else { return false };
+        self.asked.iter().all(|asked| match asked {
+            Asked::Find { base, name, found } => {
+                let now = folder.find(Path::new(base), name).ok().map(|now| folder.relative(&now));
+                now == *found
+            }
+            Asked::IsFile { name, is } => folder.root.join(name).is_file() == *is,
+        }) && self.read.par_iter().all(|(name, hash)| {
+            read_file(&folder.root.join(name), limit).is_ok_and(|contents| contents.hash == *hash)
+        })
+    }
 }
 
 /// Bytes of a file together with their hash.
@@ -59,7 +98,25 @@ impl Folder {
         let shown = file.parent().unwrap_or(Path::new("")).to_path_buf();
         let place = if shown.as_os_str().is_empty() { Path::new(".") } else { &shown };
         let root = std::fs::canonicalize(place).map_err(|e| problem_of(&e))?;
-        Ok(Self { root, shown, limit, read: Vec::new() })
+        Ok(Self { root, shown, limit, read: Vec::new(), asked: RefCell::default() })
+    }
+
+    /// Whether there is a file of this name.
+    pub fn is_file(&self, name: &str) -> bool {
+        let is = self.root.join(name).is_file();
+        self.asked.borrow_mut().push(Asked::IsFile { name: name.to_owned(), is });
+        is
+    }
+
+    /// All that was looked for and read; `None` where something that was found was not read, so that nobody knows whether it
+    /// will be as it was.
+    pub fn sources(&self) -> Option<Sources> {
+        let asked = self.asked.borrow().clone();
+        let is_known = |asked: &Asked| match asked {
+            Asked::Find { found: Some(found), .. } => self.read.iter().any(|(name, _)| name == found),
+            _ => true,
+        };
+        asked.iter().all(is_known).then(|| Sources { asked, read: self.read.clone() })
     }
 
     /// How messages name a file of this folder.
@@ -70,6 +127,14 @@ impl Folder {
     /// Where `name` lies, looked for in `base` (relative to the folder). Accepts `\` for `/` and
     /// letters of the other case where the exact name is not there.
     pub fn find(&self, base: &Path, name: &str) -> Result<PathBuf, FileProblem> {
+        let found = self.look_for(base, name);
+        let relative = found.as_ref().ok().map(|found| self.relative(found));
+        let (base, name) = (base.to_string_lossy().into_owned(), name.to_owned());
+        self.asked.borrow_mut().push(Asked::Find { base, name, found: relative });
+        found
+    }
+
+    fn look_for(&self, base: &Path, name: &str) -> Result<PathBuf, FileProblem> {
         let first = self.find_exact(base, name);
         if first != Err(FileProblem::Missing) {
             return first;
@@ -127,6 +192,11 @@ impl Folder {
     /// Remembers that a file was read elsewhere.
     pub fn note(&mut self, name: String, hash: [u8; 32]) {
         self.read.push((name, hash));
+    }
+
+    /// Names and BLAKE3 of what was read, in order.
+    pub fn files(&self) -> &[(String, [u8; 32])] {
+        &self.read
     }
 
     /// BLAKE3 of everything that was read, with the names, in the order of reading.

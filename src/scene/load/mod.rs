@@ -36,6 +36,7 @@ use super::hierarchy;
 use super::light_units;
 use super::{Environment, Material, MaterialId, Model, Reflectance, Scene, SceneParts, TextureId};
 use assemble::Joined;
+pub use folder::Sources;
 use folder::{Folder, read_file};
 use from_mtl::Doubts;
 use mtl::MtlMaterial;
@@ -88,6 +89,8 @@ pub struct Loaded {
     pub scene: Scene,
     /// In the order of the files.
     pub warnings: Vec<Warning>,
+    /// What it was read from, where that is all known.
+    pub sources: Option<Sources>,
 }
 
 /// Whether a name ends as scenes do: `.obj`, `.gltf`, `.glb`, or `.toml` for a sidecar.
@@ -123,7 +126,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     }
     let mut folder = Folder::of(path, options.file_bytes_max).map_err(|p| refuse(path, p))?;
     let sidecar_path = if is_mesh { path.with_extension("toml") } else { path.to_path_buf() };
-    let mut sidecar = if !is_mesh || sidecar_path.is_file() {
+    let mut sidecar = if !is_mesh || folder.is_file(&file_name(&sidecar_path)) {
         // A sidecar is written by hand; 16 MiB hold any path.
         let limit = options.file_bytes_max.min(16 << 20);
         let contents = read_file(&sidecar_path, limit).map_err(|p| refuse(&sidecar_path, p))?;
@@ -191,6 +194,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         budget: sidecar.budget,
         extensions: own.extensions,
         content_hash: content_hash(&folder, options),
+        files: folder.files().to_vec(),
     }
     .with_textures(textures);
     scene.mesh.objects = grouped.of_triangle;
@@ -212,7 +216,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         warnings.truncate(WARNINGS_MAX);
         warnings.push(Warning::new(Place::new(path, 0), format!("{more} more warnings")));
     }
-    Ok(Loaded { scene, warnings })
+    Ok(Loaded { scene, warnings, sources: folder.sources() })
 }
 
 /// Everything that was read, and what was chosen beside it.
@@ -246,6 +250,11 @@ fn read_meshes(
 ) -> Result<Joined, SceneError> {
     let given = file_name(path);
     let mut joined = Joined::default();
+    let beside = if sidecar.files.is_none() && !is_mesh {
+        MESHES.iter().map(|e| path.with_extension(e)).find(|p| folder.is_file(&file_name(p)))
+    } else {
+        None
+    };
     let mut read = |name: &str, asked_by, joined: &mut Joined, warnings: &mut Vec<Warning>| {
         let source = MeshSource { name, asked_by, choices: &sidecar.gltf, options };
         read_mesh(&source, folder, joined, warnings)
@@ -254,7 +263,6 @@ fn read_meshes(
         let (name, asked_by) = if is_mesh {
             (given, None)
         } else {
-            let beside = MESHES.iter().map(|e| path.with_extension(e)).find(|p| p.is_file());
             let name = file_name(&beside.unwrap_or_else(|| path.with_extension("obj")));
             (name, Some(Place::new(sidecar_path, 0)))
         };

@@ -24,7 +24,7 @@ use crate::math;
 pub use crate::scene::fresnel;
 use crate::scene::metal_rough::Over;
 use crate::scene::microfacet::Microfacet;
-use crate::scene::{Distribution, LobeAlbedo, Model, Reflectance, Roughness, Scene, Sheen};
+use crate::scene::{Distribution, LobeAlbedo, Material, Model, Reflectance, Roughness, Scene, Sheen};
 
 /// One sampled direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -301,6 +301,15 @@ impl Bsdf {
                 let over = over.map_or(1.0, |over| over.kept(cosine) / over.kept_mean());
                 over * (1.0 - LobeAlbedo::table().layer(f0, f90, cosine, alpha)) / kept
             }
+        }
+    }
+
+    /// Whether [`Self::coat_factor`] may be other than 1 on a surface of this material.
+    pub fn may_have_coat(material: &Material) -> bool {
+        match &material.model {
+            Model::Plastic { .. } => true,
+            Model::MetalRough(m) => !m.is_diffuse,
+            _ => false,
         }
     }
 

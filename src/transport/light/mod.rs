@@ -10,7 +10,7 @@
 mod distant;
 mod distribution;
 mod emission;
-mod named;
+pub(super) mod named;
 mod spherical_triangle;
 mod towards;
 mod tree;

@@ -8,7 +8,14 @@ use crate::geometry::Hit;
 use crate::scene::Scene;
 
 /// More lights without area than these cost more rays than they save noise; then all are chosen among by chance.
-const NAMED_MAX: usize = 4;
+pub(in crate::transport) const NAMED_MAX: usize = 4;
+
+/// The light that the light with this number sends to `point`.
+#[inline]
+pub(in crate::transport) fn named_sample(scene: &Scene, number: u32, point: Vec3) -> Option<LightSample> {
+    let sample = sample_analytic(&scene.lights[number as usize], point)?;
+    (sample.radiance.is_finite() && sample.radiance.max_element() > 0.0).then_some(sample)
+}
 
 impl Lights {
     fn has_named(&self) -> bool {
@@ -33,13 +40,16 @@ impl Lights {
         scene: &'a Scene,
         point: Vec3,
     ) -> impl Iterator<Item = (u32, LightSample)> + 'a {
+        self.names().filter_map(move |i| Some((i, named_sample(scene, i, point)?)))
+    }
+
+    /// The numbers of the lights that have names in [`crate::scene::SceneParts::lights`].
+    pub(in crate::transport) fn names(&self) -> impl Iterator<Item = u32> + '_ {
         let some = if self.has_named() { &self.emitters[self.triangle_count..] } else { &[] };
-        some.iter()
-            .filter_map(move |emitter| match emitter {
-                Emitter::Analytic(i) => Some((*i, sample_analytic(&scene.lights[*i as usize], point)?)),
-                Emitter::Triangle(_) | Emitter::Environment => None,
-            })
-            .filter(|(_, s)| s.radiance.is_finite() && s.radiance.max_element() > 0.0)
+        some.iter().filter_map(|emitter| match emitter {
+            Emitter::Analytic(i) => Some(*i),
+            Emitter::Triangle(_) | Emitter::Environment => None,
+        })
     }
 
     /// Share of the sky among samples of what is not named, where that is not all.

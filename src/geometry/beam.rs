@@ -1,0 +1,124 @@
+//! Bounds of up to sixteen rays that point into one octant, tested against eight boxes at once.
+
+use glam::Vec3;
+
+use super::level::Vectors;
+use super::node::CHILDREN;
+use super::offset::gamma;
+use super::packet::LANES;
+use super::simd::Simd;
+
+/// Interval bounds of rays.
+pub(super) struct Beam<E: Simd<8>> {
+    /// Where the rays begin on each axis: what bounds their entries into boxes, and what bounds their exits.
+    pub from: [[E::Lanes; 2]; 3],
+    /// Least inverse of the directions.
+    lower: [E::Lanes; 3],
+    /// Largest.
+    upper: [E::Lanes; 3],
+    /// The sides of a box where the rays enter and leave.
+    sides: [[usize; 2]; 3],
+}
+
+impl<V: Vectors> Beam<V> {
+    /// Rays from one point.
+    #[inline(always)]
+    pub fn from_point(v: V, origin: Vec3, inverse: &[<V as Simd<16>>::Lanes; 3]) -> Self {
+        Self::new(v, origin.to_array().map(|o| [o, o]), inverse)
+    }
+
+    /// Rays from the points `origin`, axis by axis.
+    #[inline(always)]
+    pub fn from_points(
+        v: V,
+        origin: &[<V as Simd<16>>::Lanes; 3],
+        inverse: &[<V as Simd<16>>::Lanes; 3],
+    ) -> Self {
+        let [x, y, z] = *origin;
+        let bounds = [[least(v, x), most(v, x)], [least(v, y), most(v, y)], [least(v, z), most(v, z)]];
+        Self::new(v, bounds, inverse)
+    }
+
+    /// Rays that begin within `bounds`, least and largest coordinate of each axis.
+    #[inline(always)]
+    fn new(v: V, bounds: [[f32; 2]; 3], inverse: &[<V as Simd<16>>::Lanes; 3]) -> Self {
+        let [x, y, z] = *inverse;
+        let lower = [least(v, x), least(v, y), least(v, z)];
+        let upper = [most(v, x), most(v, y), most(v, z)];
+        let e = |value: f32| Simd::<8>::splat(v, value);
+        // Upwards, the farther a ray has come before it begins, the sooner it is there.
+        let [fx, fy, fz] = [0, 1, 2].map(|k| {
+            let [least, largest] = bounds[k];
+            if lower[k] > 0.0 { [largest, least] } else { [least, largest] }
+        });
+        Self {
+            from: [[e(fx[0]), e(fx[1])], [e(fy[0]), e(fy[1])], [e(fz[0]), e(fz[1])]],
+            lower: [e(lower[0]), e(lower[1]), e(lower[2])],
+            upper: [e(upper[0]), e(upper[1]), e(upper[2])],
+            sides: std::array::from_fn(|k| if lower[k] > 0.0 { [k, k + 3] } else { [k + 3, k] }),
+        }
+    }
+}
+
+impl<E: Simd<8>> Beam<E> {
+    /// Entry distances of eight boxes, and a bit for each that any ray may meet before `farthest`. `side` gives their
+    /// lower x, y, z and then their upper ones. Each ray's own bounds lie within these, since rounding is monotone.
+    #[inline(always)]
+    pub fn meet(&self, e: E, side: impl Fn(usize) -> E::Lanes, farthest: f32) -> ([f32; CHILDREN], u32) {
+        let (mut enter, mut leave) = (e.splat(0.0), e.splat(f32::MAX));
+        for axis in 0..3 {
+            let [near, far] = self.sides[axis];
+            let near = e.sub(side(near), self.from[axis][0]);
+            let far = e.sub(side(far), self.from[axis][1]);
+            let (lower, upper) = (self.lower[axis], self.upper[axis]);
+            enter = e.max(e.min(e.mul(near, lower), e.mul(near, upper)), enter);
+            leave = e.min(e.max(e.mul(far, lower), e.mul(far, upper)), leave);
+        }
+        let leave = e.min(e.mul(leave, e.splat(1.0 + 2.0 * gamma(3))), e.splat(farthest));
+        (e.store(enter), e.bits(e.at_most(enter, leave)))
+    }
+}
+
+/// Pairs, pairs of pairs, and so on. What is not a number counts for nothing unless all is.
+#[inline(always)]
+fn fold<S: Simd<16>>(s: S, lanes: S::Lanes, choose: impl Fn(f32, f32) -> f32) -> f32 {
+    let lanes = s.store(lanes);
+    let eight: [f32; 8] = std::array::from_fn(|i| choose(lanes[i], lanes[i + 8]));
+    let four: [f32; 4] = std::array::from_fn(|i| choose(eight[i], eight[i + 4]));
+    choose(choose(four[0], four[2]), choose(four[1], four[3]))
+}
+
+/// The least of sixteen numbers.
+#[inline(always)]
+pub(super) fn least<S: Simd<16>>(s: S, lanes: S::Lanes) -> f32 {
+    fold(s, lanes, |a, b| if a < b { a } else { b })
+}
+
+/// The largest.
+#[inline(always)]
+pub(super) fn most<S: Simd<16>>(s: S, lanes: S::Lanes) -> f32 {
+    fold(s, lanes, |a, b| if a > b { a } else { b })
+}
+
+/// Vectors axis by axis.
+#[inline(always)]
+pub(super) fn transposed<S: Simd<16>>(s: S, vectors: &[Vec3; LANES]) -> [S::Lanes; 3] {
+    let mut lanes = [[0.0; LANES]; 3];
+    for (i, d) in vectors.iter().enumerate() {
+        (lanes[0][i], lanes[1][i], lanes[2][i]) = (d.x, d.y, d.z);
+    }
+    [s.load(&lanes[0]), s.load(&lanes[1]), s.load(&lanes[2])]
+}
+
+/// Inverses of unit directions.
+#[inline(always)]
+pub(super) fn inverses<S: Simd<16>>(s: S, [x, y, z]: [S::Lanes; 3]) -> [S::Lanes; 3] {
+    [inverse(s, x), inverse(s, y), inverse(s, z)]
+}
+
+/// A component of zero would make 0 · ∞; boxes are padded by far more than this moves them.
+#[inline(always)]
+fn inverse<S: Simd<16>>(s: S, d: S::Lanes) -> S::Lanes {
+    let tiny = s.and(s.below(d, s.splat(1e-20)), s.below(s.splat(-1e-20), d));
+    s.div(s.splat(1.0), s.select(tiny, s.splat(1e-20), d))
+}

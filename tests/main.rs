@@ -8,6 +8,7 @@
 mod approximation;
 mod bake;
 mod bench;
+mod book;
 mod bundled;
 mod exits;
 mod faults;
@@ -15,6 +16,8 @@ mod hostile;
 mod packages;
 mod remote;
 mod replay;
+#[cfg(feature = "serve")]
+mod report;
 #[cfg(feature = "serve")]
 mod serve;
 mod shell;

@@ -102,8 +102,13 @@ impl Foveal {
         self
     }
 
+    /// In this folder.
+    pub fn inside(mut self, folder: &Path) -> Self {
+        self.command.current_dir(folder);
+        self
+    }
+
     /// In another environment.
-    #[cfg(any(feature = "serve", feature = "window"))]
     pub fn env(mut self, name: &str, value: impl AsRef<OsStr>) -> Self {
         self.command.env(name, value);
         self

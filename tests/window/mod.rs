@@ -15,15 +15,17 @@ use serde_json::Value;
 use self::driver::{CORNER, Display, PATIENCE, SIZE, Shot, View};
 use crate::support::{CHEAP_BAKE, Foveal, folder, root, scene};
 
-/// Where the handle of the topmost slider is on the screen.
-fn first_slider(screen: &[Vec<[u8; 3]>]) -> [usize; 2] {
+/// Where the handle of the slider for frames per second is on the screen: the second one, after that for exposure.
+fn fps_slider(screen: &[Vec<[u8; 3]>]) -> [usize; 2] {
     // Rails are grey and 100 points long, with a handle that has a bright rim.
-    let left = CORNER[0] + SIZE[0] + 8;
+    let left = CORNER[0] + SIZE[0] + 26;
     // (A line between two groups is as grey, and longer.)
     let grey =
         |y: usize, from: usize, to: usize| screen[y][from..to].iter().filter(|p| **p == [60; 3]).count();
     let rail = |y: &usize| grey(*y, left, left + 114) > 90 && grey(*y, left + 114, left + 125) == 0;
-    let y = (0..SIZE[1]).find(rail).expect("a slider") + 4;
+    let exposure = (0..SIZE[1]).find(rail).expect("a slider");
+    // A rail is eight points high.
+    let y = (exposure + 12..SIZE[1]).find(rail).expect("another slider") + 4;
     let x = (left..left + 114).find(|&x| screen[y][x].iter().all(|c| *c > 150)).expect("its handle");
     [x + 3, y]
 }
@@ -62,9 +64,8 @@ fn keys_drags_and_sliders_reach_the_walk_and_closing_ends_it() {
     assert_eq!((back.camera("eye"), back.camera("target")), (first.camera("eye"), first.camera("target")));
     assert_eq!(back.pixels, first.pixels, "the same place looks the same, bit for bit");
 
-    // The first slider on the panel: frames per second.
     let screen = display.screen();
-    let [x, y] = first_slider(&screen);
+    let [x, y] = fps_slider(&screen);
     let drag: String =
         (1..=4).map(|i| format!("mousemove --window {{}} {} {y} sleep 0.15 ", x + 6 * i)).collect();
     view.act(&format!(
@@ -78,7 +79,7 @@ fn keys_drags_and_sliders_reach_the_walk_and_closing_ends_it() {
     // The box beneath it: frames wait until they are good enough.
     view.act(&format!(
         "mousemove --window {{}} {} {} sleep 0.2 click 1 sleep 0.2",
-        CORNER[0] + SIZE[0] + 26,
+        CORNER[0] + SIZE[0] + 44,
         y + 23
     ));
     view.until("frames wait", |s| s.setting("quality").as_f64() == Some(-0.25));

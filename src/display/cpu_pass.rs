@@ -7,8 +7,8 @@ use rayon::prelude::*;
 use super::{FrameBuffers, PrimaryHit, TextureLevel};
 use crate::geometry::packet::LANES;
 use crate::geometry::{Hit, Ray};
+use crate::scene::Scene;
 use crate::scene::camera::CameraFrame;
-use crate::scene::{Environment, Scene};
 use crate::transport::gather::LastShadows;
 use crate::transport::interaction::Interaction;
 use crate::transport::surface::SurfacePoint;
@@ -145,6 +145,14 @@ fn packet(
     });
     let hits = world.accel.intersect_packet(&world.scene, frame.eye, &directions);
     let is_wanted = |lane: usize| pixel(lane) == wanted(lane);
+    if !world.lights.has_any_named() {
+        // Nobody asks for shadows, so nothing is gained by company.
+        for lane in (0..LANES).filter(|&lane| is_wanted(lane)) {
+            let (px, py) = wanted(lane);
+            tell(px, py, &shade_alone(world, frame, directions[lane], hits[lane], texture_ids));
+        }
+        return;
+    }
     let hits = std::array::from_fn(|l| hits[l].filter(|_| is_wanted(l)));
     let surfaces = shade(world, frame, &directions, &hits, texture_ids, last);
     for lane in (0..LANES).filter(|&lane| is_wanted(lane)) {
@@ -227,7 +235,35 @@ struct Surface {
     texture: TextureLevel,
 }
 
-/// What rays show that go from the eye along `directions` and end at `hits`.
+/// What a ray shows that goes from the eye along `direction` and ends at `hit`.
+fn shade_alone(
+    world: &World,
+    frame: &CameraFrame,
+    direction: Vec3,
+    hit: Option<Hit>,
+    texture_ids: bool,
+) -> Surface {
+    let Some(at) = hit else { return beyond(world, direction) };
+    let footprint = at.t * frame.pixel_angle();
+    let point = SurfacePoint::at(&world.scene, direction, &at, footprint);
+    Surface {
+        hit: hit.into(),
+        color: world.tracer().base(&point, || {
+            Interaction::at(&world.scene, &Ray::new(frame.eye, direction), &at).with_footprint(footprint)
+        }),
+        depth: at.t * direction.dot(frame.forward),
+        object: world.scene.mesh.objects[at.triangle as usize],
+        texture: if texture_ids { wanted_texture(&world.scene, &point) } else { TextureLevel::NONE },
+    }
+}
+
+/// What a ray shows that meets nothing.
+fn beyond(world: &World, direction: Vec3) -> Surface {
+    let color = world.scene.environment.as_ref().map_or(Vec3::ZERO, |e| e.radiance(direction));
+    Surface { hit: None.into(), color, depth: f32::INFINITY, object: 0, texture: TextureLevel::NONE }
+}
+
+/// What rays show that go from the eye along `directions` and end at `hits`: as each alone, their shadow rays together.
 fn shade(
     world: &World,
     frame: &CameraFrame,
@@ -254,12 +290,7 @@ fn shade(
             object: world.scene.mesh.objects[hit.triangle as usize],
             texture: if texture_ids { wanted_texture(&world.scene, point) } else { TextureLevel::NONE },
         },
-        _ => {
-            let around = |e: &Environment| e.radiance(directions[lane]);
-            let color = world.scene.environment.as_ref().map_or(Vec3::ZERO, around);
-            let (hit, texture) = (None.into(), TextureLevel::NONE);
-            Surface { hit, color, depth: f32::INFINITY, object: 0, texture }
-        }
+        _ => beyond(world, directions[lane]),
     })
 }
 

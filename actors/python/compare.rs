@@ -49,7 +49,7 @@ impl Comparison {
 
     #[getter]
     fn max_abs(&self) -> f64 {
-        self.0.linear.max_abs.into()
+        self.0.linear.max_abs
     }
 
     #[getter]

@@ -6,6 +6,24 @@ from typing import Literal, final
 import numpy as np
 import numpy.typing as npt
 
+__all__ = [
+    "Bake",
+    "Camera",
+    "Comparison",
+    "Error",
+    "Frame",
+    "Path",
+    "Reference",
+    "Replay",
+    "Walk",
+    "__version__",
+    "bake",
+    "compare",
+    "open",
+    "reference",
+    "replay",
+]
+
 __version__: str
 
 _File = str | os.PathLike[str]
@@ -20,7 +38,7 @@ class Error(Exception):
 class Camera:
     """A pinhole camera; equal where every number is."""
 
-    def __new__(cls, eye: _Three, target: _Three, up: _Three = (0.0, 1.0, 0.0), fov_y: float = 60.0) -> Camera:
+    def __new__(cls, eye: _Three, target: _Three, up: _Three = ..., fov_y: float = 60.0) -> Camera:
         """Looks from `eye` to `target`; `fov_y` is the vertical field of view in degrees."""
     @property
     def eye(self) -> _Three: ...
@@ -144,7 +162,7 @@ class Walk:
 def open(
     scene: _File,
     *,
-    size: tuple[int, int] = (512, 512),
+    size: tuple[int, int] = ...,
     tracers: int | None = None,
     policy: Literal["attention", "coverage", "uniform", "random", "utility"] = "utility",
     seed: int = 0,
@@ -236,7 +254,7 @@ def reference(
     *,
     kind: Literal["traced", "path", "truth"] = "traced",
     samples: int = 1,
-    size: tuple[int, int] = (512, 512),
+    size: tuple[int, int] = ...,
     seed: int = 0,
     until_error: float | None = None,
     time: float | None = None,

@@ -8,6 +8,7 @@
 //! Nothing of a guest is believed: of each answer some samples, which it cannot know before, are traced here, and of the
 //! first answers all.
 
+mod answer;
 pub mod bits;
 mod estimate;
 mod saved;
@@ -17,15 +18,14 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
-use foveal::allocation::jobs::{GUIDES, SampleJob, guide_pixels, job_pixels};
+use foveal::allocation::jobs::SampleJob;
 use foveal::sampling::Lattice;
-use foveal::splatting::trace::{Owner, samples_of_colors, trace_colors, trace_guides};
-use foveal::splatting::{Guides, SampleBatch};
 use foveal_runtime::{Actor, Address, Content, Cx, JobPool, Kept, Loader, Message, Saver, TimerId, Worker};
 use serde::{Deserialize, Serialize};
 
 use crate::message::{AllocatorMessage, CacheAgerMessage, RendererMessage, SampleOrder, TraceJob};
 use crate::outbox::Outbox;
+use answer::{Answer, colors_of, is_right};
 use estimate::Estimate;
 use wire::{Colors, JobSpec, SAMPLES_MAX, ToGuest, ViewSpec};
 
@@ -461,80 +461,6 @@ impl Station {
             self.outbox.tell(cx, &self.to.allocator, AllocatorMessage::StationChanged { station, credits });
         }
     }
-}
-
-/// The answer to a job, made whole again.
-enum Answer {
-    Samples(SampleBatch),
-    Guides(Guides),
-}
-
-impl Answer {
-    /// None where the colours are not as many as the job wants.
-    fn of(order: &SampleOrder, lattice: &Lattice, traced: &Colors) -> Option<Self> {
-        let SampleOrder { drawn, order: job, .. } = order;
-        if job.level == GUIDES {
-            let pixels = guide_pixels(job, &drawn.buffers.object);
-            let pixels: Vec<_> = pixels.map(|(x, y)| [x as u16, y as u16]).collect();
-            let fits = pixels.len() == traced.colors.len() && traced.guides.is_empty();
-            return fits
-                .then(|| Self::Guides(Guides { view: drawn.view.0, pixels, colors: traced.colors.clone() }));
-        }
-        let owner = Owner { view: drawn.view.0, object: job.object, k: lattice.k_of(job.level) };
-        let pixels = job_pixels(lattice, job, &drawn.buffers.object);
-        let (world, frame, buffers) = (&drawn.world, &drawn.frame, &drawn.buffers);
-        let mut batch = samples_of_colors(world, frame, buffers, owner, pixels, &traced.colors)?;
-        let guides = if job.guided { batch.len() } else { 0 };
-        if traced.guides.len() != guides {
-            return None;
-        }
-        batch.guides.clone_from(&traced.guides);
-        Some(Self::Samples(batch))
-    }
-}
-
-/// The colours of a job as they are, of all its pixels or of those that `only` names by their number.
-fn colors_of(order: &SampleOrder, lattice: &Lattice, only: Option<&[usize]>) -> Colors {
-    let SampleOrder { drawn, order: job, seed, .. } = order;
-    let (world, frame, buffers) = (&drawn.world, &drawn.frame, &drawn.buffers);
-    let all: Vec<(i32, i32)> = match job.level {
-        GUIDES => guide_pixels(job, &buffers.object).collect(),
-        _ => job_pixels(lattice, job, &buffers.object)
-            .filter(|&(x, y)| buffers.hit.at(x as usize, y as usize).hit().is_some())
-            .collect(),
-    };
-    let pixels: Vec<(i32, i32)> = match only {
-        Some(only) => only.iter().filter_map(|i| all.get(*i).copied()).collect(),
-        None => all,
-    };
-    let guides = |pixels: &[(i32, i32)]| trace_guides(world, frame, buffers, pixels.iter().copied());
-    if job.level == GUIDES {
-        return Colors { colors: guides(&pixels), guides: Vec::new() };
-    }
-    Colors {
-        colors: trace_colors(world, frame, buffers, pixels.iter().copied(), *seed),
-        guides: if job.guided { guides(&pixels) } else { Vec::new() },
-    }
-}
-
-/// Whether so many of the colours, chosen by `salt`, are what is traced here.
-fn is_right(order: &SampleOrder, lattice: &Lattice, traced: &Colors, checked: usize, salt: u64) -> bool {
-    let count = traced.colors.len();
-    let which: Option<Vec<usize>> = (checked < count).then(|| {
-        let drawn =
-            |i: usize| foveal::rng::hash(salt, i as u64, u64::from(order.order.object)) as usize % count;
-        (0..checked).map(drawn).collect()
-    });
-    let here = colors_of(order, lattice, which.as_deref());
-    let bits = |c: &glam::Vec3| c.to_array().map(f32::to_bits);
-    let same = |here: &[glam::Vec3], there: &[glam::Vec3]| match &which {
-        None => here.iter().map(bits).eq(there.iter().map(bits)),
-        Some(which) => {
-            let there = which.iter().filter_map(|i| there.get(*i));
-            here.iter().map(bits).eq(there.map(bits))
-        }
-    };
-    same(&here.colors, &traced.colors) && same(&here.guides, &traced.guides)
 }
 
 impl Actor for Station {

@@ -44,7 +44,8 @@ fn edited(message: &[u8], edits: &[Edit]) -> Vec<u8> {
 }
 
 fn of_walk() -> Vec<Vec<u8>> {
-    let frame = CameraFrame { eye: Vec3::ZERO, forward: Vec3::Z, right: Vec3::X, up: Vec3::Y, size: [512, 512] };
+    let frame =
+        CameraFrame { eye: Vec3::ZERO, forward: Vec3::Z, right: Vec3::X, up: Vec3::Y, size: [512, 512] };
     let rect = Rect { x0: 0, y0: 0, x1: 64, y1: 64 };
     let order =
         SampleJob { object: 3, level: 5, guided: true, rect, start: Cursor { x: 7, y: 9 }, count: 256 };
@@ -64,7 +65,13 @@ fn of_guest() -> Vec<Vec<u8>> {
     let found = Some(Colors { colors: vec![Vec3::ONE; 40], guides: vec![Vec3::X; 40] });
     let done = DoneJob { lease: 1 << 40, micros: 2000, found };
     let said = [
-        FromGuest::Hello { protocol: 1, program: "foveal".into(), bits: 5, cores: 16, name: "a machine".into() },
+        FromGuest::Hello {
+            protocol: 1,
+            program: "foveal".into(),
+            bits: 5,
+            cores: 16,
+            name: "a machine".into(),
+        },
         FromGuest::Want { hash: [1; 32], at: 1 << 30 },
         FromGuest::Ready { incarnation: 3 },
         FromGuest::Done { incarnation: 3, jobs: vec![done, DoneJob::default()] },
@@ -87,7 +94,11 @@ fn what_a_walk_says() {
                 assert!(jobs.len() <= JOBS_MAX);
                 let lattice = Lattice::new(6, [256, 256]);
                 for job in jobs.iter().filter(|job| job.fits(&lattice, [512, 512])) {
-                    assert!(job.order.rect.x1 <= 512 && job.order.rect.y1 <= 512 && job.order.count <= SAMPLES_MAX);
+                    assert!(
+                        job.order.rect.x1 <= 512
+                            && job.order.rect.y1 <= 512
+                            && job.order.count <= SAMPLES_MAX
+                    );
                     // Whoever does it comes to an end, and looks at no pixel outside.
                     let at = |x: i32, y: i32| u32::from(x >= 0 && y >= 0 && x < 512 && y < 512) * 3;
                     let pixels = foveal::allocation::jobs::pixels_as_told(&lattice, &job.order, at);
@@ -108,7 +119,8 @@ fn what_a_guest_says() {
     check!().with_type::<(u8, Vec<Edit>)>().for_each(|(which, edits)| {
         let message = edited(&corpus[usize::from(*which) % corpus.len()], edits);
         if let Some(FromGuest::Done { jobs, .. }) = FromGuest::of_bytes(&message) {
-            let samples: usize = jobs.iter().flat_map(|job| &job.found).map(|f| f.colors.len() + f.guides.len()).sum();
+            let samples: usize =
+                jobs.iter().flat_map(|job| &job.found).map(|f| f.colors.len() + f.guides.len()).sum();
             assert!(jobs.len() <= JOBS_MAX && 12 * samples <= message.len());
         }
     });
@@ -131,7 +143,8 @@ fn lists_of_files_and_keys() {
         let bytes = edited(&corpus[usize::from(*which)], edits);
         if let Some(manifest) = Manifest::of_bytes(&bytes) {
             assert!(manifest.files.len() <= FILES_MAX);
-            let parts = |entry: &Entry| entry.name.split(['/', '\\']).all(|part| part != ".." && !part.is_empty());
+            let parts =
+                |entry: &Entry| entry.name.split(['/', '\\']).all(|part| part != ".." && !part.is_empty());
             assert!(manifest.files.iter().all(parts), "{:?}", manifest.files);
         }
         let _ = String::from_utf8_lossy(&bytes).parse::<Invitation>();

@@ -555,4 +555,70 @@ mod tests {
         assert!(!listener.at.ip().is_unspecified() && listener.at.port() != 0);
         assert_eq!(reachable("127.0.0.1:5".parse().unwrap()).to_string(), "127.0.0.1:5");
     }
+
+    /// A network between two addresses that is late by some milliseconds, loses one packet in `loses`, sends one in 13
+    /// twice and one in 17 late. Ends with the process.
+    fn relay(to: SocketAddr, loses: u64) -> SocketAddr {
+        let [near, far] = [(); 2].map(|()| UdpSocket::bind("127.0.0.1:0").unwrap());
+        let at = near.local_addr().unwrap();
+        for socket in [&near, &far] {
+            socket.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+        }
+        thread::spawn(move || {
+            let mut guest = None;
+            let mut under_way: Vec<(std::time::Instant, bool, Vec<u8>)> = Vec::new();
+            let (mut buffer, mut count) = ([0; 65536], 0u64);
+            loop {
+                for (socket, outwards) in [(&near, true), (&far, false)] {
+                    let Ok((length, from)) = socket.recv_from(&mut buffer) else { continue };
+                    if outwards {
+                        guest = Some(from);
+                    }
+                    count += 1;
+                    let drawn = foveal::rng::hash(count, 0, 0);
+                    if drawn.is_multiple_of(loses) {
+                        continue;
+                    }
+                    let late = Duration::from_millis(if drawn.is_multiple_of(17) { 25 } else { 5 });
+                    let copies = if drawn.is_multiple_of(13) { 2 } else { 1 };
+                    for _ in 0..copies {
+                        let due = std::time::Instant::now() + late;
+                        under_way.push((due, outwards, buffer[..length].to_vec()));
+                    }
+                }
+                let now = std::time::Instant::now();
+                under_way.retain(|(due, outwards, packet)| {
+                    if *due > now {
+                        return true;
+                    }
+                    let _ = match (outwards, guest) {
+                        (true, _) => far.send_to(packet, to),
+                        (false, Some(guest)) => near.send_to(packet, guest),
+                        (false, None) => Ok(0),
+                    };
+                    false
+                });
+            }
+        });
+        at
+    }
+
+    /// In order, whole and once, whatever the network does.
+    #[test]
+    fn a_network_that_loses_doubles_and_reorders_changes_nothing() {
+        let key = Key::new().unwrap();
+        let mut listener = Listener::new("127.0.0.1:0", &key).unwrap();
+        let at = relay(listener.at, 20);
+        let mut guest = Connection::new(&at.to_string(), &key).unwrap();
+        assert_eq!(heard(&mut listener), Event::Opened(0));
+        let message = |i: usize| vec![i as u8; 1 + i * 37 % 5000];
+        for i in 0..100 {
+            guest.send(&message(i)).unwrap();
+            listener.send(0, &message(i + 100));
+        }
+        for i in 0..100 {
+            assert_eq!(heard(&mut listener), Event::Message(0, message(i)));
+            assert_eq!(told(&mut guest), Some(message(i + 100)));
+        }
+    }
 }

@@ -108,8 +108,7 @@ fn walks_with_guests(address: &str) {
     let expected = local(&opened);
     let package = Package::of(&opened).expect("a package");
     let settings = settings(3);
-    let door =
-        Door::open(address, Key::new().unwrap(), package, settings.k_max, 3).expect("a door");
+    let door = Door::open(address, Key::new().unwrap(), package, settings.k_max, 3).expect("a door");
     let options = Options {
         outlets: Some(door.outlets()),
         recording: Some(Recording::file(&recording, "test")),

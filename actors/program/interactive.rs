@@ -14,6 +14,8 @@ use foveal_terminal::hashes::Hashes;
 use foveal_terminal::light::IlluminationArguments;
 use foveal_terminal::mode::ModeArguments;
 
+use super::tracers::TracersArguments;
+
 /// Arguments of a walk that somebody takes.
 #[derive(Args, Clone, Debug)]
 pub struct InteractiveArguments {
@@ -66,6 +68,8 @@ pub struct InteractiveArguments {
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<Setting>,
     #[command(flatten)]
+    pub tracers: TracersArguments,
+    #[command(flatten)]
     pub illumination: IlluminationArguments,
 }
 
@@ -78,6 +82,7 @@ impl InteractiveArguments {
 
     /// The walk of a command under this light; `noise` is what it is refined to unless it was said.
     pub fn recipe(&self, command: &'static str, light: Light, noise: f32) -> Recipe {
+        let light = Light { baked: light.baked || self.tracers.is_asked_for(), ..light };
         let noise = self.refine.unwrap_or(noise);
         let rules = Supersampling { noise, max_samples: self.refine_samples };
         let settings = Settings {
@@ -97,7 +102,8 @@ impl InteractiveArguments {
             hashing: self.hashes.into(),
             set: self.set.clone(),
             from: From { camera: self.camera.clone(), path: self.path.clone() },
-            ..Recipe::new(&self.scene, settings)
+            doors: self.tracers.doors(),
+            ..Recipe::new(&self.scene, self.tracers.settings(settings))
         }
     }
 }

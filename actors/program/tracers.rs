@@ -2,12 +2,15 @@
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 use clap::Args;
+use crossbeam_queue::ArrayQueue;
 use foveal_actors::station::{STATIONS_MAX, StationStatus};
 use foveal_engine::failure::Failure;
 use foveal_engine::interrupt::interrupted;
+use foveal_engine::recipe::{Beyond, Doors};
 use foveal_engine::recording::TRACERS_MAX;
 use foveal_engine::{Engine, Opened, Options, Settings};
 use foveal_remote::door::Door;
@@ -16,9 +19,10 @@ use foveal_remote::package::Package;
 use serde_json::{Value, json};
 
 /// Arguments of commands that other machines can trace for.
-#[derive(Args, Debug)]
+#[derive(Args, Clone, Debug)]
 pub struct TracersArguments {
-    /// Have other machines trace as well: listens at tcp/ADDRESS:PORT for `foveal trace`; light is baked first
+    /// Have other machines trace as well: listens at quic/ADDRESS:PORT, or at tcp/ADDRESS:PORT of this machine alone, for
+    /// `foveal trace`; light is baked first
     #[arg(long, value_name = "ADDRESS")]
     tracers: Option<String>,
     /// File for what they join with (made, or its key is taken again; default: printed)
@@ -27,9 +31,6 @@ pub struct TracersArguments {
     /// Most machines at once
     #[arg(long, value_name = "N", default_value_t = STATIONS_MAX, requires = "tracers", value_parser = clap::value_parser!(u32).range(1..=i64::from(STATIONS_MAX)))]
     tracers_max: u32,
-    /// Begin once so many are there
-    #[arg(long, value_name = "N", default_value_t = 0, requires = "tracers", value_parser = clap::value_parser!(u32).range(0..=i64::from(STATIONS_MAX)))]
-    tracers_wait: u32,
 }
 
 impl TracersArguments {
@@ -52,30 +53,68 @@ impl TracersArguments {
         options: &mut Options,
     ) -> Result<Option<Door>, Failure> {
         let Some(address) = &self.tracers else { return Ok(None) };
-        let key = match &self.tracers_key {
-            Some(file) if file.exists() => read(file)?.key,
-            _ => Key::new().map_err(Failure::Environment)?,
-        };
-        let door = Door::open(address, key, Package::of(opened)?, settings.k_max, settings.stations)?;
-        match &self.tracers_key {
-            Some(file) => write(file, door.invitation())?,
-            None => invite(door.invitation()),
-        }
+        let door = self.door(address, Package::of(opened)?, settings)?;
         options.outlets = Some(door.outlets());
         Ok(Some(door))
     }
 
+    fn door(&self, address: &str, package: Package, settings: &Settings) -> Result<Door, Failure> {
+        let key = match &self.tracers_key {
+            Some(file) if file.exists() => read(file)?.key,
+            _ => Key::new().map_err(Failure::Environment)?,
+        };
+        let door = Door::open(address, key, package, settings.k_max, settings.stations)?;
+        match &self.tracers_key {
+            Some(file) => write(file, door.invitation())?,
+            None => invite(door.invitation()),
+        }
+        Ok(door)
+    }
+
+    /// Doors of walks that follow each other in one window, each at the address and with the key of the first.
+    pub fn doors(&self) -> Option<Doors> {
+        let (arguments, address) = (self.clone(), self.tracers.clone()?);
+        let last: ArrayQueue<Door> = ArrayQueue::new(1);
+        Some(Arc::new(move |opened, settings| {
+            // Who traced for the last walk is told that it is over, and comes again.
+            let before = last.pop().map(|door| door.invitation().clone());
+            let door = match (Package::of(opened), before) {
+                (Ok(package), None) => arguments.door(&address, package, settings)?,
+                (Ok(package), Some(before)) => {
+                    let address = with_port_of(&address, &before.address);
+                    Door::open(&address, before.key, package, settings.k_max, settings.stations)?
+                }
+                (Err(e), None) => return Err(e),
+                (Err(e), Some(_)) => {
+                    tracing::warn!("other machines trace no more: {e}");
+                    return Ok(None);
+                }
+            };
+            let beyond = Beyond { outlets: door.outlets(), attach: Box::new(door.attacher()) };
+            let _ = last.push(door);
+            Ok(Some(beyond))
+        }))
+    }
+
     /// Has guests lead to the walk, and waits for as many as are wanted.
-    pub fn attach(&self, door: Option<&Door>, engine: &mut Engine) -> Result<(), Failure> {
+    pub fn attach(&self, door: Option<&Door>, guests: u32, engine: &mut Engine) -> Result<(), Failure> {
         let Some(door) = door else { return Ok(()) };
         door.attach(engine.station_inputs());
-        while door.serving() < self.tracers_wait {
+        while door.serving() < guests {
             if interrupted() {
                 return Err(Failure::Interrupted("interrupted while waiting for other machines".into()));
             }
             std::thread::sleep(Duration::from_millis(5));
         }
         Ok(())
+    }
+}
+
+/// An address with the port that was found where it left the choice.
+fn with_port_of(address: &str, found: &str) -> String {
+    match (address.rsplit_once(':'), found.rsplit_once(':')) {
+        (Some((host, _)), Some((_, port))) => format!("{host}:{port}"),
+        _ => address.to_owned(),
     }
 }
 

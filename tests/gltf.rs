@@ -99,15 +99,15 @@ fn a_duck_is_the_same_as_obj_and_as_gltf() {
 /// Nine scenes: archive, document, and the most that blocks of 8 × 8 pixels differ from 256 paths a pixel on average, and
 /// FLIP. A chart of glass wants light of the sun that paths find through panes; a level of white metal has noise of its own.
 const SCENES: [(&str, &str, f64, f64); 9] = [
-    ("godot-zdm2", "zdm2.glb", 0.006, 0.02),
-    ("pc-vr-gallery", "vr-gallery.glb", 0.002, 0.008),
-    ("pc-glass-table", "glass-table.glb", 0.002, 0.008),
-    ("gltf-SheenChair", "glTF/SheenChair.gltf", 0.005, 0.01),
-    ("gltf-Duck", "glTF/Duck.gltf", 0.002, 0.008),
-    ("gltf-GlassVaseFlowers", "glTF/GlassVaseFlowers.gltf", 0.003, 0.012),
-    ("gltf-StainedGlassLamp", "glTF-JPG-PNG/StainedGlassLamp.gltf", 0.002, 0.01),
-    ("gltf-FlightHelmet-bevy", "FlightHelmet.gltf", 0.003, 0.01),
-    ("gltf-TransmissionTest", "glTF/TransmissionTest.gltf", 0.02, 0.06),
+    ("godot-zdm2", "zdm2.glb", 0.006, 0.016),
+    ("pc-vr-gallery", "vr-gallery.glb", 0.001, 0.006),
+    ("pc-glass-table", "glass-table.glb", 0.0015, 0.006),
+    ("gltf-SheenChair", "glTF/SheenChair.gltf", 0.0015, 0.008),
+    ("gltf-Duck", "glTF/Duck.gltf", 0.001, 0.004),
+    ("gltf-GlassVaseFlowers", "glTF/GlassVaseFlowers.gltf", 0.002, 0.008),
+    ("gltf-StainedGlassLamp", "glTF-JPG-PNG/StainedGlassLamp.gltf", 0.0015, 0.006),
+    ("gltf-FlightHelmet-bevy", "FlightHelmet.gltf", 0.0015, 0.006),
+    ("gltf-TransmissionTest", "glTF/TransmissionTest.gltf", 0.018, 0.06),
 ];
 
 /// Each is loaded, baked, walked until it has converged, refined, and held against paths.

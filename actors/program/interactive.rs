@@ -14,6 +14,7 @@ use foveal_terminal::hashes::Hashes;
 use foveal_terminal::light::IlluminationArguments;
 use foveal_terminal::mode::ModeArguments;
 
+use super::doors::doors;
 use super::tracers::TracersArguments;
 
 /// Arguments of a walk that somebody takes.
@@ -112,7 +113,7 @@ impl InteractiveArguments {
             hashing: self.hashes.into(),
             set: self.set.clone(),
             from: From { camera: self.camera.clone(), path: self.path.clone() },
-            doors: self.tracers.doors(),
+            doors: doors(&self.tracers),
             ..Recipe::new(&self.scene, self.tracers.settings(settings))
         }
     }

@@ -192,6 +192,7 @@ fn what_nothing_is_known_of_is_not_told_as_exact() {
         .arg(scene("gallery"))
         .ok();
     let d = Foveal::new("replay --why 5,5 --frame 0").arg(&file).json();
+    assert!(d["surface"]["thing"]["path"].is_string(), "{d}");
     let light = &d["surface"]["light"];
     let is_first = light["map"]["rounds"] == 0;
     assert_eq!(light["stated_error"].is_null(), is_first, "{light}");

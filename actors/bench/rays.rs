@@ -330,6 +330,7 @@ fn plain_scene(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Scene {
         cameras: Vec::new(),
         paths: Vec::new(),
         objects: Vec::new(),
+        things: Default::default(),
         metres_per_unit: 1.0,
         up: Vec3::Y,
         display: Default::default(),

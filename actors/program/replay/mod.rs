@@ -127,7 +127,7 @@ pub struct ReplayArguments {
     json: bool,
 }
 
-fn pixel(text: &str) -> Result<(u32, u32), String> {
+pub fn pixel(text: &str) -> Result<(u32, u32), String> {
     let wrong = || format!("`{text}` is no pixel; write it as 30,20");
     let (x, y) = text.split_once(',').ok_or_else(wrong)?;
     Ok((x.trim().parse().map_err(|_| wrong())?, y.trim().parse().map_err(|_| wrong())?))

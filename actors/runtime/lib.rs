@@ -205,7 +205,7 @@ pub use foveal_runtime_derive::Message;
 pub use actor::reserve::Reserve;
 pub use actor::supervise::OnPanic;
 pub use actor::{Actor, Cx, Handle, Ticket, TimerId};
-pub use journal::divergence::{Divergence, Turn, Until};
+pub use journal::divergence::{Divergence, Said, Turn, Until};
 pub use journal::observe::{Delivery, Observer};
 pub use journal::port::{External, Port};
 pub use log::events::Event;

@@ -262,9 +262,22 @@ fn verify(
             let differs = found.differs.iter().map(|d| json!({"path": d.path, "a": d.left, "b": d.right}));
             document["diverged"]["says"] = json!(found.says);
             document["diverged"]["state"] = json!(found.state);
+            document["diverged"]["answers"] = found
+                .answers
+                .iter()
+                .map(|said| json!({"to": source.name(said.to), "message": said.kind, "says": said.says}))
+                .collect();
             document["diverged"]["replays_differ"] = differs.collect();
         } else {
             print_line(&format!("there it says {}", found.says));
+            for said in &found.answers {
+                print_line(&format!(
+                    "and is answered by {} to {}: {}",
+                    said.kind,
+                    source.name(said.to),
+                    said.says
+                ));
+            }
             match found.differs.is_empty() {
                 true => print_line(
                     "two more replays say the same there: this program says something else than that one did",

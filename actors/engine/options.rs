@@ -117,7 +117,7 @@ pub struct Recording {
 impl Recording {
     /// Into a file, with a hash for each message.
     pub fn file(path: impl Into<PathBuf>, command: &'static str) -> Self {
-        Self { into: Record::File(path.into()), hashing: Hashing::Exact, command }
+        Self { into: Record::File(path.into()), hashing: Hashing::Said, command }
     }
 
     /// The maps that will lie beside it; none where it is no file.

@@ -162,7 +162,15 @@ impl Source {
         verify: bool,
         watch: &dyn Watch,
     ) -> Result<Self, Failure> {
-        let trace = Arc::new(open_trace(path)?);
+        // What a recording says of itself is enough to make its world, while the rest of it is read.
+        let header = Trace::header_of(path).ok();
+        let early = header.as_ref().and_then(|header| RecordedRun::in_header(header, path).ok());
+        let early = early.filter(|recorded| recorded.parent.is_none());
+        let (trace, world) = rayon::join(
+            || open_trace(path).map(Arc::new),
+            || early.map(|recorded| recorded.open(path, elsewhere, watch)),
+        );
+        let trace = trace?;
         let recorded = RecordedRun::of(&trace, path)?;
         if verify && trace.header().hashing == Hashing::Off {
             return Err(Failure::Input(format!(
@@ -171,7 +179,7 @@ impl Source {
             )));
         }
         let mut opened = match &recorded.parent {
-            None => recorded.open(path, elsewhere, watch)?,
+            None => world.unwrap_or_else(|| recorded.open(path, elsewhere, watch))?,
             Some(parent) => Self::left(parent, path, &recorded, elsewhere, watch)?,
         };
         let shown_in = shown_in(&trace);
@@ -179,7 +187,12 @@ impl Source {
         if let Some(refinement) = &mut opened.refinement {
             let (beside, triangles) = (light_beside(path), refinement.world.scene.mesh.triangles.len());
             let beside: &[&Path] = if beside.exists() { &[&beside] } else { &[] };
-            let book = LightBook::open(light_key(refinement)?, triangles, beside, index.light());
+            let book = LightBook::open(
+                light_key(refinement, &recorded.illumination_hash),
+                triangles,
+                beside,
+                index.light(),
+            );
             let delivered =
                 trace.find("illuminator").map_or(0, |from| trace.deliveries_from(renderer(&trace), from));
             refinement.book = Some(Arc::new(book.with_delivered(delivered)));

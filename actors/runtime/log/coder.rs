@@ -11,8 +11,12 @@ use super::format::{FAINT_BITS, STREAMS, stream};
 /// Bodies that are longer are compressed otherwise: coding takes a microsecond for a byte.
 pub(crate) const CODED_BYTES_MAX: usize = 1 << 20;
 
-/// Slots of a table of guesses.
-const SLOTS: usize = 1 << 17;
+/// Slots of a table of guesses: such that all tables fit into a core's own cache.
+const SLOTS: usize = 1 << 16;
+/// Slots that lie together: those of four bits of a byte in one place.
+const NIBBLE: usize = 16;
+/// A guess forgets what it saw more bits ago than this.
+const ASKED_MAX: u8 = 60;
 /// Guesses for each bit.
 const ORDERS: usize = 3;
 /// Bits of a probability.
@@ -148,6 +152,8 @@ pub(crate) struct Model {
     history: Vec<u32>,
     squash: Vec<u16>,
     stretch: Vec<i16>,
+    /// What a guess moves by, of so many times asked: 65536ths of the way.
+    steps: Vec<i64>,
     cost: Vec<u32>,
     pub(crate) spent: Spent,
 }
@@ -175,6 +181,7 @@ impl Model {
             history: vec![0; ACTORS * FIELDS],
             squash,
             stretch,
+            steps: (0..=i64::from(ASKED_MAX)).map(|asked| 2 * (1 << 16) / (2 * asked + 3)).collect(),
             cost: (0..4096).map(cost).collect(),
             spent: Spent::default(),
         }
@@ -217,12 +224,25 @@ impl Model {
             _ => [of(0, 0), of(1, before & 0xffff), of(2, before)],
         };
         let (mut node, mut spent) = (1_usize, 0_u64);
+        let mut begins = [0; ORDERS];
         for number in (0..width).rev() {
+            let first = if number % 4 == 3 || number + 1 == width { node } else { 0 };
+            if patterned && first > 0 {
+                // Where the slots of the next four bits lie.
+                begins = std::array::from_fn(|order| {
+                    let place = contexts[order] ^ first.wrapping_mul(0x9e3_779b1);
+                    order * SLOTS + (place & (SLOTS / NIBBLE - 1)) * NIBBLE
+                });
+            }
             let bit = byte >> number & 1 == 1;
             let bit = if patterned {
-                let slots: [usize; ORDERS] = std::array::from_fn(|order| {
-                    order * SLOTS + ((contexts[order] ^ node.wrapping_mul(0x2_4f5d)) & (SLOTS - 1))
-                });
+                // Within a nibble the bits so far begin with a one.
+                let within = if node < NIBBLE {
+                    node
+                } else {
+                    1 << (3 - number % 4) | node & ((1 << (3 - number % 4)) - 1)
+                };
+                let slots = begins.map(|begin| begin + within);
                 let weights = field * 8 + number as usize;
                 self.bit(bits, bit, slots, weights, &mut spent)
             } else {
@@ -269,9 +289,9 @@ impl Model {
             let Slot { set, asked } = &mut self.slots[slot];
             let aim = if bit { 65535 } else { 0 };
             // As the mean of what was seen, until it has seen enough to forget.
-            let step = (aim - i32::from(*set)) * 2 / (2 * i32::from(*asked) + 3);
-            *set = (i32::from(*set) + step).clamp(0, 65535) as u16;
-            *asked = (*asked + 1).min(60);
+            let step = ((aim - i64::from(*set)) * self.steps[usize::from(*asked)]) >> 16;
+            *set = (i64::from(*set) + step).clamp(0, 65535) as u16;
+            *asked = (*asked + 1).min(ASKED_MAX);
         }
         bit
     }

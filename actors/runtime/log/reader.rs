@@ -124,31 +124,16 @@ impl Trace {
         Self::read(&mut &*bytes)
     }
 
+    /// What a file says about itself; the rest of it is not read.
+    pub fn header_of(path: &Path) -> Result<Header, TraceError> {
+        let file = std::fs::File::open(path).map_err(TraceError::Io)?;
+        let (_, header) = begin(&mut io::BufReader::new(file))?;
+        Ok(header)
+    }
+
     fn read(source: &mut impl Read) -> Result<Self, TraceError> {
-        let mut head = [0; 8];
-        let length = fill(source, &mut head).map_err(TraceError::Io)?;
-        if length < 6 || head[..6] != MAGIC {
-            return Err(TraceError::NotARecording);
-        }
-        let found = u16::from_le_bytes([head[6], head[7]]);
-        if length < 8 {
-            return Err(TraceError::NotARecording);
-        }
+        let (bytes, header) = begin(source)?;
         let mut model = None;
-        let first = read_segment(source, &mut model);
-        if !(VERSION_OLDEST..=VERSION).contains(&found) {
-            return Err(TraceError::Version { found, expected: VERSION, writer: first.writer() });
-        }
-        let damaged = |reason: String| TraceError::Header { reason };
-        let (bytes, body) = match first {
-            Segment::Body(bytes, body) => (bytes, body),
-            Segment::Nothing => return Err(damaged("it is missing".into())),
-            Segment::Damaged(reason) => return Err(damaged(reason)),
-        };
-        if body.first() != Some(&KIND_HEADER) {
-            return Err(damaged("the first segment is no header".into()));
-        }
-        let header: Header = postcard::from_bytes(&body[1..]).map_err(|error| damaged(error.to_string()))?;
         let mut trace = Self {
             logs: Vec::new(),
             end: None,
@@ -408,6 +393,34 @@ fn append(
     log.deliveries = log.deliveries.checked_add(count).ok_or_else(|| "too many deliveries".to_owned())?;
     let valid = walk.validate(log, header, count);
     valid.ok_or_else(|| format!("the log of actor {actor} cannot be decoded"))
+}
+
+/// What a recording begins with: its header, and the bytes of that.
+fn begin(source: &mut impl Read) -> Result<(u64, Header), TraceError> {
+    let mut head = [0; 8];
+    let length = fill(source, &mut head).map_err(TraceError::Io)?;
+    if length < 6 || head[..6] != MAGIC {
+        return Err(TraceError::NotARecording);
+    }
+    let found = u16::from_le_bytes([head[6], head[7]]);
+    if length < 8 {
+        return Err(TraceError::NotARecording);
+    }
+    let first = read_segment(source, &mut None);
+    if !(VERSION_OLDEST..=VERSION).contains(&found) {
+        return Err(TraceError::Version { found, expected: VERSION, writer: first.writer() });
+    }
+    let damaged = |reason: String| TraceError::Header { reason };
+    let (bytes, body) = match first {
+        Segment::Body(bytes, body) => (bytes, body),
+        Segment::Nothing => return Err(damaged("it is missing".into())),
+        Segment::Damaged(reason) => return Err(damaged(reason)),
+    };
+    if body.first() != Some(&KIND_HEADER) {
+        return Err(damaged("the first segment is no header".into()));
+    }
+    let header: Header = postcard::from_bytes(&body[1..]).map_err(|error| damaged(error.to_string()))?;
+    Ok((bytes, header))
 }
 
 enum Segment {

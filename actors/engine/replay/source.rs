@@ -17,6 +17,7 @@ use foveal_runtime::{
 
 use serde_json::{Value, json};
 
+use super::counters::{Counts, counted};
 use super::index::Index;
 use crate::bake_clock::Watch;
 use crate::failure::Failure;
@@ -269,12 +270,12 @@ impl Source {
                 return Err(Failure::Interrupted("interrupted while replaying".into()));
             }
             match exit {
-                Exit::Until => index.keep(|| runtime.snapshot()),
+                Exit::Until => index.keep(|| counted(&self.trace, &mut runtime)),
                 _ => break,
             }
         }
         if stops && index.is_worth() && !runtime.diverged() {
-            index.keep(|| runtime.snapshot());
+            index.keep(|| counted(&self.trace, &mut runtime));
         }
         look(&runtime);
         if jumped && runtime.diverged() {
@@ -297,13 +298,18 @@ impl Source {
 
     /// Keeps a snapshot.
     #[cfg(test)]
-    pub(super) fn keep(&self, take: impl FnOnce() -> Option<Snapshot>) {
-        self.index.borrow_mut().keep(take);
+    pub(super) fn keep(&self, runtime: &mut Runtime) {
+        self.index.borrow_mut().keep(|| counted(&self.trace, runtime));
     }
 
     /// What had been delivered at each snapshot that is kept, from the first on.
     pub fn places(&self) -> Vec<Vec<u64>> {
         self.index.borrow().places()
+    }
+
+    /// What had been counted by a place of which a snapshot is kept.
+    pub(super) fn counts_at(&self, place: &[u64]) -> Option<Counts> {
+        self.index.borrow().counts(place)
     }
 
     /// The snapshot that is kept of a place.
@@ -426,7 +432,7 @@ impl Indexing {
             let exit = runtime.pump_until(Limit::IDLE, |_| enough() || interrupted() || index.is_due());
             match exit {
                 Exit::Until if enough() || interrupted() => return true,
-                Exit::Until => index.keep(|| runtime.snapshot()),
+                Exit::Until => index.keep(|| counted(&source.trace, runtime)),
                 // What diverges is found again by whoever looks there.
                 _ => {
                     (self.runtime, self.is_done) = (None, true);
@@ -515,7 +521,7 @@ mod tests {
             let until = Some(source.frame_shown(frame).expect("a frame"));
             let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
             runtime.pump(Limit::IDLE);
-            index.keep(|| runtime.snapshot());
+            index.keep(|| counted(&source.trace, &mut runtime));
         }
         let at = |index: &Index, frame: usize| {
             let snapshot = index.before(renderer, source.shown_in[frame])?;
@@ -547,7 +553,7 @@ mod tests {
         let until = Some(source.frame_shown(3).expect("a frame"));
         let (mut first, _) = source.system(How { until, ..How::default() }).expect("a system");
         first.pump(Limit::IDLE);
-        source.index.borrow_mut().keep(|| first.snapshot());
+        source.keep(&mut first);
         let how = How { threads: 2, until, jump: true, ..How::default() };
         let (mut again, actors) = source.run(how, |_| ()).expect("a replay");
         let report = again.replay_report();
@@ -571,7 +577,7 @@ mod tests {
             let until = Some(source.frame_shown(frame).expect("a frame"));
             let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
             runtime.pump(Limit::IDLE);
-            index.keep(|| runtime.snapshot());
+            index.keep(|| counted(&source.trace, &mut runtime));
         }
         let count = |index: &Index| {
             let found = source.shown_in.iter().filter(|at| index.right_after(renderer, **at).is_some());

@@ -150,7 +150,7 @@ impl Index {
         let (_, entry) = ranked.max_by_key(|(rank, _)| *rank)?;
         let mut file = File::open(self.file.as_ref()?).ok()?;
         file.seek(SeekFrom::Start(entry.offset)).ok()?;
-        let mut bytes = Vec::new();
+        let mut bytes = Vec::with_capacity(entry.length as usize);
         file.take(entry.length).read_to_end(&mut bytes).ok()?;
         // Another process may have written its own there meanwhile.
         Snapshot::from_bytes(&bytes).filter(|found| found.positions() == entry.positions)

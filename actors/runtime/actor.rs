@@ -48,7 +48,7 @@ pub trait Actor: Send + 'static {
     /// Called once when the actor stops.
     fn stopped(&mut self) {}
 
-    /// A hash of the state, taken after each delivery where hashes are exact: with it, replay names the message that
+    /// A hash of the state, taken after each delivery where hashes are not sparse: with it, replay names the message that
     /// changed a state wrongly rather than the first message that tells of it. `None` costs nothing.
     fn digest(&self) -> Option<u64> {
         None

@@ -153,10 +153,10 @@
 //! # What makes replay exact
 //!
 //! Each actor's recording holds the sender of each delivery, payloads of what came through [`Port`]s, timers, clock
-//! readings, job pops, sends that were given back, and a hash chained over content and order. Replay makes all
-//! other payloads anew and delivers by the recording; it compares hashes and marks before each message is handled.
-//! An actor that reads a clock, iterates a randomly seeded map or looks at shared state is found at the first delivery
-//! where it shows. [`Actor::digest`] makes that the delivery where its state went wrong.
+//! readings, job pops, sends that were given back, and a hash chained over order, content and what was said. Replay
+//! makes all other payloads anew and delivers by the recording; what an actor says reaches others once its hash is the
+//! recorded one. An actor that reads a clock, iterates a randomly seeded map or looks at shared state is found at the
+//! first delivery in which it says something that shows it ([`Hashing::Said`]). [`Actor::digest`] makes that the delivery where its state went wrong.
 //!
 //! # Taking a run apart
 //!

@@ -1,7 +1,7 @@
 //! Snapshots of a recording on disk, so that a replay begins close to where one wants to be.
 //!
 //! They lie in the cache folder under the recording's hash. Replays leave them while they run; another build of the
-//! program makes them anew. Beside them lie the maps of light that a replay had to make again. All recordings together
+//! program makes them anew. With each stand the counters that never fall. Beside them lie the maps of light that a replay had to make again. All recordings together
 //! have a bound; what was used least lately goes.
 
 use std::fs::{File, OpenOptions};

@@ -12,7 +12,8 @@ use foveal_actors::renderer::{MARK_FRAME, Unseen};
 use foveal_actors::stages::StageTimes;
 use foveal_actors::wiring::{Actors, wire};
 use foveal_runtime::{
-    ActorId, Config, Content, Delivery, Exit, Hashing, Limit, Mode, Observer, Runtime, Snapshot, Trace, Until,
+    ActorId, Config, Content, Delivery, Exit, Hashing, Limit, Mode, Observer, Runtime, Snapshot, Trace,
+    Until, calibrate,
 };
 
 use serde_json::{Value, json};
@@ -168,7 +169,10 @@ impl Source {
         let early = header.as_ref().and_then(|header| RecordedRun::in_header(header, path).ok());
         let early = early.filter(|recorded| recorded.parent.is_none());
         let (trace, world) = rayon::join(
-            || open_trace(path).map(Arc::new),
+            || {
+                calibrate();
+                open_trace(path).map(Arc::new)
+            },
             || early.map(|recorded| recorded.open(path, elsewhere, watch)),
         );
         let trace = trace?;

@@ -89,7 +89,7 @@ impl Recipe {
             command: "view",
             record: None,
             keeps_light: true,
-            hashing: Hashing::Exact,
+            hashing: Hashing::Said,
             set: Vec::new(),
             from: From::default(),
             stalled: Stalled::Nobody,

@@ -309,6 +309,7 @@ impl Sum {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::illumination::sites::Site;
     use crate::rng::Stream;
 
     const SIDE: usize = 64;

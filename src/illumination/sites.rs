@@ -182,7 +182,7 @@ impl Sites {
                 continue;
             }
             look(cell(place, level), level, &mut least);
-            if least > (HALF * site.width).powi(2) {
+            if level == own && least > (HALF * site.width).powi(2) {
                 // It may lie across a cell's border.
                 let low = cell(place - Vec3::splat(0.5 / per_cell(level)), level);
                 for corner in 0..8 {

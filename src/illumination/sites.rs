@@ -15,8 +15,9 @@ const FLAT: f32 = 0.906;
 /// Distance of a neighbour from the tangent plane, widths, at most.
 const BESIDE: f32 = 2.0;
 
-/// Distance of a linked site from the place that is a width away, and from the tangent plane, widths, at most.
-const LINKED: (f32, f32) = (1.5, 1.0);
+/// Distance of a linked site from the place that is a width away, and from the tangent plane, widths: less, so that every link
+/// leads that way.
+const LINKED: (f32, f32) = (1.0, 1.0);
 /// A site as near as this to such a place has none before it, widths.
 const HALF: f32 = 0.71;
 /// No site.

@@ -10,7 +10,7 @@ use foveal_actors::station::StationStatus;
 use foveal_engine::failure::Failure;
 use foveal_engine::opened::{self, Opened, camera};
 use foveal_engine::process::cpu_ns;
-use foveal_engine::{Engine, Light, Options, Settings};
+use foveal_engine::{Engine, Light, Options, Settings, Standing};
 use foveal_remote::door::Door;
 use foveal_remote::key::Key;
 use foveal_remote::package::Package;
@@ -23,6 +23,9 @@ use super::made::MadeScene;
 const COMES: Duration = Duration::from_secs(60);
 /// Time that a view has to converge.
 const CONVERGES: Duration = Duration::from_secs(120);
+
+/// Time of a frame.
+const FRAME: Duration = Duration::from_millis(100);
 
 /// A guest's process, which ends with this value.
 struct Guest(Child);
@@ -72,17 +75,24 @@ fn walked(opened: &Opened, link: Option<&str>, views: u32) -> Result<Walked, Fai
     let guest = guest.transpose()?;
     let mut walked = Walked { seconds: Vec::new(), samples: 0.0, cpu_ns: 0.0, stations: Vec::new() };
     for number in 0..=views {
-        let (began, before) = (Instant::now(), cpu_ns());
-        engine.begin(&aside(&start, number))?;
-        engine.work_until(CONVERGES, Renderer::is_converged)?;
+        let (began, before, camera) = (Instant::now(), cpu_ns(), aside(&start, number));
+        let mut samples = 0.0;
+        // In frames: what moves may be drawn coarsely, and is whole in the frame after.
+        loop {
+            let frame = engine.frame_until(&camera, FRAME, None, Renderer::is_converged)?;
+            samples += f64::from(frame.counts.traced);
+            if frame.standing != Standing::Growing {
+                break;
+            }
+            if began.elapsed() > CONVERGES {
+                return Err(Failure::Check(format!("view {number} does not converge")));
+            }
+        }
         // The first is where both sides learn how long jobs take.
         if number > 0 {
             walked.seconds.push(began.elapsed().as_secs_f64());
             walked.cpu_ns += cpu_ns() - before;
-        }
-        let frame = engine.end()?;
-        if number > 0 {
-            walked.samples += f64::from(frame.counts.traced);
+            walked.samples += samples;
         }
     }
     engine.finish(Duration::from_secs(10));

@@ -89,7 +89,7 @@ impl Recipe {
             command: "view",
             record: None,
             keeps_light: true,
-            hashing: Hashing::Exact,
+            hashing: Hashing::Said,
             set: Vec::new(),
             from: From::default(),
             stalled: Stalled::Nobody,
@@ -187,7 +187,16 @@ impl Recipe {
 
     /// Makes walks by this recipe. Scenes are read on the thread that asks, actors are started where they are shown.
     pub fn loader(self) -> Loader {
-        let walks = AtomicU32::new(0);
+        self.loader_of(Arc::default())
+    }
+
+    /// The same, and what changes them.
+    pub fn loader_and_changer(self) -> (Loader, Changer) {
+        let walks = Arc::default();
+        (self.clone().loader_of(Arc::clone(&walks)), self.changer(walks))
+    }
+
+    fn loader_of(self, walks: Arc<AtomicU32>) -> Loader {
         let recipe = Arc::new(self);
         Arc::new(move |path: Option<&Path>| {
             let recipe = Arc::clone(&recipe);

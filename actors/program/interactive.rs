@@ -14,6 +14,7 @@ use foveal_terminal::hashes::Hashes;
 use foveal_terminal::light::IlluminationArguments;
 use foveal_terminal::mode::ModeArguments;
 
+use super::doors::doors;
 use super::tracers::TracersArguments;
 
 /// Arguments of a walk that somebody takes.
@@ -21,9 +22,9 @@ use super::tracers::TracersArguments;
 pub struct InteractiveArguments {
     /// An OBJ or glTF file or a sidecar
     pub scene: PathBuf,
-    /// Picture size
-    #[arg(long, value_name = "WxH", default_value = "512x512")]
-    pub size: Size,
+    /// Picture size (default: 512x512; a window's picture follows its size then, unless it is recorded)
+    #[arg(long, value_name = "WxH")]
+    size: Option<Size>,
     /// Begin at this camera (default: the scene's first)
     #[arg(long, value_name = "NAME")]
     camera: Option<String>,
@@ -74,6 +75,16 @@ pub struct InteractiveArguments {
 }
 
 impl InteractiveArguments {
+    /// The picture's size.
+    pub fn size(&self) -> Size {
+        self.size.unwrap_or(Size { width: 512, height: 512 })
+    }
+
+    /// Whether the picture may have another size when the window has.
+    pub fn follows(&self) -> bool {
+        self.size.is_none() && self.record.is_none()
+    }
+
     /// Tracers that were asked for, or one for each core.
     pub fn workers(&self) -> u32 {
         let cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
@@ -89,7 +100,7 @@ impl InteractiveArguments {
             policy: RayPolicy::new(self.policy, self.seed),
             seed: self.seed,
             supersampling: (noise > 0.0).then_some(rules),
-            ..Settings::new(self.size.width, self.size.height, self.workers())
+            ..Settings::new(self.size().width, self.size().height, self.workers())
         };
         Recipe {
             light,
@@ -102,7 +113,7 @@ impl InteractiveArguments {
             hashing: self.hashes.into(),
             set: self.set.clone(),
             from: From { camera: self.camera.clone(), path: self.path.clone() },
-            doors: self.tracers.doors(),
+            doors: doors(&self.tracers),
             ..Recipe::new(&self.scene, self.tracers.settings(settings))
         }
     }

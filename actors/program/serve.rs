@@ -101,7 +101,7 @@ impl ServeArguments {
                 self.listen
             )));
         }
-        let size = self.walk.size;
+        let size = self.walk.size();
         if size.width.max(size.height) > SIDE_MAX {
             return Err(Failure::Usage(format!("--size: each side at most {SIDE_MAX}")));
         }

@@ -2,15 +2,12 @@
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Duration;
 
 use clap::Args;
-use crossbeam_queue::ArrayQueue;
 use foveal_actors::station::{STATIONS_MAX, StationStatus};
 use foveal_engine::failure::Failure;
 use foveal_engine::interrupt::interrupted;
-use foveal_engine::recipe::{Beyond, Doors};
 use foveal_engine::recording::TRACERS_MAX;
 use foveal_engine::{Engine, Opened, Options, Settings};
 use foveal_remote::door::Door;
@@ -34,6 +31,12 @@ pub struct TracersArguments {
 }
 
 impl TracersArguments {
+    /// Where to listen for other machines, if they may come.
+    #[cfg(any(feature = "serve", feature = "window"))]
+    pub(super) fn address(&self) -> Option<&str> {
+        self.tracers.as_deref()
+    }
+
     /// Whether other machines may come.
     pub fn is_asked_for(&self) -> bool {
         self.tracers.is_some()
@@ -58,7 +61,8 @@ impl TracersArguments {
         Ok(Some(door))
     }
 
-    fn door(&self, address: &str, package: Package, settings: &Settings) -> Result<Door, Failure> {
+    /// Opens it at an address, and tells others how to come.
+    pub(super) fn door(&self, address: &str, package: Package, settings: &Settings) -> Result<Door, Failure> {
         let key = match &self.tracers_key {
             Some(file) if file.exists() => read(file)?.key,
             _ => Key::new().map_err(Failure::Environment)?,
@@ -69,31 +73,6 @@ impl TracersArguments {
             None => invite(door.invitation()),
         }
         Ok(door)
-    }
-
-    /// Doors of walks that follow each other in one window, each at the address and with the key of the first.
-    pub fn doors(&self) -> Option<Doors> {
-        let (arguments, address) = (self.clone(), self.tracers.clone()?);
-        let last: ArrayQueue<Door> = ArrayQueue::new(1);
-        Some(Arc::new(move |opened, settings| {
-            // Who traced for the last walk is told that it is over, and comes again.
-            let before = last.pop().map(|door| door.invitation().clone());
-            let door = match (Package::of(opened), before) {
-                (Ok(package), None) => arguments.door(&address, package, settings)?,
-                (Ok(package), Some(before)) => {
-                    let address = with_port_of(&address, &before.address);
-                    Door::open(&address, before.key, package, settings.k_max, settings.stations)?
-                }
-                (Err(e), None) => return Err(e),
-                (Err(e), Some(_)) => {
-                    tracing::warn!("other machines trace no more: {e}");
-                    return Ok(None);
-                }
-            };
-            let beyond = Beyond { outlets: door.outlets(), attach: Box::new(door.attacher()) };
-            let _ = last.push(door);
-            Ok(Some(beyond))
-        }))
     }
 
     /// Has guests lead to the walk, and waits for as many as are wanted.
@@ -107,14 +86,6 @@ impl TracersArguments {
             std::thread::sleep(Duration::from_millis(5));
         }
         Ok(())
-    }
-}
-
-/// An address with the port that was found where it left the choice.
-fn with_port_of(address: &str, found: &str) -> String {
-    match (address.rsplit_once(':'), found.rsplit_once(':')) {
-        (Some((host, _)), Some((_, port))) => format!("{host}:{port}"),
-        _ => address.to_owned(),
     }
 }
 

@@ -14,13 +14,14 @@ use glam::{DVec3, Vec3, Vec4};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::ahead::ahead;
 use super::atlas::{Atlas, ConformalCharts, Element};
 use super::filter::{Noisy, Parts, Smoothing};
 use super::first::first_picture;
 use super::gathered::Gathered;
 use super::points::Points;
 use super::seen::seen;
-use super::sites::{Site, Sites};
+use super::sites::Sites;
 use super::statement::{HeldBack, HeldBackState, Statement};
 use super::stored::{Illumination, Summary, Value};
 use crate::image::luminance;
@@ -29,9 +30,11 @@ use crate::transport::Indexed;
 use crate::transport::caustic::{Caustics, Class, RUN, Sources};
 use crate::transport::gather::Trust;
 
-/// Samples of a site in the first round; every later round doubles them.
+/// Samples of a site in the first round over all of them; every later round doubles them.
 const FIRST_ROUND: u32 = 4;
-/// Samples of the back of an element in the first round, which tells whether there is any light.
+/// As many times more take those that the start view shows, in a round before and in all of them.
+const AHEAD: u32 = 2;
+/// Samples of the back of an element in the first round over all, which tell whether there is any light.
 const FIRST_LOOK: u32 = 2;
 /// What a site out of sight takes, as a share: it may light what is in sight.
 const UNSEEN: u32 = 8;
@@ -44,10 +47,11 @@ const SMOOTHED: usize = 1 << 14;
 /// Sites that share the decision whether light can reach them.
 const BLOCK: usize = 64;
 /// Rounds at most; by then there is nothing left to see.
-const ROUNDS_MAX: u32 = 16;
+const ROUNDS_MAX: u32 = 17;
 /// One in so many samples is taken where the map is tested; each follows its path to the end.
 const TESTED: u64 = 16;
-/// Particles of caustics in the first round, whole runs for each half; every later round doubles them.
+/// Particles of caustics before the first round, whole runs for each half; after the first one over all sites every later round
+/// doubles them.
 const PARTICLES: u64 = 1 << 16;
 /// Looks for what is in sight, at least and at most: one for each texel.
 const LOOKS: (u64, u64) = (1 << 14, 1 << 18);
@@ -132,7 +136,6 @@ pub struct BakeState {
 enum Doing {
     Begin,
     Gather,
-    Caustics,
     Smooth(Smoothing),
     Test(Illumination),
 }
@@ -143,6 +146,8 @@ pub struct Baker {
     atlas: Atlas,
     points: Points,
     sites: Sites,
+    /// The sites that the start view shows, which have the first round for themselves, and per site whether it does.
+    ahead: (Vec<u32>, Vec<bool>),
     /// Per site whether a walk can see it.
     seen: Vec<bool>,
     gathered: Vec<Gathered>,
@@ -209,7 +214,10 @@ impl Baker {
         for (i, site) in sites.all().iter().enumerate() {
             site_of[site.element as usize][usize::from(site.back)] = i as u32;
         }
+        let is_ahead = ahead((scene, indexed.accel), &atlas, &sites, &site_of);
+        let first = (0..is_ahead.len() as u32).filter(|i| is_ahead[*i as usize]).collect();
         Self {
+            ahead: (first, is_ahead),
             site_of,
             sources: Sources::new(scene, indexed.accel, indexed.lights, Class::All),
             particles: 0,
@@ -307,12 +315,13 @@ impl Baker {
                 self.begin_with(&first);
                 Step::Going
             }
-            Doing::Gather => {
-                self.gather(indexed);
+            // What a round shows has all parts of light, wherever it ends.
+            Doing::Gather if self.next == 0 && self.wants_particles() => {
+                self.trace(indexed);
                 Step::Going
             }
-            Doing::Caustics => {
-                self.trace(indexed);
+            Doing::Gather => {
+                self.gather(indexed);
                 Step::Going
             }
             Doing::Smooth(mut smoothing) => {
@@ -350,75 +359,109 @@ impl Baker {
         if met || all || nothing || self.round >= ROUNDS_MAX { Step::Done(map) } else { Step::Better(map) }
     }
 
+    /// The sites of the round that has begun, where they are not all.
+    fn chosen(&self) -> Option<&[u32]> {
+        Some(self.ahead.0.as_slice()).filter(|first| self.round == 0 && !first.is_empty())
+    }
+
+    /// How many sites the round that has begun comes to.
+    fn places(&self) -> usize {
+        self.chosen().map_or(self.gathered.len(), <[u32]>::len)
+    }
+
+    /// Rounds over all sites before the one that has begun.
+    fn whole_rounds(&self) -> u32 {
+        self.round.saturating_sub(u32::from(!self.ahead.0.is_empty()))
+    }
+
     /// Samples of a site in the round that has begun: the last round is as long as what is left of the paths asked for.
     fn samples_of_round(&self) -> u32 {
-        let whole = FIRST_ROUND << self.round;
+        let whole = FIRST_ROUND << self.whole_rounds();
         let Some(most) = self.settings.particles else { return whole };
-        let of = |i: usize| if self.seen[i] { 1.0 } else { 1.0 / f64::from(UNSEEN) };
+        let of = |i: usize| match (self.ahead.1[i], self.seen[i]) {
+            (true, _) => f64::from(AHEAD),
+            (_, true) => 1.0,
+            _ => 1.0 / f64::from(UNSEEN),
+        };
         let open = |i: &usize| self.gathered[*i].is_open() && !self.dark[i / BLOCK];
-        let sites: f64 = (0..self.seen.len()).filter(open).map(of).sum();
+        let sites: f64 = match self.chosen() {
+            Some(chosen) => chosen.iter().map(|i| *i as usize).filter(open).map(of).sum(),
+            None => (0..self.seen.len()).filter(open).map(of).sum(),
+        };
         let left = most.saturating_sub(self.paths) as f64 / sites.max(1.0);
         whole.min(2 * (0.5 * left).ceil().min(f64::from(whole)) as u32).max(2)
     }
 
     fn gather(&mut self, indexed: Indexed<'_>) {
-        let first = self.round == 0;
+        // The first round that comes to all sites tells which are dark.
+        let first = self.whole_rounds() == 0;
         // Decided at the beginning of the round; later the paths that are left say something else.
         let samples = self.round_samples.unwrap_or_else(|| self.samples_of_round());
         self.round_samples = Some(samples);
-        let of = |site: &Site, seen: bool| match (seen, first && site.back) {
-            (_, true) => FIRST_LOOK,
-            (true, false) => samples,
-            (false, false) => (samples / UNSEEN).next_multiple_of(2).max(2),
-        };
         let (sites, atlas, points, seen, dark) =
             (self.sites.all(), &self.atlas, &self.points, &self.seen, &self.dark);
+        let is_ahead = &self.ahead.1;
+        let of = |i: usize| match (is_ahead[i], seen[i], first && sites[i].back) {
+            (true, ..) => AHEAD * samples,
+            (.., true) => FIRST_LOOK,
+            (_, true, _) => samples,
+            _ => (samples / UNSEEN).next_multiple_of(2).max(2),
+        };
+        let chosen = self.chosen();
+        let (count, is_whole) = (self.places(), chosen.is_none());
+        let place = |k: usize| chosen.map_or(k, |chosen| chosen[k] as usize);
         let map = self.map.clone();
         let gather = indexed.gather(Trust::Map(&*map)).without_caustics().without_named();
         let mut end = self.next;
         let mut batch = 0;
-        while end < sites.len() && batch < BATCH {
-            batch += if dark[end / BLOCK] { 0 } else { u64::from(of(&sites[end], seen[end])) };
+        while end < count && batch < BATCH {
+            let i = place(end);
+            batch += if dark[i / BLOCK] { 0 } else { u64::from(of(i)) };
             end += 1;
         }
         let seed = self.settings.seed;
-        let taken: u64 = self.gathered[self.next..end]
-            .par_iter_mut()
-            .zip(self.next..end)
-            .map(|(sums, i)| {
-                let site = &sites[i];
+        let gathered: Vec<(usize, Gathered, u32)> = (self.next..end)
+            .into_par_iter()
+            .map(|k| {
+                let i = place(k);
+                let (site, mut sums) = (&sites[i], self.gathered[i]);
                 if dark[i / BLOCK]
                     || !sums.find_points((indexed.scene, indexed.accel), atlas, points, (site, seen[i]))
                 {
-                    return 0;
+                    return (i, sums, 0);
                 }
-                let count = of(site, seen[i]);
+                let count = of(i);
                 sums.begin_round();
                 let e = &atlas.elements[site.element as usize];
                 let expected = luminance(map.lookup_unnamed(e.triangle, e.b1, e.b2, site.back).truncate());
                 sums.gather(indexed.scene, (atlas, points), &gather, site, (seed, count, expected));
-                u64::from(count)
+                (i, sums, count)
             })
-            .sum();
-        self.paths += taken;
+            .collect();
+        for (i, sums, taken) in gathered {
+            self.gathered[i] = sums;
+            self.paths += u64::from(taken);
+        }
         self.next = end;
-        if end < sites.len() {
+        if end < count {
             return;
         }
-        if first {
+        if first && is_whole {
             let blocks = self.gathered.chunks(BLOCK).map(|block| !block.iter().any(Gathered::is_lit));
             self.dark = blocks.collect();
         }
         self.round_samples = None;
-        self.doing = Doing::Caustics;
+        self.doing = Doing::Smooth(self.smoothing());
     }
 
-    /// Traces a run of particles for each half, or goes on to smoothing if that is done.
+    /// Whether particles of caustics are still to be traced before the round that has begun.
+    fn wants_particles(&self) -> bool {
+        let most = self.settings.particles.map_or(u64::MAX, |most| most / 2);
+        self.sources.is_possible() && self.particles < (PARTICLES << self.whole_rounds()).min(most)
+    }
+
+    /// Traces a run of particles for each half.
     fn trace(&mut self, indexed: Indexed<'_>) {
-        if !self.sources.is_possible() || self.particles >= PARTICLES << self.round {
-            self.doing = Doing::Smooth(self.smoothing());
-            return;
-        }
         let caustics = Caustics::new(indexed.scene, indexed.accel, indexed.lights, &self.sources);
         let (seed, begin, atlas, site_of) = (self.settings.seed, self.particles, &self.atlas, &self.site_of);
         let mesh = &indexed.scene.mesh;
@@ -446,23 +489,27 @@ impl Baker {
         }
         self.particles += 2 * RUN;
         self.paths += 2 * RUN;
-        self.doing = Doing::Caustics;
     }
 
+    /// The filter of what the round gathered.
     fn smoothing(&self) -> Smoothing {
-        let parts = |(g, site): (&Gathered, &Site)| {
-            if g.samples() > 0 {
-                return g.parts(self.per_flux(site.element));
-            }
-            // Not yet come to: there the light that it began with stays.
-            let e = &self.atlas.elements[site.element as usize];
-            let begun = self.map.lookup_unnamed(e.triangle, e.b1, e.b2, site.back).truncate();
-            [Noisy::default(), Noisy::new([begun; 2]), Noisy::default()]
+        let own = |(i, g): (usize, &Gathered)| match g.samples() {
+            0 => self.begun(i),
+            _ => g.parts(self.per_flux(self.sites.all()[i].element)),
         };
-        let parts = self.gathered.iter().zip(self.sites.all()).map(parts).collect();
-        // Where no light comes nothing is smoothed, nor does it darken what is beside it.
-        let known = |(i, g): (usize, &Gathered)| g.is_open() && !self.dark[i / BLOCK];
-        Smoothing::new(parts, self.gathered.iter().enumerate().map(known).collect())
+        // Where no light comes nothing is smoothed, nor does it darken what is beside it; and a first estimate tells what was
+        // gathered nothing.
+        let known = |(i, g): (usize, &Gathered)| g.is_open() && g.samples() > 0 && !self.dark[i / BLOCK];
+        let each = || self.gathered.iter().enumerate();
+        Smoothing::new(each().map(own).collect(), each().map(known).collect())
+    }
+
+    /// The light that the round began with at a site that nobody has come to.
+    fn begun(&self, i: usize) -> Parts {
+        let site = &self.sites.all()[i];
+        let e = &self.atlas.elements[site.element as usize];
+        let begun = self.map.lookup_unnamed(e.triangle, e.b1, e.b2, site.back).truncate();
+        [Noisy::default(), Noisy::new([begun; 2]), Noisy::default()]
     }
 
     /// Irradiance on an element per flux of one half of the particles, m⁻².
@@ -503,8 +550,8 @@ impl Baker {
             Doing::Begin => return Illumination::clone(&self.map),
             Doing::Test(map) => return map,
             Doing::Smooth(smoothing) => smoothing,
-            Doing::Gather | Doing::Caustics if self.next == 0 => return Illumination::clone(&self.map),
-            Doing::Gather | Doing::Caustics => self.smoothing(),
+            Doing::Gather if self.next == 0 => return Illumination::clone(&self.map),
+            Doing::Gather => self.smoothing(),
         };
         loop {
             if let Some(parts) = smoothing.step(&self.sites, usize::MAX >> 1) {
@@ -526,10 +573,10 @@ impl Baker {
             if !keep_going(&self.progress()) && begun {
                 let state = self.state();
                 let mut illumination = self.so_far();
-                if self.round == 0 {
+                if self.whole_rounds() == 0 {
+                    let come_to = self.gathered.iter().filter(|g| g.samples() > 0).count();
                     illumination.summary.notes.push(format!(
-                        "light was gathered at {} of {} places, elsewhere a first estimate shows",
-                        state.next,
+                        "light was gathered at {come_to} of {} places, elsewhere a coarse estimate shows",
                         self.gathered.len()
                     ));
                 }
@@ -552,7 +599,7 @@ impl Baker {
     fn progress(&self) -> Progress {
         let stage = match &self.doing {
             Doing::Begin => Stage::First,
-            Doing::Gather | Doing::Caustics => Stage::Gather,
+            Doing::Gather => Stage::Gather,
             Doing::Smooth(_) => Stage::Smooth,
             Doing::Test(_) => Stage::Test,
         };
@@ -560,7 +607,7 @@ impl Baker {
             stage,
             particles: self.paths,
             rounds: self.round,
-            round_share: self.next as f32 / self.gathered.len().max(1) as f32,
+            round_share: self.next as f32 / self.places().max(1) as f32,
             relative_error: self.relative_error,
         }
     }

@@ -15,7 +15,7 @@ use super::stored::Illumination;
 /// First bytes of a file.
 const MAGIC: [u8; 8] = *b"FVBAKE\r\n";
 /// Raised with every change of what is stored or how it is computed.
-pub const VERSION: u32 = 16;
+pub const VERSION: u32 = 17;
 /// Magic, version, key, compressed and plain length, checksum.
 const HEADER: usize = 8 + 4 + 32 + 8 + 8 + 32;
 /// LZ4 cannot expand more than this.
@@ -85,6 +85,25 @@ pub fn encode<T: Serialize>(key: &[u8; 32], value: &T) -> Result<Vec<u8>, CacheE
 
 fn checksum(head: &[u8], body: &[u8]) -> [u8; 32] {
     *blake3::Hasher::new().update(head).update(body).finalize().as_bytes()
+}
+
+/// What [`encode`] gives under `key` for the value that is kept in the bytes of a file under another one. Nothing is unpacked
+/// for it.
+///
+/// # Errors
+/// If the bytes are not whole, or of another version.
+pub fn under(key: &[u8; 32], bytes: &[u8]) -> Result<Vec<u8>, CacheError> {
+    let (head, body) = bytes.split_at_checked(HEADER).ok_or(CacheError::Damaged)?;
+    if head[..8] != MAGIC || head[8..12] != VERSION.to_le_bytes() {
+        return Err(CacheError::Foreign);
+    }
+    if checksum(&head[..60], body) != head[60..] {
+        return Err(CacheError::Damaged);
+    }
+    let mut bytes = [&head[..12], key, &head[44..60]].concat();
+    bytes.extend(checksum(&bytes, body));
+    bytes.extend(body);
+    Ok(bytes)
 }
 
 /// The value kept in the bytes of a file, if they are whole and of this version and key.

@@ -8,31 +8,20 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::sites::{Site, Sites};
+use super::sites::{Links, NONE, Sites};
 use crate::image::luminance;
 use crate::math;
 
 /// Parts of light that are smoothed apart, each with edges of its own: see [`super::gathered`].
 pub const PARTS: usize = 3;
-/// Distances between taps, level by level, in widths of a site.
-const STEPS: [f32; 6] = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
+/// Passes that smooth; each has taps twice as far apart as the one before, the first a width.
+const LEVELS: usize = 6;
 /// The last pass.
-const PEAKS: usize = STEPS.len() + 1;
-/// Taps with their weights, but for the middle one: a binomial kernel without its corners.
-const TAPS: [(f32, f32, f32); 12] = [
-    (1.0, 0.0, 0.25),
-    (-1.0, 0.0, 0.25),
-    (0.0, 1.0, 0.25),
-    (0.0, -1.0, 0.25),
-    (1.0, 1.0, 0.167),
-    (1.0, -1.0, 0.167),
-    (-1.0, 1.0, 0.167),
-    (-1.0, -1.0, 0.167),
-    (2.0, 0.0, 0.0625),
-    (-2.0, 0.0, 0.0625),
-    (0.0, 2.0, 0.0625),
-    (0.0, -2.0, 0.0625),
-];
+const PEAKS: usize = LEVELS + 1;
+/// Taps but for the middle one: a binomial kernel without its corners.
+const TAPS: usize = 12;
+/// Weights of those straight ahead, of those between two ways, and of those twice as far.
+const WEIGHTS: [f32; 3] = [0.25, 0.167, 0.0625];
 /// Weight of the middle.
 const MIDDLE: f32 = 0.375;
 /// A standard error below this share of a value is not smoothed away: nobody sees it.
@@ -81,6 +70,17 @@ pub struct Smoothing {
     reaching: Vec<bool>,
     /// Passes done: pooling, the levels, peaks.
     pass: usize,
+    /// Per site those at the distance of taps, of the pass that goes on.
+    hops: Vec<Links>,
+}
+
+/// What a pass looks at around a site.
+#[derive(Clone, Copy)]
+struct Around<'a> {
+    sites: &'a Sites,
+    known: &'a [bool],
+    from: &'a [Parts],
+    hops: &'a [Links],
 }
 
 impl Smoothing {
@@ -92,6 +92,7 @@ impl Smoothing {
             from: gathered,
             known,
             pass: 0,
+            hops: Vec::new(),
         }
     }
 
@@ -99,18 +100,26 @@ impl Smoothing {
     pub fn step(&mut self, sites: &Sites, count: usize) -> Option<Vec<Parts>> {
         let done = self.to.len();
         let end = done.saturating_add(count).min(self.from.len());
-        let (from, known, pass) = (&self.from, &self.known, self.pass);
+        if done == 0 {
+            self.hops = match self.pass {
+                1 => sites.links().to_vec(),
+                0 | PEAKS => doubled(sites.links()),
+                _ => doubled(&self.hops),
+            };
+        }
+        let (from, pass) = (&self.from, self.pass);
+        let around = Around { sites, known: &self.known, from, hops: &self.hops };
         let reaching = &mut self.reaching[done..end];
         self.to.par_extend((done..end).into_par_iter().zip(reaching).map(|(i, reaches)| match pass {
-            _ if !known[i] || !*reaches => from[i],
-            0 if is_dark((sites, known), from, i) => {
+            _ if !around.known[i] || !*reaches => from[i],
+            0 if around.is_dark(i) => {
                 *reaches = false;
                 from[i]
             }
-            0 => pooled((sites, known), from, i),
-            PEAKS => without_peak((sites, known), from, i),
+            0 => around.pooled(i),
+            PEAKS => around.without_peak(i),
             _ => {
-                let (parts, found) = smoothed((sites, known), from, i, STEPS[pass - 1]);
+                let (parts, found) = around.smoothed(i);
                 *reaches = found;
                 parts
             }
@@ -129,98 +138,128 @@ impl Smoothing {
     }
 }
 
-/// The sites around one with the weights of the kernel.
-fn taps<'a>(
-    (sites, known): (&'a Sites, &'a [bool]),
-    site: &'a Site,
-    step: f32,
-) -> impl Iterator<Item = (usize, f32)> + 'a {
-    let (x, y) = site.normal.any_orthonormal_pair();
-    TAPS.iter().filter_map(move |&(u, v, weight)| {
-        let place = site.position + (x * u + y * v) * (step * site.width);
-        sites.beside(site, place).map(|j| (j as usize, weight)).filter(|(j, _)| known[*j])
-    })
+/// Links that reach twice as far.
+fn doubled(links: &[Links]) -> Vec<Links> {
+    let twice = |own: &Links| std::array::from_fn(|way| hop(links, own[way], way));
+    links.par_iter().map(twice).collect()
 }
 
-/// Whether no light was found at a site, nor at most of those around it: then it is dark there, and a wall or a shadow's edge
-/// that is near ends the light. Alone it may be chance.
-fn is_dark((sites, known): (&Sites, &[bool]), from: &[Parts], i: usize) -> bool {
-    let dark = |i: usize| from[i].iter().all(|part| part.halves == [Vec3::ZERO; 2]);
-    if !dark(i) {
-        return false;
-    }
-    let (mut all, mut none) = (0, 0);
-    for (j, _) in taps((sites, known), &sites.all()[i], 1.0) {
-        all += 1;
-        none += usize::from(dark(j));
-    }
-    2 * none >= all
+/// The site that lies one link in a direction from another one, if there is one.
+#[inline]
+fn hop(links: &[Links], from: u32, way: usize) -> u32 {
+    links.get(from as usize).map_or(NONE, |links| links[way])
 }
 
-/// Variances as they are around a site.
-fn pooled((sites, known): (&Sites, &[bool]), from: &[Parts], i: usize) -> Parts {
-    let mut out = from[i];
-    let site = &sites.all()[i];
-    if site.normal == Vec3::ZERO {
-        return out;
+impl<'a> Around<'a> {
+    /// The known sites around one with the weights of the kernel, at links of these.
+    #[inline]
+    fn taps(self, i: usize, links: &'a [Links]) -> impl Iterator<Item = (usize, f32)> {
+        let own = links[i];
+        let [right, left, up, down] = own;
+        // A corner of the surface may be in the way of one of both ways there.
+        let between = |a: u32, way_b: usize, b: u32, way_a: usize| match hop(links, a, way_b) {
+            NONE => hop(links, b, way_a),
+            found => found,
+        };
+        let diagonal = [
+            between(right, 2, up, 0),
+            between(right, 3, down, 0),
+            between(left, 2, up, 1),
+            between(left, 3, down, 1),
+        ];
+        let far: Links = std::array::from_fn(|way| hop(links, own[way], way));
+        let site = &self.sites.all()[i];
+        [own, diagonal, far]
+            .into_iter()
+            .zip(WEIGHTS)
+            .flat_map(|(found, weight)| found.map(|j| (j, weight)))
+            .filter(move |&(j, _)| {
+                j != NONE && self.known[j as usize] && self.sites.are_of_one_surface(site, j)
+            })
+            .map(|(j, weight)| (j as usize, weight))
     }
-    let light = |parts: &Parts| parts.iter().map(|part| luminance(part.mean())).sum::<f32>();
-    let mut sums = out.map(|part| part.variance * MIDDLE);
-    let (mut total, mut around, mut count) = (MIDDLE, [0.0; TAPS.len()], 0);
-    for (j, weight) in taps((sites, known), site, 2.0) {
-        total += weight;
-        sums.iter_mut().zip(&from[j]).for_each(|(sum, part)| *sum += weight * part.variance);
-        around[count] = light(&from[j]);
-        count += 1;
-    }
-    // Beside a wall the noise of the light behind it is not that of the dark before it: a lower quartile is on this side.
-    let around = &mut around[..count];
-    around.sort_unstable_by(f32::total_cmp);
-    let level = around.get(count / 4).map_or(0.0, |quartile| light(&out).max(*quartile));
-    let most = NOISE_MAX * level * level;
-    out.iter_mut().zip(sums).for_each(|(part, sum)| part.variance = (sum / total).min(most));
-    out
-}
 
-fn smoothed((sites, known): (&Sites, &[bool]), from: &[Parts], i: usize, step: f32) -> (Parts, bool) {
-    let here = &from[i];
-    let site = &sites.all()[i];
-    if here.iter().all(Noisy::is_clean) || site.normal == Vec3::ZERO {
-        return (*here, true);
-    }
-    let mut found = false;
-    let mut sums = here.map(|part| Sum::of(&part));
-    for (j, weight) in taps((sites, known), site, step) {
-        found = true;
-        for ((sum, own), other) in sums.iter_mut().zip(here).zip(&from[j]) {
-            sum.add(own, other, weight);
+    /// Whether no light was found at a site, nor at most of those around it: then it is dark there, and a wall or a shadow's
+    /// edge that is near ends the light. Alone it may be chance.
+    fn is_dark(self, i: usize) -> bool {
+        let dark = |i: usize| self.from[i].iter().all(|part| part.halves == [Vec3::ZERO; 2]);
+        if !dark(i) {
+            return false;
         }
+        let (mut all, mut none) = (0, 0);
+        for (j, _) in self.taps(i, self.sites.links()) {
+            all += 1;
+            none += usize::from(dark(j));
+        }
+        2 * none >= all
     }
-    let mut out = *here;
-    out.iter_mut().zip(&sums).filter(|(part, _)| !part.is_clean()).for_each(|(part, sum)| *part = sum.mean());
-    (out, found)
-}
 
-/// No brighter than the brightest around: where few samples found a light by chance in both halves, they agree on a spot.
-fn without_peak((sites, known): (&Sites, &[bool]), from: &[Parts], i: usize) -> Parts {
-    let mut out = from[i];
-    let site = &sites.all()[i];
-    let mut around = [0.0f32; PARTS];
-    let mut count = 0;
-    for (j, _) in taps((sites, known), site, 2.0) {
-        around.iter_mut().zip(&from[j]).for_each(|(most, part)| *most = most.max(luminance(part.mean())));
-        count += 1;
+    /// Variances as they are around a site.
+    fn pooled(self, i: usize) -> Parts {
+        let mut out = self.from[i];
+        let light = |parts: &Parts| parts.iter().map(|part| luminance(part.mean())).sum::<f32>();
+        let mut sums = out.map(|part| part.variance * MIDDLE);
+        let (mut total, mut around, mut count) = (MIDDLE, [0.0; TAPS], 0);
+        for (j, weight) in self.taps(i, self.hops) {
+            total += weight;
+            sums.iter_mut().zip(&self.from[j]).for_each(|(sum, part)| *sum += weight * part.variance);
+            around[count] = light(&self.from[j]);
+            count += 1;
+        }
+        // Beside a wall the noise of the light behind it is not that of the dark before it: a lower quartile is on this side.
+        let around = &mut around[..count];
+        around.sort_unstable_by(f32::total_cmp);
+        let level = around.get(count / 4).map_or(0.0, |quartile| light(&out).max(*quartile));
+        let most = NOISE_MAX * level * level;
+        out.iter_mut().zip(sums).for_each(|(part, sum)| part.variance = (sum / total).min(most));
+        out
     }
-    // The edge of a narrow thing may be its brightest place.
-    if 2 * count >= TAPS.len() {
-        for (part, most) in out.iter_mut().zip(around) {
-            let light = luminance(part.mean());
-            if light > most {
-                part.halves = part.halves.map(|half| half * (most / light));
+
+    /// The mean of what is alike around a site, and whether there is anything at that distance.
+    fn smoothed(self, i: usize) -> (Parts, bool) {
+        let here = &self.from[i];
+        if here.iter().all(Noisy::is_clean) {
+            return (*here, true);
+        }
+        let mut found = false;
+        let mut sums = here.map(|part| Sum::of(&part));
+        for (j, weight) in self.taps(i, self.hops) {
+            found = true;
+            for ((sum, own), other) in sums.iter_mut().zip(here).zip(&self.from[j]) {
+                sum.add(own, other, weight);
             }
         }
+        let mut out = *here;
+        out.iter_mut()
+            .zip(&sums)
+            .filter(|(part, _)| !part.is_clean())
+            .for_each(|(part, sum)| *part = sum.mean());
+        (out, found)
     }
-    out
+
+    /// No brighter than the brightest around: where few samples found a light by chance in both halves, they agree on a spot.
+    fn without_peak(self, i: usize) -> Parts {
+        let mut out = self.from[i];
+        let mut around = [0.0f32; PARTS];
+        let mut count = 0;
+        for (j, _) in self.taps(i, self.hops) {
+            around
+                .iter_mut()
+                .zip(&self.from[j])
+                .for_each(|(most, part)| *most = most.max(luminance(part.mean())));
+            count += 1;
+        }
+        // The edge of a narrow thing may be its brightest place.
+        if 2 * count >= TAPS {
+            for (part, most) in out.iter_mut().zip(around) {
+                let light = luminance(part.mean());
+                if light > most {
+                    part.halves = part.halves.map(|half| half * (most / light));
+                }
+            }
+        }
+        out
+    }
 }
 
 /// Weighted sums of both halves.
@@ -270,6 +309,7 @@ impl Sum {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::illumination::sites::Site;
     use crate::rng::Stream;
 
     const SIDE: usize = 64;

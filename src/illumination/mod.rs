@@ -1,5 +1,6 @@
 //! View-independent diffuse illumination: the elements it is stored at, the bake that gathers it, its error, its files.
 
+mod ahead;
 pub mod atlas;
 pub mod bake;
 #[cfg(test)]

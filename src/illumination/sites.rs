@@ -4,6 +4,7 @@
 //! dense meshes have neighbours as texels do.
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::atlas::Atlas;
 
@@ -13,6 +14,14 @@ const CELL: f32 = 2.0;
 const FLAT: f32 = 0.906;
 /// Distance of a neighbour from the tangent plane, widths, at most.
 const BESIDE: f32 = 2.0;
+
+/// Distance of a linked site from the place that is a width away, and from the tangent plane, widths: less, so that every link
+/// leads that way.
+const LINKED: (f32, f32) = (1.0, 1.0);
+/// A site as near as this to such a place has none before it, widths.
+const HALF: f32 = 0.71;
+/// No site.
+pub const NONE: u32 = u32::MAX;
 
 /// One side of an element.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,7 +56,12 @@ pub struct Sites {
     members: Vec<Near>,
     /// Which sizes of cells there are, as powers of two from [`FINEST`] on.
     sizes: Vec<bool>,
+    /// Per site the one a width to its right, left, above and below, or [`NONE`].
+    links: Vec<Links>,
 }
+
+/// A site's neighbours in four directions, opposite ones beside each other.
+pub type Links = [u32; 4];
 
 /// The smallest cells, as a power of two; all that are smaller count as these.
 const FINEST: i32 = -60;
@@ -115,7 +129,76 @@ impl Sites {
             next[b] += 1;
             sizes[(level(s.width) - FINEST) as usize] = true;
         }
-        Self { all, first, members, sizes }
+        let mut sites = Self { all, first, members, sizes, links: Vec::new() };
+        sites.links = (0..sites.all.len()).into_par_iter().map(|i| sites.linked(i)).collect();
+        sites
+    }
+
+    /// Per site those that lie a width away.
+    pub fn links(&self) -> &[Links] {
+        &self.links
+    }
+
+    /// Whether what light does at a site says something about another one: whether one surface goes on from one to the other.
+    #[inline]
+    pub fn are_of_one_surface(&self, site: &Site, other: u32) -> bool {
+        let other = &self.all[other as usize];
+        other.normal.dot(site.normal) > FLAT
+            && (other.position - site.position).dot(site.normal).abs() < BESIDE * site.width
+    }
+
+    fn linked(&self, i: usize) -> Links {
+        let site = &self.all[i];
+        if site.normal == Vec3::ZERO {
+            return [NONE; 4];
+        }
+        // The same on all of a flat surface, whatever the last bits of its normals.
+        let up = if site.normal.y.abs() < 0.9 { Vec3::Y } else { Vec3::X };
+        let x = up.cross(site.normal).normalize_or_zero();
+        let y = site.normal.cross(x);
+        [x, -x, y, -y].map(|way| self.nearest(i as u32, site.position + way * site.width))
+    }
+
+    /// The site nearest to a place a width away from another one.
+    fn nearest(&self, from: u32, place: Vec3) -> u32 {
+        let site = &self.all[from as usize];
+        let own = level(site.width);
+        let mut nearest = NONE;
+        let mut least = (LINKED.0 * site.width).powi(2);
+        let mut look = |here: [i32; 3], level: i32, least: &mut f32| {
+            let bucket = bucket(here, level, self.first.len() - 1);
+            for near in &self.members[self.first[bucket] as usize..self.first[bucket + 1] as usize] {
+                let distance = near.position.distance_squared(place);
+                if distance < *least
+                    && near.site != from
+                    && near.normal.dot(site.normal) > FLAT
+                    && (near.position - site.position).dot(site.normal).abs() < LINKED.1 * site.width
+                {
+                    (nearest, *least) = (near.site, distance);
+                }
+            }
+        };
+        for level in [own, own + 1, own - 1] {
+            if !self.sizes.get((level - FINEST) as usize).is_some_and(|there| *there) {
+                continue;
+            }
+            look(cell(place, level), level, &mut least);
+            if level == own && least > (HALF * site.width).powi(2) {
+                // It may lie across a cell's border.
+                let low = cell(place - Vec3::splat(0.5 / per_cell(level)), level);
+                for corner in 0..8 {
+                    look(
+                        [0, 1, 2].map(|axis| low[axis].saturating_add(corner >> axis & 1)),
+                        level,
+                        &mut least,
+                    );
+                }
+            }
+            if least < (HALF * site.width).powi(2) {
+                break;
+            }
+        }
+        nearest
     }
 
     /// All of them.

@@ -12,6 +12,7 @@ mod book;
 mod bundled;
 mod exits;
 mod faults;
+mod gltf;
 mod hostile;
 mod packages;
 mod remote;

@@ -42,6 +42,7 @@ fn packages_hold_what_they_need() {
         ("foveal-terminal", "actors/terminal", &["lib.rs"]),
         ("foveal-serve", "actors/serve", &["page/index.html"]),
         ("foveal-window", "actors/window", &["gpu/base.wgsl"]),
+        ("foveal-remote", "actors/remote", &["lib.rs"]),
         ("foveal-bench", "actors/bench", &["lib.rs"]),
         ("foveal-program", "actors/program", &["main.rs"]),
     ] {

@@ -11,9 +11,13 @@ const WALK: &str = "walk --frames 1 --until-converged --seed 5 --workers 1 --n-j
 
 /// A walk that is walked with so many guests, recorded; and the file that they join with.
 fn walk(size: &str, out: &Path, wait: u32) -> (Running, PathBuf) {
+    walk_over("tcp", size, out, wait)
+}
+
+fn walk_over(link: &str, size: &str, out: &Path, wait: u32) -> (Running, PathBuf) {
     let key = out.join("key");
     let words = format!(
-        "{WALK} --size {size} {CHEAP_BAKE} --tracers tcp/127.0.0.1:0 --tracers-max 4 --tracers-wait {wait} --json"
+        "{WALK} --size {size} {CHEAP_BAKE} --tracers {link}/127.0.0.1:0 --tracers-max 4 --tracers-wait {wait} --json"
     );
     let walk = Foveal::new(&words)
         .arg(scene("box"))
@@ -83,7 +87,7 @@ fn two_guests_trace_for_a_walk_and_its_recording_replays_without_them() {
 #[test]
 fn guests_that_are_killed_or_stopped_or_come_again_change_no_bit() {
     let (out, expected) = (folder("remote-killed"), local("320x240"));
-    let (walk, key) = walk("320x240", &out, 2);
+    let (walk, key) = walk_over("quic", "320x240", &out, 2);
     let (killed, stopped) = (join(&key), join(&key));
     let began = Instant::now();
     // They trace once the walk has begun to write pictures, or soon.
@@ -121,6 +125,33 @@ fn who_has_no_key_or_a_wrong_one_is_told_so() {
     assert_eq!(walk.wait().code, Some(0));
     assert_eq!(guest.wait().code, Some(0));
     Foveal::new("trace --once --join").arg(text.trim()).fails(5, &["nobody answers"]);
+    let (mut walk, key) = walk_over("quic", "48x36", &out.join("quic"), 1);
+    let text = fs::read_to_string(&key).expect("a key");
+    let other = if &text[10..11] == "A" { "B" } else { "A" };
+    let wrong = format!("{}{other}{}", &text[..10], text[11..].trim());
+    Foveal::new("trace --once --join").arg(&wrong).fails(5, &["another key"]);
+    assert!(walk.is_running(), "{}", walk.said());
+    assert_eq!(join(&key).wait().code, Some(0));
+    assert_eq!(walk.wait().code, Some(0));
+}
+
+/// A window's walk begins anew with each edit, and the door with it; a picture without a window is that of one machine.
+#[test]
+fn a_view_has_its_door_too() {
+    let out = folder("remote-view");
+    fs::create_dir_all(&out).expect("a folder");
+    let key = out.join("key");
+    let view = |name: &str| {
+        let words = format!("view --headless --size 96x72 --seed 5 --workers 1 {CHEAP_BAKE}");
+        Foveal::new(&words).arg(scene("box")).arg("--out").arg(out.join(name))
+    };
+    view("local.png").ok();
+    let walk =
+        view("remote.png").arg("--tracers").arg("quic/127.0.0.1:0").arg("--tracers-key").arg(&key).start();
+    assert_eq!(walk.wait().code, Some(0));
+    assert!(fs::read_to_string(&key).expect("a key").starts_with("fvj1-"));
+    assert_same_bits(&picture(&out.join("remote.png")), &picture(&out.join("local.png")), "with a door");
+    Foveal::new("serve --share each --tracers quic/127.0.0.1:0").arg(scene("box")).fails(2, &["--share one"]);
 }
 
 #[test]
@@ -129,5 +160,6 @@ fn a_door_is_opened_only_where_it_may_be() {
         Foveal::new(&format!("walk --frames 1 --size 32x24 --quick --tracers {address}")).arg(scene("box"))
     };
     of("tcp/0.0.0.0:0").fails(5, &["not encrypted"]);
+    of("quic/192.0.2.1:0").fails(5, &["quic/192.0.2.1:0"]);
     of("carrier-pigeon/roof").fails(5, &["no such link"]);
 }

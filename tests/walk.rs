@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::support::{CHEAP_BAKE, Foveal, folder, picture, root, scene};
 
@@ -117,6 +117,27 @@ fn explain_and_doctor_answer() {
     }
     has(&Foveal::new("doctor").json(), "foveal.doctor/1", "version cores simd adapter display");
     assert!(Foveal::new("doctor").ok().out.contains("processor"));
+}
+
+/// Every thing that a file names can be asked for by its pixel, diffuse ones too.
+#[test]
+fn a_pixel_picks_a_thing_by_its_name() {
+    let pick = |name: &str, pixel: &str| {
+        let line = format!("explain --pick {pixel} --size 64x48");
+        Foveal::new(&line).arg(scene(name)).json()["picked"].clone()
+    };
+    let d = Foveal::new("explain").arg(scene("box")).json();
+    assert!(d.get("picked").is_none());
+    let things = d["things"].as_array().expect("things");
+    let triangles: u64 = things.iter().filter_map(|thing| thing["triangles"].as_u64()).sum();
+    assert_eq!(Some(triangles), d["triangles"].as_u64());
+    let wall = pick("box", "2,2");
+    let id = wall["thing"]["id"].as_u64().expect("a thing") as usize;
+    assert_eq!((&things[id]["path"], &wall["object"]), (&wall["thing"]["path"], &json!(0)), "{wall}");
+    assert!(wall["material"].is_string() && wall["distance"].as_f64() > Some(0.0), "{wall}");
+    let text = Foveal::new("explain --pick 2,2 --size 64x48").arg(scene("box")).ok().out;
+    assert!(text.contains(&format!("at 2,2: {}", wall["thing"]["path"])), "{text}");
+    Foveal::new("explain --pick 64,0 --size 64x48").arg(scene("box")).fails(2, &["64,0", "64 × 48"]);
 }
 
 /// Results go to standard output, and without a terminal nothing is coloured and no bar is drawn.

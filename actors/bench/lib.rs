@@ -20,6 +20,7 @@ mod messages;
 #[cfg(feature = "window")]
 mod motion;
 mod rays;
+mod remote;
 mod report;
 mod scaling;
 #[cfg(feature = "serve")]

@@ -101,8 +101,8 @@ pub fn run(a: &RaysArguments, progress: Progress) -> Result<(), Failure> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         pools.push(pool.map_err(|e| Failure::Environment(format!("no threads: {e}")))?);
     }
-    // By set and number of threads: ours, then each peer.
-    let mut rates = vec![vec![[(); 3].map(|()| Vec::new()); a.threads.len()]; job.sets.len()];
+    // By set and number of threads: ours, each peer, and ours where shadow rays go together.
+    let mut rates = vec![vec![[(); 4].map(|()| Vec::new()); a.threads.len()]; job.sets.len()];
     let mut sums = vec![0u64; job.sets.len()];
     for _ in 0..a.common.runs {
         for (p, pool) in pools.iter().enumerate() {
@@ -110,6 +110,13 @@ pub fn run(a: &RaysArguments, progress: Progress) -> Result<(), Failure> {
                 let (rate, sum) = ours(pool, &job.scene, &accel, *kind, rays);
                 rates[s][p][0].push(rate);
                 sums[s] = sum;
+                if *kind == Kind::Shadow {
+                    let (rate, together) = shadows_together(pool, &job.scene, &accel, rays);
+                    if together != sum {
+                        return Err(Failure::Check("shadow rays find other things together".to_owned()));
+                    }
+                    rates[s][p][3].push(rate);
+                }
                 for (i, peer) in peers.iter().enumerate() {
                     rates[s][p][i + 1].push(theirs(pool, peer, *kind, rays));
                 }
@@ -121,7 +128,7 @@ pub fn run(a: &RaysArguments, progress: Progress) -> Result<(), Failure> {
     let mut rows = Vec::new();
     for (s, (kind, _)) in job.sets.iter().enumerate() {
         for (p, threads) in a.threads.iter().enumerate() {
-            let [own, binary, wide] = &rates[s][p];
+            let [own, binary, wide, together] = &rates[s][p];
             let what = format!(
                 "{}, {}, {threads} thread{}",
                 job.name,
@@ -142,6 +149,14 @@ pub fn run(a: &RaysArguments, progress: Progress) -> Result<(), Failure> {
                 let row = Row::new(&what, "Mrays per CPU s", own).against(label, Some(*rate));
                 let aim = if *kind == Kind::Primary { 0.6 } else { 1.0 };
                 rows.push(row.aim(Aim::RatioAtLeast(aim)));
+                if *kind == Kind::Shadow {
+                    let row = Row::new(format!("{what}, sixteen together"), "Mrays per CPU s", together);
+                    rows.push(row.against(label, Some(*rate)).aim(Aim::RatioAtLeast(1.0)));
+                }
+            }
+            if *kind == Kind::Shadow {
+                let row = Row::new(format!("{what}, sixteen together"), "Mrays per CPU s", together);
+                rows.push(row.against("one by one", median(own)));
             }
         }
     }
@@ -199,22 +214,30 @@ fn ours(pool: &rayon::ThreadPool, scene: &Scene, accel: &Accel, kind: Kind, rays
             chunk.iter().fold(0u64, |sum, ray| sum.rotate_left(5) ^ of_hit(accel.intersect(scene, ray)))
         }),
         Kind::Shadow => rate(pool, rays, |chunk| {
-            let (mut sum, mut last) = (0u64, LastShadow::default());
-            for rays in chunk.chunks(LANES) {
-                let found = match rays.try_into() {
-                    Ok(packet) => accel.shadows(scene, packet, 0xffff, &mut last, |_| true),
-                    Err(_) => Shadows { blocked: 0, unclear: 0xffff },
-                };
-                for (lane, ray) in rays.iter().enumerate() {
-                    let is_alone = found.unclear >> lane & 1 != 0;
-                    let blocked =
-                        if is_alone { accel.occluded(scene, ray) } else { found.blocked >> lane & 1 != 0 };
-                    sum = sum.rotate_left(5) ^ u64::from(blocked);
-                }
-            }
-            sum
+            chunk.iter().fold(0u64, |sum, ray| sum.rotate_left(5) ^ u64::from(accel.occluded(scene, ray)))
         }),
     };
+    (rate, digest(&found))
+}
+
+/// The same of shadow rays, sixteen that follow each other at a time.
+fn shadows_together(pool: &rayon::ThreadPool, scene: &Scene, accel: &Accel, rays: &[Ray]) -> (f64, u64) {
+    let (rate, found) = rate(pool, rays, |chunk| {
+        let (mut sum, mut last) = (0u64, LastShadow::default());
+        for rays in chunk.chunks(LANES) {
+            let found = match rays.try_into() {
+                Ok(packet) => accel.shadows(scene, packet, 0xffff, &mut last, |_| true),
+                Err(_) => Shadows { blocked: 0, unclear: 0xffff },
+            };
+            for (lane, ray) in rays.iter().enumerate() {
+                let is_alone = found.unclear >> lane & 1 != 0;
+                let blocked =
+                    if is_alone { accel.occluded(scene, ray) } else { found.blocked >> lane & 1 != 0 };
+                sum = sum.rotate_left(5) ^ u64::from(blocked);
+            }
+        }
+        sum
+    });
     (rate, digest(&found))
 }
 
@@ -307,6 +330,7 @@ fn plain_scene(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Scene {
         cameras: Vec::new(),
         paths: Vec::new(),
         objects: Vec::new(),
+        things: Default::default(),
         metres_per_unit: 1.0,
         up: Vec3::Y,
         display: Default::default(),

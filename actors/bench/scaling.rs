@@ -20,6 +20,7 @@ use foveal::world::World;
 use glam::Vec3;
 
 use super::made::MadeScene;
+use super::remote;
 use super::stages::{quick_world, stepped, traced};
 use foveal_actors::renderer::Renderer;
 use foveal_engine::failure::Failure;
@@ -43,6 +44,9 @@ pub struct ScalingArguments {
     /// Numbers of tracers
     #[arg(long, value_name = "N,…", value_delimiter = ',', default_value = "1,2")]
     workers: Vec<u32>,
+    /// Measure instead what a guest with one core adds over these links
+    #[arg(long, value_name = "LINK,…", value_delimiter = ',', num_args = 0..=1, default_missing_value = "tcp,quic", value_parser = ["tcp", "quic"])]
+    tracers: Vec<String>,
     #[command(flatten)]
     common: CommonArguments,
 }
@@ -108,6 +112,12 @@ fn measure(runs: u32, mut work: impl FnMut()) -> f64 {
 
 /// Runs the benchmark.
 pub fn run(a: &ScalingArguments, progress: Progress) -> Result<(), Failure> {
+    if !a.tracers.is_empty() {
+        let rows = remote::rows(&a.tracers, a.common.runs)?;
+        let notes =
+            vec!["both on this machine, over loopback: a network adds its round trip and its losses".into()];
+        return finish("scaling-tracers", &rows, &notes, &a.common);
+    }
     let bar = progress.bar(5, "scaling");
     let mut curves = Vec::new();
     for part in [triangles, pixels, samples, objects] {

@@ -43,7 +43,7 @@ impl Made {
     }
 
     fn recorded(mut self, into: Record) -> Self {
-        self.options.recording = Some(Recording { into, hashing: Hashing::Exact, command: "test" });
+        self.options.recording = Some(Recording { into, hashing: Hashing::Said, command: "test" });
         self
     }
 }

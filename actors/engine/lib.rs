@@ -23,7 +23,7 @@
 //! | [`engine`], [`edit`] | frames at deadlines, controls, what happened meanwhile; changes of the scene |
 //! | [`source`], [`walk`], [`navigation`] | a walk by hand: input becomes cameras, cameras become frames |
 //! | [`thread`], [`controls`] | the same on a thread of its own, for a door that serves many; what can be set, as a table |
-//! | [`look`], [`screenshot`] | overlays, pictures, other displays |
+//! | [`look`], [`screenshot`], [`pick`] | overlays, pictures, other displays; what is at a pixel |
 //! | [`recording`], [`replay`] | what a recording says of its run; the same run again, from any moment |
 //! | [`change`] | what a walk begins anew for |
 //! | [`reference`](mod@reference) | the gold standards |
@@ -54,6 +54,7 @@ pub mod machine;
 pub mod navigation;
 pub mod opened;
 pub mod options;
+pub mod pick;
 pub mod process;
 pub mod recipe;
 pub mod recording;

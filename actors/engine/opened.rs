@@ -171,7 +171,12 @@ pub fn illuminated(
     with_light(path, Read::of(scene, warnings), light, watch)
 }
 
-fn with_light(path: &Path, mut read: Read, light: &Light, watch: &dyn Watch) -> Result<Opened, Failure> {
+pub(crate) fn with_light(
+    path: &Path,
+    mut read: Read,
+    light: &Light,
+    watch: &dyn Watch,
+) -> Result<Opened, Failure> {
     let (scene, mut warnings) = (read.scene.clone(), std::mem::take(&mut read.warnings));
     let as_read = AsRead::of(&scene);
     let edits = &light.edits;

@@ -15,7 +15,7 @@ use crate::failure::Failure;
 use crate::light::Light;
 use crate::machine::Machine;
 use crate::opened::Opened;
-use crate::recording::{Parent, RecordedRun, light_beside, light_key};
+use crate::recording::{Parent, RecordedRun, illumination_hash, light_beside, light_key};
 
 /// How a walk is started.
 pub struct Options {
@@ -117,7 +117,7 @@ pub struct Recording {
 impl Recording {
     /// Into a file, with a hash for each message.
     pub fn file(path: impl Into<PathBuf>, command: &'static str) -> Self {
-        Self { into: Record::File(path.into()), hashing: Hashing::Exact, command }
+        Self { into: Record::File(path.into()), hashing: Hashing::Said, command }
     }
 
     /// The maps that will lie beside it; none where it is no file.
@@ -128,7 +128,8 @@ impl Recording {
             return Ok(None);
         }
         let triangles = refinement.world.scene.mesh.triangles.len();
-        let book = LightBook::begin(light_key(refinement)?, triangles, &light_beside(path));
+        let key = light_key(refinement, &illumination_hash(&*refinement.world.illumination)?);
+        let book = LightBook::begin(key, triangles, &light_beside(path));
         Ok(Some(Arc::new(book)))
     }
 

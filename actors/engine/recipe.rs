@@ -6,7 +6,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use foveal::display::first_approximation::Probes;
 use foveal_actors::settings::Settings;
-use foveal_runtime::{Hashing, Record};
+use foveal_actors::station::{Heard, Outlets, StationMessage};
+use foveal_runtime::{Hashing, Port, Record};
 
 use crate::bake_clock::Watch;
 use crate::change::{Change, Changer};
@@ -48,7 +49,23 @@ pub struct Recipe {
     pub from: From,
     /// Who stops at once, to see that the walk goes on.
     pub stalled: Stalled,
+    /// How other machines come to each walk, if they may; its settings have [places](Settings::stations) for them.
+    pub doors: Option<Doors>,
 }
+
+/// Opens a walk to other machines; `None` where this one cannot be, which is no error of the walk's.
+pub type Doors = Arc<dyn Fn(&Opened, &Settings) -> Result<Option<Beyond>, Failure> + Send + Sync>;
+
+/// What is on the other side of a door.
+pub struct Beyond {
+    /// What leads there.
+    pub outlets: Outlets,
+    /// Takes what leads from there to the stations.
+    pub attach: Box<dyn FnOnce(Vec<ToStation>)>,
+}
+
+/// What leads from a guest to its station.
+pub type ToStation = Port<Heard, StationMessage>;
 
 /// Where a walk begins: the scene's first camera, unless something is named.
 #[derive(Clone, Debug, Default)]
@@ -72,10 +89,11 @@ impl Recipe {
             command: "view",
             record: None,
             keeps_light: true,
-            hashing: Hashing::Exact,
+            hashing: Hashing::Said,
             set: Vec::new(),
             from: From::default(),
             stalled: Stalled::Nobody,
+            doors: None,
         }
     }
 
@@ -102,7 +120,13 @@ impl Recipe {
             hashing: self.hashing,
             command: self.command,
         });
+        let beyond = match &self.doors {
+            Some(open) => open(&opened, &self.settings)?,
+            None => None,
+        };
+        let (outlets, attach) = beyond.map(|beyond| (beyond.outlets, beyond.attach)).unzip();
         let options = Options {
+            outlets,
             fps: self.fps,
             quality: self.quality,
             texture_bytes: self.texture_bytes,
@@ -114,6 +138,9 @@ impl Recipe {
         };
         let is_named = opened.path == self.scene;
         let mut engine = Engine::start(opened, options)?;
+        if let Some(attach) = attach {
+            attach(engine.station_inputs());
+        }
         // A scene that is dropped on the window has cameras of its own.
         if is_named {
             engine.begin_at(self.from.camera.as_deref(), self.from.path.as_deref())?;
@@ -160,7 +187,16 @@ impl Recipe {
 
     /// Makes walks by this recipe. Scenes are read on the thread that asks, actors are started where they are shown.
     pub fn loader(self) -> Loader {
-        let walks = AtomicU32::new(0);
+        self.loader_of(Arc::default())
+    }
+
+    /// The same, and what changes them.
+    pub fn loader_and_changer(self) -> (Loader, Changer) {
+        let walks = Arc::default();
+        (self.clone().loader_of(Arc::clone(&walks)), self.changer(walks))
+    }
+
+    fn loader_of(self, walks: Arc<AtomicU32>) -> Loader {
         let recipe = Arc::new(self);
         Arc::new(move |path: Option<&Path>| {
             let recipe = Arc::clone(&recipe);

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use foveal::display::cpu_pass::Passes;
 use foveal::illumination::Irradiance;
 use foveal::illumination::bake::cache_key;
-use foveal::illumination::cache::{encode, save};
+use foveal::illumination::cache::{encode, save, under};
 use foveal::illumination::stored::Illumination;
 use foveal::scene::Scene;
 use foveal::scene::edit::AsRead;
-use foveal_runtime::{Trace, TraceError};
+use foveal_runtime::{Header, Trace, TraceError};
 use serde::{Deserialize, Serialize};
 
 use foveal_actors::illuminator::Refinement;
@@ -18,6 +18,7 @@ use foveal_actors::station::STATIONS_MAX;
 
 use crate::bake_clock::Watch;
 use crate::failure::Failure;
+use crate::kept_scene;
 use crate::light::Light;
 use crate::machine::Machine;
 use crate::opened::{self, Opened};
@@ -127,8 +128,13 @@ impl RecordedRun {
 
     /// From a header; every number in it is checked.
     pub fn of(trace: &Trace, path: &Path) -> Result<Self, Failure> {
+        Self::in_header(trace.header(), path)
+    }
+
+    /// As [`RecordedRun::of`], of a recording of which only the header is read.
+    pub fn in_header(header: &Header, path: &Path) -> Result<Self, Failure> {
         let wrong = |what: String| Failure::Input(format!("{}: {what}", path.display()));
-        let run: Self = serde_json::from_slice(&trace.header().application)
+        let run: Self = serde_json::from_slice(&header.application)
             .map_err(|e| wrong(format!("this is no recording of foveal: {e}")))?;
         match unsound(&run.settings) {
             None => Ok(run),
@@ -159,15 +165,17 @@ impl RecordedRun {
                 ))
             })?,
         };
-        let (scene, warnings) = opened::load_scene_as(&scene_file, &self.illumination.reading)?;
-        let here = hex(AsRead::of(&scene).hash(&self.illumination.edits));
+        let kept_in = Light { cache: elsewhere.cache.clone(), ..self.illumination.clone() };
+        let read = kept_scene::read(&scene_file, &kept_in)?;
+        let scene = &read.scene;
+        let here = hex(AsRead::of(scene).hash(&self.illumination.edits));
         if here != self.scene_hash {
             return Err(wrong(format!(
                 "recorded in another scene: {} had the content {} then, {} has {here}{}",
                 self.scene.display(),
                 self.scene_hash,
                 scene_file.display(),
-                changed(&self.scene_files, &files_of(&scene)),
+                changed(&self.scene_files, &files_of(scene)),
             )));
         }
         let mut illumination = self.illumination.clone();
@@ -181,9 +189,14 @@ impl RecordedRun {
         let grows = illumination.refined || illumination.quick;
         let folder = opened::cache_folder(elsewhere.cache.as_deref()).filter(|_| grows);
         illumination.first = folder.map(|folder| folder.join(&self.illumination_hash).with_extension(FIRST));
-        let mut opened = opened::illuminated(&scene_file, scene, warnings, &illumination, watch)?;
+        let mut opened = opened::with_light(&scene_file, read, &illumination, watch)?;
         let stored = &*opened.world.illumination;
-        let here = illumination_hash(stored)?;
+        // What is kept under the recorded hash was taken if it is that.
+        let kept = illumination.first.as_ref().filter(|_| grows).and_then(|file| kept_hash(file));
+        let here = match kept {
+            Some(kept) if kept == self.illumination_hash => kept,
+            _ => illumination_hash(stored)?,
+        };
         if here != self.illumination_hash {
             let (particles, relative_error) = extent(stored);
             return Err(wrong(format!(
@@ -309,6 +322,12 @@ pub fn illumination_hash(illumination: &dyn Irradiance) -> Result<String, Failur
     Ok(blake3::hash(&bytes).to_hex().to_string())
 }
 
+/// What [`illumination_hash`] says of an illumination that is kept in a file.
+fn kept_hash(file: &Path) -> Option<String> {
+    let bytes = std::fs::read(file).ok()?;
+    Some(blake3::hash(&under(&[0; 32], &bytes).ok()?).to_hex().to_string())
+}
+
 /// Where the maps of light that grows lie: beside the recording, under its name and `.light`.
 pub fn light_beside(recording: &Path) -> PathBuf {
     let mut name = recording.as_os_str().to_owned();
@@ -323,15 +342,16 @@ fn stored_of(opened: &Opened) -> Option<&Illumination> {
     opened.world.illumination.stored()
 }
 
-/// What tells apart the light that a refinement comes to, by all that decides it.
-pub fn light_key(refinement: &Refinement) -> Result<[u8; 32], Failure> {
+/// What tells apart the light that a refinement comes to, by all that decides it. `began_in` is what [`illumination_hash`]
+/// says of what it begins with.
+pub fn light_key(refinement: &Refinement, began_in: &str) -> [u8; 32] {
     let Refinement { world, settings, .. } = refinement;
     let mut hasher = blake3::Hasher::new();
     hasher.update(&cache_key(&world.scene, settings));
     hasher.update(&settings.particles.unwrap_or(0).to_le_bytes());
     hasher.update(&settings.error.unwrap_or(0.0).to_le_bytes());
-    hasher.update(illumination_hash(&*world.illumination)?.as_bytes());
-    Ok(*hasher.finalize().as_bytes())
+    hasher.update(began_in.as_bytes());
+    *hasher.finalize().as_bytes()
 }
 
 fn extent(illumination: &dyn Irradiance) -> (u64, f32) {

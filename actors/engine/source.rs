@@ -17,6 +17,7 @@ use foveal_actors::settings::Adjustment;
 use crate::engine::Event;
 use crate::look::Mirror;
 use crate::opened::Opened;
+use crate::pick::Picked;
 use crate::replay::Segment;
 
 /// What the user may change while walking.
@@ -274,6 +275,10 @@ pub trait FrameSource {
     }
     /// The frame's time is up: shows what there is, and tells what happened since the frame before.
     fn end_frame(&mut self) -> Vec<Event>;
+    /// What is at a pixel of the view that is shown; `None` where that is the environment, or nobody can say.
+    fn pick(&self, _x: u32, _y: u32) -> Option<Picked> {
+        None
+    }
     /// The picture as it was last shown, with tone map and overlay of the controls; `None` before the first.
     fn picture(&mut self) -> Option<Map2d<[u8; 3]>>;
     /// Whether a display draws by itself, and is told of samples for that. Said before the first frame.

@@ -146,6 +146,7 @@ pub fn room(n: usize) -> Scene {
         cameras: vec![NamedCamera { name: "start".into(), camera }],
         paths: Vec::new(),
         objects,
+        things: Default::default(),
         bounds: [Vec3::NEG_ONE, Vec3::ONE],
         metres_per_unit: 1.0,
         up: Vec3::Y,

@@ -14,14 +14,17 @@ use foveal_terminal::hashes::Hashes;
 use foveal_terminal::light::IlluminationArguments;
 use foveal_terminal::mode::ModeArguments;
 
+use super::doors::doors;
+use super::tracers::TracersArguments;
+
 /// Arguments of a walk that somebody takes.
 #[derive(Args, Clone, Debug)]
 pub struct InteractiveArguments {
     /// An OBJ or glTF file or a sidecar
     pub scene: PathBuf,
-    /// Picture size
-    #[arg(long, value_name = "WxH", default_value = "512x512")]
-    pub size: Size,
+    /// Picture size (default: 512x512; a window's picture follows its size then, unless it is recorded)
+    #[arg(long, value_name = "WxH")]
+    size: Option<Size>,
     /// Begin at this camera (default: the scene's first)
     #[arg(long, value_name = "NAME")]
     camera: Option<String>,
@@ -66,10 +69,22 @@ pub struct InteractiveArguments {
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<Setting>,
     #[command(flatten)]
+    pub tracers: TracersArguments,
+    #[command(flatten)]
     pub illumination: IlluminationArguments,
 }
 
 impl InteractiveArguments {
+    /// The picture's size.
+    pub fn size(&self) -> Size {
+        self.size.unwrap_or(Size { width: 512, height: 512 })
+    }
+
+    /// Whether the picture may have another size when the window has.
+    pub fn follows(&self) -> bool {
+        self.size.is_none() && self.record.is_none()
+    }
+
     /// Tracers that were asked for, or one for each core.
     pub fn workers(&self) -> u32 {
         let cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
@@ -78,13 +93,14 @@ impl InteractiveArguments {
 
     /// The walk of a command under this light; `noise` is what it is refined to unless it was said.
     pub fn recipe(&self, command: &'static str, light: Light, noise: f32) -> Recipe {
+        let light = Light { baked: light.baked || self.tracers.is_asked_for(), ..light };
         let noise = self.refine.unwrap_or(noise);
         let rules = Supersampling { noise, max_samples: self.refine_samples };
         let settings = Settings {
             policy: RayPolicy::new(self.policy, self.seed),
             seed: self.seed,
             supersampling: (noise > 0.0).then_some(rules),
-            ..Settings::new(self.size.width, self.size.height, self.workers())
+            ..Settings::new(self.size().width, self.size().height, self.workers())
         };
         Recipe {
             light,
@@ -97,7 +113,8 @@ impl InteractiveArguments {
             hashing: self.hashes.into(),
             set: self.set.clone(),
             from: From { camera: self.camera.clone(), path: self.path.clone() },
-            ..Recipe::new(&self.scene, settings)
+            doors: doors(&self.tracers),
+            ..Recipe::new(&self.scene, self.tracers.settings(settings))
         }
     }
 }

@@ -154,7 +154,7 @@ fn stat(path: &Path, as_json: bool) -> Result<(), Failure> {
         if trace.complete() { "" } else { ", cut short" }
     ));
     print_line(&format!(
-        "unpacked: order {}, job pops {}, hashes {}, rejections {} bytes ({per_delivery:.2} a delivery); input {}, \
+        "of these: order {}, job pops {}, hashes {}, rejections {} bytes ({per_delivery:.2} a delivery); input {}, \
          values {} bytes",
         stat.order_bytes,
         stat.pop_bytes,

@@ -5,6 +5,8 @@
 mod bake;
 mod compare;
 mod doctor;
+#[cfg(any(feature = "serve", feature = "window"))]
+mod doors;
 mod explain;
 mod figures;
 #[cfg(any(feature = "serve", feature = "window"))]

@@ -101,12 +101,17 @@ impl ServeArguments {
                 self.listen
             )));
         }
-        let size = self.walk.size;
+        let size = self.walk.size();
         if size.width.max(size.height) > SIDE_MAX {
             return Err(Failure::Usage(format!("--size: each side at most {SIDE_MAX}")));
         }
         if self.share == Share::Each && self.watch_token {
             return Err(Failure::Usage("--watch-token: with --share each there is nobody to watch".into()));
+        }
+        if self.share == Share::Each && self.walk.tracers.is_asked_for() {
+            return Err(Failure::Usage(
+                "--tracers: other machines trace for one walk, with --share one".into(),
+            ));
         }
         if self.limit.is_some_and(|limit| limit < 1000) {
             return Err(Failure::Usage("--limit: at least 1kB a second".into()));

@@ -16,9 +16,10 @@ use foveal_remote::package::Package;
 use serde_json::{Value, json};
 
 /// Arguments of commands that other machines can trace for.
-#[derive(Args, Debug)]
+#[derive(Args, Clone, Debug)]
 pub struct TracersArguments {
-    /// Have other machines trace as well: listens at tcp/ADDRESS:PORT for `foveal trace`; light is baked first
+    /// Have other machines trace as well: listens at quic/ADDRESS:PORT, or at tcp/ADDRESS:PORT of this machine alone, for
+    /// `foveal trace`; light is baked first
     #[arg(long, value_name = "ADDRESS")]
     tracers: Option<String>,
     /// File for what they join with (made, or its key is taken again; default: printed)
@@ -27,12 +28,15 @@ pub struct TracersArguments {
     /// Most machines at once
     #[arg(long, value_name = "N", default_value_t = STATIONS_MAX, requires = "tracers", value_parser = clap::value_parser!(u32).range(1..=i64::from(STATIONS_MAX)))]
     tracers_max: u32,
-    /// Begin once so many are there
-    #[arg(long, value_name = "N", default_value_t = 0, requires = "tracers", value_parser = clap::value_parser!(u32).range(0..=i64::from(STATIONS_MAX)))]
-    tracers_wait: u32,
 }
 
 impl TracersArguments {
+    /// Where to listen for other machines, if they may come.
+    #[cfg(any(feature = "serve", feature = "window"))]
+    pub(super) fn address(&self) -> Option<&str> {
+        self.tracers.as_deref()
+    }
+
     /// Whether other machines may come.
     pub fn is_asked_for(&self) -> bool {
         self.tracers.is_some()
@@ -52,24 +56,30 @@ impl TracersArguments {
         options: &mut Options,
     ) -> Result<Option<Door>, Failure> {
         let Some(address) = &self.tracers else { return Ok(None) };
-        let key = match &self.tracers_key {
-            Some(file) if file.exists() => read(file)?.key,
-            _ => Key::new().map_err(Failure::Environment)?,
-        };
-        let door = Door::open(address, key, Package::of(opened)?, settings.k_max, settings.stations)?;
-        match &self.tracers_key {
-            Some(file) => write(file, door.invitation())?,
-            None => invite(door.invitation()),
-        }
+        let door = self.door(address, Package::of(opened)?, settings)?;
         options.outlets = Some(door.outlets());
         Ok(Some(door))
     }
 
+    /// Opens it at an address, and tells others how to come.
+    pub(super) fn door(&self, address: &str, package: Package, settings: &Settings) -> Result<Door, Failure> {
+        let key = match &self.tracers_key {
+            Some(file) if file.exists() => read(file)?.key,
+            _ => Key::new().map_err(Failure::Environment)?,
+        };
+        let door = Door::open(address, key, package, settings.k_max, settings.stations)?;
+        match &self.tracers_key {
+            Some(file) => write(file, door.invitation())?,
+            None => invite(door.invitation()),
+        }
+        Ok(door)
+    }
+
     /// Has guests lead to the walk, and waits for as many as are wanted.
-    pub fn attach(&self, door: Option<&Door>, engine: &mut Engine) -> Result<(), Failure> {
+    pub fn attach(&self, door: Option<&Door>, guests: u32, engine: &mut Engine) -> Result<(), Failure> {
         let Some(door) = door else { return Ok(()) };
         door.attach(engine.station_inputs());
-        while door.serving() < self.tracers_wait {
+        while door.serving() < guests {
             if interrupted() {
                 return Err(Failure::Interrupted("interrupted while waiting for other machines".into()));
             }

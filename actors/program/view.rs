@@ -210,7 +210,11 @@ fn options(a: ViewArguments) -> foveal_window::Options {
         lose_adapter: a.lose_adapter,
         lose_surface: a.lose_surface,
         screenshots: a.screenshots.clone(),
-        ..foveal_window::Options::new(a.recipe())
+        ..if a.walk.follows() {
+            foveal_window::Options::following(a.recipe())
+        } else {
+            foveal_window::Options::new(a.recipe())
+        }
     }
 }
 

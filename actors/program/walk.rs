@@ -10,6 +10,7 @@ use foveal::scene::{Camera, CameraPath};
 use foveal::splatting::Footprint;
 use foveal::splatting::supersampling::Supersampling;
 use foveal_actors::renderer::Renderer;
+use foveal_actors::station::STATIONS_MAX;
 use foveal_engine::files::{exr_bytes, make_folder, write_atomic};
 use foveal_engine::interrupt::interrupted;
 use foveal_engine::opened::{self, camera};
@@ -125,6 +126,9 @@ pub struct WalkArguments {
     illumination: IlluminationArguments,
     #[command(flatten)]
     tracers: TracersArguments,
+    /// Begin once so many other machines are there
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "tracers", value_parser = clap::value_parser!(u32).range(0..=i64::from(STATIONS_MAX)))]
+    tracers_wait: u32,
     /// One JSON document
     #[arg(long)]
     json: bool,
@@ -250,7 +254,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
     };
     let door = a.tracers.open(&opened, &settings, &mut options)?;
     let mut engine = Engine::start(opened, options)?;
-    a.tracers.attach(door.as_ref(), &mut engine)?;
+    a.tracers.attach(door.as_ref(), a.tracers_wait, &mut engine)?;
     let pictures = a.out.as_ref().map(|out| PictureWriter::new(out.clone()));
 
     let walked =

@@ -320,8 +320,16 @@ impl Door {
 
     /// Has what guests say lead to these stations from now on; nobody is let in before.
     pub fn attach(&self, inputs: Vec<Port<Heard, StationMessage>>) {
-        let _ = self.shared.inputs.push(inputs);
-        self.waker.wake();
+        self.attacher()(inputs);
+    }
+
+    /// The same, for whoever has no door.
+    pub fn attacher(&self) -> impl FnOnce(Vec<Port<Heard, StationMessage>>) + 'static {
+        let (shared, waker) = (Arc::clone(&self.shared), self.waker.clone());
+        move |inputs| {
+            let _ = shared.inputs.push(inputs);
+            waker.wake();
+        }
     }
 }
 

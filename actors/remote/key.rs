@@ -35,6 +35,14 @@ impl Key {
         *hasher.finalize().as_bytes()
     }
 
+    /// What the signing key of one of two sides is made of, for links that know each side by one.
+    pub fn seed(&self, side: &str) -> [u8; 32] {
+        let mut hasher = blake3::Hasher::new_derive_key("foveal tracers: a side's signing key");
+        hasher.update(&self.0);
+        hasher.update(side.as_bytes());
+        *hasher.finalize().as_bytes()
+    }
+
     /// Whether `proof` is the one for `side`; takes as long whatever differs.
     pub fn is_proof(&self, side: &str, nonce: &[u8; 32], proof: &[u8; 32]) -> bool {
         blake3::Hash::from(self.proof(side, nonce)) == blake3::Hash::from(*proof)

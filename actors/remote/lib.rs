@@ -12,7 +12,8 @@
 //! | --- | --- |
 //! | [`key`] | who may come: a key, and where to |
 //! | [`package`] | a scene with its light as blobs, named by their content |
-//! | [`link`], [`tcp`] | bytes from one machine to another |
+//! | [`link`], [`quic`], [`tcp`] | bytes from one machine to another |
+//! | [`identity`] | how an encrypted link knows either side by the key |
 //! | [`door`] | the walk's side: who comes, what they are sent, what they say |
 //! | [`guest`], [`work`] | the other side |
 //!
@@ -24,9 +25,11 @@
 
 pub mod door;
 pub mod guest;
+pub mod identity;
 pub mod key;
 pub mod link;
 pub mod package;
+pub mod quic;
 pub mod tcp;
 #[cfg(test)]
 mod tests;

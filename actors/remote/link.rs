@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use crate::key::{Invitation, Key};
-use crate::tcp;
+use crate::{quic, tcp};
 
 /// Names a guest's connection at a door; never used twice.
 pub type Peer = u64;
@@ -64,12 +64,13 @@ impl Waker {
     }
 }
 
-/// Listens at an address, `tcp/ADDRESS:PORT`.
+/// Listens at an address, `quic/ADDRESS:PORT` or `tcp/ADDRESS:PORT`.
 ///
 /// # Errors
 /// If there is no such link, or nobody can listen there.
 pub fn listen(address: &str, key: &Key) -> Result<Box<dyn HostLink>, String> {
     match address.split_once('/') {
+        Some(("quic", at)) => Ok(Box::new(quic::Listener::new(at, key)?)),
         Some(("tcp", at)) => Ok(Box::new(tcp::Listener::new(at, key)?)),
         _ => Err(unknown(address)),
     }
@@ -81,11 +82,14 @@ pub fn listen(address: &str, key: &Key) -> Result<Box<dyn HostLink>, String> {
 /// If nobody answers there, or somebody without the key does.
 pub fn connect(invitation: &Invitation) -> Result<Box<dyn GuestLink>, String> {
     match invitation.address.split_once('/') {
+        Some(("quic", at)) => Ok(Box::new(quic::Connection::new(at, &invitation.key)?)),
         Some(("tcp", at)) => Ok(Box::new(tcp::Connection::new(at, &invitation.key)?)),
         _ => Err(unknown(&invitation.address)),
     }
 }
 
 fn unknown(address: &str) -> String {
-    format!("{address}: no such link; this program has tcp/ADDRESS:PORT, on this machine's own addresses")
+    format!(
+        "{address}: no such link; this program has quic/ADDRESS:PORT, and tcp/ADDRESS:PORT on this machine's own addresses"
+    )
 }

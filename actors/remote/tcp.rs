@@ -8,7 +8,7 @@ use std::io::{Read, Write};
 use std::net::{IpAddr, Shutdown, SocketAddr, TcpListener, TcpStream, ToSocketAddrs};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::thread::{self, Thread};
+use std::thread::{self, JoinHandle, Thread};
 use std::time::Duration;
 
 use crossbeam_queue::{ArrayQueue, SegQueue};
@@ -101,6 +101,7 @@ pub struct Listener {
     inbox: Arc<Inbox>,
     at: SocketAddr,
     peers: BTreeMap<Peer, TcpStream>,
+    thread: Option<JoinHandle<()>>,
 }
 
 impl Listener {
@@ -122,8 +123,8 @@ impl Listener {
         let (shared, key) = (Arc::clone(&inbox), key.clone());
         let spawned =
             thread::Builder::new().name("door".into()).spawn(move || accept(&listener, &shared, &key));
-        spawned.map_err(|e| format!("tcp/{at}: {e}"))?;
-        Ok(Self { inbox, at, peers: BTreeMap::new() })
+        let thread = spawned.map_err(|e| format!("tcp/{at}: {e}"))?;
+        Ok(Self { inbox, at, peers: BTreeMap::new(), thread: Some(thread) })
     }
 }
 
@@ -213,8 +214,12 @@ impl Drop for Listener {
         for stream in self.peers.values() {
             let _ = stream.shutdown(Shutdown::Both);
         }
-        // It waits for one more.
-        let _ = TcpStream::connect_timeout(&self.at, Duration::from_secs(1));
+        // It waits for one more. Once it has ended, the address is free.
+        if TcpStream::connect_timeout(&self.at, Duration::from_secs(1)).is_ok()
+            && let Some(thread) = self.thread.take()
+        {
+            let _ = thread.join();
+        }
     }
 }
 

@@ -91,16 +91,24 @@ fn guest(
     std::thread::spawn(stay)
 }
 
-/// Two guests over loopback, one of which leaves: the picture of a walk without them, and a recording that replays.
 #[test]
 fn a_walk_with_guests_shows_the_bits_of_one_without() {
+    walks_with_guests("tcp/127.0.0.1:0");
+}
+
+#[test]
+fn a_walk_with_guests_over_quic_shows_the_bits_of_one_without() {
+    walks_with_guests("quic/127.0.0.1:0");
+}
+
+/// Two guests over loopback, one of which leaves: the picture of a walk without them, and a recording that replays.
+fn walks_with_guests(address: &str) {
     let folder = tempfile::tempdir().expect("a folder");
     let (opened, recording) = (opened(), folder.path().join("guests.fvlog"));
     let expected = local(&opened);
     let package = Package::of(&opened).expect("a package");
     let settings = settings(3);
-    let door =
-        Door::open("tcp/127.0.0.1:0", Key::new().unwrap(), package, settings.k_max, 3).expect("a door");
+    let door = Door::open(address, Key::new().unwrap(), package, settings.k_max, 3).expect("a door");
     let options = Options {
         outlets: Some(door.outlets()),
         recording: Some(Recording::file(&recording, "test")),

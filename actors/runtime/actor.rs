@@ -13,10 +13,12 @@ use std::time::Duration;
 
 use crate::actor::seat::Lease;
 use crate::journal::Journal;
+use crate::journal::divergence::{Held, Said};
 use crate::journal::env::Env;
 use crate::log::format::{lane, quantise, unquantise, value};
 use crate::mailbox::{Address, Envelope, Inbound};
 use crate::message::content::Content;
+use crate::message::incident::guarded;
 use crate::message::saved::{Loader, Saver};
 use crate::message::{ActorId, LATEST_KEYS, Lane, Message, Reason, Rejected};
 use crate::scheduler::ThreadCx;
@@ -46,7 +48,7 @@ pub trait Actor: Send + 'static {
     /// Called once when the actor stops.
     fn stopped(&mut self) {}
 
-    /// A hash of the state, taken after each delivery where hashes are exact: with it, replay names the message that
+    /// A hash of the state, taken after each delivery where hashes are not sparse: with it, replay names the message that
     /// changed a state wrongly rather than the first message that tells of it. `None` costs nothing.
     fn digest(&self) -> Option<u64> {
         None
@@ -329,7 +331,13 @@ pub(crate) fn post<N: Message>(
             return Err(Rejected { message, reason });
         }
         let (lane, sent_in) = (lane_code(way), journal.index);
-        to.mailbox.accept_replayed(Inbound { from, lane, sent_in, message }, thread);
+        let digest = journal.digest_of(&message);
+        journal.says(to.id(), lane, digest);
+        let inbound = Inbound { from, lane, sent_in, message };
+        match journal.holds_back() {
+            true => journal.hold_back(Box::new(HeldBack { to: to.clone(), inbound })),
+            false => to.mailbox.accept_replayed(inbound, thread),
+        }
         return Ok(());
     }
     if journal.rejects_by_fault(number) {
@@ -340,7 +348,11 @@ pub(crate) fn post<N: Message>(
         Lane::Latest(key) => journal.latest_sent(to.id(), key % LATEST_KEYS),
         _ => 0,
     };
-    let accepted = to.mailbox.accept(Envelope { from, sequence, external: None, message }, thread);
+    let digest = journal.digest_of(&message);
+    let accepted = to.mailbox.accept(Envelope { from, sequence, digest, external: None, message }, thread);
+    if accepted.is_ok() {
+        journal.says(to.id(), lane_code(way), digest);
+    }
     match (&accepted, way) {
         (Ok(()), Lane::Latest(key)) => journal.count_latest_sent(to.id(), key % LATEST_KEYS),
         (Ok(()), _) => {}
@@ -350,6 +362,24 @@ pub(crate) fn post<N: Message>(
         }
     }
     accepted
+}
+
+/// A message of a replay, before it is known that its sender does as recorded.
+struct HeldBack<N: Message> {
+    to: Address<N>,
+    inbound: Inbound<N>,
+}
+
+impl<N: Message> Held for HeldBack<N> {
+    fn tell(&self) -> Said {
+        let message = &self.inbound.message;
+        let says = guarded(|| message.content()).unwrap_or_default();
+        Said { to: self.to.id(), kind: message.kind(), says }
+    }
+
+    fn go(self: Box<Self>, thread: &ThreadCx) {
+        self.to.mailbox.accept_replayed(self.inbound, thread);
+    }
 }
 
 /// The code of a way in the order stream.

@@ -16,14 +16,16 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use crate::log::format::{
-    CHUNK_DELIVERIES_MAX, Hashing, Payload, Symbol, lane, put, put_signed, reason, value,
+    CHUNK_DELIVERIES_MAX, FAINT_BITS, Hashing, Payload, Symbol, lane, put, put_signed, reason, value,
 };
 use crate::log::walk::Walk;
 use crate::log::writer::BACKLOG_BYTES_MAX;
-use crate::message::{ActorId, Digest, Reason};
+use crate::message::incident::guarded;
+use crate::message::{ActorId, Digest, Message, Reason};
+use crate::scheduler::ThreadCx;
 use crate::scheduler::link::Link;
 
-use divergence::{Divergence, Turn};
+use divergence::{Divergence, Held, Turn};
 use env::Env;
 use observe::{Delivery, Sight};
 use recorder::Recorder;
@@ -46,6 +48,7 @@ pub(crate) struct JournalState {
     pub(crate) sends: u64,
     pub(crate) jobs_made: u64,
     pub(crate) randoms: u64,
+    pub(crate) speaks: bool,
     pub(crate) sent: Vec<(ActorId, u8, u32)>,
     pub(crate) seen: Vec<(ActorId, u8, u32)>,
     pub(crate) walk: Walk,
@@ -71,6 +74,12 @@ pub(crate) struct Journal {
     period: u32,
     script: Option<Box<Script>>,
     history: VecDeque<Turn>,
+    /// The actor said something since the last delivery was handled.
+    speaks: bool,
+    /// Deliveries that were handled: of a turn that breaks off, the last one may not be.
+    handled: u64,
+    /// Replay: what it said in the delivery at hand.
+    held: Vec<Box<dyn Held>>,
     sent: Vec<(ActorId, u8, u32)>,
     seen: Vec<(ActorId, u8, u32)>,
     panics: VecDeque<u64>,
@@ -99,6 +108,9 @@ impl Journal {
             period: 0,
             script: env.trace.as_ref().and_then(|trace| Script::new(trace, link.id)).map(Box::new),
             history: VecDeque::new(),
+            speaks: false,
+            handled: 0,
+            held: Vec::new(),
             sent: Vec::new(),
             seen: Vec::new(),
             panics,
@@ -115,7 +127,8 @@ impl Journal {
         self.cause = sent_in.checked_sub(1).map(|index| (from, index));
     }
 
-    /// Passes one delivery. `Err` if replay diverged here or was told to stop. Where `digest` panics, nothing was passed.
+    /// Passes one delivery. `Err` if replay diverged here or was told to stop. Where `digest` panics, nothing was passed; it
+    /// is not asked where the message's hash is `known` from its sender.
     #[inline]
     pub(crate) fn deliver(
         &mut self,
@@ -123,9 +136,23 @@ impl Journal {
         payload: Payload<'_>,
         kind: &'static str,
         sight: Sight<'_>,
+        known: u64,
         digest: impl FnOnce(&mut Digest),
     ) -> Result<(), Halted> {
-        if self.hashing != Hashing::Off {
+        if self.hashing == Hashing::Said {
+            let hash = match known {
+                0 => {
+                    let mut hash = Digest::new();
+                    digest(&mut hash);
+                    hash.finish().max(1)
+                }
+                known => known,
+            };
+            let mut chain = Digest::from_chain(self.chain);
+            chain.u64(u64::from(symbol.from.0) << 8 | u64::from(symbol.lane));
+            chain.u64(hash);
+            self.chain = chain.finish();
+        } else if self.hashing != Hashing::Off {
             let mut chain = Digest::from_chain(self.chain);
             chain.u64(u64::from(symbol.from.0) << 8 | u64::from(symbol.lane));
             digest(&mut chain);
@@ -170,7 +197,15 @@ impl Journal {
 
     /// After the actor handled a delivery: its state's own hash.
     #[inline]
-    pub(crate) fn handled(&mut self, state: impl FnOnce() -> Option<u64>) -> Result<(), Halted> {
+    pub(crate) fn handled(
+        &mut self,
+        thread: &ThreadCx,
+        state: impl FnOnce() -> Option<u64>,
+    ) -> Result<(), Halted> {
+        if self.hashing == Hashing::Said {
+            let state = state();
+            return self.said_all(state, thread);
+        }
         if self.hashing != Hashing::Exact {
             return Ok(());
         }
@@ -191,6 +226,92 @@ impl Journal {
             return Err(Halted);
         }
         Ok(())
+    }
+
+    /// The same where the state's own hash cannot be told.
+    pub(crate) fn handled_at_last(&mut self, thread: &ThreadCx) -> Result<(), Halted> {
+        if self.hashing == Hashing::Said && self.handled < self.index {
+            return self.said_all(None, thread);
+        }
+        Ok(())
+    }
+
+    /// A delivery is handled: what the actor said in it, and its state's own hash, is recorded, or is what was recorded,
+    /// and only then goes to whom it is said.
+    fn said_all(&mut self, state: Option<u64>, thread: &ThreadCx) -> Result<(), Halted> {
+        if let Some(state) = state {
+            let mut chain = Digest::from_chain(self.chain);
+            chain.u64(state);
+            self.chain = chain.finish();
+            self.speaks = true;
+        }
+        let speaks = std::mem::take(&mut self.speaks);
+        let hash = if speaks { short(self.chain) } else { faint(self.chain) };
+        self.handled = self.index;
+        if let Some(recorder) = &mut self.recorder {
+            recorder.said.push(u8::from(speaks));
+            match speaks {
+                true => recorder.hashes.extend_from_slice(&hash.to_le_bytes()),
+                false => recorder.faint.push(hash as u8),
+            }
+        }
+        if let Some(script) = &mut self.script
+            && let Some((spoke, expected)) = script.said()
+            && (spoke, expected) != (speaks, hash)
+        {
+            let told = |speaks: bool, hash: u16| match speaks {
+                true => format!("hash {hash:04x} of what it says"),
+                false => format!("nothing said, hash {hash:x}"),
+            };
+            let mut divergence = self.divergence(self.index - 1, told(spoke, expected), told(speaks, hash));
+            divergence.said = self.held.drain(..).map(|held| held.tell()).collect();
+            self.env.diverged(divergence, true);
+            return Err(Halted);
+        }
+        self.let_go(thread);
+        Ok(())
+    }
+
+    /// What was said goes to whom it was said.
+    pub(crate) fn let_go(&mut self, thread: &ThreadCx) {
+        self.held.drain(..).for_each(|held| held.go(thread));
+    }
+
+    /// Replay: whether what is said waits until it is known that the recording has it, too. So nobody is ever told what is
+    /// wrong, and nothing that follows from it can come before it.
+    #[inline]
+    pub(crate) fn holds_back(&self) -> bool {
+        self.hashing == Hashing::Said && self.script.is_some()
+    }
+
+    pub(crate) fn hold_back(&mut self, held: Box<dyn Held>) {
+        self.held.push(held);
+    }
+
+    /// A message's hash, where hashes are of what is said; 0 where they are not, or it cannot be told.
+    #[inline]
+    pub(crate) fn digest_of(&self, message: &impl Message) -> u64 {
+        if self.hashing != Hashing::Said {
+            return 0;
+        }
+        let hash = guarded(|| {
+            let mut hash = Digest::new();
+            message.digest(&mut hash);
+            hash.finish().max(1)
+        });
+        hash.unwrap_or(0)
+    }
+
+    /// The actor says something to another.
+    #[inline]
+    pub(crate) fn says(&mut self, to: ActorId, lane: u8, hash: u64) {
+        if self.hashing == Hashing::Said {
+            let mut chain = Digest::from_chain(self.chain);
+            chain.u64(u64::from(to.0) << 8 | u64::from(lane));
+            chain.u64(hash);
+            self.chain = chain.finish();
+            self.speaks = true;
+        }
     }
 
     fn compare(&mut self, symbol: Symbol, kind: &'static str) -> Result<(), Halted> {
@@ -249,6 +370,7 @@ impl Journal {
             from: self.history.front().map(|turn| turn.from),
             expected,
             found,
+            said: Vec::new(),
             turns: self.history.iter().cloned().collect(),
         }
     }
@@ -277,6 +399,7 @@ impl Journal {
             sends: self.sends,
             jobs_made: self.jobs_made,
             randoms: self.randoms,
+            speaks: self.speaks,
             sent: self.sent.clone(),
             seen: self.seen.clone(),
             walk: script.walk().clone(),
@@ -284,8 +407,9 @@ impl Journal {
     }
 
     pub(crate) fn restore(&mut self, state: JournalState) -> Option<()> {
-        let JournalState { index, chain, sends, jobs_made, randoms, sent, seen, walk } = state;
-        (self.index, self.chain) = (index, chain);
+        let JournalState { index, chain, sends, jobs_made, randoms, speaks, sent, seen, walk } = state;
+        self.speaks = speaks;
+        (self.index, self.chain, self.handled) = (index, chain, index);
         let period = self.period_of_hashes();
         self.to_hash = period - (index % u64::from(period)) as u32;
         (self.sends, self.jobs_made, self.randoms) = (sends, jobs_made, randoms);
@@ -505,6 +629,15 @@ impl Journal {
     }
 
     fn flush(&mut self, now: bool) {
+        if self.hashing == Hashing::Said
+            && self.handled < self.index
+            && let Some(recorder) = &mut self.recorder
+        {
+            // The turn broke off in it.
+            recorder.said.push(0);
+            recorder.faint.push(faint(self.chain) as u8);
+            self.handled = self.index;
+        }
         let (Some(recorder), Some(log)) = (&mut self.recorder, &self.env.log) else { return };
         if log.is_stopped() {
             self.recorder = None;
@@ -521,7 +654,9 @@ impl Journal {
             || self.index - recorder.first >= CHUNK_DELIVERIES_MAX / 2
             || (period != self.period && recorder.first != self.index);
         if due && self.held_back.is_none() && (recorder.first != self.index || recorder.len() > 0) {
-            let chunk = recorder.chunk(self.id, self.index, self.chain, self.declared);
+            // Where hashes are dense the end of the recording says it: it is eight bytes.
+            let chain = if self.hashing == Hashing::Said { 0 } else { self.chain };
+            let chunk = recorder.chunk(self.id, self.index, chain, self.declared);
             self.declared = recorder.symbols.len();
             self.period = period;
             self.held_back = log.push(chunk).err();
@@ -537,6 +672,11 @@ impl Journal {
 /// The 16 bits of a chained hash that are recorded. Every bit of the hash reaches them.
 fn short(chain: u64) -> u16 {
     (chain.wrapping_mul(0xff51_afd7_ed55_8ccd) >> 48) as u16
+}
+
+/// The bits of it that are recorded where an actor says nothing.
+fn faint(chain: u64) -> u16 {
+    short(chain) >> (16 - FAINT_BITS)
 }
 
 fn count_of(counts: &[(ActorId, u8, u32)], id: ActorId, key: u8) -> u32 {

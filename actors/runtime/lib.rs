@@ -153,10 +153,10 @@
 //! # What makes replay exact
 //!
 //! Each actor's recording holds the sender of each delivery, payloads of what came through [`Port`]s, timers, clock
-//! readings, job pops, sends that were given back, and a hash chained over content and order. Replay makes all
-//! other payloads anew and delivers by the recording; it compares hashes and marks before each message is handled.
-//! An actor that reads a clock, iterates a randomly seeded map or looks at shared state is found at the first delivery
-//! where it shows. [`Actor::digest`] makes that the delivery where its state went wrong.
+//! readings, job pops, sends that were given back, and a hash chained over order, content and what was said. Replay
+//! makes all other payloads anew and delivers by the recording; what an actor says reaches others once its hash is the
+//! recorded one. An actor that reads a clock, iterates a randomly seeded map or looks at shared state is found at the
+//! first delivery in which it says something that shows it ([`Hashing::Said`]). [`Actor::digest`] makes that the delivery where its state went wrong.
 //!
 //! # Taking a run apart
 //!
@@ -205,7 +205,7 @@ pub use foveal_runtime_derive::Message;
 pub use actor::reserve::Reserve;
 pub use actor::supervise::OnPanic;
 pub use actor::{Actor, Cx, Handle, Ticket, TimerId};
-pub use journal::divergence::{Divergence, Turn, Until};
+pub use journal::divergence::{Divergence, Said, Turn, Until};
 pub use journal::observe::{Delivery, Observer};
 pub use journal::port::{External, Port};
 pub use log::events::Event;
@@ -227,7 +227,7 @@ pub use runtime::timeline::{Slice, Timeline};
 pub use runtime::wiring::{Declared, Wiring};
 pub use runtime::{Exit, Limit, Runtime};
 pub use scheduler::Budget;
-pub use scheduler::clock::Time;
+pub use scheduler::clock::{Time, calibrate};
 pub use scheduler::link::{Class, Control};
 pub use scheduler::priority::give_way;
 pub use scheduler::profile::{ActorCounters, TurnTime, ring_cost};

@@ -46,6 +46,8 @@ pub(crate) struct Envelope<M> {
     pub(crate) from: ActorId,
     /// Newest-only messages: how many this sender sent into this slot before.
     pub(crate) sequence: u32,
+    /// Hash of the message, where the sender took it; 0 where it did not.
+    pub(crate) digest: u64,
     /// Encoded payload, for what comes from outside while a recording runs.
     pub(crate) external: Option<Box<Encoded>>,
     pub(crate) message: M,

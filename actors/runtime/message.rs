@@ -14,7 +14,9 @@ use saved::{Loader, Saver};
 /// Identity of an actor or a port: the order in which the wiring made it, never an address in memory.
 ///
 /// Actors and ports share one numbering, since both are senders.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize,
+)]
 pub struct ActorId(pub u32);
 
 impl fmt::Display for ActorId {

@@ -263,7 +263,7 @@ impl System {
 
     fn tell(&self, message: Word) {
         let thread = ThreadCx::outside();
-        let envelope = Envelope { from: ActorId(9), sequence: 0, external: None, message };
+        let envelope = Envelope { from: ActorId(9), sequence: 0, digest: 0, external: None, message };
         assert!(self.address.mailbox.accept(envelope, &thread).is_ok());
         self.work(&thread);
     }

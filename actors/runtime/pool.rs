@@ -19,6 +19,7 @@ use std::time::Duration;
 use crate::actor::seat::Seat;
 use crate::actor::{Actor, Cx};
 use crate::journal::Journal;
+use crate::journal::divergence::{Held, Said};
 use crate::journal::env::Env;
 use crate::message::content::Content;
 use crate::message::incident::{Incident, guarded};
@@ -534,7 +535,9 @@ impl<M: Message> Cx<'_, M> {
         let bucket = (u32::from(bucket.min(BUCKETS - 1)) + shared.base.load(Ordering::Relaxed)) % 64;
         let pushed_in = self.journal.index;
         let entry = Entry { id, attempt: 0, epoch, bucket, pushed_in, job: Carried::Alone(job), rival: None };
-        if self.journal.replaying() {
+        if self.journal.holds_back() {
+            self.journal.hold_back(Box::new(HeldBack { shared: Arc::clone(shared), entry }));
+        } else if self.journal.replaying() {
             shared.route(entry, self.thread);
         } else {
             shared.put(entry, self.thread);
@@ -557,6 +560,24 @@ impl<M: Message> Cx<'_, M> {
         if is_empty(&shared.common) && is_empty(&shared.own) {
             shared.base.store((base + 1) % 64, Ordering::Relaxed);
         }
+    }
+}
+
+/// A job of a replay, before it is known that its maker does as recorded.
+struct HeldBack<J: Job> {
+    shared: Arc<Shared<J>>,
+    entry: Entry<J>,
+}
+
+impl<J: Job> Held for HeldBack<J> {
+    fn tell(&self) -> Said {
+        let Carried::Alone(job) = &self.entry.job else { return Said::default() };
+        let says = guarded(|| job.content()).unwrap_or_default();
+        Said { to: ActorId((self.entry.id >> 40) as u32), kind: job.kind(), says }
+    }
+
+    fn go(self: Box<Self>, thread: &ThreadCx) {
+        self.shared.route(self.entry, thread);
     }
 }
 

@@ -108,7 +108,18 @@ impl Runtime {
         found: String,
     ) -> Divergence {
         let (name, mark) = (self.env.name(actor), self.env.last_mark());
-        Divergence { actor, name, index, mark, kind: "stall", from, expected, found, turns: Vec::new() }
+        Divergence {
+            actor,
+            name,
+            index,
+            mark,
+            kind: "stall",
+            from,
+            expected,
+            found,
+            said: Vec::new(),
+            turns: Vec::new(),
+        }
     }
 
     /// Goes on after [`Until`] stopped the replay, to another place or to the end.

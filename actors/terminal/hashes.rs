@@ -5,7 +5,7 @@ use foveal_runtime::Hashing;
 /// How densely a recording holds hashes of what was delivered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Hashes {
-    /// One for each message, 2 bytes: a divergence is named at its message
+    /// One for each message, a byte: a divergence is named at its message
     #[default]
     Each,
     /// One for 256 messages: a divergence is named to within these
@@ -17,7 +17,7 @@ pub enum Hashes {
 impl From<Hashes> for Hashing {
     fn from(hashes: Hashes) -> Self {
         match hashes {
-            Hashes::Each => Self::Exact,
+            Hashes::Each => Self::Said,
             Hashes::Sparse => Self::Every(256),
             Hashes::None => Self::Off,
         }

@@ -34,12 +34,14 @@ pub struct Answer {
     pub wish: Option<Wish>,
     /// Where the picture is, points.
     pub picture_rect: Rect,
+    /// The place that it has.
+    pub space: Rect,
 }
 
 /// Draws everything. `help`: whether the keys are shown.
 pub fn interface(ui: &mut Ui, shown: &Interface<'_>, help: &mut bool) -> Answer {
-    let mut answer =
-        Answer { controls: shown.walk.map(|walk| *walk.controls()), wish: None, picture_rect: Rect::NOTHING };
+    let controls = shown.walk.map(|walk| *walk.controls());
+    let mut answer = Answer { controls, wish: None, picture_rect: Rect::NOTHING, space: Rect::NOTHING };
     let recording = shown.walk.and_then(Walk::timeline);
     if let (Some(walk), Some(controls)) = (shown.walk, &mut answer.controls) {
         let status = walk.status();
@@ -69,6 +71,7 @@ pub fn interface(ui: &mut Ui, shown: &Interface<'_>, help: &mut bool) -> Answer 
         }
     }
     let space = ui.available_rect_before_wrap();
+    answer.space = space;
     ui.painter().rect_filled(space, 0.0, Color32::BLACK);
     if let Some((texture, size)) = shown.picture {
         answer.picture_rect = fit(size, space);

@@ -121,6 +121,7 @@ pub fn draw_in_cells(
 /// What one packet of cells shows, whose first pixel is given in the band that begins at row `top` and has `rows` rows:
 /// tells pixel and surface of each. In which packet a ray goes decides its last bits.
 #[expect(clippy::too_many_arguments, reason = "a piece of a loop that two have")]
+#[inline(always)] // a call for each pixel otherwise: a tenth of the pass
 fn packet(
     world: &World,
     frame: &CameraFrame,
@@ -144,20 +145,24 @@ fn packet(
         frame.direction(px as f32 + 0.5, (top + py) as f32 + 0.5)
     });
     let hits = world.accel.intersect_packet(&world.scene, frame.eye, &directions);
-    let is_wanted = |lane: usize| pixel(lane) == wanted(lane);
-    if !world.lights.has_any_named() {
-        // Nobody asks for shadows, so nothing is gained by company.
-        for lane in (0..LANES).filter(|&lane| is_wanted(lane)) {
-            let (px, py) = wanted(lane);
-            tell(px, py, &shade_alone(world, frame, directions[lane], hits[lane], texture_ids));
-        }
-        return;
-    }
-    let hits = std::array::from_fn(|l| hits[l].filter(|_| is_wanted(l)));
-    let surfaces = shade(world, frame, &directions, &hits, texture_ids, last);
-    for lane in (0..LANES).filter(|&lane| is_wanted(lane)) {
+    // Where nobody asks for shadows, nothing is gained by company.
+    let together = world.lights.has_any_named().then(|| {
+        let hits = std::array::from_fn(|lane| hits[lane].filter(|_| pixel(lane) == wanted(lane)));
+        shade(world, frame, &directions, &hits, texture_ids, last)
+    });
+    for lane in 0..LANES {
         let (px, py) = wanted(lane);
-        tell(px, py, &surfaces[lane]);
+        if (px, py) != pixel(lane) {
+            continue;
+        }
+        let alone;
+        let surface = if let Some(surfaces) = &together {
+            &surfaces[lane]
+        } else {
+            alone = shade_alone(world, frame, directions[lane], hits[lane], texture_ids);
+            &alone
+        };
+        tell(px, py, surface);
     }
 }
 
@@ -236,6 +241,7 @@ struct Surface {
 }
 
 /// What a ray shows that goes from the eye along `direction` and ends at `hit`.
+#[inline]
 fn shade_alone(
     world: &World,
     frame: &CameraFrame,

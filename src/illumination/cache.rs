@@ -87,6 +87,25 @@ fn checksum(head: &[u8], body: &[u8]) -> [u8; 32] {
     *blake3::Hasher::new().update(head).update(body).finalize().as_bytes()
 }
 
+/// What [`encode`] gives under `key` for the value that is kept in the bytes of a file under another one. Nothing is unpacked
+/// for it.
+///
+/// # Errors
+/// If the bytes are not whole, or of another version.
+pub fn under(key: &[u8; 32], bytes: &[u8]) -> Result<Vec<u8>, CacheError> {
+    let (head, body) = bytes.split_at_checked(HEADER).ok_or(CacheError::Damaged)?;
+    if head[..8] != MAGIC || head[8..12] != VERSION.to_le_bytes() {
+        return Err(CacheError::Foreign);
+    }
+    if checksum(&head[..60], body) != head[60..] {
+        return Err(CacheError::Damaged);
+    }
+    let mut bytes = [&head[..12], key, &head[44..60]].concat();
+    bytes.extend(checksum(&bytes, body));
+    bytes.extend(body);
+    Ok(bytes)
+}
+
 /// The value kept in the bytes of a file, if they are whole and of this version and key.
 ///
 /// # Errors

@@ -20,9 +20,15 @@ pub fn plain(map: &Illumination) -> Option<Vec<u8>> {
 
 /// A map's plain bytes against those of the `first` one, which may be empty.
 pub fn pack(plain: &[u8], first: &[u8]) -> Vec<u8> {
-    let differs = |at: usize| plain[at] ^ first.get(at).copied().unwrap_or(0);
-    let planes = (0..STRIDE).flat_map(|plane| (plane..plain.len()).step_by(STRIDE));
-    let sorted: Vec<u8> = planes.map(differs).collect();
+    let mut sorted = vec![0; plain.len()];
+    let mut rest = &mut sorted[..];
+    for plane in 0..STRIDE {
+        let (bytes, behind) = rest.split_at_mut(plane_of(plain.len(), plane));
+        let first = first.iter().skip(plane).step_by(STRIDE).chain(std::iter::repeat(&0));
+        let plain = plain.iter().skip(plane).step_by(STRIDE);
+        bytes.iter_mut().zip(plain).zip(first).for_each(|((byte, plain), first)| *byte = plain ^ first);
+        rest = behind;
+    }
     lz4_flex::block::compress_prepend_size(&sorted)
 }
 
@@ -35,11 +41,23 @@ pub fn unpack(packed: &[u8], first: &[u8]) -> Option<Vec<u8>> {
     }
     let sorted = lz4_flex::block::decompress(block, size).ok().filter(|sorted| sorted.len() == size)?;
     let mut plain = vec![0; size];
-    let planes = (0..STRIDE).flat_map(|plane| (plane..size).step_by(STRIDE));
-    for (at, byte) in planes.zip(sorted) {
-        plain[at] = byte ^ first.get(at).copied().unwrap_or(0);
+    let mut rest = &sorted[..];
+    let planes: [&[u8]; STRIDE] = std::array::from_fn(|plane| {
+        let (bytes, behind) = rest.split_at(plane_of(size, plane));
+        rest = behind;
+        bytes
+    });
+    // Word by word: a seek waits for it.
+    for (at, word) in plain.chunks_mut(STRIDE).enumerate() {
+        word.iter_mut().zip(planes).for_each(|(byte, plane)| *byte = plane[at]);
     }
+    plain.iter_mut().zip(first).for_each(|(byte, first)| *byte ^= first);
     Some(plain)
+}
+
+/// Bytes of so many that lie in a plane.
+fn plane_of(size: usize, plane: usize) -> usize {
+    size.saturating_sub(plane).div_ceil(STRIDE)
 }
 
 /// The map of plain bytes, if it fits a scene of `triangles` triangles.

@@ -89,6 +89,7 @@ pub fn scene(mesh: Mesh, materials: Vec<Material>, lights: Vec<Light>) -> Scene 
     SceneParts {
         name: "test".into(),
         title: "test".into(),
+        things: Default::default(),
         objects: vec![Object {
             name: "all".into(),
             material: MaterialId(0),

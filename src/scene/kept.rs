@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::texture::MipChain;
 use super::{
     Budget, CameraPath, Display, Environment, ExtensionUse, Light, Material, MaterialId, Mesh, NamedCamera,
-    Object, Placement, Scene, SceneParts, Texture, TextureId,
+    Object, Placement, Scene, SceneParts, Texture, TextureId, Things,
 };
 use crate::image::Map2d;
 
@@ -76,6 +76,7 @@ pub struct SceneHead {
     cameras: Vec<NamedCamera>,
     paths: Vec<CameraPath>,
     objects: Vec<ObjectHead>,
+    things: Things,
     bounds: [Vec3; 2],
     metres_per_unit: f32,
     up: Vec3,
@@ -195,6 +196,7 @@ impl Scene {
             cameras: self.cameras.clone(),
             paths: self.paths.clone(),
             objects: self.objects.iter().map(object).collect(),
+            things: self.things.clone(),
             bounds: self.bounds,
             metres_per_unit: self.metres_per_unit,
             up: self.up,
@@ -264,7 +266,7 @@ impl Scene {
         if materials.is_empty() || head.cameras.is_empty() || !mesh.materials.iter().all(is_known) {
             return None;
         }
-        if head.paths.iter().any(|path| path.keys.is_empty()) {
+        if head.paths.iter().any(|path| path.keys.is_empty()) || !head.things.is_sound(mesh.triangles.len()) {
             return None;
         }
         let parts = SceneParts {
@@ -277,6 +279,7 @@ impl Scene {
             cameras: head.cameras,
             paths: head.paths,
             objects,
+            things: head.things,
             bounds: head.bounds,
             metres_per_unit: head.metres_per_unit,
             up: head.up,

@@ -30,6 +30,7 @@ pub mod split_sum;
 #[cfg(test)]
 pub mod test_scenes;
 pub mod texture;
+pub mod thing;
 
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
@@ -46,6 +47,7 @@ pub use placement::{Placement, Wrap};
 pub use sheen::Sheen;
 pub use split_sum::SplitSum;
 pub use texture::Texture;
+pub use thing::{Thing, ThingId, Things};
 
 /// Index of a triangle in [`Mesh::triangles`].
 pub type TriangleIndex = u32;
@@ -300,6 +302,8 @@ pub struct SceneParts {
     pub paths: Vec<CameraPath>,
     /// Groups; index 0 is everything diffuse.
     pub objects: Vec<Object>,
+    /// What files name, diffuse or not.
+    pub things: Things,
     /// Bounds of all triangles.
     pub bounds: [Vec3; 2],
     /// Metres per scene unit.

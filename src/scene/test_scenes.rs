@@ -35,6 +35,7 @@ pub fn of_triangles(corners: &[[Vec3; 3]]) -> Scene {
         }],
         paths: Vec::new(),
         objects: Vec::new(),
+        things: Things::default(),
         bounds: [min, max],
         metres_per_unit: 1.0,
         up: Vec3::Y,
@@ -60,6 +61,29 @@ pub fn grey() -> Material {
 /// A mirror.
 pub fn mirror() -> Material {
     material("mirror", Model::Mirror { specular: Reflectance::constant(Vec3::ONE) })
+}
+
+/// A surface of base colour 1.
+pub fn white_metal_rough(metal: f32, r: f32) -> MetalRough {
+    let layer = metal_rough::Layer::new(0.04, 1.0);
+    MetalRough {
+        diffuse: Reflectance::constant(Vec3::splat((1.0 - metal) * (1.0 - layer.mean(r)))),
+        specular: Reflectance::constant(Vec3::splat(0.04 * (1.0 - metal) + metal)),
+        roughness_in_alpha: false,
+        metallic: Some(metal),
+        metallic_in_alpha: false,
+        roughness: r,
+        roughness_range: [r; 2],
+        layer,
+        specular_mean: 1.0,
+        through: Reflectance::constant(Vec3::ZERO),
+        coverage: 1.0,
+        coverage_in_alpha: false,
+        over: None,
+        grain: None,
+        recipe: None,
+        is_diffuse: false,
+    }
 }
 
 /// Appends a box whose faces look outwards, or inwards.
@@ -96,6 +120,7 @@ pub fn scene(mesh: Mesh, materials: Vec<Material>) -> Scene {
         cameras: Vec::new(),
         paths: Vec::new(),
         objects: Vec::new(),
+        things: Things::default(),
         bounds,
         metres_per_unit: 1.0,
         up: Vec3::Y,

@@ -198,7 +198,7 @@ impl Surfaces {
     }
 
     /// Sums of `value` over the squares of `radius` around all pixels.
-    fn sums_around(&self, radius: usize, value: impl Fn(usize) -> f64) -> Vec<f64> {
+    pub(super) fn sums_around(&self, radius: usize, value: impl Fn(usize) -> f64) -> Vec<f64> {
         let Grid { width: w, height: h } = self.grid;
         let mut table = vec![0.0; (w + 1) * (h + 1)];
         for y in 0..h {

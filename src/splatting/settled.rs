@@ -37,6 +37,11 @@ const CERTAIN_BY_NOISE: f64 = 6.0;
 const ALBEDO_MIN: f32 = 1e-3;
 /// So many paths of a pixel are worth as much as the first sample, which branches.
 const FIRST_WORTH: f32 = 16.0;
+/// Of how far it is from them at most in a standard deviation of its own, as it would be if it were worth that: both are as
+/// noisy where they are as many.
+const FIRST_OFF: f32 = 2.0;
+/// Pixels on either side from which the noise of one sample is known.
+const AROUND: usize = 3;
 /// Samples of a pixel from which the first one, which believes the map, counts no more.
 const FIRST_LEFT: u32 = 64;
 
@@ -47,6 +52,8 @@ pub struct Settled {
     diffuse: Map2d<Vec3>,
     /// By lobes.
     lobes: Map2d<Vec3>,
+    /// Variance of the luminance of one sample of these, around each pixel.
+    variance: Map2d<f32>,
     /// Samples of the pixels of each tile.
     samples: Vec<u32>,
     /// Upper limit of the error of blocks of 8 × 8 pixels, relative to their mean: noise, the map and the filter's own
@@ -65,8 +72,16 @@ impl Settled {
         if n == 0 {
             return first;
         }
-        let worth = if n < FIRST_LEFT { FIRST_WORTH } else { 0.0 };
-        let lobes = ((first - base) * worth + self.lobes.at(x, y) * n as f32) / (worth + n as f32);
+        let (first, lobes) = (first - base, self.lobes.at(x, y));
+        let mut worth = 0.0;
+        if n < FIRST_LEFT {
+            // Its branches all leave one point of the pixel. Where bumps or grain differ within a pixel that point speaks for
+            // itself only, which is seen by how far it is from the mean of paths from all over the pixel.
+            let apart = luminance(first - lobes).powi(2);
+            let off = apart * FIRST_WORTH / (FIRST_OFF * self.variance.at(x, y));
+            worth = FIRST_WORTH / off.max(1.0);
+        }
+        let lobes = (first * worth + lobes * n as f32) / (worth + n as f32);
         (self.diffuse.at(x, y) + lobes).max(Vec3::ZERO)
     }
 
@@ -78,14 +93,20 @@ impl Settled {
                 && map.data().len() == size[0] * size[1]
                 && map.data().iter().all(|v| v.is_finite())
         };
+        let spread = &self.variance;
         is_sound(&self.diffuse)
             && is_sound(&self.lobes)
+            && [spread.width(), spread.height()] == size
+            && spread.data().len() == size[0] * size[1]
+            && spread.data().iter().all(|v| *v >= 0.0 && v.is_finite())
             && self.samples.len() == Tiles::of_size(width, height).len()
     }
 
     /// Bytes of it.
     pub fn size_bytes(&self) -> usize {
-        2 * size_of_val(self.diffuse.data()) + size_of_val(&self.samples[..])
+        2 * size_of_val(self.diffuse.data())
+            + size_of_val(self.variance.data())
+            + size_of_val(&self.samples[..])
     }
 
     /// Hash of everything that is shown.
@@ -93,6 +114,7 @@ impl Settled {
         let mut h = Xxh3::new();
         h.update(bytemuck::cast_slice(self.diffuse.data()));
         h.update(bytemuck::cast_slice(self.lobes.data()));
+        h.update(bytemuck::cast_slice(self.variance.data()));
         h.update(bytemuck::cast_slice(&self.samples));
         h.update(&self.stated.to_le_bytes());
         h.digest()
@@ -184,6 +206,19 @@ impl<'a> Pixels<'a> {
         let edges = blocks(width, height, |i| self.at[i].as_ref().map_or(0.0, PixelMeans::shown_variance));
         let pixels = (BLOCK * BLOCK) as f64;
         edges.iter().enumerate().map(|(i, edge)| edge / pixels + of_batches(&lobes, i).1).collect()
+    }
+
+    /// Variance of the luminance of one sample of lobes, in the mean of the pixels around each that have any. Of a pixel
+    /// alone its own few samples know too little, above all where they have not found what is rarely found.
+    fn variance_around(&self, surfaces: &Surfaces) -> Vec<f32> {
+        let of = |i: usize| self.at[i].as_ref().filter(|means| means.has_lobes());
+        let variance = |i: usize| of(i).map_or(0.0, |means| f64::from(means.lobes_deviation()));
+        let sums = surfaces.sums_around(AROUND, variance);
+        let counts = surfaces.sums_around(AROUND, |i| if of(i).is_some() { 1.0 } else { 0.0 });
+        sums.into_iter()
+            .zip(counts)
+            .map(|(sum, count)| (sum / f64::max(count, 1.0)).max(0.0) as f32)
+            .collect()
     }
 
     /// What lobes show.
@@ -323,6 +358,7 @@ pub fn settled(
             *pixel += residual * albedo;
         }
     }
+    let variance = pixels.variance_around(&surfaces);
     let lobes = pixels.lobes().mean(&surfaces, goes_on)?;
     let bright = blocks(width, height, |i| luminance(diffuse[i] + lobes[i]));
     let mean = bright.iter().sum::<f64>() / bright.len().max(1) as f64;
@@ -336,6 +372,7 @@ pub fn settled(
     Some(Settled {
         diffuse: Map2d::from_vec(width, height, diffuse),
         lobes: Map2d::from_vec(width, height, lobes),
+        variance: Map2d::from_vec(width, height, variance),
         samples,
         stated: if known { (limit / mean) as f32 } else { f32::INFINITY },
         corrects,
@@ -463,10 +500,41 @@ mod tests {
         let (base, first) = (Vec3::splat(0.1), Vec3::splat(0.3));
         assert_eq!(none.pixel(3, 4, base, first), first);
         assert!(none.stated.is_infinite() && none.fits(SIZE.0, SIZE.1) && !none.fits(SIZE.1, SIZE.0));
-        // One whose samples are few believes the first one, which branches, more than them.
-        let few = of(0.0, 0.0, 4, 1);
-        assert!((few.pixel(3, 4, base, first) - Vec3::splat(1.0 + 0.8 * 0.2)).abs().max_element() < 1e-5);
-        assert_eq!(of(0.0, 0.0, 64, 1).pixel(3, 4, base, first), Vec3::ONE);
+        // One whose samples are few believes the first one, which branches, more than them, as far as it can be one of them.
+        let shows = |samples: u32, variance: f32| {
+            let mut few = of(0.0, 0.0, samples, 1);
+            few.variance = few.variance.map(|_| variance);
+            few.pixel(3, 4, base, first).x - 1.0
+        };
+        let (near, far) = (shows(4, 1.0), shows(4, 0.02));
+        assert!((near - 0.8 * 0.2).abs() < 1e-5, "{near}");
+        // Its square is 16 × 0.04 / (2 × 0.02) = 16 times what it would be: it is worth one path.
+        assert!((far - 0.2 * 0.2).abs() < 1e-5, "{far}");
+        assert_eq!([shows(4, 0.0), shows(64, 1.0)], [0.0, 0.0]);
+    }
+
+    /// The first sample of a pixel on rough ground speaks for one point of it: after a few paths the picture is nearer to
+    /// the mean with it than without where it is as good as it is said to be, and as good as without where it is not.
+    #[test]
+    fn a_first_sample_that_paths_deny_counts_little() {
+        let mut settled = of(0.0, 0.0, 16, 1);
+        // Single samples of deviation 1 around 1, filtered to next to nothing.
+        settled.lobes = settled.lobes.map(|_| Vec3::ONE);
+        settled.variance = settled.variance.map(|_| 1.0);
+        let mut errors = [0.0; 2];
+        let mut stream = Stream::new(3, 0, 0);
+        for i in 0..4096 {
+            let (x, y) = (i % SIZE.0 as usize, i / SIZE.0 as usize);
+            let off = 12f32.sqrt() * (stream.next_f32() - 0.5);
+            for (error, deviation) in errors.iter_mut().zip([0.25, 1.0]) {
+                let first = Vec3::splat(1.0 + deviation * off);
+                let shown = settled.pixel(x, y, Vec3::ZERO, first) - Vec3::splat(2.0);
+                *error += shown.x * shown.x / 4096.0;
+            }
+        }
+        let [good, bad] = errors.map(f32::sqrt);
+        // Half of 0.25 where it counts as much as 16 paths; a ninth of 1 where as two of them.
+        assert!((0.08..0.125).contains(&good) && bad < 0.12, "{good} {bad}");
     }
 
     #[test]

@@ -174,6 +174,11 @@ impl PixelMeans<'_> {
         self.variance(LOBES, batches)
     }
 
+    /// Variance of the luminance of one sample of these, from all samples.
+    pub fn lobes_deviation(&self) -> f32 {
+        self.deviation(LOBES, 0..HALVES)
+    }
+
     /// Whether any lobe has shown anything.
     pub fn has_lobes(&self) -> bool {
         self.sums.largest[LOBES] != [Vec3::ZERO; BATCHES]

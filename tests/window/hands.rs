@@ -5,7 +5,7 @@ use std::io::Write;
 use std::time::Instant;
 
 use super::driver::{Display, PATIENCE, SIZE, Shot, View};
-use crate::support::{folder, root, scene};
+use crate::support::{CHEAP_BAKE, Foveal, folder, root, scene};
 
 /// Scene units per second that the walk goes at.
 fn speed(shot: &Shot) -> f64 {
@@ -101,6 +101,34 @@ fn the_wheel_keys_and_hiding_do_what_they_are_for() {
     let back = view.converged();
     assert_eq!(back.pixels, first.pixels);
     view.shows(&back, "after it was hidden");
+    view.quit();
+}
+
+/// Where no size was asked for, the picture has as many pixels as the window has place, at three sizes; camera and controls
+/// stay.
+#[test]
+fn a_picture_follows_its_window() {
+    let Some(display) = Display::open() else { return };
+    let line = format!("view --baked --workers 2 --refine 0 --set exposure=-1 {CHEAP_BAKE}");
+    let mut view = View::of(&display, Foveal::new(&line).arg(scene("box")), "^foveal.-.Box", &[]);
+    let bytes = |[width, height]: [usize; 2]| 3 * width * height;
+    assert_eq!(view.converged().pixels.len(), bytes([512, 512]));
+    view.act("key 2 sleep 0.3");
+    let placed = view.converged();
+    let (eye, display_of) = (placed.camera("eye"), placed.fact("foveal display").to_owned());
+    assert!(display_of.contains("exposure: 0.5"), "{display_of}");
+    for [width, height] in [[560, 300], [900, 420], [700, 600]] {
+        view.act(&format!("windowsize --sync {{}} {width} {height} sleep 0.5"));
+        // The panel and its edge stand beside it.
+        let fills = |shot: &Shot| {
+            let columns = shot.pixels.len() / (3 * height);
+            shot.pixels.len() == bytes([columns, height]) && (310..=340).contains(&(width - columns))
+        };
+        view.until("a picture of the window's size", fills);
+        let sized = view.converged();
+        assert!(fills(&sized) && sized.camera("eye") == eye, "{:?}", sized.facts);
+        assert_eq!(sized.fact("foveal display"), display_of);
+    }
     view.quit();
 }
 

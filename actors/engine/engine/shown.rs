@@ -13,6 +13,7 @@ use super::{Engine, Event, Frame, LEAVING, Standing, quality_of};
 use crate::failure::Failure;
 use crate::look::{self, Mirror};
 use crate::opened::Opened;
+use crate::pick::Picked;
 use crate::source::{Controls, FrameSource, Names, Place, Ranges, Status};
 
 /// What cannot be done is told to people, who see the picture stand still.
@@ -80,6 +81,20 @@ impl FrameSource for Engine {
             tracing::warn!("{e}");
             Vec::new()
         })
+    }
+
+    fn pick(&self, x: u32, y: u32) -> Option<Picked> {
+        self.look(|renderer| {
+            let drawn = renderer.drawn()?;
+            let hits = &drawn.buffers.hit;
+            if x as usize >= hits.width() || y as usize >= hits.height() {
+                return None;
+            }
+            let hit = hits.at(x as usize, y as usize).hit()?;
+            // Where the view is drawn coarsely one ray speaks for a square.
+            let cell = drawn.buffers.cell.max(1);
+            Some(Picked::at(&drawn.world.scene, &drawn.frame, (x / cell * cell, y / cell * cell), &hit))
+        })?
     }
 
     fn picture(&mut self) -> Option<Map2d<[u8; 3]>> {

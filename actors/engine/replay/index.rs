@@ -1,7 +1,7 @@
 //! Snapshots of a recording on disk, so that a replay begins close to where one wants to be.
 //!
 //! They lie in the cache folder under the recording's hash. Replays leave them while they run; another build of the
-//! program makes them anew. Beside them lie the maps of light that a replay had to make again. All recordings together
+//! program makes them anew. With each stand the counters that never fall. Beside them lie the maps of light that a replay had to make again. All recordings together
 //! have a bound; what was used least lately goes.
 
 use std::fs::{File, OpenOptions};
@@ -12,11 +12,12 @@ use std::time::{Duration, Instant, SystemTime};
 use atomic_write_file::AtomicWriteFile;
 use foveal_runtime::{ActorId, Snapshot};
 
+use super::counters::{COUNTERS, Counts};
 use crate::opened::cache_folder;
 use crate::recording::{FIRST, program};
 
 /// First bytes of the file; the program's identity follows.
-const MAGIC: &[u8; 8] = b"FVSNAPS1";
+const MAGIC: &[u8; 8] = b"FVSNAPS2";
 /// A replay that runs for so long since the last snapshot leaves one…
 const INTERVAL: Duration = Duration::from_millis(250);
 /// …but spends at most this share of its time on them.
@@ -30,9 +31,10 @@ const ALL_BYTES_MAX: u64 = 6 << 30;
 /// What files of snapshots, maps and first estimates are called.
 const EXTENSIONS: [&str; 3] = ["fvsnaps", "fvlight", FIRST];
 
-/// Where a snapshot lies in the file, and what was delivered before it.
+/// Where a snapshot lies in the file, and what was delivered and counted before it.
 struct Entry {
     positions: Vec<u64>,
+    counts: Counts,
     offset: u64,
     length: u64,
 }
@@ -122,11 +124,12 @@ impl Index {
             if offset.saturating_add(length) > size {
                 return Ok(());
             }
-            let mut positions = vec![0; count as usize * 8];
-            file.read_exact(&mut positions)?;
-            let positions =
-                positions.as_chunks::<8>().0.iter().map(|number| u64::from_le_bytes(*number)).collect();
-            self.entries.push(Entry { positions, offset, length });
+            let mut numbers = vec![0; (count as usize + COUNTERS.len()) * 8];
+            file.read_exact(&mut numbers)?;
+            let mut numbers = numbers.as_chunks::<8>().0.iter().map(|number| u64::from_le_bytes(*number));
+            let positions = numbers.by_ref().take(count as usize).collect();
+            let counts = Counts(std::array::from_fn(|_| numbers.next().unwrap_or_default()));
+            self.entries.push(Entry { positions, counts, offset, length });
             self.end = file.seek(SeekFrom::Start(offset + length))?;
         }
     }
@@ -147,7 +150,7 @@ impl Index {
         let (_, entry) = ranked.max_by_key(|(rank, _)| *rank)?;
         let mut file = File::open(self.file.as_ref()?).ok()?;
         file.seek(SeekFrom::Start(entry.offset)).ok()?;
-        let mut bytes = Vec::new();
+        let mut bytes = Vec::with_capacity(entry.length as usize);
         file.take(entry.length).read_to_end(&mut bytes).ok()?;
         // Another process may have written its own there meanwhile.
         Snapshot::from_bytes(&bytes).filter(|found| found.positions() == entry.positions)
@@ -178,6 +181,11 @@ impl Index {
         self.read_at(|made| (made == place).then_some(0))
     }
 
+    /// What had been counted by a place, where a snapshot of it is kept.
+    pub fn counts(&self, place: &[u64]) -> Option<Counts> {
+        self.entries.iter().find(|entry| entry.positions == place).map(|entry| entry.counts)
+    }
+
     /// Whether there is a place to keep snapshots.
     pub fn is_kept(&self) -> bool {
         self.file.is_some()
@@ -199,11 +207,11 @@ impl Index {
     }
 
     /// Keeps what `take` gives, unless there is one close by.
-    pub fn keep(&mut self, take: impl FnOnce() -> Option<Snapshot>) {
+    pub fn keep(&mut self, take: impl FnOnce() -> Option<(Snapshot, Counts)>) {
         let start = Instant::now();
-        if let Some(snapshot) = take() {
+        if let Some((snapshot, counts)) = take() {
             let known = self.entries.iter().any(|entry| entry.positions == snapshot.positions());
-            if !known && self.append(&snapshot).is_err() {
+            if !known && self.append(&snapshot, counts).is_err() {
                 self.file = None;
             }
             self.wait = INTERVAL.max(start.elapsed() * SHARE);
@@ -211,7 +219,7 @@ impl Index {
         self.last = Instant::now();
     }
 
-    fn append(&mut self, snapshot: &Snapshot) -> std::io::Result<()> {
+    fn append(&mut self, snapshot: &Snapshot, counts: Counts) -> std::io::Result<()> {
         let Some(path) = self.file.clone() else { return Ok(()) };
         if self.end == 0 {
             if let Some(folder) = path.parent() {
@@ -225,7 +233,8 @@ impl Index {
         let mut bytes = Vec::with_capacity(content.len() + 64);
         bytes.extend_from_slice(&(snapshot.positions().len() as u64).to_le_bytes());
         bytes.extend_from_slice(&(content.len() as u64).to_le_bytes());
-        snapshot.positions().iter().for_each(|number| bytes.extend_from_slice(&number.to_le_bytes()));
+        let numbers = snapshot.positions().iter().chain(&counts.0);
+        numbers.for_each(|number| bytes.extend_from_slice(&number.to_le_bytes()));
         let offset = self.end + bytes.len() as u64;
         bytes.extend_from_slice(&content);
         let mut file = OpenOptions::new().write(true).open(&path)?;
@@ -233,7 +242,7 @@ impl Index {
         file.seek(SeekFrom::Start(self.end))?;
         file.write_all(&bytes)?;
         let (positions, length) = (snapshot.positions().to_vec(), content.len() as u64);
-        self.entries.push(Entry { positions, offset, length });
+        self.entries.push(Entry { positions, counts, offset, length });
         self.end += bytes.len() as u64;
         if self.end > BYTES_MAX {
             self.thin(self.entries.len() / 2)?;
@@ -275,9 +284,9 @@ impl Index {
     }
 }
 
-/// Bytes of an entry before its snapshot: two lengths and the positions.
+/// Bytes of an entry before its snapshot: two lengths, the positions and the counts.
 fn entry_head(positions: usize) -> u64 {
-    16 + positions as u64 * 8
+    16 + (positions + COUNTERS.len()) as u64 * 8
 }
 
 /// Lets snapshots and maps of other recordings go, those that were used least lately first, until all fit into `most`

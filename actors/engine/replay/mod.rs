@@ -1,6 +1,8 @@
 //! Recordings: the world they were made in, systems that replay them from any moment, and what can be asked of them.
 
 mod beside;
+mod condition;
+mod counters;
 pub mod diverged;
 #[cfg(test)]
 mod grown_tests;

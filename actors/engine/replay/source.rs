@@ -12,11 +12,13 @@ use foveal_actors::renderer::{MARK_FRAME, Unseen};
 use foveal_actors::stages::StageTimes;
 use foveal_actors::wiring::{Actors, wire};
 use foveal_runtime::{
-    ActorId, Config, Content, Delivery, Exit, Hashing, Limit, Mode, Observer, Runtime, Snapshot, Trace, Until,
+    ActorId, Config, Content, Delivery, Exit, Hashing, Limit, Mode, Observer, Runtime, Snapshot, Trace,
+    Until, calibrate,
 };
 
 use serde_json::{Value, json};
 
+use super::counters::{Counts, counted};
 use super::index::Index;
 use crate::bake_clock::Watch;
 use crate::failure::Failure;
@@ -162,7 +164,18 @@ impl Source {
         verify: bool,
         watch: &dyn Watch,
     ) -> Result<Self, Failure> {
-        let trace = Arc::new(open_trace(path)?);
+        // What a recording says of itself is enough to make its world, while the rest of it is read.
+        let header = Trace::header_of(path).ok();
+        let early = header.as_ref().and_then(|header| RecordedRun::in_header(header, path).ok());
+        let early = early.filter(|recorded| recorded.parent.is_none());
+        let (trace, world) = rayon::join(
+            || {
+                calibrate();
+                open_trace(path).map(Arc::new)
+            },
+            || early.map(|recorded| recorded.open(path, elsewhere, watch)),
+        );
+        let trace = trace?;
         let recorded = RecordedRun::of(&trace, path)?;
         if verify && trace.header().hashing == Hashing::Off {
             return Err(Failure::Input(format!(
@@ -171,7 +184,7 @@ impl Source {
             )));
         }
         let mut opened = match &recorded.parent {
-            None => recorded.open(path, elsewhere, watch)?,
+            None => world.unwrap_or_else(|| recorded.open(path, elsewhere, watch))?,
             Some(parent) => Self::left(parent, path, &recorded, elsewhere, watch)?,
         };
         let shown_in = shown_in(&trace);
@@ -179,7 +192,12 @@ impl Source {
         if let Some(refinement) = &mut opened.refinement {
             let (beside, triangles) = (light_beside(path), refinement.world.scene.mesh.triangles.len());
             let beside: &[&Path] = if beside.exists() { &[&beside] } else { &[] };
-            let book = LightBook::open(light_key(refinement)?, triangles, beside, index.light());
+            let book = LightBook::open(
+                light_key(refinement, &recorded.illumination_hash),
+                triangles,
+                beside,
+                index.light(),
+            );
             let delivered =
                 trace.find("illuminator").map_or(0, |from| trace.deliveries_from(renderer(&trace), from));
             refinement.book = Some(Arc::new(book.with_delivered(delivered)));
@@ -256,12 +274,12 @@ impl Source {
                 return Err(Failure::Interrupted("interrupted while replaying".into()));
             }
             match exit {
-                Exit::Until => index.keep(|| runtime.snapshot()),
+                Exit::Until => index.keep(|| counted(&self.trace, &mut runtime)),
                 _ => break,
             }
         }
         if stops && index.is_worth() && !runtime.diverged() {
-            index.keep(|| runtime.snapshot());
+            index.keep(|| counted(&self.trace, &mut runtime));
         }
         look(&runtime);
         if jumped && runtime.diverged() {
@@ -284,13 +302,18 @@ impl Source {
 
     /// Keeps a snapshot.
     #[cfg(test)]
-    pub(super) fn keep(&self, take: impl FnOnce() -> Option<Snapshot>) {
-        self.index.borrow_mut().keep(take);
+    pub(super) fn keep(&self, runtime: &mut Runtime) {
+        self.index.borrow_mut().keep(|| counted(&self.trace, runtime));
     }
 
     /// What had been delivered at each snapshot that is kept, from the first on.
     pub fn places(&self) -> Vec<Vec<u64>> {
         self.index.borrow().places()
+    }
+
+    /// What had been counted by a place of which a snapshot is kept.
+    pub(super) fn counts_at(&self, place: &[u64]) -> Option<Counts> {
+        self.index.borrow().counts(place)
     }
 
     /// The snapshot that is kept of a place.
@@ -413,7 +436,7 @@ impl Indexing {
             let exit = runtime.pump_until(Limit::IDLE, |_| enough() || interrupted() || index.is_due());
             match exit {
                 Exit::Until if enough() || interrupted() => return true,
-                Exit::Until => index.keep(|| runtime.snapshot()),
+                Exit::Until => index.keep(|| counted(&source.trace, runtime)),
                 // What diverges is found again by whoever looks there.
                 _ => {
                     (self.runtime, self.is_done) = (None, true);
@@ -502,7 +525,7 @@ mod tests {
             let until = Some(source.frame_shown(frame).expect("a frame"));
             let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
             runtime.pump(Limit::IDLE);
-            index.keep(|| runtime.snapshot());
+            index.keep(|| counted(&source.trace, &mut runtime));
         }
         let at = |index: &Index, frame: usize| {
             let snapshot = index.before(renderer, source.shown_in[frame])?;
@@ -534,7 +557,7 @@ mod tests {
         let until = Some(source.frame_shown(3).expect("a frame"));
         let (mut first, _) = source.system(How { until, ..How::default() }).expect("a system");
         first.pump(Limit::IDLE);
-        source.index.borrow_mut().keep(|| first.snapshot());
+        source.keep(&mut first);
         let how = How { threads: 2, until, jump: true, ..How::default() };
         let (mut again, actors) = source.run(how, |_| ()).expect("a replay");
         let report = again.replay_report();
@@ -558,7 +581,7 @@ mod tests {
             let until = Some(source.frame_shown(frame).expect("a frame"));
             let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
             runtime.pump(Limit::IDLE);
-            index.keep(|| runtime.snapshot());
+            index.keep(|| counted(&source.trace, &mut runtime));
         }
         let count = |index: &Index| {
             let found = source.shown_in.iter().filter(|at| index.right_after(renderer, **at).is_some());

@@ -1,4 +1,4 @@
-//! When something came about in a recording: conditions on messages, on the state of actors and on pixels.
+//! When something came about in a recording.
 //!
 //! Deliveries are replayed and looked at on the way, each actor's on the thread that makes it: all of them, parts beside
 //! each other, or those alone in which a counter passes a bound.
@@ -8,66 +8,19 @@ use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use bytesize::ByteSize;
 use crossbeam_queue::SegQueue;
 use foveal_actors::cache_ager::CacheAger;
 use foveal_actors::renderer::Renderer;
 use foveal_actors::wiring::Actors;
 use foveal_runtime::{ActorId, Content, Delivery, Observer, Runtime, Snapshot};
 
+use super::condition::{Comparison, Of, Test};
+use super::counters::COUNTERS;
 use super::source::{Ground, How, Source};
 use crate::failure::Failure;
 use crate::interrupt::interrupted;
 
-/// How conditions are written, for messages and help.
-pub const GRAMMAR: &str = "`ACTOR.PATH < 3`, `ACTOR.PATH changes`, `ACTOR hears MESSAGE [PATH > 3]`, \
-                           `pixel X,Y changes` or `object \"NAME\" loses samples`";
-
-/// How two values are compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Comparison {
-    Less,
-    AtMost,
-    Equal,
-    Different,
-    AtLeast,
-    More,
-}
-
-/// What a value is compared with.
-#[derive(Clone, Debug, PartialEq)]
-enum Bound {
-    Number(f64),
-    Name(String),
-}
-
-/// A comparison with what stands at a path.
-#[derive(Clone, Debug, PartialEq)]
-struct Test {
-    path: String,
-    comparison: Comparison,
-    bound: Bound,
-}
-
-/// Something that may come about.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Condition {
-    of: Of,
-}
-
-#[derive(Clone, Debug, PartialEq)]
-enum Of {
-    /// An actor's state comes to hold it.
-    State(String, Test),
-    /// Something in an actor's state becomes another.
-    Changes(String, String),
-    /// An actor is told a message.
-    Hears(String, String, Option<Test>),
-    /// A pixel of the shown picture becomes another.
-    Pixel(u32, u32),
-    /// The cache holds fewer samples of an object than before.
-    Loses(String),
-}
+pub use super::condition::{Condition, GRAMMAR};
 
 /// Where it came about.
 #[derive(Clone, Debug, PartialEq)]
@@ -81,106 +34,6 @@ pub struct Met {
     pub before: Option<Content>,
     /// What there is then.
     pub value: Content,
-}
-
-impl Comparison {
-    fn holds(self, order: Option<std::cmp::Ordering>) -> bool {
-        let Some(order) = order else { return self == Self::Different };
-        match self {
-            Self::Less => order.is_lt(),
-            Self::AtMost => order.is_le(),
-            Self::Equal => order.is_eq(),
-            Self::Different => order.is_ne(),
-            Self::AtLeast => order.is_ge(),
-            Self::More => order.is_gt(),
-        }
-    }
-}
-
-impl Test {
-    /// `PATH OP VALUE`.
-    fn parse(text: &str) -> Option<Self> {
-        let at = text.find(['<', '>', '=', '!'])?;
-        let (path, rest) = text.split_at(at);
-        let (comparison, bound) = [
-            ("<=", Comparison::AtMost),
-            (">=", Comparison::AtLeast),
-            ("==", Comparison::Equal),
-            ("!=", Comparison::Different),
-            ("<", Comparison::Less),
-            (">", Comparison::More),
-            ("=", Comparison::Equal),
-        ]
-        .into_iter()
-        .find_map(|(sign, comparison)| Some((comparison, rest.strip_prefix(sign)?.trim())))?;
-        if path.trim().is_empty() || bound.is_empty() {
-            return None;
-        }
-        let bound = match (bound.parse::<f64>(), bound.parse::<ByteSize>()) {
-            (Ok(number), _) => Bound::Number(number),
-            (_, Ok(size)) => Bound::Number(size.as_u64() as f64),
-            _ => Bound::Name(bound.trim_matches('"').to_owned()),
-        };
-        Some(Self { path: path.trim().to_owned(), comparison, bound })
-    }
-
-    /// Whether it holds for what stands there; where nothing does, nothing holds.
-    fn holds(&self, value: &Content) -> bool {
-        match (&self.bound, value) {
-            (Bound::Number(bound), value) => {
-                value.number().is_some_and(|number| self.comparison.holds(number.partial_cmp(bound)))
-            }
-            (Bound::Name(bound), Content::Name(name)) => {
-                self.comparison.holds(Some(name.as_ref().cmp(bound)))
-            }
-            (Bound::Name(bound), Content::Text(text)) => self.comparison.holds(Some(text.cmp(bound))),
-            (Bound::Name(bound), Content::Flag(flag)) => {
-                self.comparison.holds(Some(flag.to_string().cmp(bound)))
-            }
-            _ => false,
-        }
-    }
-}
-
-/// `ACTOR.PATH`, where the actor's name may have blanks: paths have none.
-fn of_actor(text: &str) -> Option<(String, String)> {
-    let (actor, path) = text.trim().split_once('.')?;
-    (!actor.is_empty() && !path.is_empty()).then(|| (actor.trim().to_owned(), path.trim().to_owned()))
-}
-
-impl Condition {
-    /// Reads one.
-    ///
-    /// # Errors
-    /// Says how conditions are written.
-    pub fn parse(text: &str) -> Result<Self, String> {
-        Self::read(text.trim()).map(|of| Self { of }).ok_or_else(|| {
-            format!("`{text}` is no condition; write one as {GRAMMAR}; --state shows what can stand there")
-        })
-    }
-
-    fn read(text: &str) -> Option<Of> {
-        if let Some(rest) = text.strip_prefix("pixel ") {
-            let (x, y) = rest.strip_suffix("changes")?.trim().split_once(',')?;
-            return Some(Of::Pixel(x.trim().parse().ok()?, y.trim().parse().ok()?));
-        }
-        if let Some(rest) = text.strip_prefix("object ") {
-            let name = rest.strip_suffix("samples")?.trim_end().strip_suffix("loses")?.trim();
-            return Some(Of::Loses(name.trim_matches('"').to_owned()));
-        }
-        if let Some((actor, what)) = text.split_once(" hears ") {
-            let (kind, test) = what.trim().split_once(' ').unwrap_or((what.trim(), ""));
-            let test = if test.trim().is_empty() { None } else { Some(Test::parse(test)?) };
-            return Some(Of::Hears(actor.trim().to_owned(), kind.to_owned(), test));
-        }
-        if let Some(place) = text.strip_suffix(" changes") {
-            let (actor, path) = of_actor(place)?;
-            return Some(Of::Changes(actor, path));
-        }
-        let test = Test::parse(text)?;
-        let (actor, path) = of_actor(&test.path)?;
-        Some(Of::State(actor, Test { path, ..test }))
-    }
 }
 
 impl fmt::Display for Met {
@@ -200,15 +53,6 @@ fn standing(content: &Content, path: &str) -> Content {
     content.at(path).cloned().unwrap_or_default()
 }
 
-/// Numbers of a state that never fall: where such a one passes a bound is found by halves.
-const COUNTERS: [(&str, &str); 6] = [
-    ("renderer", "view"),
-    ("allocator", "begun"),
-    ("analyzer", "analyzed"),
-    ("illuminator", "turns"),
-    ("illuminator", "rounds"),
-    ("illuminator", "published_in"),
-];
 /// Parts of a recording that are searched beside each other, for each thread: so that none waits long for another.
 const PARTS_PER_THREAD: usize = 4;
 
@@ -413,19 +257,13 @@ fn by_halves(
     if !grows || !counts || places.is_empty() {
         return None;
     }
-    // Snapshots at which it does not hold, and those at which it does.
-    let (mut below, mut above) = (0, places.len());
-    while below < above {
-        let middle = usize::midpoint(below, above);
-        let from = Some(source.at_place(&places[middle])?);
-        let (runtime, _) = source.system(How { from, ..How::default() }).ok()?;
-        let state = runtime.content(actor)?;
-        if test.holds(&standing(&state, &test.path)) {
-            above = middle;
-        } else {
-            below = middle + 1;
-        }
-    }
+    // Snapshots at which it does not hold yet.
+    let name = source.name(actor);
+    let holds = |place: &Vec<u64>| {
+        let number = source.counts_at(place).and_then(|counts| counts.at(name, &test.path));
+        number.is_some_and(|number| test.holds(&Content::Count(number)))
+    };
+    let below = places.partition_point(|place| !holds(place));
     let from = match below.checked_sub(1) {
         Some(last) => Some(source.at_place(&places[last])?),
         None => None,
@@ -542,34 +380,6 @@ mod tests {
         when(source, &Condition::parse(text).expect(text), 1).expect(text)
     }
 
-    #[test]
-    fn conditions_are_read() {
-        for text in [
-            "renderer.view < 3",
-            "allocator.budget.textures<1MiB",
-            "cache ager.samples changes",
-            "renderer hears SamplesTraced",
-            "allocator hears JobDone samples >= 10",
-            "pixel 3, 4 changes",
-            "object \"Mirror ball\" loses samples",
-            "allocator.converged = true",
-        ] {
-            assert!(Condition::parse(text).is_ok(), "{text}");
-        }
-        let limit = Condition::parse("allocator.budget.textures < 1MiB").expect("a condition");
-        let Of::State(actor, Test { path, comparison, bound }) = limit.of else { panic!("a state") };
-        assert_eq!(
-            (actor.as_str(), path.as_str(), comparison),
-            ("allocator", "budget.textures", Comparison::Less)
-        );
-        assert_eq!(bound, Bound::Number(1_048_576.0));
-        for text in
-            ["", "renderer", "renderer.view", "< 3", "renderer. < 3", "pixel 3 changes", "a hears b < "]
-        {
-            assert!(Condition::parse(text).is_err(), "{text}");
-        }
-    }
-
     /// A condition on a state holds where the state, asked for there, says so, and did not one delivery before.
     #[test]
     fn states_hold_from_where_they_are_found_on() {
@@ -636,7 +446,7 @@ mod tests {
             let until = Some(Until::Delivery { actor: renderer, index });
             let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
             runtime.pump(Limit::IDLE);
-            source.keep(|| runtime.snapshot());
+            source.keep(&mut runtime);
         }
         source
     }

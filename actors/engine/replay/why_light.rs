@@ -11,6 +11,7 @@ use glam::Vec3;
 use serde_json::{Value, json};
 
 use crate::opened::lamp_name;
+use crate::pick;
 
 /// Samples by which lamps with an area are told apart.
 const SAMPLES: u32 = 4096;
@@ -30,6 +31,7 @@ pub fn surface(drawn: &DrawnView, (x, y): (usize, usize), insight: Option<&Insig
         "position": at.position.to_array(),
         "normal": at.facing_shading().to_array(),
         "distance": at.t,
+        "thing": scene.things.of(at.triangle).and_then(|id| Some(pick::named(id, scene.things.get(id)?))),
         "material": at.material(scene).name,
         "back": at.back,
         "light": light(drawn, &at),
@@ -114,6 +116,10 @@ pub fn told(surface: &Value) -> Vec<String> {
     let (material, side) =
         (text(&surface["material"]), if surface["back"] == true { ", its back" } else { "" });
     let distance = surface["distance"].as_f64().unwrap_or_default();
+    let thing = &surface["thing"]["path"];
+    if thing.is_string() {
+        lines.push(format!("thing     \"{}\"", text(thing)));
+    }
     lines.push(format!(
         "surface   material \"{material}\"{side}, {distance:.3} away, at {}",
         band(&surface["position"])

@@ -13,9 +13,16 @@ impl Walk {
         self.source.timeline().map(|timeline| (timeline.shown(), self.replaying.is_some()))
     }
 
-    /// Does what the user wants of a recording. Nothing where this is none.
+    /// Does what the user wants of a recording. Of a walk it can only be told what is at a pixel.
     pub fn wish(&mut self, wish: Wish, now: f64) {
         let replaying = self.replaying.take();
+        if self.source.timeline().is_none() {
+            if let Wish::Why(x, y) = wish {
+                let at = self.source.pick(x, y);
+                self.tell(at.map_or_else(|| "the environment".to_owned(), |picked| picked.told()));
+            }
+            return;
+        }
         let Some(timeline) = self.source.timeline_mut() else { return };
         match wish {
             Wish::Frame(frame) => timeline.go_to(frame),

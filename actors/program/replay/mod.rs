@@ -4,6 +4,7 @@
 mod diff;
 mod export;
 mod look;
+mod recorded;
 mod step;
 #[cfg(feature = "window")]
 mod view;
@@ -117,6 +118,9 @@ pub struct ReplayArguments {
     /// own format
     #[arg(long, num_args = 2, value_names = ["chrome|perfetto", "FILE"])]
     export: Option<Vec<String>>,
+    /// Where the replay diverges: the program that recorded it, which says what was recorded there
+    #[arg(long, value_name = "PROGRAM")]
+    with: Option<PathBuf>,
     /// The first message at which two recordings part
     #[arg(long, num_args = 2, value_names = ["A", "B"], conflicts_with_all = ["trace", "until", "show", "step", "back", "why", "export", "actor"])]
     diff: Option<Vec<PathBuf>>,
@@ -127,7 +131,7 @@ pub struct ReplayArguments {
     json: bool,
 }
 
-fn pixel(text: &str) -> Result<(u32, u32), String> {
+pub fn pixel(text: &str) -> Result<(u32, u32), String> {
     let wrong = || format!("`{text}` is no pixel; write it as 30,20");
     let (x, y) = text.split_once(',').ok_or_else(wrong)?;
     Ok((x.trim().parse().map_err(|_| wrong())?, y.trim().parse().map_err(|_| wrong())?))
@@ -262,9 +266,22 @@ fn verify(
             let differs = found.differs.iter().map(|d| json!({"path": d.path, "a": d.left, "b": d.right}));
             document["diverged"]["says"] = json!(found.says);
             document["diverged"]["state"] = json!(found.state);
+            document["diverged"]["answers"] = found
+                .answers
+                .iter()
+                .map(|said| json!({"to": source.name(said.to), "message": said.kind, "says": said.says}))
+                .collect();
             document["diverged"]["replays_differ"] = differs.collect();
         } else {
             print_line(&format!("there it says {}", found.says));
+            for said in &found.answers {
+                print_line(&format!(
+                    "and is answered by {} to {}: {}",
+                    said.kind,
+                    source.name(said.to),
+                    said.says
+                ));
+            }
             match found.differs.is_empty() {
                 true => print_line(
                     "two more replays say the same there: this program says something else than that one did",
@@ -277,6 +294,18 @@ fn verify(
                 .differs
                 .iter()
                 .for_each(|d| print_line(&format!("  {}: {} and {}", d.path, d.left, d.right)));
+        }
+    }
+    if let (Some(program), Some(divergence)) = (&a.with, &report.divergence) {
+        let others = recorded::others(program, source, divergence, &divergence.said)?;
+        if a.json {
+            let others = others.iter();
+            document["diverged"]["recorded_differs"] =
+                others.map(|o| json!({"path": o.path, "recorded": o.recorded, "here": o.here})).collect();
+        } else {
+            for o in &others {
+                print_line(&format!("  {}: recorded {}, here {}", o.path, o.recorded, o.here));
+            }
         }
     }
     if let Some(asked) = asked {

@@ -105,7 +105,7 @@ impl Scenario {
     }
 
     fn start(&self, simulation: Simulation, into: Option<Record>) -> Result<Engine, Failure> {
-        let recording = into.map(|into| Recording { into, hashing: Hashing::Exact, command: "simulate" });
+        let recording = into.map(|into| Recording { into, hashing: Hashing::Said, command: "simulate" });
         let (clock, probes) = (Clock::Virtual(simulation), Some(self.probes.clone()));
         let options = Options { clock, probes, recording, ..Options::new(self.settings) };
         Engine::start(self.opened.clone(), options)

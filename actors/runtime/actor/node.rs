@@ -368,6 +368,10 @@ impl<A: Actor> Runnable for Node<A> {
             turn.again = false;
             self.close(core, thread, turn);
         }
+        if ended.is_ok() {
+            // What is said on an actor's behalf is said outside of its deliveries, too.
+            core.journal.let_go(thread);
+        }
         core.journal.end_turn(turn.flush);
         let end = scheduler.clock.turn_time();
         thread.last_end.set(end);
@@ -417,8 +421,9 @@ impl<A: Actor> AnyNode for Node<A> {
             let script = core.journal.script()?;
             let (recorded, expected) = script.recorded();
             let hashed = script.hashing == hashing && hashing != Hashing::Off;
-            let wrong_end =
-                (made > 0 && made == recorded && hashed && chain != expected).then_some((expected, chain));
+            let wrong_end = expected
+                .filter(|expected| made > 0 && made == recorded && hashed && chain != *expected)
+                .map(|expected| (expected, chain));
             let waits_for = script.next().map(|next| {
                 let from = match next.payload {
                     // A job comes from who made it.

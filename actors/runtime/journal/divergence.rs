@@ -3,6 +3,8 @@
 use std::fmt;
 
 use crate::message::ActorId;
+use crate::message::content::Content;
+use crate::scheduler::ThreadCx;
 
 /// One delivery in a report.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -15,6 +17,23 @@ pub struct Turn {
     pub lane: &'static str,
     /// The message's variant.
     pub kind: &'static str,
+}
+
+/// What an actor said to another one.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Said {
+    /// To whom; for a job, who made it.
+    pub to: ActorId,
+    /// The message's variant, or the job's.
+    pub kind: &'static str,
+    /// What is in it.
+    pub says: Content,
+}
+
+/// Something that was said in a replay and waits until it is known whether the recording has it, too.
+pub(crate) trait Held: Send {
+    fn tell(&self) -> Said;
+    fn go(self: Box<Self>, thread: &ThreadCx);
 }
 
 /// Where a replay parts from its recording.
@@ -36,6 +55,8 @@ pub struct Divergence {
     pub expected: String,
     /// What happened instead.
     pub found: String,
+    /// What the actor said there in this replay, where that is what differs. Nobody was told it.
+    pub said: Vec<Said>,
     /// The actor's last deliveries, newest first (at most 20).
     pub turns: Vec<Turn>,
 }

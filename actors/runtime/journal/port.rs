@@ -55,8 +55,8 @@ impl<E: External<M>, M: Message> Port<E, M> {
         if env.closed() {
             return Err(Rejected { message, reason: Reason::Stopped });
         }
-        let result =
-            self.to.mailbox.accept(Envelope { from: self.id, sequence: 0, external, message }, &self.thread);
+        let envelope = Envelope { from: self.id, sequence: 0, digest: 0, external, message };
+        let result = self.to.mailbox.accept(envelope, &self.thread);
         if result.is_err() {
             self.to.mailbox.link.counters.rejected();
         }

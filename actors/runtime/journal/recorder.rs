@@ -26,6 +26,8 @@ pub(super) struct Recorder {
     pub(super) last_now: u64,
     pub(super) hashes: Vec<u8>,
     pub(super) rejected: Vec<u8>,
+    pub(super) said: Vec<u8>,
+    pub(super) faint: Vec<u8>,
     pub(super) last_rejected: u64,
 }
 
@@ -88,7 +90,8 @@ impl Recorder {
     }
 
     pub(super) fn len(&self) -> usize {
-        self.order.len() + self.external.len() + self.values.len() + self.hashes.len() + self.rejected.len()
+        let streams = [&self.order, &self.external, &self.values, &self.hashes, &self.rejected, &self.said];
+        streams.iter().map(|stream| stream.len()).sum::<usize>() + self.faint.len()
     }
 
     /// Everything since the last chunk, as the bytes of one.
@@ -104,8 +107,8 @@ impl Recorder {
             put(&mut bytes, u64::from(symbol.from.0));
             bytes.push(symbol.lane);
         }
-        let streams =
-            [&mut self.order, &mut self.external, &mut self.values, &mut self.hashes, &mut self.rejected];
+        let Self { order, external, values, hashes, rejected, said, faint, .. } = self;
+        let streams = [order, external, values, hashes, rejected, said, faint];
         let there = streams.iter().enumerate().map(|(bit, stream)| u8::from(!stream.is_empty()) << bit).sum();
         bytes.push(there);
         for stream in streams.into_iter().filter(|stream| !stream.is_empty()) {

@@ -90,6 +90,11 @@ impl Script {
         self.walk.hash16(&self.log)
     }
 
+    /// What was recorded of what the actor made of the delivery at hand.
+    pub(crate) fn said(&mut self) -> Option<(bool, u16)> {
+        self.walk.said(&self.log)
+    }
+
     pub(crate) fn hash64(&mut self) -> Option<u64> {
         self.walk.hash64(&self.log)
     }
@@ -98,9 +103,9 @@ impl Script {
         self.walk.rejects(&self.log, number)
     }
 
-    /// Deliveries recorded and the chained hash behind them.
-    pub(crate) fn recorded(&self) -> (u64, u64) {
-        (self.log.deliveries, self.log.chain)
+    /// Deliveries recorded and the chained hash behind them, where the recording says it.
+    pub(crate) fn recorded(&self) -> (u64, Option<u64>) {
+        (self.log.deliveries, Some(self.log.chain).filter(|chain| *chain != 0))
     }
 }
 

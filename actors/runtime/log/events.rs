@@ -150,8 +150,11 @@ impl Trace {
     /// that parts, or `None` in an actor whose recordings agree as far as both go.
     pub fn first_difference(&self, other: &Self, actor: ActorId) -> Option<u64> {
         let (left, right) = (self.logs.get(actor.0 as usize)?, other.logs.get(actor.0 as usize)?);
-        let exact = |trace: &Self| trace.header().hashing == Hashing::Exact;
-        let hash = if exact(self) && exact(other) { first_hash_difference(left, right) } else { None };
+        let hash = match (self.header().hashing, other.header().hashing) {
+            (Hashing::Exact, Hashing::Exact) => first_hash_difference(left, right),
+            (Hashing::Said, Hashing::Said) => first_said_difference(left, right),
+            _ => None,
+        };
         let (mut left, mut right) = (self.steps(actor)?, other.steps(actor)?);
         let (mut a, mut b) = (left.next(), right.next());
         let mut index = 0;
@@ -239,6 +242,13 @@ fn first_hash_difference(left: &ActorLog, right: &ActorLog) -> Option<u64> {
     let each = (left.hashes.len() as u64 / 2).checked_div(left.deliveries)?.max(1);
     let pairs = left.hashes.chunks_exact(2).zip(right.hashes.chunks_exact(2));
     pairs.into_iter().position(|(a, b)| a != b).map(|position| position as u64 / each)
+}
+
+/// The first delivery of which something else was said.
+fn first_said_difference(left: &ActorLog, right: &ActorLog) -> Option<u64> {
+    let (mut a, mut b) = (Walk::default(), Walk::default());
+    let pairs = std::iter::from_fn(|| Some((a.said(left)?, b.said(right)?)));
+    pairs.into_iter().position(|(a, b)| a != b).map(|position| position as u64)
 }
 
 fn event_of(value: Value) -> Event {

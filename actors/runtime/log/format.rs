@@ -1,17 +1,20 @@
 //! The bytes of a recording.
 //!
-//! A file is the magic, a version, and segments `[raw length u32 | stored length u32 | crc32 u32 | lz4 block]`, all
-//! little-endian; the checksum covers both lengths and the block. A segment's first byte says what it is: the header,
-//! chunks, or the end. A chunk holds the next deliveries of one actor in five streams whose positions are implied by
-//! the order of deliveries, so that none of them interrupts the runs of the first:
+//! A file is the magic, a version, and segments `[raw length u32 | stored length u32 | crc32 u32 | block]`, all
+//! little-endian; the checksum covers both lengths and the block. A block is lz4's, or of chunks, and with the highest
+//! bit of its raw length set, coded by what came before it in the file ([`super::coder`]). A segment's first byte says
+//! what it is: the header, chunks, or the end. A chunk holds the next deliveries of one actor in streams whose positions
+//! are implied by the order of deliveries, so that none of them interrupts the runs of the first:
 //!
 //! | stream | content |
 //! | --- | --- |
 //! | order | runs of deliveries from one (sender, lane), numbered by first appearance |
 //! | external | payloads of what comes from outside: port payloads, timers, controls, job pops, skipped older values |
 //! | values | what the actor asked for or said while handling: time, durations, marks, verdicts on panics |
-//! | hashes | the chained hash: 16 bits for each delivery, or 64 bits for each K deliveries |
+//! | hashes | the chained hash: 16 bits for each delivery, or for each that made the actor say something, or 64 bits for each K deliveries |
 //! | rejected | which of the actor's own sends came back, and why |
+//! | said | whether the actor said something in each delivery |
+//! | faint | 4 bits of the chained hash for each delivery in which it did not |
 //!
 //! Order costs at most a byte a delivery as long as an actor has fewer than 248 senders: one for a sender, the same
 //! again for the second delivery of a run, and a mark with a length for all further ones.
@@ -28,8 +31,27 @@ use crate::scheduler::link::Class;
 
 /// First bytes of every recording.
 pub const MAGIC: [u8; 6] = *b"FVLOG\0";
-/// Version of this format; a reader accepts exactly its own.
-pub const VERSION: u16 = 3;
+/// Version of this format.
+pub const VERSION: u16 = 4;
+/// The oldest version that is still read. It had no coded blocks, and hashes of what was delivered, not of what was said.
+pub const VERSION_OLDEST: u16 = 3;
+/// Marks the raw length of a segment that is coded.
+pub(crate) const CODED: u32 = 1 << 31;
+/// Streams of a chunk.
+pub(crate) const STREAMS: usize = 7;
+/// Bits of the chained hash for a delivery in which nothing was said.
+pub(crate) const FAINT_BITS: u32 = 4;
+
+/// Numbers of the streams that are not read alike.
+pub(crate) mod stream {
+    pub(crate) const ORDER: usize = 0;
+    pub(crate) const EXTERNAL: usize = 1;
+    pub(crate) const VALUES: usize = 2;
+    pub(crate) const HASHES: usize = 3;
+    pub(crate) const REJECTED: usize = 4;
+    pub(crate) const SAID: usize = 5;
+    pub(crate) const FAINT: usize = 6;
+}
 /// Largest segment before compression, in bytes.
 pub const SEGMENT_BYTES_MAX: usize = 32 << 20;
 /// Bytes of a segment's lengths and checksum.
@@ -72,6 +94,10 @@ pub enum Hashing {
     Every(u32),
     /// 16 bits for each delivery: 2 bytes a message, a divergence is named at its exact message.
     Exact,
+    /// 16 bits for each delivery in which the actor said something, of all that it said in it; 4 for each other. About a
+    /// byte a message. What an actor makes wrong is named at the delivery in which it did, but once in 65,536 times; what
+    /// reaches one wrong that says nothing to it, at that delivery in 15 of 16 times, and within n in 1 − 16⁻ⁿ.
+    Said,
 }
 
 /// One actor or port as the wiring made it.

@@ -1,5 +1,6 @@
 //! The recording of a run: what is in it, how it is written while the system runs, and how it is read back.
 
+pub(crate) mod coder;
 pub mod events;
 pub mod fingerprint;
 pub mod format;

@@ -6,9 +6,10 @@ use std::io::{self, Read};
 use std::path::Path;
 use std::sync::Arc;
 
+use super::coder::{CODED_BYTES_MAX, Model, Spent};
 use super::format::{
-    CHUNK_DELIVERIES_MAX, Cursor, End, Header, KIND_CHUNKS, KIND_END, KIND_HEADER, MAGIC, Payload,
-    SEGMENT_BYTES_MAX, SEGMENT_HEAD, Symbol, VERSION, lane,
+    CHUNK_DELIVERIES_MAX, CODED, Cursor, End, FAINT_BITS, Header, KIND_CHUNKS, KIND_END, KIND_HEADER, MAGIC,
+    Payload, SEGMENT_BYTES_MAX, SEGMENT_HEAD, STREAMS, Symbol, VERSION, VERSION_OLDEST, lane, stream,
 };
 use super::walk::{ActorLog, Walk};
 use crate::message::ActorId;
@@ -48,7 +49,7 @@ impl fmt::Display for TraceError {
                 let by = writer.as_ref().map_or_else(String::new, |writer| format!(", written by {writer}"));
                 write!(
                     f,
-                    "the recording has format version {found}{by}; this program reads version {expected}: "
+                    "the recording has format version {found}{by}; this program reads version {expected} and {VERSION_OLDEST}: "
                 )?;
                 f.write_str("replay it with the program that wrote it, or record anew")
             }
@@ -84,9 +85,11 @@ pub struct Trace {
     cut: Option<Cut>,
     whole_bytes: u64,
     segments: u64,
+    /// What coded segments spent on what is in them.
+    spent: Option<Spent>,
 }
 
-/// Sizes of a recording.
+/// Sizes of a recording: of each stream what it takes in the file, and before compression where that is lz4's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TraceStat {
     /// Deliveries to all actors.
@@ -95,7 +98,7 @@ pub struct TraceStat {
     pub file_bytes: u64,
     /// Segments.
     pub segments: u64,
-    /// Bytes of the order of deliveries, before compression.
+    /// Bytes of the order of deliveries.
     pub order_bytes: u64,
     /// Bytes of payloads from outside, job pops and timers.
     pub external_bytes: u64,
@@ -121,36 +124,29 @@ impl Trace {
         Self::read(&mut &*bytes)
     }
 
+    /// What a file says about itself; the rest of it is not read.
+    pub fn header_of(path: &Path) -> Result<Header, TraceError> {
+        let file = std::fs::File::open(path).map_err(TraceError::Io)?;
+        let (_, header) = begin(&mut io::BufReader::new(file))?;
+        Ok(header)
+    }
+
     fn read(source: &mut impl Read) -> Result<Self, TraceError> {
-        let mut head = [0; 8];
-        let length = fill(source, &mut head).map_err(TraceError::Io)?;
-        if length < 6 || head[..6] != MAGIC {
-            return Err(TraceError::NotARecording);
-        }
-        let found = u16::from_le_bytes([head[6], head[7]]);
-        if length < 8 {
-            return Err(TraceError::NotARecording);
-        }
-        let first = read_segment(source);
-        if found != VERSION {
-            return Err(TraceError::Version { found, expected: VERSION, writer: first.writer() });
-        }
-        let damaged = |reason: String| TraceError::Header { reason };
-        let (bytes, body) = match first {
-            Segment::Body(bytes, body) => (bytes, body),
-            Segment::Nothing => return Err(damaged("it is missing".into())),
-            Segment::Damaged(reason) => return Err(damaged(reason)),
+        let (bytes, header) = begin(source)?;
+        let mut model = None;
+        let mut trace = Self {
+            logs: Vec::new(),
+            end: None,
+            cut: None,
+            whole_bytes: 8 + bytes,
+            segments: 1,
+            spent: None,
+            header,
         };
-        if body.first() != Some(&KIND_HEADER) {
-            return Err(damaged("the first segment is no header".into()));
-        }
-        let header: Header = postcard::from_bytes(&body[1..]).map_err(|error| damaged(error.to_string()))?;
-        let mut trace =
-            Self { logs: Vec::new(), end: None, cut: None, whole_bytes: 8 + bytes, segments: 1, header };
         let mut logs: Vec<Option<Box<Reading>>> = trace.header.nodes.iter().map(|_| None).collect();
         let mut total = 0_u64;
         loop {
-            let (bytes, body) = match read_segment(source) {
+            let (bytes, body) = match read_segment(source, &mut model) {
                 Segment::Body(bytes, body) => (bytes, body),
                 Segment::Nothing => {
                     if trace.end.is_none() {
@@ -182,6 +178,7 @@ impl Trace {
         let kept =
             |read: Option<Box<Reading>>| read.map_or_else(|| Arc::clone(&empty), |read| Arc::new(read.log));
         trace.logs = logs.into_iter().map(kept).collect();
+        trace.spent = model.map(|model| model.spent);
         Ok(trace)
     }
 
@@ -214,6 +211,9 @@ impl Trace {
                 let found = logs.iter().map(|read| read.as_ref().map_or(0, |read| read.log.deliveries));
                 if !end.totals.iter().map(|(deliveries, _)| *deliveries).eq(found) {
                     return Err("the end counts other deliveries than are recorded".into());
+                }
+                for (read, (_, chain)) in logs.iter_mut().zip(&end.totals) {
+                    read.as_mut().into_iter().for_each(|read| read.log.chain = *chain);
                 }
                 self.end = Some(end);
                 Ok(())
@@ -262,15 +262,35 @@ impl Trace {
     pub fn stat(&self) -> TraceStat {
         let mut stat =
             TraceStat { file_bytes: self.whole_bytes, segments: self.segments, ..TraceStat::default() };
+        let mut plain = [0_u64; STREAMS];
         for log in &self.logs {
             stat.deliveries += log.deliveries;
-            stat.order_bytes += log.order.len() as u64;
-            stat.external_bytes += log.external.len() as u64;
-            stat.pop_bytes += self.pop_bytes(log);
-            stat.value_bytes += log.values.len() as u64;
-            stat.hash_bytes += log.hashes.len() as u64;
-            stat.rejected_bytes += log.rejected.len() as u64;
+            for (sum, stream) in plain.iter_mut().zip(log.plain()) {
+                *sum += stream as u64;
+            }
         }
+        let mut takes = plain.map(|bytes| bytes as f64);
+        // As it was recorded where nothing was coded: a bit, and four of them, in a byte each.
+        takes[stream::SAID] /= 8.0;
+        takes[stream::FAINT] *= f64::from(FAINT_BITS) / 8.0;
+        if let Some(spent) = &self.spent {
+            let (coded, all) = (spent.coded, plain);
+            for (which, takes) in takes.iter_mut().enumerate() {
+                let bits: u64 = spent.streams.iter().map(|streams| streams[which]).sum();
+                let left = all[which].saturating_sub(coded[which]) as f64 / all[which].max(1) as f64;
+                *takes = *takes * left + bits as f64 / f64::from(8 << 16);
+            }
+        }
+        // Job pops share their stream with what else comes from outside.
+        let pops = plain[stream::EXTERNAL].max(1) as f64;
+        let pops = self.logs.iter().map(|log| self.pop_bytes(log)).sum::<u64>() as f64 / pops;
+        let whole = |which: usize| takes[which].round() as u64;
+        stat.order_bytes = whole(stream::ORDER);
+        stat.external_bytes = whole(stream::EXTERNAL);
+        stat.pop_bytes = (takes[stream::EXTERNAL] * pops).round() as u64;
+        stat.value_bytes = whole(stream::VALUES);
+        stat.hash_bytes = (takes[stream::HASHES] + takes[stream::SAID] + takes[stream::FAINT]).round() as u64;
+        stat.rejected_bytes = whole(stream::REJECTED);
         stat
     }
 
@@ -295,29 +315,30 @@ struct Reading {
 /// A log before a segment.
 struct Lengths {
     symbols: usize,
-    streams: [usize; 5],
+    streams: [usize; STREAMS],
     deliveries: u64,
     chain: u64,
+    spoken: u64,
     walk: Walk,
 }
 
 impl Reading {
-    fn streams(&mut self) -> [&mut Vec<u8>; 5] {
-        let log = &mut self.log;
-        [&mut log.order, &mut log.external, &mut log.values, &mut log.hashes, &mut log.rejected]
-    }
-
     fn lengths(&mut self) -> Lengths {
-        let streams = self.streams().map(|stream| stream.len());
         let Self { log, walk } = self;
+        let streams = log.streams().map(|stream| stream.len());
         let (symbols, deliveries, chain) = (log.symbols.len(), log.deliveries, log.chain);
-        Lengths { symbols, streams, deliveries, chain, walk: walk.clone() }
+        Lengths { symbols, streams, deliveries, chain, spoken: log.spoken, walk: walk.clone() }
     }
 
     fn undo(&mut self, before: &Lengths) {
-        self.streams().into_iter().zip(before.streams).for_each(|(stream, length)| stream.truncate(length));
+        self.log
+            .streams()
+            .into_iter()
+            .zip(before.streams)
+            .for_each(|(stream, length)| stream.truncate(length));
         self.log.symbols.truncate(before.symbols);
         (self.log.deliveries, self.log.chain) = (before.deliveries, before.chain);
+        self.log.spoken = before.spoken;
         self.walk = before.walk.clone();
     }
 }
@@ -354,9 +375,17 @@ fn append(
         read.log.symbols.push(Symbol { from: ActorId(from as u32), lane });
     }
     let there = cursor.byte().ok_or_else(short)?;
-    for (_, stream) in read.streams().into_iter().enumerate().filter(|(bit, _)| there >> bit & 1 == 1) {
-        stream.extend_from_slice(cursor.bytes().ok_or_else(short)?);
+    let mut new = [&[][..]; STREAMS];
+    for (bit, stream) in read.log.streams().into_iter().enumerate().filter(|(bit, _)| there >> bit & 1 == 1) {
+        new[bit] = cursor.bytes().ok_or_else(short)?;
+        stream.extend_from_slice(new[bit]);
     }
+    if new[stream::SAID].iter().any(|said| *said > 1)
+        || new[stream::FAINT].iter().any(|faint| faint >> FAINT_BITS != 0)
+    {
+        return Err(format!("hashes of actor {actor} that are none"));
+    }
+    read.log.spoken += new[stream::SAID].iter().map(|said| u64::from(*said)).sum::<u64>();
     if !cursor.is_empty() {
         return Err("a chunk is longer than its content".into());
     }
@@ -364,6 +393,34 @@ fn append(
     log.deliveries = log.deliveries.checked_add(count).ok_or_else(|| "too many deliveries".to_owned())?;
     let valid = walk.validate(log, header, count);
     valid.ok_or_else(|| format!("the log of actor {actor} cannot be decoded"))
+}
+
+/// What a recording begins with: its header, and the bytes of that.
+fn begin(source: &mut impl Read) -> Result<(u64, Header), TraceError> {
+    let mut head = [0; 8];
+    let length = fill(source, &mut head).map_err(TraceError::Io)?;
+    if length < 6 || head[..6] != MAGIC {
+        return Err(TraceError::NotARecording);
+    }
+    let found = u16::from_le_bytes([head[6], head[7]]);
+    if length < 8 {
+        return Err(TraceError::NotARecording);
+    }
+    let first = read_segment(source, &mut None);
+    if !(VERSION_OLDEST..=VERSION).contains(&found) {
+        return Err(TraceError::Version { found, expected: VERSION, writer: first.writer() });
+    }
+    let damaged = |reason: String| TraceError::Header { reason };
+    let (bytes, body) = match first {
+        Segment::Body(bytes, body) => (bytes, body),
+        Segment::Nothing => return Err(damaged("it is missing".into())),
+        Segment::Damaged(reason) => return Err(damaged(reason)),
+    };
+    if body.first() != Some(&KIND_HEADER) {
+        return Err(damaged("the first segment is no header".into()));
+    }
+    let header: Header = postcard::from_bytes(&body[1..]).map_err(|error| damaged(error.to_string()))?;
+    Ok((bytes, header))
 }
 
 enum Segment {
@@ -386,7 +443,8 @@ impl Segment {
     }
 }
 
-fn read_segment(source: &mut impl Read) -> Segment {
+/// `model` is made with the first segment that is coded.
+fn read_segment(source: &mut impl Read, model: &mut Option<Model>) -> Segment {
     let mut head = [0; SEGMENT_HEAD];
     match fill(source, &mut head) {
         Ok(0) => return Segment::Nothing,
@@ -395,10 +453,12 @@ fn read_segment(source: &mut impl Read) -> Segment {
         Err(error) => return Segment::Damaged(error.to_string()),
     }
     let word = |at: usize| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
-    let (raw, stored, checksum) = (word(0) as usize, word(4) as usize, word(8));
+    let (raw, stored, checksum) = ((word(0) & !CODED) as usize, word(4) as usize, word(8));
+    let coded = word(0) & CODED != 0;
     // An lz4 block is at most a little longer than its content, and at most 255 times shorter.
     let stored_max = lz4_flex::block::get_maximum_output_size(raw.min(SEGMENT_BYTES_MAX));
-    if raw > SEGMENT_BYTES_MAX || stored > stored_max || raw > stored.saturating_mul(255) + 64 {
+    let too_short = if coded { raw > CODED_BYTES_MAX } else { raw > stored.saturating_mul(255) + 64 };
+    if raw > SEGMENT_BYTES_MAX || stored > stored_max || too_short {
         return Segment::Damaged(format!("a segment claims {stored} bytes for {raw}"));
     }
     let mut block = Vec::new();
@@ -412,6 +472,10 @@ fn read_segment(source: &mut impl Read) -> Segment {
     hasher.update(&block);
     if hasher.finalize() != checksum {
         return Segment::Damaged("a segment's checksum does not fit its content".into());
+    }
+    if coded {
+        let body = model.get_or_insert_with(Model::new).decode(&block, raw);
+        return Segment::Body((SEGMENT_HEAD + stored) as u64, body);
     }
     match lz4_flex::block::decompress(&block, raw) {
         Ok(body) if body.len() == raw => Segment::Body((SEGMENT_HEAD + stored) as u64, body),

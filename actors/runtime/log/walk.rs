@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::format::{Cursor, Hashing, Header, Payload, Symbol, lane, reason, value};
+use super::format::{Cursor, Hashing, Header, Payload, STREAMS, Symbol, lane, reason, value};
 use crate::message::Reason;
 
 /// What was delivered to one actor, as recorded.
@@ -14,14 +14,34 @@ pub(crate) struct ActorLog {
     pub(crate) values: Vec<u8>,
     pub(crate) hashes: Vec<u8>,
     pub(crate) rejected: Vec<u8>,
+    /// For each delivery, 1 where the actor said something in it.
+    pub(crate) said: Vec<u8>,
+    pub(crate) faint: Vec<u8>,
     pub(crate) deliveries: u64,
+    /// The chained hash behind the last delivery; 0 where the recording does not say.
     pub(crate) chain: u64,
+    /// Ones among `said`.
+    pub(crate) spoken: u64,
 }
 
 impl ActorLog {
+    /// Bytes of the streams as they lie here.
+    pub(crate) fn plain(&self) -> [usize; STREAMS] {
+        let Self { order, external, values, hashes, rejected, said, faint, .. } = self;
+        [order, external, values, hashes, rejected, said, faint].map(Vec::len)
+    }
+
+    pub(crate) fn streams(&mut self) -> [&mut Vec<u8>; STREAMS] {
+        let Self { order, external, values, hashes, rejected, said, faint, .. } = self;
+        [order, external, values, hashes, rejected, said, faint]
+    }
+
     /// There are as many hashes as so many deliveries leave. This bounds the deliveries that a file can claim.
     fn hashes_fit(&self, hashing: Hashing) -> bool {
         let (bytes, deliveries) = (self.hashes.len() as u64, self.deliveries);
+        if hashing != Hashing::Said && !(self.said.is_empty() && self.faint.is_empty()) {
+            return false;
+        }
         match hashing {
             Hashing::Off => bytes == 0,
             Hashing::Every(period) => {
@@ -29,6 +49,10 @@ impl ActorLog {
             }
             // One for each delivery, and one more for a state that has a hash of its own.
             Hashing::Exact => bytes.is_multiple_of(2) && (deliveries..=2 * deliveries).contains(&(bytes / 2)),
+            Hashing::Said => {
+                let all = self.said.len() as u64 == deliveries && bytes == 2 * self.spoken;
+                all && self.faint.len() as u64 == deliveries - self.spoken
+            }
         }
     }
 }
@@ -66,6 +90,7 @@ pub(crate) struct Walk {
     last_value: u64,
     last_now: u64,
     hashes: usize,
+    said: usize,
     rejected: usize,
     last_rejected: u64,
     peeked_rejected: Option<(u64, Reason)>,
@@ -179,6 +204,20 @@ impl Walk {
         let hash = cursor.u16()?;
         self.hashes = cursor.at;
         Some(hash)
+    }
+
+    /// What was recorded of what the actor made of the next delivery: whether it said something, and the hash, of 16 bits
+    /// then and else of a few.
+    pub(crate) fn said(&mut self, log: &ActorLog) -> Option<(bool, u16)> {
+        let said = *log.said.get(self.said)? == 1;
+        let hash = if said {
+            self.hash16(log)?
+        } else {
+            // As many as were passed and said nothing.
+            u16::from(*log.faint.get(self.said - self.hashes / 2)?)
+        };
+        self.said += 1;
+        Some((said, hash))
     }
 
     pub(crate) fn hash64(&mut self, log: &ActorLog) -> Option<u64> {

@@ -9,8 +9,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::time::Duration;
 
+use super::coder::{CODED_BYTES_MAX, Model};
 use super::format::{
-    End, Header, KIND_CHUNKS, KIND_END, KIND_HEADER, MAGIC, SEGMENT_BYTES_MAX, SEGMENT_HEAD, VERSION,
+    CODED, End, Header, KIND_CHUNKS, KIND_END, KIND_HEADER, MAGIC, SEGMENT_BYTES_MAX, SEGMENT_HEAD, VERSION,
     put_bytes,
 };
 use crate::scheduler::ThreadCx;
@@ -19,6 +20,8 @@ use crate::scheduler::signals::signal;
 
 /// Chunks that may wait for the writer.
 const CHUNKS_MAX: usize = 4096;
+/// Where more wait, segments are compressed by what is fastest.
+const CHUNKS_CODED: usize = 64;
 /// A segment is closed at this size…
 const SEGMENT_BYTES: usize = 256 << 10;
 /// …or after so long, which bounds what a killed process loses.
@@ -151,20 +154,24 @@ fn encoded(kind: u8, content: &impl serde::Serialize) -> std::io::Result<Vec<u8>
 
 /// Compresses and frames one segment.
 pub(crate) fn segment(body: &[u8]) -> Vec<u8> {
-    let block = lz4_flex::block::compress(body);
+    framed(body.len() as u32, &lz4_flex::block::compress(body))
+}
+
+fn framed(raw: u32, block: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(SEGMENT_HEAD + block.len());
-    bytes.extend_from_slice(&(body.len() as u32).to_le_bytes());
+    bytes.extend_from_slice(&raw.to_le_bytes());
     bytes.extend_from_slice(&(block.len() as u32).to_le_bytes());
     let mut checksum = crc32fast::Hasher::new();
     checksum.update(&bytes);
-    checksum.update(&block);
+    checksum.update(block);
     bytes.extend_from_slice(&checksum.finalize().to_le_bytes());
-    bytes.extend_from_slice(&block);
+    bytes.extend_from_slice(block);
     bytes
 }
 
 fn write(mut sink: Box<dyn Write + Send>, queue: &LogQueue, links: &[Arc<Link>]) -> Box<dyn Write + Send> {
     let thread = ThreadCx::outside();
+    let mut model: Option<Model> = None;
     loop {
         let closing = queue.closing.load(Ordering::SeqCst);
         queue.period.fetch_add(1, Ordering::Relaxed);
@@ -189,7 +196,12 @@ fn write(mut sink: Box<dyn Write + Send>, queue: &LogQueue, links: &[Arc<Link>])
             if queue.is_stopped() {
                 continue;
             }
-            let bytes = segment(&body);
+            // Coding takes longer than compression: who is behind has no time for it.
+            let bytes = if queue.chunks.len() <= CHUNKS_CODED && body.len() <= CODED_BYTES_MAX {
+                framed(body.len() as u32 | CODED, &model.get_or_insert_with(Model::new).encode(&body))
+            } else {
+                segment(&body)
+            };
             match sink.write_all(&bytes).and_then(|()| sink.flush()) {
                 Ok(()) => {
                     queue.bytes.fetch_add(bytes.len() as u64, Ordering::Relaxed);

@@ -247,6 +247,8 @@ impl PartialEq for Content {
     }
 }
 
+impl Eq for Content {}
+
 impl fmt::Display for Content {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

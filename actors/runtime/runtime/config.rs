@@ -86,7 +86,7 @@ impl Config {
             gives_way: false,
             mode: Mode::Live,
             record: None,
-            hashing: Hashing::Exact,
+            hashing: Hashing::Said,
             program: String::new(),
             application: Vec::new(),
             seed: 0,

@@ -4,7 +4,6 @@
 //! is part of the snapshot. Restoring is checked like everything else: the chained hashes go on where they stood, so a
 //! state that was not saved whole is named as a divergence at its first delivery.
 
-use serde::{Deserialize, Serialize};
 use std::any::Any;
 use std::sync::Arc;
 
@@ -12,7 +11,7 @@ use crate::message::saved::{Loader, Saver};
 use crate::runtime::Runtime;
 
 /// A replay at some moment.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Snapshot {
     /// Deliveries made to each actor by then.
     positions: Vec<u64>,
@@ -33,8 +32,9 @@ impl Snapshot {
     /// As it can be kept in a file: compressed, with a checksum.
     pub fn to_bytes(&self) -> Vec<u8> {
         // A snapshot may be larger than a segment of a recording.
-        let raw = postcard::to_stdvec(self).unwrap_or_default();
-        let mut bytes = lz4_flex::block::compress_prepend_size(&raw);
+        let mut bytes = (self.positions.len() as u32).to_le_bytes().to_vec();
+        self.positions.iter().for_each(|position| bytes.extend_from_slice(&position.to_le_bytes()));
+        bytes.extend_from_slice(&lz4_flex::block::compress_prepend_size(&self.content));
         bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
         bytes
     }
@@ -45,11 +45,16 @@ impl Snapshot {
         if crc32fast::hash(content) != u32::from_le_bytes(*checksum) {
             return None;
         }
+        let (count, content) = content.split_first_chunk::<4>()?;
+        let (positions, content) = content.split_at_checked(u32::from_le_bytes(*count) as usize * 8)?;
         let (size, block) = content.split_first_chunk::<4>()?;
         // A block is at most 255 times shorter than what it holds.
         let size = u32::from_le_bytes(*size) as usize;
-        let raw = (size / 255 <= block.len()).then(|| lz4_flex::block::decompress(block, size).ok())??;
-        postcard::from_bytes(&raw).ok()
+        let content =
+            (size / 255 <= block.len()).then(|| lz4_flex::block::decompress(block, size).ok())??;
+        let positions =
+            positions.as_chunks().0.iter().map(|position| u64::from_le_bytes(*position)).collect();
+        Some(Self { positions, content })
     }
 
     /// Whether a replay that begins here has everything still before it that `cut` has behind it at most.

@@ -67,6 +67,12 @@ fn thread_ns() -> u64 {
     std::time::SystemTime::UNIX_EPOCH.elapsed().map_or(0, nanoseconds)
 }
 
+/// Measures the processor's counter against the system's clock, which takes some milliseconds: done early and beside other
+/// things, no [`crate::Runtime`] waits for it.
+pub fn calibrate() {
+    let _ = quanta::Clock::new();
+}
+
 impl Clock {
     pub(crate) fn real() -> Self {
         let counter = quanta::Clock::new();

@@ -78,7 +78,7 @@ fn a_recording_of_an_old_format_says_who_wrote_it() {
     bytes[6] = 2;
     let error = Trace::from_bytes(&bytes).expect_err("another version").to_string();
     assert!(error.contains("version 2, written by rustc 1.94.0 x86_64"), "{error}");
-    assert!(error.contains("this program reads version 3") && !error.contains('\n'), "{error}");
+    assert!(error.contains("this program reads version 4 and 3") && !error.contains('\n'), "{error}");
     bytes.truncate(30);
     let error = Trace::from_bytes(&bytes).expect_err("another version").to_string();
     assert!(error.contains("version 2;"), "{error}");

@@ -22,9 +22,11 @@ enum Leak {
     Nothing,
     /// A bit of its state, changed by hand.
     Hand,
+    /// It says two things the other way round.
+    Swap,
 }
 
-/// Passes tokens to its neighbour; at one of them it leaks.
+/// Passes tokens to its neighbour, each with another one that ends there; at one of them it leaks.
 struct Leaky {
     to: Option<Address<Msg>>,
     leak: Option<(Leak, u64)>,
@@ -39,6 +41,9 @@ impl Actor for Leaky {
 
     fn handle(&mut self, message: Msg, cx: &mut Cx<'_, Msg>) {
         let Msg::Token(token) = message else { return };
+        if token.hops == 0 {
+            return;
+        }
         let mut digest = Digest::new();
         digest.u64(self.state);
         digest.u64(token.value);
@@ -62,11 +67,18 @@ impl Actor for Leaky {
                 }
             }
             Some((Leak::Hand, _)) => self.state ^= 1 << 7,
-            Some((Leak::Nothing, _)) | None => {}
+            Some((Leak::Nothing | Leak::Swap, _)) | None => {}
         }
-        if let (Some(to), true) = (&self.to, token.hops > 0) {
-            let token = Token { hops: token.hops - 1, value: self.state };
-            cx.tell(to, Msg::Token(token)).expect("one token on its way");
+        if let Some(to) = &self.to {
+            let swaps = matches!(self.leak, Some((Leak::Swap, at)) if at + 1 == cx.index());
+            // One that goes on and one that ends there.
+            let mut tokens = [(token.hops - 1, self.state), (0, !self.state)];
+            if swaps {
+                tokens.reverse();
+            }
+            for (hops, value) in tokens {
+                cx.tell(to, Msg::Token(Token { hops, value })).expect("few tokens on their way");
+            }
         }
     }
 
@@ -90,7 +102,7 @@ impl Actor for Thrower {
 }
 
 fn wire(wiring: &mut Wiring, leak: (Leak, u64), digests: bool) {
-    let leaky = [(); 2].map(|()| wiring.declare::<Leaky>(Bounds::messages(4)));
+    let leaky = [(); 2].map(|()| wiring.declare::<Leaky>(Bounds::messages(16)));
     let addresses = leaky.each_ref().map(Declared::address);
     let thrower = wiring.declare::<Thrower>(Bounds::messages(1));
     wiring.spawn(thrower, Thrower(addresses[0].clone()), OnPanic::Resume);
@@ -103,66 +115,78 @@ fn wire(wiring: &mut Wiring, leak: (Leak, u64), digests: bool) {
     }
 }
 
-/// What the message at a place says in a replay.
-fn says(trace: &Arc<Trace>, leak: (Leak, u64), digests: bool, place: (ActorId, u64)) -> Content {
+/// Records a run in which `leaky-2` leaks.
+fn recorded(leak: (Leak, u64), digests: bool) -> Arc<Trace> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("leaky.fvlog");
+    let config = Config::live(2).record(&path);
+    let (mut runtime, ()) = Runtime::build(config, |wiring| wire(wiring, leak, digests)).expect("builds");
+    assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
+    runtime.shutdown(WAIT);
+    Arc::new(Trace::open(&path).expect("reads"))
+}
+
+/// How a replay parts from a recording.
+fn parted(trace: &Arc<Trace>, leak: (Leak, u64), digests: bool, threads: usize) -> Divergence {
+    let config = Config::replay(Arc::clone(trace), threads);
+    let (mut runtime, ()) = Runtime::build(config, |wiring| wire(wiring, leak, digests)).expect("builds");
+    runtime.replay().divergence.expect("it leaks")
+}
+
+/// What an actor said in a delivery of a replay that goes as recorded.
+fn told(trace: &Arc<Trace>, leak: (Leak, u64), from: (ActorId, u64)) -> Vec<Content> {
     let found: Arc<SegQueue<Content>> = Arc::default();
     let sink = Arc::clone(&found);
     let observer: Observer = Arc::new(move |d: &Delivery<'_>| {
-        if (d.actor, d.index) == place {
+        if d.cause == Some(from) {
             sink.push((d.told)());
         }
     });
-    let config = Config { observer: Some(observer), ..Config::replay(trace.clone(), 0) };
-    let (mut runtime, ()) = Runtime::build(config, |wiring| wire(wiring, leak, digests)).expect("builds");
-    assert!(runtime.replay().divergence.is_some());
-    found.pop().expect("it comes there")
+    let config = Config { observer: Some(observer), ..Config::replay(Arc::clone(trace), 0) };
+    let (mut runtime, ()) = Runtime::build(config, |wiring| wire(wiring, leak, false)).expect("builds");
+    assert_eq!(runtime.replay().divergence, None);
+    std::iter::from_fn(|| found.pop()).collect()
 }
 
+/// 200 faults of five kinds, at as many places: each is named by its actor, its delivery and the field in which it shows,
+/// with both values. What depends on something that is no message differs between two replays; what does not is told by
+/// a replay of what was recorded, without the fault.
 #[test]
-fn what_an_actor_must_not_do_is_found_at_its_message() {
-    let folder = tempfile::tempdir().expect("a folder");
-    // What leaked while it was recorded, and in the replay.
-    let leaks = [
-        (Leak::Clock, Leak::Clock),
-        (Leak::Map, Leak::Map),
-        (Leak::Float, Leak::Float),
-        (Leak::Nothing, Leak::Hand),
-    ];
-    for (number, (recorded, replayed)) in leaks.into_iter().enumerate() {
-        for digests in [true, false] {
-            let path = folder.path().join(format!("{number}-{digests}.fvlog"));
-            let config = Config::live(2).record(&path);
-            let (mut runtime, ()) =
-                Runtime::build(config, |wiring| wire(wiring, (recorded, 17), digests)).expect("builds");
-            assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
-            runtime.shutdown(WAIT);
-            let trace = Arc::new(Trace::open(&path).expect("reads"));
-            // With the state's hash it is the message itself; without, the first that tells of it.
-            let expected = if digests { (ActorId(1), 17) } else { (ActorId(0), 18) };
-            for threads in [0, 2] {
-                let config = Config::replay(trace.clone(), threads);
-                let (mut runtime, ()) =
-                    Runtime::build(config, |wiring| wire(wiring, (replayed, 17), digests)).expect("builds");
-                let divergence = runtime.replay().divergence.expect("it leaks");
-                assert_eq!((divergence.actor, divergence.index), expected, "{replayed:?}: {divergence}");
-                assert_eq!((divergence.kind, divergence.turns[0].index), ("Token", expected.1));
+fn what_an_actor_must_not_do_is_found_where_it_did() {
+    let culprit = ActorId(1);
+    let mut named = 0;
+    let clean = recorded((Leak::Nothing, 0), false);
+    for number in 0..40 {
+        // Every other one ends there, and nothing is said to it.
+        let at = 2 * (3 + number);
+        for (was, now) in [
+            (Leak::Clock, Leak::Clock),
+            (Leak::Map, Leak::Map),
+            (Leak::Float, Leak::Float),
+            (Leak::Nothing, Leak::Hand),
+            (Leak::Nothing, Leak::Swap),
+        ] {
+            let same = matches!(was, Leak::Nothing);
+            // With the state's own hash, and without.
+            let digests = number % 4 == 0 && !same;
+            let trace = if same { Arc::clone(&clean) } else { recorded((was, at), digests) };
+            let [one, two] = [0, 2].map(|threads| parted(&trace, (now, at), digests, threads));
+            for divergence in [&one, &two] {
+                assert_eq!((divergence.actor, divergence.index), (culprit, at), "{now:?}: {divergence}");
+                assert_eq!((divergence.kind, divergence.turns[0].index), ("Token", at));
+                assert_eq!(divergence.said.len(), 2, "{divergence}");
             }
-            if digests {
-                continue;
-            }
-            // Two replays differ there in the field, with both values, if it is no function of the messages.
-            let [one, two] = [(); 2].map(|()| says(&trace, (replayed, 17), digests, expected));
-            let differs = one.differences(&two);
-            match replayed {
-                Leak::Hand => assert!(differs.is_empty(), "{differs:?}"),
-                _ => {
-                    assert!(
-                        differs.iter().any(|d| d.path.ends_with("value")),
-                        "{replayed:?}: {one} and {two}"
-                    );
-                    assert!(differs.iter().all(|d| d.left != d.right));
-                }
-            }
+            let says = |of: &Divergence| of.said.iter().map(|said| said.says.clone()).collect::<Vec<_>>();
+            let (left, right) = match same {
+                true => (told(&trace, (was, at), (culprit, at)), says(&one)),
+                false => (says(&one), says(&two)),
+            };
+            assert_eq!(left.len(), right.len());
+            let differs: Vec<Difference> =
+                left.iter().zip(&right).flat_map(|(left, right)| left.differences(right)).collect();
+            assert!(differs.iter().all(|d| d.left != d.right));
+            named += u32::from(differs.iter().any(|d| d.path.ends_with("value")));
         }
     }
+    assert_eq!(named, 200);
 }

@@ -20,7 +20,7 @@ use self::shots::Asked;
 use super::presenter::{Backend, DrawnBy};
 use super::probe::{Measured, Probe};
 use foveal_engine::Recipe;
-use foveal_engine::change::apart;
+use foveal_engine::change::{Change, Changer, apart};
 use foveal_engine::navigation::Pace;
 use foveal_engine::source::{Build, Loader};
 use foveal_engine::walk::{Next, Walk};
@@ -41,6 +41,8 @@ pub struct Options {
     pub lose_surface: Option<f64>,
     /// Loads scenes.
     pub loader: Loader,
+    /// Begins a walk anew with pictures of another size, where the picture is to follow the window's.
+    pub follows: Option<Changer>,
     /// Where screenshots go.
     pub screenshots: PathBuf,
     /// Who measures instead of a user, if anybody.
@@ -57,6 +59,12 @@ impl Options {
         }
     }
 
+    /// The same, with a picture that follows the window's size.
+    pub fn following(recipe: Recipe) -> Self {
+        let (loader, changer) = recipe.clone().loader_and_changer();
+        Self { loader, follows: Some(changer), ..Self::new(recipe) }
+    }
+
     /// A window on whatever is loaded.
     pub fn of(loader: Loader) -> Self {
         Self {
@@ -67,6 +75,7 @@ impl Options {
             lose_adapter: None,
             lose_surface: None,
             loader,
+            follows: None,
             screenshots: ".".into(),
             probe: None,
         }
@@ -135,8 +144,8 @@ fn no_display(reason: &str) -> String {
 /// A scene that is being loaded.
 struct Loading {
     result: Receiver<Result<Build, String>>,
-    /// The camera stays: the same scene again.
-    stays: bool,
+    /// The camera stays, for it is the same scene: what to tell once it is there.
+    stays: Option<String>,
 }
 
 struct App {
@@ -160,6 +169,24 @@ struct App {
     picture_is_new: bool,
     /// Screenshots on their way.
     asked: Vec<Asked>,
+    /// When the window had another size last, if the picture does not know yet.
+    resized: Option<f64>,
+}
+
+/// Seconds that a window's size rests before the picture follows it.
+const RESTS: f64 = 0.3;
+/// Most pixels of a picture that follows: larger ones are enlarged, because each costs time.
+const PIXELS_MAX: f32 = 1280.0 * 800.0;
+/// Fewest columns or rows.
+const SIDE_MIN: f32 = 32.0;
+
+/// The picture that fills so many columns and rows, or is enlarged to them.
+fn size_within([width, height]: [f32; 2]) -> Option<[u32; 2]> {
+    let scale = (PIXELS_MAX / (width * height)).sqrt().min(1.0);
+    let side = |side: f32| (side * scale).floor();
+    let sides = [side(width), side(height)];
+    // Also where it is not a number.
+    sides.iter().all(|side| *side >= SIDE_MIN).then(|| sides.map(|side| side as u32))
 }
 
 impl App {
@@ -181,6 +208,7 @@ impl App {
             hidden: false,
             picture_is_new: false,
             asked: Vec::new(),
+            resized: None,
         }
     }
 
@@ -189,11 +217,21 @@ impl App {
     }
 
     fn load(&mut self, path: Option<PathBuf>) {
+        let loader = self.options.loader.clone();
+        let stays = (path.is_none() && self.walk.is_some()).then(|| "the scene was read again".to_owned());
+        self.load_by(stays, move || loader(path.as_deref()));
+    }
+
+    fn load_by(
+        &mut self,
+        stays: Option<String>,
+        load: impl FnOnce() -> Result<Build, String> + Send + 'static,
+    ) {
         let (sender, result) = channel();
-        let (loader, proxy) = (self.options.loader.clone(), self.proxy.clone());
-        self.loading = Some(Loading { result, stays: path.is_none() && self.walk.is_some() });
+        let proxy = self.proxy.clone();
+        self.loading = Some(Loading { result, stays });
         let started = std::thread::Builder::new().name("loader".into()).spawn(move || {
-            let _ = sender.send(apart(|| loader(path.as_deref())));
+            let _ = sender.send(apart(load));
             let _ = proxy.send_event(Wake::Loaded);
         });
         if let Err(e) = started {
@@ -202,21 +240,43 @@ impl App {
         }
     }
 
+    /// Has the picture follow the window's size, once that has come to rest. Tells when to look again.
+    fn follow(&mut self, now: f64) -> Option<f64> {
+        let rests = self.resized? + RESTS;
+        if now < rests || self.loading.is_some() {
+            return Some(rests.max(now + 0.05));
+        }
+        self.resized = None;
+        let (Some(changer), Some(walk), Some(screen)) = (&self.options.follows, &self.walk, &self.screen)
+        else {
+            return None;
+        };
+        let scale = screen.egui.egui_ctx().pixels_per_point();
+        let wanted = size_within([screen.space.width() * scale, screen.space.height() * scale])?;
+        let (size, opened) = (walk.size(), walk.opened()?);
+        if wanted == size {
+            return None;
+        }
+        let (changer, change) = (changer.clone(), Change::Size(wanted));
+        self.load_by(Some(change.told()), move || changer(change, opened, size));
+        None
+    }
+
     fn on_loaded(&mut self) {
         let Some(loading) = &self.loading else { return };
         let Ok(result) = loading.result.try_recv() else { return };
-        let stays = loading.stays;
+        let stays = loading.stays.clone();
         self.loading = None;
         match result.and_then(|build| build()) {
             Ok(source) => {
                 let now = self.now();
-                match &mut self.walk {
-                    Some(walk) if stays => {
+                match (&mut self.walk, stays) {
+                    (Some(walk), Some(told)) => {
                         walk.replace_source(source);
-                        walk.tell("the scene was read again".into());
+                        walk.tell(told);
                     }
-                    Some(walk) => walk.move_to(source, now),
-                    None => {
+                    (Some(walk), None) => walk.move_to(source, now),
+                    (None, _) => {
                         let walk = self.walk.insert(Walk::new(source, now));
                         walk.set_mirrored(self.screen.as_ref().is_some_and(|s| s.presenter.is_mirroring()));
                     }
@@ -292,6 +352,9 @@ impl ApplicationHandler<Wake> for App {
                 self.hidden = size.width == 0 || size.height == 0;
                 screen.presenter.resize([size.width, size.height]);
                 screen.window.request_redraw();
+                // The first size is the one that was asked for.
+                let is_shown = screen.shown.is_some() && self.options.follows.is_some();
+                self.resized = (is_shown && !self.hidden).then(|| self.now()).or(self.resized);
             }
             WindowEvent::Occluded(hidden) => self.hidden = *hidden,
             WindowEvent::Focused(false) => {
@@ -354,6 +417,13 @@ impl ApplicationHandler<Wake> for App {
                 screen.window.request_redraw();
             }
         }
+        if let Some(look) = self.follow(now).filter(|_| !self.hidden) {
+            next = match next {
+                Next::Now => next,
+                Next::At(t) => Next::At(t.min(look)),
+                Next::Input => Next::At(look),
+            };
+        }
         if self.collect_shots() {
             let soon = Next::At(now + 0.01);
             next = if next == Next::Input { soon } else { next };
@@ -373,5 +443,21 @@ impl ApplicationHandler<Wake> for App {
             (Next::Input, Some(r)) => ControlFlow::WaitUntil(r),
             (Next::Input, None) => ControlFlow::Wait,
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_fills_its_window_up_to_a_number_of_pixels() {
+        assert_eq!(size_within([640.0, 481.5]), Some([640, 481]));
+        let [width, height] = size_within([3840.0, 2160.0]).expect("a picture");
+        assert!(width * height <= 1280 * 800 && width * height > 1_000_000);
+        assert!((width as f32 / height as f32 - 16.0 / 9.0).abs() < 0.01);
+        for none in [[0.0, 500.0], [10.0, 500.0], [f32::NAN, 10.0], [-1.0, -1.0], [f32::INFINITY, 100.0]] {
+            assert_eq!(size_within(none), None, "{none:?}");
+        }
     }
 }

@@ -23,6 +23,8 @@ pub(super) struct Screen {
     pub(super) shown: Option<(egui::TextureId, egui::Vec2)>,
     /// Where the picture is, points.
     pub(super) picture_rect: egui::Rect,
+    /// The place for the picture, points.
+    pub(super) space: egui::Rect,
     /// When the interface wants to be painted without input.
     pub(super) repaint_at: Option<Instant>,
 }
@@ -66,6 +68,7 @@ impl App {
             picture: None,
             shown: None,
             picture_rect: egui::Rect::NOTHING,
+            space: egui::Rect::NOTHING,
             repaint_at: None,
         })
     }
@@ -149,9 +152,11 @@ impl App {
         let output = context.run_ui(input, |ui| {
             answer = Some(interface::interface(ui, &shown, help));
         });
-        let (controls, wished, picture_rect) =
-            answer.map_or((None, None, egui::Rect::NOTHING), |a| (a.controls, a.wish, a.picture_rect));
-        screen.picture_rect = picture_rect;
+        let (mut controls, mut wished) = (None, None);
+        if let Some(answer) = answer {
+            (screen.picture_rect, screen.space) = (answer.picture_rect, answer.space);
+            (controls, wished) = (answer.controls, answer.wish);
+        }
         if let (Some(walk), Some(controls)) = (&mut self.walk, controls) {
             let before = walk.controls().overlay;
             let tone = walk.controls().set.tone;

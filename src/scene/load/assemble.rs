@@ -9,6 +9,7 @@ use super::Library;
 use super::error::{Place, SceneError, Warning};
 use super::gltf::surround::Surround;
 use super::obj::ObjFile;
+use crate::scene::thing::{ThingSource, Things, escaped};
 use crate::scene::{CameraPath, ExtensionUse, Light, MaterialId, Mesh, NamedCamera, TriangleIndex};
 
 /// Coordinates beyond this are left out: the square of an area must fit into single precision.
@@ -50,6 +51,8 @@ pub(super) struct Joined {
     /// Name of each triangle, an index into `names`.
     name_of: Vec<u32>,
     names: Vec<String>,
+    /// What each name stands for.
+    things: Vec<ThingSource>,
     pub uses: Vec<MaterialUse>,
     pub libraries: Vec<Library>,
     files: Vec<(PathBuf, PathBuf)>,
@@ -105,7 +108,6 @@ impl Joined {
     /// Adds a file and the libraries that it names.
     pub fn add(&mut self, file: ObjFile, shown: PathBuf, base: PathBuf, libraries: Vec<Library>) {
         let index = self.files.len();
-        self.files.push((shown, base));
         // A later definition of a name replaces an earlier one.
         let mut defined: HashMap<&str, (usize, usize)> = HashMap::new();
         let first_library = self.libraries.len();
@@ -140,7 +142,18 @@ impl Joined {
             self.name_of.extend(std::iter::repeat_n(base_name + run.name, count));
         }
         self.libraries.extend(libraries);
+        self.things.extend(file.names.iter().enumerate().map(|(i, name)| {
+            // What has no name goes by that of its file.
+            let stem = || shown.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
+            let name = if name.is_empty() { stem() } else { name.clone() };
+            let (path, parent) = match file.paths.get(i) {
+                Some((path, parent)) => (path.clone(), parent.map(|p| p + base_name)),
+                None => (escaped(&name), None),
+            };
+            ThingSource { name, path, parent }
+        }));
         self.names.extend(file.names);
+        self.files.push((shown, base));
         if base_vertex == 0 {
             self.mesh.positions = file.positions;
             self.mesh.normals = file.normals;
@@ -191,13 +204,13 @@ impl Joined {
         path: &Path,
         may_be_empty: bool,
         warnings: &mut Vec<Warning>,
-    ) -> Result<(Mesh, Labels), SceneError> {
+    ) -> Result<(Mesh, Labels, Things), SceneError> {
         let mut mesh = self.mesh;
         let mut name_of = self.name_of;
         let none =
             |message: &str| SceneError::NoGeometry { path: path.to_path_buf(), message: message.to_owned() };
         if mesh.triangles.is_empty() && may_be_empty {
-            return Ok((Mesh::default(), Labels { name_of, names: self.names }));
+            return Ok((Mesh::default(), Labels { name_of, names: self.names }, Things::default()));
         }
         if mesh.triangles.is_empty() {
             return Err(none(
@@ -245,7 +258,7 @@ impl Joined {
         say(far, &format!("with a coordinate that is not finite or beyond {COORDINATE_MAX:e}"));
         say(flat, "without area");
         if kept == 0 && may_be_empty {
-            return Ok((Mesh::default(), Labels { name_of, names: self.names }));
+            return Ok((Mesh::default(), Labels { name_of, names: self.names }, Things::default()));
         }
         let diagonal = (high - low).length();
         if diagonal < DIAGONAL_MIN {
@@ -270,7 +283,8 @@ impl Joined {
                 *p = place;
             }
         }
-        Ok((mesh, Labels { name_of, names: self.names }))
+        let things = Things::new(&self.things, &name_of, &mesh);
+        Ok((mesh, Labels { name_of, names: self.names }, things))
     }
 }
 

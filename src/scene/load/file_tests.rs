@@ -54,6 +54,7 @@ pub(super) fn promises(scene: &Scene) {
     assert!(m.triangles.iter().flatten().all(|&v| (v as usize) < n));
     assert!(m.materials.iter().all(|m| (m.0 as usize) < scene.materials.len()));
     assert_eq!(scene.objects.iter().map(|o| o.triangles.len()).sum::<usize>(), m.triangles.len());
+    assert!((0..m.triangles.len() as u32).all(|t| scene.things.at(t).is_some()));
     for (i, o) in scene.objects.iter().enumerate() {
         assert!(o.triangles.iter().all(|&t| m.objects[t as usize] == i as u32));
         assert!(i == 0 || !scene.materials[o.material.0 as usize].is_diffuse());
@@ -108,6 +109,21 @@ fn obj_mtl_and_texture() {
     assert_eq!(loaded.scene.content_hash, again.scene.content_hash);
     place.write("maps/wood 1.png", png(4, 2, [254, 0, 0, 255]));
     assert_ne!(loads(&path).scene.content_hash, again.scene.content_hash);
+}
+
+/// Names of OBJ files are things, diffuse or not; the same name later in a file is the same thing, in another file another.
+#[test]
+fn names_of_obj_files_are_things() {
+    let place = Place::new("things");
+    place.write("a.obj", format!("o chair\n{TRIANGLE}g seat\nf 1 2 3\no chair\nf 1 2 3\n"));
+    place.write("b.obj", format!("{TRIANGLE}o chair\nf 1 2 3\n"));
+    let toml = place.write("s.toml", "format = 1\n[geometry]\nfiles = [\"a.obj\", \"b.obj\"]\n");
+    let scene = loads(&toml).scene;
+    assert_eq!(scene.objects.len(), 1);
+    let of = |t: u32| scene.things.at(t).map(|thing| thing.path.as_str());
+    let paths: Vec<Option<&str>> = (0..5).map(of).collect();
+    assert_eq!(paths, [Some("chair"), Some("seat"), Some("chair"), Some("b"), Some("chair#2")]);
+    assert_eq!(scene.things.at(0).map(|thing| thing.triangles), Some(2));
 }
 
 #[test]

@@ -176,7 +176,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     }
 
     let name = path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
-    let (mesh, labels) = joined.into_mesh(path, own.any, &mut warnings)?;
+    let (mesh, labels, things) = joined.into_mesh(path, own.any, &mut warnings)?;
     let bounds = mesh.bounds();
     let grouped = hierarchy::group(&mesh, &materials, sidecar.up, |t| labels.name(t));
     let mut scene = SceneParts {
@@ -189,6 +189,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         cameras: sidecar.cameras,
         paths: sidecar.paths,
         objects: grouped.objects,
+        things,
         bounds,
         metres_per_unit: sidecar.metres_per_unit,
         up: sidecar.up,

@@ -37,6 +37,8 @@ pub(super) struct ObjFile {
     pub triangles: Vec<[u32; 3]>,
     pub runs: Vec<Run>,
     pub names: Vec<String>,
+    /// Of each name the path of the thing and the thing it hangs from; empty where names are all that is known.
+    pub paths: Vec<(String, Option<u32>)>,
     /// Names of `usemtl` and the line of their first use.
     pub materials: Vec<(String, u32)>,
     /// What follows `mtllib`, with its line.

@@ -1,6 +1,7 @@
 use super::*;
 use crate::math;
 use crate::rng::Stream;
+use crate::scene::test_scenes::white_metal_rough;
 
 fn bsdf(diffuse: Vec3, coat: Coat, lobe: Lobe) -> Bsdf {
     Bsdf {
@@ -261,29 +262,6 @@ fn diffuse_and_glossy_parts_share_the_light() {
             let (f, back) = (b.evaluate(wo, wi).x, b.evaluate(wi, wo).x);
             assert!((f - back).abs() <= 1e-3 * f.max(1e-3), "{f} {back}");
         }
-    }
-}
-
-/// A surface of base colour 1.
-fn white_metal_rough(metal: f32, r: f32) -> crate::scene::MetalRough {
-    let layer = crate::scene::metal_rough::Layer::new(0.04, 1.0);
-    crate::scene::MetalRough {
-        diffuse: Reflectance::constant(Vec3::splat((1.0 - metal) * (1.0 - layer.mean(r)))),
-        specular: Reflectance::constant(Vec3::splat(0.04 * (1.0 - metal) + metal)),
-        roughness_in_alpha: false,
-        metallic: Some(metal),
-        metallic_in_alpha: false,
-        roughness: r,
-        roughness_range: [r; 2],
-        layer,
-        specular_mean: 1.0,
-        through: Reflectance::constant(Vec3::ZERO),
-        coverage: 1.0,
-        coverage_in_alpha: false,
-        over: None,
-        grain: None,
-        recipe: None,
-        is_diffuse: false,
     }
 }
 

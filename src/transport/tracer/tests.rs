@@ -1,5 +1,6 @@
 use super::*;
 use crate::illumination::Uniform;
+use crate::scene::test_scenes::white_metal_rough;
 use crate::scene::{Coat, Model, Reflectance};
 use crate::transport::gather::{Gather, Trust};
 use crate::transport::test_boxes::{Builder, glass, lambert, mean, rough};
@@ -114,9 +115,11 @@ fn agrees_with_the_path_tracer_in_a_furnace() {
 /// Light samples, distributed rays and both together give the same picture of a light in a glossy floor.
 #[test]
 fn ways_to_find_a_light_agree() {
-    for alpha in [0.05, 0.3] {
+    let metal = |alpha| Model::Metal { specular: white(), roughness: rough(alpha) };
+    let mixed = |metal, r| Model::MetalRough(Box::new(white_metal_rough(metal, r)));
+    for model in [metal(0.05), metal(0.3), mixed(1.0, 0.3), mixed(0.5, 0.55)] {
         let mut b = Builder::default();
-        let floor = b.material(Model::Metal { specular: white(), roughness: rough(alpha) });
+        let floor = b.material(model.clone());
         let light = b.emitter(lambert(0.0), Vec3::splat(3.0));
         b.rectangle(Vec3::ZERO, Vec3::X * 9.0, Vec3::Y * 9.0, floor);
         b.rectangle(Vec3::new(0.0, 2.0, 1.5), Vec3::Y * 0.5, Vec3::X * 0.5, light);
@@ -130,14 +133,14 @@ fn ways_to_find_a_light_agree() {
         for (name, other) in [("both", both), ("more light samples", more)] {
             // To repeat what looks unsure, and only that, shifts the mean a little: by less than a hundredth here.
             let close = (without.0 - other.0).abs() < 4.0 * (without.1 + other.1) + 0.01 * without.0;
-            assert!(close && other.0 > 0.01, "α {alpha}, {name}: {other:?} against {without:?}");
+            assert!(close && other.0 > 0.01, "{model:?}, {name}: {other:?} against {without:?}");
             assert!(other.1.is_finite());
         }
         assert!(both.1 < without.1, "light samples lower the error: {both:?} {without:?}");
         // What only the lobe finds is looked for again where it is rare: less noise, and a shifted mean.
         let repeated = p.trace(ray, 20_000, settings(0, 16));
         let ratio = repeated.0 / without.0;
-        assert!(repeated.1 < without.1 && (0.5..1.1).contains(&ratio), "α {alpha}: {repeated:?} {without:?}");
+        assert!(repeated.1 < without.1 && (0.5..1.1).contains(&ratio), "{model:?}: {repeated:?} {without:?}");
     }
 }
 

@@ -40,7 +40,7 @@ impl<A: Actor> Node<A> {
         core: &mut Core<A>,
         thread: &ThreadCx,
         symbol: Symbol,
-        payload: Payload<'_>,
+        (payload, known): (Payload<'_>, u64),
         message: A::Msg,
     ) -> Result<(), Halted> {
         let (mut stage, mut kind) = (Stage::Read, UNREADABLE);
@@ -52,7 +52,7 @@ impl<A: Actor> Node<A> {
             kind = read.kind();
             let (told, state) = (|| read.content(), || actor.content());
             let sight = Sight { content: read, receiver: actor, told: &told, state: &state };
-            journal.deliver(symbol, payload, kind, sight, |digest| read.digest(digest))?;
+            journal.deliver(symbol, payload, kind, sight, known, |digest| read.digest(digest))?;
             stage = Stage::Handle;
             if journal.panics_by_fault() {
                 resume_unwind(Box::new(Injected));
@@ -64,7 +64,7 @@ impl<A: Actor> Node<A> {
                 actor.handle(message, &mut cx);
             }
             stage = Stage::Hash;
-            journal.handled(|| actor.digest())
+            journal.handled(thread, || actor.digest())
         }));
         done.unwrap_or_else(|panic| {
             let _ = guarded(|| drop(message));
@@ -92,7 +92,7 @@ impl<A: Actor> Node<A> {
             kind = seat.kind();
             let (told, state) = (|| seat.told(), || actor.content());
             let sight = Sight { content: seat.content(), receiver: actor, told: &told, state: &state };
-            journal.deliver(symbol, payload, kind, sight, |digest| seat.digest(digest))?;
+            journal.deliver(symbol, payload, kind, sight, 0, |digest| seat.digest(digest))?;
             stage = Stage::Handle;
             if journal.panics_by_fault() {
                 resume_unwind(Box::new(Injected));
@@ -114,7 +114,7 @@ impl<A: Actor> Node<A> {
                 seat.completed(journal);
             }
             stage = Stage::Hash;
-            journal.handled(|| actor.digest())
+            journal.handled(thread, || actor.digest())
         }));
         done.unwrap_or_else(|panic| self.broke_off(core, thread, (symbol, payload), (stage, kind), panic))
     }
@@ -130,7 +130,7 @@ impl<A: Actor> Node<A> {
         panic: Panic,
     ) -> Result<(), Halted> {
         if stage == Stage::Read {
-            core.journal.deliver(symbol, payload, kind, Sight::NOTHING, |digest| {
+            core.journal.deliver(symbol, payload, kind, Sight::NOTHING, 0, |digest| {
                 digest.bytes(UNREADABLE.as_bytes())
             })?;
         }
@@ -138,17 +138,17 @@ impl<A: Actor> Node<A> {
             self.link.counters.dead_letters(1);
         }
         self.panicked(core, thread, kind, panic);
-        if stage == Stage::Hash { Ok(()) } else { self.handled(core, thread) }
+        if stage == Stage::Hash { core.journal.handled_at_last(thread) } else { self.handled(core, thread) }
     }
 
     /// After a delivery that ran no code of the actor.
     fn handled(&self, core: &mut Core<A>, thread: &ThreadCx) -> Result<(), Halted> {
         let Core { actor, journal, .. } = core;
-        match catch_unwind(AssertUnwindSafe(|| journal.handled(|| actor.as_ref()?.digest()))) {
+        match catch_unwind(AssertUnwindSafe(|| journal.handled(thread, || actor.as_ref()?.digest()))) {
             Ok(handled) => handled,
             Err(panic) => {
                 self.panicked(core, thread, "the hash of its state", panic);
-                Ok(())
+                core.journal.handled_at_last(thread)
             }
         }
     }
@@ -232,15 +232,18 @@ impl<A: Actor> Node<A> {
                 lease: None,
             });
         }));
+
         if let Err(panic) = begun {
             self.panicked(core, thread, "start", panic);
         }
+        // Whether it is what was said then shows at the first delivery.
+        core.journal.let_go(thread);
     }
 
     pub(super) fn order(&self, core: &mut Core<A>, thread: &ThreadCx, bits: u32) -> Result<(), Halted> {
         let symbol = Symbol { from: self.link.id, lane: lane::ORDER };
         core.journal
-            .deliver(symbol, Payload::Order(bits), "order", Sight::NOTHING, |digest| digest.u32(bits))?;
+            .deliver(symbol, Payload::Order(bits), "order", Sight::NOTHING, 0, |digest| digest.u32(bits))?;
         if bits & signal::STOP != 0 {
             core.stopping = true;
         }
@@ -263,14 +266,14 @@ impl<A: Actor> Node<A> {
         envelope: Envelope<A::Msg>,
         way: u8,
     ) -> Result<(), Halted> {
-        let Envelope { from, sequence, external, message } = envelope;
+        let Envelope { from, sequence, digest, external, message } = envelope;
         let symbol = Symbol { from, lane: way };
         let payload = match (way.checked_sub(lane::LATEST), &external) {
             (_, Some(encoded)) => Payload::External(&encoded.0),
             (Some(key), None) => Payload::Skipped(core.journal.skipped(from, key, sequence)),
             (None, None) => Payload::None,
         };
-        self.deliver(core, thread, symbol, payload, message)
+        self.deliver(core, thread, symbol, (payload, digest), message)
     }
 
     pub(super) fn timer(
@@ -285,11 +288,11 @@ impl<A: Actor> Node<A> {
         match core.timers.take(timer) {
             Some(OwnTimer { message: Some(message), started_in }) => {
                 core.journal.comes_of(self.link.id, started_in);
-                self.deliver(core, thread, symbol, payload, message)
+                self.deliver(core, thread, symbol, (payload, 0), message)
             }
             // It was cancelled after it fired: a delivery all the same, since it made room for another timer.
             _ => {
-                core.journal.deliver(symbol, payload, "cancelled timer", Sight::NOTHING, |digest| {
+                core.journal.deliver(symbol, payload, "cancelled timer", Sight::NOTHING, 0, |digest| {
                     digest.u32(timer)
                 })?;
                 self.handled(core, thread)

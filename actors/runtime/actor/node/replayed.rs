@@ -72,7 +72,7 @@ impl<A: Actor> Node<A> {
                     return Err(Halted);
                 };
                 pass(core);
-                self.deliver(core, thread, symbol, Payload::External(bytes), message)?;
+                self.deliver(core, thread, symbol, (Payload::External(bytes), 0), message)?;
             }
             (Payload::Timer { timer, time }, None) => {
                 if !core.timers.contains(timer) {
@@ -99,7 +99,7 @@ impl<A: Actor> Node<A> {
                 let Some((sent_in, message)) = core.stash.take(symbol, skipped) else { return Ok(false) };
                 pass(core);
                 core.journal.comes_of(symbol.from, sent_in);
-                self.deliver(core, thread, symbol, payload, message)?;
+                self.deliver(core, thread, symbol, (payload, 0), message)?;
             }
         }
         Ok(true)

@@ -319,7 +319,9 @@ fn join(
             let [diffuse, f0, passed] = rule.at(color, m, r, t);
             // What is there, or else how much of it is metal.
             let alpha = if coverage_in_alpha { there } else { m };
-            let texels = [encoded(diffuse * there, alpha), encoded(f0, r), encoded(passed, 1.0)];
+            // What nothing passes has no map of it.
+            let passed = if rule.through > 0.0 { encoded(passed, 1.0) } else { [0; 4] };
+            let texels = [encoded(diffuse * there, alpha), encoded(f0, r), passed];
             (texels, (m * 255.0 + 0.5) as u8)
         })
         .collect();

@@ -19,6 +19,7 @@ mod meshes;
 mod meshopt;
 mod nodes;
 mod number;
+mod paths;
 mod pictures;
 mod pointers;
 mod reader;

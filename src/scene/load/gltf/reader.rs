@@ -14,14 +14,12 @@ use super::buffers::Buffers;
 use super::document::{self, Document, Instancing, Primitive};
 use super::meshes::{self, Part, Stands};
 use super::number::Index;
+use super::paths::{Above, named};
 use super::pictures::{Coordinates, Pictures};
 use super::tangents::{self, Along};
 use super::{Choices, GltfFile, Oddities, Problem, get, lights, materials, nodes, skins, surround};
 use crate::scene::camera::PathKey;
 use crate::scene::{CameraPath, NamedCamera};
-
-/// Letters of a name.
-const NAME_MAX: usize = 200;
 
 /// Things that are drawn: nodes with a mesh, and instances of them.
 const INSTANCES_MAX: usize = 1 << 22;
@@ -109,8 +107,10 @@ impl<'d, 'o> Reader<'d, 'o> {
         }
         let mut parts: HashMap<u32, Vec<Option<Part>>> = HashMap::new();
         let mut things = 0usize;
+        let mut above = Above::new(document);
         for p in &placed {
             let node = &document.nodes[p.node];
+            let parent = above.thing_of(p.node);
             if let Some(camera) = node.camera {
                 let camera = get(&document.cameras, camera, "cameras")?;
                 if let Some(view) = lights::camera(camera, &p.world, self.odd) {
@@ -140,7 +140,18 @@ impl<'d, 'o> Reader<'d, 'o> {
             let name = node.name.as_deref().or(mesh.name.as_deref());
             let name = name.map_or_else(|| format!("node {}", p.node), named);
             let name_index = self.out.mesh.names.len() as u32;
-            self.out.mesh.names.push(name);
+            let path = above.path(document, p.node, &name);
+            if extensions.is_some_and(|e| e.instancing.is_some()) {
+                // Each of them is a thing of its own.
+                for i in 0..instances.len() {
+                    self.out.mesh.names.push(format!("{name}[{i}]"));
+                    self.out.mesh.paths.push((format!("{path}[{i}]"), parent));
+                }
+            } else {
+                self.out.mesh.names.push(name);
+                self.out.mesh.paths.push((path, parent));
+                above.is(p.node, name_index);
+            }
             let read = match parts.entry(index.0) {
                 Entry::Occupied(known) => known.into_mut(),
                 Entry::Vacant(place) => {
@@ -185,10 +196,10 @@ impl<'d, 'o> Reader<'d, 'o> {
                     let part = dressed.as_deref().unwrap_or(&part);
                     // The inside of a body glows for nobody.
                     let has_back = self.out.materials[slot as usize].glows_behind && part.is_open();
-                    for world in stands {
-                        let mut added = self.add(part, world, slot, name_index);
+                    for (name, world) in (name_index..).zip(stands) {
+                        let mut added = self.add(part, world, slot, name);
                         if has_back && let Some(back) = part.back(world) {
-                            added = added.and_then(|()| self.add(&back, &DMat4::IDENTITY, slot, name_index));
+                            added = added.and_then(|()| self.add(&back, &DMat4::IDENTITY, slot, name));
                         }
                         added.map_err(|message| Problem::new(format!("/nodes/{}", p.node), message))?;
                     }
@@ -384,11 +395,6 @@ impl<'d, 'o> Reader<'d, 'o> {
         }));
         Ok(())
     }
-}
-
-/// As much of a name as is kept.
-fn named(name: &str) -> String {
-    if name.len() <= NAME_MAX { name.to_owned() } else { name.chars().take(NAME_MAX / 4).collect() }
 }
 
 /// Where the instances of a node stand (`EXT_mesh_gpu_instancing`).

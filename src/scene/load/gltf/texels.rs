@@ -44,6 +44,7 @@ pub(super) fn premultiplied(map: TextureId, textures: &mut Vec<Texture>) -> Text
 /// Linear colours and an alpha as they are stored.
 pub(super) fn encoded(c: Vec3, alpha: f32) -> [u8; 4] {
     let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
-    let [r, g, b] = c.to_array().map(srgb_byte_from_linear);
-    [r, g, b, byte(alpha)]
+    // Not by `map`, which is called for each and not written out.
+    let color = srgb_byte_from_linear;
+    [color(c.x), color(c.y), color(c.z), byte(alpha)]
 }

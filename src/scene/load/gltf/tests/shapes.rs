@@ -136,10 +136,68 @@ fn instances_stand_where_their_nodes_are_and_bear_their_names() {
     assert!(mirrored.iter().all(|p| p.z == -4.0 && p.x <= 0.0), "{mirrored:?}");
     assert!(scene.mesh.corners(6).iter().all(|p| p.z == 7.0 && p.x >= 20.0));
     let names: Vec<&str> = scene.objects.iter().skip(1).map(|o| o.name.as_str()).collect();
-    assert_eq!(names, ["near", "mirrored", "many", "many"]);
+    assert_eq!(names, ["near", "mirrored", "many[0]", "many[1]"]);
+    let paths: Vec<&str> = scene.things.iter().map(|thing| thing.path.as_str()).collect();
+    assert_eq!(paths, ["near", "group/mirrored", "many[0]", "many[1]"]);
+    let of: Vec<u32> = (0..8).map(|t| scene.things.of(t).expect("a thing").0).collect();
+    assert_eq!(of, [0, 0, 1, 1, 2, 2, 3, 3]);
     place.write("a.toml", "format = 1\n[gltf]\nscene = \"other\"\n");
     let other = loaded(&place, maker.text(&rest)).scene;
     assert_eq!((other.mesh.triangles.len(), other.objects[1].name.as_str()), (2, "of another scene"));
+}
+
+/// Diffuse things are things too, whatever hangs from what; a name that is there twice means two of them.
+#[test]
+fn diffuse_nodes_are_things_with_paths_and_parents() {
+    let place = Place::new("gltf-things");
+    let mut maker = Maker::default();
+    let mesh = quad(&mut maker);
+    let rest = format!(
+        r#"{mesh}, "nodes": [
+            {{"mesh": 0, "name": "table", "children": [1, 2]}},
+            {{"children": [3]}},
+            {{"mesh": 0, "name": "a/b"}},
+            {{"mesh": 0}},
+            {{"mesh": 0, "name": "table"}}],
+        "scenes": [{{"nodes": [0, 4]}}], "scene": 0,
+        "materials": [{{"pbrMetallicRoughness": {{"metallicFactor": 0}}}}]"#
+    );
+    let scene = loaded(&place, maker.text(&rest)).scene;
+    assert_eq!(scene.objects.len(), 1);
+    let things: Vec<(&str, Option<u32>)> =
+        scene.things.iter().map(|t| (t.path.as_str(), t.parent.map(|p| p.0))).collect();
+    let expected = [
+        ("table", None),
+        // Without a name of its own it goes by its mesh's.
+        ("table/node 1/sheet", Some(0)),
+        ("table/a\\/b", Some(0)),
+        ("table#2", None),
+    ];
+    assert_eq!(things, expected);
+    assert_eq!(scene.things.find("a/b"), scene.things.find("table/a\\/b"));
+    assert_eq!(scene.things.at(7).map(|t| t.path.as_str()), Some("table#2"));
+}
+
+/// A chain of nodes makes paths no longer than a few names.
+#[test]
+fn paths_of_deep_nodes_are_short() {
+    let place = Place::new("gltf-deep");
+    let mut maker = Maker::default();
+    let mesh = quad(&mut maker);
+    let name = "n".repeat(300);
+    let nodes: Vec<String> = (0..1000)
+        .map(|i| format!(r#"{{"mesh": 0, "name": "{name}", "children": [{}]}}"#, i + 1))
+        .chain([r#"{"mesh": 0}"#.to_owned()])
+        .collect();
+    let rest = format!(
+        r#"{mesh}, "nodes": [{}], "scenes": [{{"nodes": [0]}}], "scene": 0, "materials": [{{}}]"#,
+        nodes.join(",")
+    );
+    let scene = loaded(&place, maker.text(&rest)).scene;
+    assert_eq!(scene.things.len(), 1001);
+    let longest = scene.things.iter().map(|thing| thing.path.len()).max();
+    assert!(longest < Some(1000), "{longest:?}");
+    assert!(scene.things.at(2001).is_some_and(|t| t.path.starts_with("…/") && t.path.ends_with("/sheet")));
 }
 
 #[test]

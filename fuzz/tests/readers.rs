@@ -538,7 +538,7 @@ fn recordings_kept() -> Vec<Vec<u8>> {
     corpus.sort_by_key(Vec::len);
     corpus.retain(|file| Trace::from_bytes(file).is_ok_and(|trace| trace.complete()));
     corpus.truncate(2);
-    corpus.extend([Hashing::Exact, Hashing::Every(16), Hashing::Off].map(recorded));
+    corpus.extend([Hashing::Said, Hashing::Exact, Hashing::Every(16), Hashing::Off].map(recorded));
     corpus
 }
 
@@ -550,9 +550,22 @@ fn recordings() {
 #[test]
 fn recordings_behind_their_checksums() {
     let corpus = recordings_kept();
-    corpus.iter().for_each(|file| assert_eq!(&sealed::sealed_recording(file, 0, <[u8]>::to_vec), file));
+    for file in &corpus {
+        let again = sealed::sealed_recording(file, 0, <[u8]>::to_vec);
+        assert_eq!(Trace::segments(&again).expect("sealed"), Trace::segments(file).expect("kept"));
+        assert_eq!(&sealed::with_block(file, 0, <[u8]>::to_vec), file);
+    }
     check!().with_type::<(u8, u16, Vec<Edit>)>().for_each(|(which, part, edits)| {
         let file = &corpus[usize::from(*which) % corpus.len()];
         read_recording(&sealed::sealed_recording(file, *part, |bytes| edited(bytes, edits)));
+    });
+}
+
+#[test]
+fn blocks_of_recordings_behind_their_checksums() {
+    let corpus = recordings_kept();
+    check!().with_type::<(u8, u16, Vec<Edit>)>().for_each(|(which, block, edits)| {
+        let file = &corpus[usize::from(*which) % corpus.len()];
+        read_recording(&sealed::with_block(file, *block, |bytes| edited(bytes, edits)));
     });
 }

@@ -131,6 +131,20 @@ impl Trace {
         Ok(header)
     }
 
+    /// The segments of a recording behind its header, unpacked, up to the first damage: for whoever takes one apart.
+    ///
+    /// # Errors
+    /// If it is no recording, another version's, or its header is damaged.
+    pub fn segments(bytes: &[u8]) -> Result<Vec<Vec<u8>>, TraceError> {
+        let mut source = bytes;
+        begin(&mut source)?;
+        let (mut model, mut segments) = (None, Vec::new());
+        while let Segment::Body(_, body) = read_segment(&mut source, &mut model) {
+            segments.push(body);
+        }
+        Ok(segments)
+    }
+
     fn read(source: &mut impl Read) -> Result<Self, TraceError> {
         let (bytes, header) = begin(source)?;
         let mut model = None;

@@ -1,6 +1,8 @@
 //! Edits behind checksums: a file is taken apart, edited inside, and put together again as its writer would, with right
 //! lengths and right checksums, so that the edits reach what stands behind them.
 
+use foveal_runtime::Trace;
+
 /// A part of a recording that can be edited, with what is put before it again.
 pub enum Part {
     /// As it is: what tells the kind of a segment.
@@ -56,16 +58,41 @@ fn word(bytes: &[u8]) -> usize {
 
 /// The segments of a whole recording: of each its parts.
 pub fn recording(file: &[u8]) -> Vec<Vec<Part>> {
-    let (mut left, mut segments) = (&file[8..], Vec::new());
-    while !left.is_empty() {
-        let (raw, stored) = (word(left), word(&left[4..]));
-        let body = lz4_flex::block::decompress(&left[12..12 + stored], raw).expect("a whole file");
+    let (raw, stored) = (word(&file[8..]), word(&file[12..]));
+    let header = lz4_flex::block::decompress(&file[20..20 + stored], raw).expect("a header");
+    let behind = Trace::segments(file).expect("a recording");
+    let parts = |body: Vec<u8>| {
         let kind = Part::Fixed(body[..1].to_vec());
         let parts = if body[0] == 1 { chunks(&body[1..]) } else { vec![Part::Plain(body[1..].to_vec())] };
-        segments.push(std::iter::once(kind).chain(parts).collect());
+        std::iter::once(kind).chain(parts).collect()
+    };
+    std::iter::once(header).chain(behind).map(parts).collect()
+}
+
+/// The recording again with one of its blocks edited as it is stored: what unpacks them gets nonsense.
+pub fn with_block(file: &[u8], which: u16, edit: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
+    let (mut left, mut blocks) = (&file[8..], Vec::new());
+    while !left.is_empty() {
+        let stored = word(&left[4..]);
+        blocks.push((&left[..4], left[12..12 + stored].to_vec()));
         left = &left[12 + stored..];
     }
-    segments
+    let count = blocks.len();
+    let block = &mut blocks[usize::from(which) % count].1;
+    *block = edit(block);
+    let mut bytes = file[..8].to_vec();
+    blocks.iter().for_each(|(length, block)| seal(&mut bytes, length, block));
+    bytes
+}
+
+/// A segment, whose unpacked length and block are given.
+fn seal(bytes: &mut Vec<u8>, length: &[u8], block: &[u8]) {
+    let mut segment = length.to_vec();
+    segment.extend_from_slice(&(block.len() as u32).to_le_bytes());
+    let checksum = crc32fast::hash(&[segment.as_slice(), block].concat());
+    segment.extend_from_slice(&checksum.to_le_bytes());
+    segment.extend_from_slice(block);
+    bytes.extend_from_slice(&segment);
 }
 
 fn chunks(mut body: &[u8]) -> Vec<Part> {
@@ -97,7 +124,7 @@ fn chunk(bytes: &[u8]) -> Vec<Part> {
     parts
 }
 
-/// The recording again, with one of its parts edited.
+/// The recording again, with one of its parts edited and none of its blocks coded.
 pub fn sealed_recording(file: &[u8], which: u16, edit: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
     let mut segments = recording(file);
     let mut leaves = Vec::new();
@@ -109,13 +136,7 @@ pub fn sealed_recording(file: &[u8], which: u16, edit: impl Fn(&[u8]) -> Vec<u8>
     for parts in segments {
         let mut body = Vec::new();
         parts.iter().for_each(|part| part.write(&mut body));
-        let block = lz4_flex::block::compress(&body);
-        let mut segment = (body.len() as u32).to_le_bytes().to_vec();
-        segment.extend_from_slice(&(block.len() as u32).to_le_bytes());
-        let checksum = crc32fast::hash(&[segment.as_slice(), &block].concat());
-        segment.extend_from_slice(&checksum.to_le_bytes());
-        segment.extend_from_slice(&block);
-        bytes.extend_from_slice(&segment);
+        seal(&mut bytes, &(body.len() as u32).to_le_bytes(), &lz4_flex::block::compress(&body));
     }
     bytes
 }

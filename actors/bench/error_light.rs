@@ -285,7 +285,8 @@ impl Report<'_> {
         let off = judge.of_picture(world, picture)?;
         self.rows.push(Row::new(format!("{view}, {stage}: blocks"), "", &[off.mean]));
         let mut root = Row::new(format!("{view}, {stage}: root mean square"), "", &[off.root]);
-        if stated.is_finite() {
+        // A bake that is stopped by its time has not said anything yet.
+        if stated.is_finite() && stated > 0.0 {
             root = root.against("stated at most", Some(f64::from(stated)));
         }
         self.rows.push(root);

@@ -18,19 +18,15 @@ use foveal_terminal::progress::Progress;
 use foveal_terminal::report::{Page, html};
 use foveal_terminal::table::page_of_document;
 
-/// What is measured, with its arguments, and what it says.
-const MEASUREMENTS: [(&str, &str, &str); 7] = [
-    (
-        "stages",
-        "--runs 7",
-        "Stages of a frame, with what the first paper measured on eight processors of 2001.",
-    ),
-    ("rays", "--runs 5", "Rays per second and thread; a diffuse bounce is what a walk traces most."),
-    ("messages", "--runs 5 --quick", "What a message between actors costs, with and without recording."),
-    ("first-light", "--runs 3", "From a scene that is loaded to its first lit picture."),
-    ("error", "--runs 3", "How fast the error of corrected pixels falls under each order of samples."),
-    ("textures", "--runs 3", "What a limit on the memory of textures costs, beside plain rules."),
-    ("skips", "--runs 3", "What is saved by leaving out what a scene does not need."),
+/// What is measured, with its arguments, in how many runs, and what it says.
+const MEASUREMENTS: [(&str, &str, u32, &str); 7] = [
+    ("stages", "", 7, "Stages of a frame, with what the first paper measured on eight processors of 2001."),
+    ("rays", "", 5, "Rays per second and thread; a diffuse bounce is what a walk traces most."),
+    ("messages", "--quick", 5, "What a message between actors costs, with and without recording."),
+    ("first-light", "", 3, "From a scene that is loaded to its first lit picture."),
+    ("error", "", 3, "How fast the error of corrected pixels falls under each order of samples."),
+    ("textures", "", 3, "What a limit on the memory of textures costs, beside plain rules."),
+    ("skips", "", 3, "What is saved by leaving out what a scene does not need."),
 ];
 
 /// Arguments of `foveal bench report`.
@@ -55,26 +51,12 @@ pub fn run(a: &ReportArguments, progress: Progress) -> Result<(), Failure> {
     let mut failed = Vec::new();
     let chosen = |name: &str| a.only.is_empty() || a.only.iter().any(|only| only == name);
     let bar = progress.bar(MEASUREMENTS.len() as u64, "measurements");
-    for (name, arguments, _) in MEASUREMENTS.iter().filter(|m| chosen(m.0)) {
+    for (name, arguments, runs, _) in MEASUREMENTS.iter().filter(|m| chosen(m.0)) {
         uninterrupted()?;
         let start = Instant::now();
         let mut command = Command::new(&program);
-        command.arg("bench").arg(name).args(arguments.split(' ')).arg("--out").arg(&a.out);
-        if let Some(runs) = a.runs {
-            // The last of one option counts nowhere, so the first goes.
-            command = Command::new(&program);
-            let more = arguments
-                .split(' ')
-                .filter(|word| !word.starts_with("--runs") && word.parse::<u32>().is_err());
-            command
-                .arg("bench")
-                .arg(name)
-                .args(more)
-                .arg("--runs")
-                .arg(runs.to_string())
-                .arg("--out")
-                .arg(&a.out);
-        }
+        command.arg("bench").arg(name).args(arguments.split_whitespace()).arg("--out").arg(&a.out);
+        command.args(["--runs", &a.runs.unwrap_or(*runs).to_string()]);
         let status = command.stdin(Stdio::null()).stdout(Stdio::null()).status();
         match status {
             Ok(status) if status.success() => {
@@ -148,6 +130,15 @@ fn cells(row: &Value) -> [String; 2] {
     [value.trim().to_owned(), beside]
 }
 
+/// In how many runs it was measured.
+fn runs_of(document: &Value) -> String {
+    let rows = document["rows"].as_array().into_iter().flatten();
+    match rows.filter_map(|row| row["runs"].as_u64()).max() {
+        None | Some(0 | 1) => "once".to_owned(),
+        Some(runs) => format!("at most {runs} runs of each"),
+    }
+}
+
 fn markdown(documents: &[(usize, Value)], date: &str) -> String {
     let mut text = format!("# Measured\n\n{}\n", measured_on(date));
     text += "Made by `foveal bench report --out DIR`; medians, with 10 and 90 % of the runs in brackets.\n\n";
@@ -159,8 +150,9 @@ fn markdown(documents: &[(usize, Value)], date: &str) -> String {
     }
     let cell = |text: &str| text.replace('|', "\\|");
     for (i, document) in documents {
-        let (name, arguments, says) = MEASUREMENTS[*i];
-        text += &format!("## {name}\n\n{says} `foveal bench {name} {arguments}`\n\n");
+        let (name, arguments, _, says) = MEASUREMENTS[*i];
+        let command = format!("foveal bench {name} {arguments}");
+        text += &format!("## {name}\n\n{says} `{}`, {}.\n\n", command.trim_end(), runs_of(document));
         text += "| what | value | beside | aim | |\n| --- | --- | --- | --- | --- |\n";
         for row in document["rows"].as_array().into_iter().flatten() {
             let [value, beside] = cells(row);
@@ -189,7 +181,7 @@ fn page(documents: &[(usize, Value)], date: &str) -> Page {
         page.summary.push(format!("Missed: {}.", missed.join("; ")));
     }
     for (i, document) in documents {
-        let (name, _, says) = MEASUREMENTS[*i];
+        let (name, _, _, says) = MEASUREMENTS[*i];
         let of = page_of_document(document);
         page.bars.extend(of.0.into_iter().map(|mut bars| {
             bars.title = format!("{name}: {}", bars.title.to_lowercase());
@@ -209,13 +201,14 @@ mod tests {
     #[test]
     fn what_is_missed_stands_first() {
         let rows = json!([
-            {"what": "a|b", "value": 12.34, "unit": "ms", "band": [11.0, 13.0], "aim": "≤ 10 ms", "met": false},
+            {"what": "a|b", "value": 12.34, "unit": "ms", "band": [11.0, 13.0], "runs": 3, "aim": "≤ 10 ms", "met": false},
             {"what": "c", "value": null, "unit": "", "peer": "d", "peer_value": 1.0, "met": null},
         ]);
         let documents = [(0, json!({"rows": rows, "notes": ["a note"]}))];
         let text = markdown(&documents, "2000-01-01");
         assert!(text.find("## Missed").expect("there") < text.find("## stages").expect("there"));
         assert!(text.contains("- stages, a|b: 12.3 ms (11.0 – 13.0) (aim ≤ 10 ms)"));
+        assert!(text.contains("`foveal bench stages`, at most 3 runs of each."));
         assert!(text.contains("| a\\|b | 12.3 ms (11.0 – 13.0) |  | ≤ 10 ms | missed |"));
         assert!(
             text.contains("| c | – | 1.00  (d) |") && text.contains("2000-01-01") && text.contains("a note")

@@ -44,11 +44,52 @@ fn with_port_of(address: &str, found: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+    use std::time::Duration;
+
+    use clap::Parser;
+    use foveal_engine::{Light, Settings, opened};
+    use foveal_remote::key::Invitation;
+    use foveal_remote::link;
+
     use super::*;
 
     #[test]
     fn the_next_walk_listens_where_the_first_did() {
         assert_eq!(with_port_of("quic/0.0.0.0:0", "quic/192.0.2.7:7447"), "quic/0.0.0.0:7447");
         assert_eq!(with_port_of("tcp/[::1]:0", "tcp/[::1]:9"), "tcp/[::1]:9");
+    }
+
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        tracers: TracersArguments,
+    }
+
+    /// Another size or an edit begins another walk: who had come to the first is sent away, and comes with the same key to the
+    /// same place.
+    #[test]
+    fn a_walk_that_begins_anew_has_the_door_of_the_one_before() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let key = folder.path().join("key");
+        let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/box/box.toml");
+        let light = Light { quick: true, baked: true, ..Light::default() };
+        let opened = opened::open(&scene, &light, &()).expect("a scene");
+        for link in ["tcp", "quic"] {
+            let _ = std::fs::remove_file(&key);
+            let address = format!("{link}/127.0.0.1:0");
+            let words = ["walk", "--tracers", &address, "--tracers-key", key.to_str().expect("a name")];
+            let line = Line::parse_from(words);
+            let doors = doors(&line.tracers).expect("a door was asked for");
+            let settings = line.tracers.settings(Settings::new(32, 24, 1));
+            assert!(doors(&opened, &settings).expect("a door").is_some());
+            let invitation: Invitation =
+                std::fs::read_to_string(&key).expect("a key").parse().expect("an invitation");
+            let mut first = link::connect(&invitation).expect("a door");
+            assert!(doors(&opened, &settings).expect("the door again").is_some());
+            let left = (0..500).any(|_| first.next(Duration::from_millis(10)).is_err());
+            assert!(left, "{link}: the walk that is over keeps its guests");
+            assert!(link::connect(&invitation).is_ok(), "{link}: the next one is somewhere else");
+        }
     }
 }

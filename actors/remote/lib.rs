@@ -26,6 +26,7 @@
 pub mod door;
 pub mod guest;
 pub mod identity;
+mod inbox;
 pub mod key;
 pub mod link;
 pub mod package;

@@ -7,11 +7,10 @@ use std::collections::BTreeMap;
 use std::future::Future;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs, UdpSocket};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::thread::{self, JoinHandle, Thread};
+use std::sync::atomic::Ordering;
+use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use crossbeam_queue::{ArrayQueue, SegQueue};
 use foveal_actors::station::wire::MESSAGE_BYTES_MAX;
 use quinn::crypto::rustls::{QuicClientConfig, QuicServerConfig};
 use quinn::{
@@ -23,15 +22,12 @@ use tokio::task::JoinSet;
 use tokio::time::timeout;
 
 use crate::identity;
+use crate::inbox::{AHEAD, Events, FULL, Messages, PEERS_MAX};
 use crate::key::Key;
 use crate::link::{Event, Gone, GuestLink, HostLink, Peer, Waker};
 
-/// Connections at once.
-const PEERS_MAX: usize = 64;
 /// From so many on, who comes has to show first that its address is its own.
 const PEERS_UNPROVED: usize = 8;
-/// Messages that a reader may be ahead of who hears them.
-const AHEAD: usize = 64;
 /// Messages that a walk may be ahead of a guest.
 const UNREAD: usize = 256;
 /// Time until both sides know each other.
@@ -42,8 +38,6 @@ const SILENCE: Duration = Duration::from_secs(3);
 const SIGN_OF_LIFE: Duration = Duration::from_millis(500);
 /// Time that the last messages have.
 const LAST_WORDS: Duration = Duration::from_secs(1);
-/// A look at a queue that was full.
-const FULL: Duration = Duration::from_millis(1);
 
 /// The first bytes of either side.
 const MAGIC: [u8; 8] = *b"foveal-1";
@@ -153,33 +147,17 @@ async fn write(mut stream: SendStream, queued: Queued) {
     }
 }
 
-/// What reaches a listener, and who hears it.
-struct Inbox {
-    opened: SegQueue<(Peer, Queue)>,
-    events: ArrayQueue<Event>,
-    hears: Thread,
-    closed: AtomicBool,
-    peers: AtomicUsize,
-}
-
-impl Inbox {
-    /// Waits for room: so that who says too much is not read on.
-    async fn put(&self, mut event: Event) {
-        while let Err(back) = self.events.push(event) {
-            if self.closed.load(Ordering::Relaxed) {
-                return;
-            }
-            event = back;
-            self.hears.unpark();
-            tokio::time::sleep(FULL).await;
-        }
-        self.hears.unpark();
+/// Tells who hears, once there is room.
+async fn tell(inbox: &Events<Queue>, mut event: Event) {
+    while let Err(back) = inbox.offer(event) {
+        event = back;
+        tokio::time::sleep(FULL).await;
     }
 }
 
 /// Listens at an address that others reach.
 pub struct Listener {
-    inbox: Arc<Inbox>,
+    inbox: Arc<Events<Queue>>,
     at: SocketAddr,
     peers: BTreeMap<Peer, Queue>,
     ends: Option<oneshot::Sender<()>>,
@@ -198,13 +176,7 @@ impl Listener {
         let tls = QuicServerConfig::try_from(identity::of_walk(key)?).map_err(|e| wrong(&e))?;
         let mut config = ServerConfig::with_crypto(Arc::new(tls));
         config.transport_config(transport());
-        let inbox = Arc::new(Inbox {
-            opened: SegQueue::new(),
-            events: ArrayQueue::new(AHEAD * 4),
-            hears: thread::current(),
-            closed: AtomicBool::new(false),
-            peers: AtomicUsize::new(0),
-        });
+        let inbox = Arc::new(Events::new());
         let (ends, ended) = oneshot::channel();
         let shared = Arc::clone(&inbox);
         let thread = in_thread("quic", async move {
@@ -221,7 +193,7 @@ impl Listener {
 }
 
 /// Lets guests in until the listener ends.
-async fn listen(endpoint: Endpoint, inbox: &Arc<Inbox>, mut ended: oneshot::Receiver<()>) {
+async fn listen(endpoint: Endpoint, inbox: &Arc<Events<Queue>>, mut ended: oneshot::Receiver<()>) {
     let mut next: Peer = 0;
     let mut guests = JoinSet::new();
     loop {
@@ -253,7 +225,7 @@ async fn listen(endpoint: Endpoint, inbox: &Arc<Inbox>, mut ended: oneshot::Rece
 }
 
 /// A guest, from its first packet to its last.
-async fn attend(incoming: Incoming, peer: Peer, inbox: &Inbox) {
+async fn attend(incoming: Incoming, peer: Peer, inbox: &Events<Queue>) {
     let greeted = async {
         let connection = incoming.await.ok()?;
         let (mut send, mut recv) = connection.accept_bi().await.ok()?;
@@ -263,10 +235,10 @@ async fn attend(incoming: Incoming, peer: Peer, inbox: &Inbox) {
     let Ok(Some((connection, send, mut recv))) = timeout(GREETING, greeted).await else { return };
     let (queue, queued) = queue(UNREAD);
     inbox.opened.push((peer, queue));
-    inbox.put(Event::Opened(peer)).await;
+    tell(inbox, Event::Opened(peer)).await;
     let hear = async {
         while let Some(message) = read(&mut recv).await {
-            inbox.put(Event::Message(peer, message)).await;
+            tell(inbox, Event::Message(peer, message)).await;
         }
     };
     // The end of either is the end of both: nobody who hears nothing is told more.
@@ -275,7 +247,7 @@ async fn attend(incoming: Incoming, peer: Peer, inbox: &Inbox) {
         () = write(send, queued) => {}
     }
     connection.close(VarInt::from_u32(0), b"");
-    inbox.put(Event::Closed(peer)).await;
+    tell(inbox, Event::Closed(peer)).await;
 }
 
 /// What both sides say first: only who is let in says and hears it.
@@ -288,17 +260,7 @@ async fn greet(send: &mut SendStream, recv: &mut RecvStream) -> Option<()> {
 
 impl HostLink for Listener {
     fn next(&mut self, wait: Duration) -> Option<Event> {
-        let event = self.inbox.events.pop().or_else(|| {
-            thread::park_timeout(wait);
-            self.inbox.events.pop()
-        });
-        while let Some((peer, queue)) = self.inbox.opened.pop() {
-            self.peers.insert(peer, queue);
-        }
-        if let Some(Event::Closed(peer)) = &event {
-            self.peers.remove(peer);
-        }
-        event
+        self.inbox.next(wait, &mut self.peers)
     }
 
     fn send(&mut self, to: Peer, message: &[u8]) {
@@ -317,13 +279,13 @@ impl HostLink for Listener {
     }
 
     fn waker(&self) -> Waker {
-        Waker(self.inbox.hears.clone())
+        self.inbox.waker()
     }
 }
 
 impl Drop for Listener {
     fn drop(&mut self) {
-        self.inbox.closed.store(true, Ordering::Relaxed);
+        self.inbox.close();
         while self.inbox.opened.pop().is_some() {}
         self.peers.clear();
         self.ends.take();
@@ -336,8 +298,7 @@ impl Drop for Listener {
 /// A guest's connection.
 pub struct Connection {
     queue: Option<Queue>,
-    inbox: Arc<(ArrayQueue<Vec<u8>>, AtomicBool)>,
-    hears: Thread,
+    inbox: Arc<Messages>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -352,26 +313,24 @@ impl Connection {
             QuicClientConfig::try_from(identity::of_guest(key)?).map_err(|e| format!("quic/{at}: {e}"))?;
         let mut config = ClientConfig::new(Arc::new(tls));
         config.transport_config(transport());
-        let inbox = Arc::new((ArrayQueue::new(AHEAD), AtomicBool::new(false)));
+        let inbox = Arc::new(Messages::new());
         let (queue, queued) = queue(AHEAD);
-        let hears = thread::current();
-        let (shared, wakes) = (Arc::clone(&inbox), hears.clone());
+        let shared = Arc::clone(&inbox);
         let (tells, told) = oneshot::channel();
         let thread = in_thread("quic", async move {
             match timeout(GREETING, connected(address, config)).await.unwrap_or(Err(Greeting::Nobody)) {
                 Ok((endpoint, connection, send, recv)) => {
                     let _ = tells.send(Ok(()));
-                    visit(send, recv, queued, &shared, &wakes).await;
+                    visit(send, recv, queued, &shared).await;
                     connection.close(VarInt::from_u32(0), b"");
                     let _ = timeout(LAST_WORDS, endpoint.wait_idle()).await;
                 }
                 Err(e) => drop(tells.send(Err(e))),
             }
-            shared.1.store(true, Ordering::SeqCst);
-            wakes.unpark();
+            shared.end();
         })?;
         match told.blocking_recv().unwrap_or(Err(Greeting::Nobody)) {
-            Ok(()) => Ok(Self { queue: Some(queue), inbox, hears, thread: Some(thread) }),
+            Ok(()) => Ok(Self { queue: Some(queue), inbox, thread: Some(thread) }),
             Err(Greeting::Nobody) => Err(format!("quic/{at}: nobody answers")),
             Err(Greeting::Other) => Err(format!("quic/{at}: whoever is there has another key")),
         }
@@ -410,24 +369,16 @@ async fn connected(
 }
 
 /// A stay, until one of both sides ends it.
-async fn visit(
-    send: SendStream,
-    mut recv: RecvStream,
-    queued: Queued,
-    inbox: &(ArrayQueue<Vec<u8>>, AtomicBool),
-    wakes: &Thread,
-) {
-    let (messages, gone) = inbox;
+async fn visit(send: SendStream, mut recv: RecvStream, queued: Queued, inbox: &Messages) {
     let hear = async {
         while let Some(mut message) = read(&mut recv).await {
-            while let Err(back) = messages.push(message) {
-                if gone.load(Ordering::Relaxed) {
-                    return;
-                }
+            while let Err(back) = inbox.offer(message) {
                 message = back;
                 tokio::time::sleep(FULL).await;
             }
-            wakes.unpark();
+            if inbox.has_ended() {
+                return;
+            }
         }
     };
     tokio::select! {
@@ -438,15 +389,7 @@ async fn visit(
 
 impl GuestLink for Connection {
     fn next(&mut self, wait: Duration) -> Result<Option<Vec<u8>>, Gone> {
-        let (messages, gone) = &*self.inbox;
-        // In this order: what came before the end is heard.
-        let over = gone.load(Ordering::SeqCst);
-        match messages.pop() {
-            Some(message) => return Ok(Some(message)),
-            None if over => return Err(Gone),
-            None => thread::park_timeout(wait),
-        }
-        Ok(messages.pop())
+        self.inbox.next(wait)
     }
 
     fn send(&mut self, message: &[u8]) -> Result<(), Gone> {
@@ -455,13 +398,13 @@ impl GuestLink for Connection {
     }
 
     fn waker(&self) -> Waker {
-        Waker(self.hears.clone())
+        self.inbox.waker()
     }
 }
 
 impl Drop for Connection {
     fn drop(&mut self) {
-        self.inbox.1.store(true, Ordering::SeqCst);
+        self.inbox.end();
         self.queue.take();
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();

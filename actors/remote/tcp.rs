@@ -7,20 +7,16 @@ use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::{IpAddr, Shutdown, SocketAddr, TcpListener, TcpStream, ToSocketAddrs};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::thread::{self, JoinHandle, Thread};
+use std::sync::atomic::Ordering;
+use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use crossbeam_queue::{ArrayQueue, SegQueue};
 use foveal_actors::station::wire::MESSAGE_BYTES_MAX;
 
+use crate::inbox::{Events, FULL, Messages, PEERS_MAX};
 use crate::key::Key;
 use crate::link::{Event, Gone, GuestLink, HostLink, Peer, Waker};
 
-/// Connections at once.
-const PEERS_MAX: usize = 64;
-/// Messages that a reader may be ahead of who hears them.
-const AHEAD: usize = 64;
 /// Time for both proofs.
 const GREETING: Duration = Duration::from_secs(5);
 /// Somebody who takes nothing for so long is gone.
@@ -72,33 +68,17 @@ fn write(stream: &mut TcpStream, message: &[u8]) -> std::io::Result<()> {
     stream.write_all(&framed)
 }
 
-/// What reaches a listener, and who hears it.
-struct Inbox {
-    opened: SegQueue<(Peer, TcpStream)>,
-    events: ArrayQueue<Event>,
-    hears: Thread,
-    closed: AtomicBool,
-    peers: AtomicUsize,
-}
-
-impl Inbox {
-    /// Waits for room: so that who says too much is not read on.
-    fn put(&self, mut event: Event) {
-        while let Err(back) = self.events.push(event) {
-            if self.closed.load(Ordering::Relaxed) {
-                return;
-            }
-            event = back;
-            self.hears.unpark();
-            thread::sleep(Duration::from_millis(1));
-        }
-        self.hears.unpark();
+/// Tells who hears, once there is room.
+fn tell(inbox: &Events<TcpStream>, mut event: Event) {
+    while let Err(back) = inbox.offer(event) {
+        event = back;
+        thread::sleep(FULL);
     }
 }
 
 /// Listens on this machine's own addresses.
 pub struct Listener {
-    inbox: Arc<Inbox>,
+    inbox: Arc<Events<TcpStream>>,
     at: SocketAddr,
     peers: BTreeMap<Peer, TcpStream>,
     thread: Option<JoinHandle<()>>,
@@ -113,13 +93,7 @@ impl Listener {
         let address = resolved(at)?;
         let listener = TcpListener::bind(address).map_err(|e| format!("tcp/{at}: {e}"))?;
         let at = listener.local_addr().map_err(|e| format!("tcp/{at}: {e}"))?;
-        let inbox = Arc::new(Inbox {
-            opened: SegQueue::new(),
-            events: ArrayQueue::new(AHEAD * 4),
-            hears: thread::current(),
-            closed: AtomicBool::new(false),
-            peers: AtomicUsize::new(0),
-        });
+        let inbox = Arc::new(Events::new());
         let (shared, key) = (Arc::clone(&inbox), key.clone());
         let spawned =
             thread::Builder::new().name("door".into()).spawn(move || accept(&listener, &shared, &key));
@@ -141,10 +115,10 @@ fn resolved(at: &str) -> Result<SocketAddr, String> {
     })
 }
 
-fn accept(listener: &TcpListener, inbox: &Arc<Inbox>, key: &Key) {
+fn accept(listener: &TcpListener, inbox: &Arc<Events<TcpStream>>, key: &Key) {
     let mut next: Peer = 0;
     for stream in listener.incoming() {
-        if inbox.closed.load(Ordering::Relaxed) {
+        if inbox.is_closed() {
             return;
         }
         let Ok(mut stream) = stream else { continue };
@@ -160,11 +134,15 @@ fn accept(listener: &TcpListener, inbox: &Arc<Inbox>, key: &Key) {
                 && let Ok(own) = stream.try_clone()
             {
                 inbox.opened.push((peer, own));
-                inbox.put(Event::Opened(peer));
-                while let Some(message) = read(&mut stream) {
-                    inbox.put(Event::Message(peer, message));
+                if inbox.is_closed() {
+                    // Who closed it may have looked for guests before this one was there.
+                    let _ = stream.shutdown(Shutdown::Both);
                 }
-                inbox.put(Event::Closed(peer));
+                tell(&inbox, Event::Opened(peer));
+                while let Some(message) = read(&mut stream) {
+                    tell(&inbox, Event::Message(peer, message));
+                }
+                tell(&inbox, Event::Closed(peer));
             }
             inbox.peers.fetch_sub(1, Ordering::Relaxed);
         });
@@ -173,17 +151,7 @@ fn accept(listener: &TcpListener, inbox: &Arc<Inbox>, key: &Key) {
 
 impl HostLink for Listener {
     fn next(&mut self, wait: Duration) -> Option<Event> {
-        let event = self.inbox.events.pop().or_else(|| {
-            thread::park_timeout(wait);
-            self.inbox.events.pop()
-        });
-        while let Some((peer, stream)) = self.inbox.opened.pop() {
-            self.peers.insert(peer, stream);
-        }
-        if let Some(Event::Closed(peer)) = &event {
-            self.peers.remove(peer);
-        }
-        event
+        self.inbox.next(wait, &mut self.peers)
     }
 
     fn send(&mut self, to: Peer, message: &[u8]) {
@@ -204,14 +172,16 @@ impl HostLink for Listener {
     }
 
     fn waker(&self) -> Waker {
-        Waker(self.inbox.hears.clone())
+        self.inbox.waker()
     }
 }
 
 impl Drop for Listener {
     fn drop(&mut self) {
-        self.inbox.closed.store(true, Ordering::Relaxed);
-        for stream in self.peers.values() {
+        self.inbox.close();
+        // Those, too, that nobody has heard of yet.
+        let unheard = std::iter::from_fn(|| self.inbox.opened.pop()).map(|(_, stream)| stream);
+        for stream in std::mem::take(&mut self.peers).into_values().chain(unheard) {
             let _ = stream.shutdown(Shutdown::Both);
         }
         // It waits for one more. Once it has ended, the address is free.
@@ -226,8 +196,7 @@ impl Drop for Listener {
 /// A guest's connection.
 pub struct Connection {
     stream: TcpStream,
-    inbox: Arc<(ArrayQueue<Vec<u8>>, AtomicBool)>,
-    hears: Thread,
+    inbox: Arc<Messages>,
 }
 
 impl Connection {
@@ -241,41 +210,29 @@ impl Connection {
         let mut stream = connected.map_err(|e| format!("tcp/{at}: nobody answers: {e}"))?;
         proved(&mut stream, key, "guest", "walk")
             .ok_or_else(|| format!("tcp/{at}: whoever is there has another key"))?;
-        let inbox = Arc::new((ArrayQueue::new(AHEAD), AtomicBool::new(false)));
-        let hears = thread::current();
-        let (shared, wakes) = (Arc::clone(&inbox), hears.clone());
+        let inbox = Arc::new(Messages::new());
+        let shared = Arc::clone(&inbox);
         let mut reads = stream.try_clone().map_err(|e| format!("tcp/{at}: {e}"))?;
         let reader = move || {
-            let (messages, gone) = &*shared;
             while let Some(mut message) = read(&mut reads) {
-                while let Err(back) = messages.push(message) {
-                    if gone.load(Ordering::Relaxed) {
-                        return;
-                    }
+                while let Err(back) = shared.offer(message) {
                     message = back;
-                    thread::sleep(Duration::from_millis(1));
+                    thread::sleep(FULL);
                 }
-                wakes.unpark();
+                if shared.has_ended() {
+                    return;
+                }
             }
-            gone.store(true, Ordering::SeqCst);
-            wakes.unpark();
+            shared.end();
         };
         thread::Builder::new().name("walk".into()).spawn(reader).map_err(|e| format!("tcp/{at}: {e}"))?;
-        Ok(Self { stream, inbox, hears })
+        Ok(Self { stream, inbox })
     }
 }
 
 impl GuestLink for Connection {
     fn next(&mut self, wait: Duration) -> Result<Option<Vec<u8>>, Gone> {
-        let (messages, gone) = &*self.inbox;
-        // In this order: what came before the end is heard.
-        let over = gone.load(Ordering::SeqCst);
-        match messages.pop() {
-            Some(message) => return Ok(Some(message)),
-            None if over => return Err(Gone),
-            None => thread::park_timeout(wait),
-        }
-        Ok(messages.pop())
+        self.inbox.next(wait)
     }
 
     fn send(&mut self, message: &[u8]) -> Result<(), Gone> {
@@ -283,13 +240,13 @@ impl GuestLink for Connection {
     }
 
     fn waker(&self) -> Waker {
-        Waker(self.hears.clone())
+        self.inbox.waker()
     }
 }
 
 impl Drop for Connection {
     fn drop(&mut self) {
-        self.inbox.1.store(true, Ordering::SeqCst);
+        self.inbox.end();
         let _ = self.stream.shutdown(Shutdown::Both);
     }
 }

@@ -477,15 +477,86 @@ fn simulated(opened: &Opened, package: &Arc<Package>, seed: u64, recording: Opti
     unreachable!("the last round returns")
 }
 
+/// Seeds of simulated networks: 24, or what `FOVEAL_SEEDS` says, how many or `FIRST..END`, so that many can be run in parts.
+fn seeds() -> std::ops::Range<u64> {
+    let Ok(wanted) = std::env::var("FOVEAL_SEEDS") else { return 0..24 };
+    let number = |text: &str| text.parse().expect("FOVEAL_SEEDS is a number or FIRST..END");
+    match wanted.split_once("..") {
+        Some((first, end)) => number(first)..number(end),
+        None => 0..number(&wanted),
+    }
+}
+
+/// A thousand guests come and go one after the other, some with jobs that they never do: who is gone is known at once, and
+/// the view converges to the bits of a walk without them.
+#[test]
+fn a_thousand_guests_that_come_and_go_change_no_bit() {
+    let opened = opened();
+    let expected = local(&opened);
+    let package = Package::of(&opened).expect("a package");
+    let settings = settings(1);
+    let door =
+        Door::open("tcp/127.0.0.1:0", Key::new().unwrap(), package, settings.k_max, 1).expect("a door");
+    let options = Options { outlets: Some(door.outlets()), ..Options::new(settings) };
+    let mut engine = Engine::start(opened, options).expect("actors");
+    door.attach(engine.station_inputs());
+    let scene = engine.opened().world.scene.clone();
+    let hello = FromGuest::Hello {
+        protocol: PROTOCOL,
+        program: program(),
+        bits: bits::probe(),
+        cores: 1,
+        name: "a passer-by".into(),
+    };
+    let serves = |guests: u32| {
+        let began = Instant::now();
+        while door.serving() != guests {
+            assert!(began.elapsed() < WAIT, "{guests} guests are not there");
+            std::thread::sleep(Duration::from_micros(100));
+        }
+        began.elapsed()
+    };
+    let (mut known, began) = (Vec::new(), Instant::now());
+    for round in 0..1000 {
+        if round % 20 == 0 {
+            engine.frame(&scene.cameras[round / 20 % 3].camera, Duration::from_millis(10)).expect("a frame");
+        }
+        let mut link = link::connect(door.invitation()).expect("somebody answers");
+        link.send(&hello.to_bytes()).expect("a walk");
+        let incarnation = (0..1000).find_map(|_| {
+            let said = link.next(Duration::from_millis(10)).expect("a walk")?;
+            match ToGuest::of_bytes(&said) {
+                Some(ToGuest::Welcome { incarnation, .. }) => Some(incarnation),
+                _ => None,
+            }
+        });
+        let incarnation = incarnation.expect("a welcome");
+        link.send(&FromGuest::Ready { incarnation }.to_bytes()).expect("a walk");
+        serves(1);
+        drop(link);
+        known.push(serves(0));
+    }
+    let took = began.elapsed();
+    known.sort();
+    let (median, most) = (known[known.len() / 2], known[known.len() - 1]);
+    let picture = converged(&mut engine);
+    engine.finish(Duration::from_secs(20));
+    let (stations, jobs) = (engine.stations(), engine.actors().pool.as_ref().expect("a pool").stats());
+    println!("1,000 guests in {took:?}: gone is known after {median:?}, at most {most:?}; {stations:?}");
+    assert!(picture == expected, "another picture: {stations:?}");
+    assert!(jobs.twice == 0 && stations[0].counts.banned == 0, "{jobs:?}, {stations:?}");
+    assert!(median <= Duration::from_millis(50), "{median:?} until it is known that a guest is gone");
+}
+
 #[test]
 fn whatever_network_and_guests_do_a_view_converges_to_the_same_bits() {
     let folder = tempfile::tempdir().expect("a folder");
     let opened = opened();
     let package = Arc::new(Package::of(&opened).expect("a package"));
     let expected = local(&opened);
-    let seeds = std::env::var("FOVEAL_SEEDS").ok().and_then(|n| n.parse().ok()).unwrap_or(24);
+    let seeds = seeds();
     let (mut samples, mut returned, mut late, mut liars, mut banned) = (0, 0, 0, 0, 0);
-    for seed in 0..seeds {
+    for seed in seeds.clone() {
         let recording = (seed % 4 == 0).then(|| folder.path().join(format!("{seed}.fvlog")));
         let played = simulated(&opened, &package, seed, recording.as_deref());
         let lied = played.liars > played.banned;
@@ -501,7 +572,7 @@ fn whatever_network_and_guests_do_a_view_converges_to_the_same_bits() {
         (liars, banned) = (liars + played.liars, banned + played.banned);
     }
     println!(
-        "{seeds} seeds: {samples} samples, {returned} returned, {late} late, {liars} lied, {banned} banned"
+        "seeds {seeds:?}: {samples} samples, {returned} returned, {late} late, {liars} lied, {banned} banned"
     );
     assert!(samples > 1000 && returned > 0 && late > 0 && banned > 0);
 }

@@ -11,7 +11,7 @@ use foveal::display::cpu_pass::PartlyDrawn;
 use foveal::rng::hash;
 use foveal::sampling::Lattice;
 use foveal_actors::station::wire::{DoneJob, FromGuest, PROTOCOL, Refusal, ToGuest, ViewSpec};
-use foveal_actors::station::{Outlet, StationStatus, bits};
+use foveal_actors::station::{Found, Heard, Outlet, StationStatus, bits};
 use foveal_engine::opened::{self, Opened};
 use foveal_engine::recording::Elsewhere;
 use foveal_engine::replay::{How, Source};
@@ -147,6 +147,25 @@ fn walks_with_guests(address: &str) {
     assert_eq!((first.0, second.0), (End::Left, End::Farewell));
     assert!(first.1.samples + second.1.samples >= remote);
     replays(&recording);
+}
+
+/// What a recording has of an answer: which job, how long it took, how many colours, and their hash.
+#[test]
+fn an_answer_takes_twenty_bytes_of_a_recording() {
+    let of = |jobs: u64| {
+        let found = |i: u64| Found {
+            lease: 40_000 + i,
+            micros: 2_000 + i as u32,
+            count: Some(256),
+            hash: hash(7, i, 0),
+            colors: None,
+        };
+        let heard = Heard::Done { incarnation: 3, salt: u64::MAX, jobs: (0..jobs).map(found).collect() };
+        let bytes = postcard::to_stdvec(&heard).expect("it is recorded").len();
+        bytes as f32 / jobs as f32
+    };
+    println!("{} B where one comes alone, {} B a job of eight", of(1), of(8));
+    assert!(of(8) <= 20.0, "{} B a job", of(8));
 }
 
 /// What a simulated guest does.

@@ -113,9 +113,13 @@ impl Hall {
         }
     }
 
-    /// A station has something for its guest.
-    pub fn passes(&mut self, station: usize, message: ToGuest, effects: &mut Vec<Effect>) {
+    /// A station has something for its guest of this incarnation. Another one may have taken the place since: that is not
+    /// for it.
+    pub fn passes(&mut self, station: usize, incarnation: u64, message: ToGuest, effects: &mut Vec<Effect>) {
         let Some(peer) = self.places.get(station).copied().flatten() else { return };
+        if self.guests.get(&peer).is_none_or(|guest| guest.incarnation != incarnation) {
+            return;
+        }
         if matches!(message, ToGuest::Refused(Refusal::Banned)) {
             // The station has seen to its jobs already.
             return self.ban(peer, effects);
@@ -214,8 +218,8 @@ fn found(job: DoneJob) -> Found {
 
 /// What door, stations and walk share.
 struct Shared {
-    /// By station.
-    outlets: Vec<ArrayQueue<ToGuest>>,
+    /// By station, with the incarnation of the guest.
+    outlets: Vec<ArrayQueue<(u64, ToGuest)>>,
     /// What leads to the stations, on its way to the door.
     inputs: ArrayQueue<Vec<Port<Heard, StationMessage>>>,
     closing: AtomicBool,
@@ -230,9 +234,9 @@ struct ToDoor {
 }
 
 impl Outlet for ToDoor {
-    fn send(&mut self, message: ToGuest) {
+    fn send(&mut self, incarnation: u64, message: ToGuest) {
         // What finds no room is overdue some time.
-        if self.shared.outlets[self.station].push(message).is_ok() {
+        if self.shared.outlets[self.station].push((incarnation, message)).is_ok() {
             self.waker.wake();
         }
     }
@@ -391,23 +395,27 @@ fn serve(mut link: Box<dyn HostLink>, mut hall: Hall, shared: &Shared) {
 }
 
 /// Takes what a station has for its guest; jobs that follow each other go together.
-fn pass(station: usize, outlet: &ArrayQueue<ToGuest>, hall: &mut Hall, effects: &mut Vec<Effect>) {
-    let mut bundle = Vec::new();
-    while let Some(message) = outlet.pop() {
+fn pass(station: usize, outlet: &ArrayQueue<(u64, ToGuest)>, hall: &mut Hall, effects: &mut Vec<Effect>) {
+    let (mut bundle, mut bundled_for) = (Vec::new(), 0);
+    while let Some((incarnation, message)) = outlet.pop() {
         match message {
-            ToGuest::Jobs(jobs) if bundle.len() + jobs.len() <= JOBS_MAX => bundle.extend(jobs),
+            ToGuest::Jobs(jobs) if bundled_for == incarnation && bundle.len() + jobs.len() <= JOBS_MAX => {
+                bundle.extend(jobs);
+            }
             other => {
                 if !bundle.is_empty() {
-                    hall.passes(station, ToGuest::Jobs(std::mem::take(&mut bundle)), effects);
+                    let bundle = ToGuest::Jobs(std::mem::take(&mut bundle));
+                    hall.passes(station, bundled_for, bundle, effects);
                 }
+                bundled_for = incarnation;
                 match other {
                     ToGuest::Jobs(jobs) => bundle = jobs,
-                    other => hall.passes(station, other, effects),
+                    other => hall.passes(station, incarnation, other, effects),
                 }
             }
         }
     }
     if !bundle.is_empty() {
-        hall.passes(station, ToGuest::Jobs(bundle), effects);
+        hall.passes(station, bundled_for, ToGuest::Jobs(bundle), effects);
     }
 }

@@ -57,11 +57,16 @@ fn local(opened: &Opened) -> Vec<u8> {
     converged(&mut engine)
 }
 
-fn replays(recording: &Path) {
+/// A recording replays to its end; one of a walk with liars in it may also stop, at the station that believed one before it
+/// was found out: it has the hash of what was sent, and the scene says otherwise.
+fn replays(recording: &Path, with_liars: bool) {
     let source = Source::open(recording, &Elsewhere::default(), true, &()).expect("a recording");
     let (mut runtime, _) = source.run(How { threads: 2, ..How::default() }, |_| {}).expect("replays");
     let report = runtime.replay_report();
-    assert!(report.divergence.is_none() && report.complete, "{report:?}");
+    match &report.divergence {
+        None => assert!(report.complete, "{report:?}"),
+        Some(at) => assert!(with_liars && (&*at.name, at.kind) == ("station", "Done"), "{report:?}"),
+    }
 }
 
 struct Nobody(Arc<AtomicBool>);
@@ -146,7 +151,7 @@ fn walks_with_guests(address: &str) {
     let [first, second] = guests.map(|guest| guest.join().expect("no panic"));
     assert_eq!((first.0, second.0), (End::Left, End::Farewell));
     assert!(first.1.samples + second.1.samples >= remote);
-    replays(&recording);
+    replays(&recording, false);
 }
 
 /// What a recording has of an answer: which job, how long it took, how many colours, and their hash.
@@ -384,18 +389,20 @@ impl SimNetwork {
 }
 
 /// Keeps what a station sends for the network to take.
-struct Pipe(Arc<crossbeam_queue::SegQueue<(usize, ToGuest)>>, usize);
+struct Pipe(Arc<crossbeam_queue::SegQueue<(usize, u64, ToGuest)>>, usize);
 
 impl Outlet for Pipe {
-    fn send(&mut self, message: ToGuest) {
-        self.0.push((self.1, message));
+    fn send(&mut self, incarnation: u64, message: ToGuest) {
+        self.0.push((self.1, incarnation, message));
     }
 }
 
 struct Played1 {
     picture: Vec<u8>,
     stations: Vec<StationStatus>,
+    /// Guests that lied, and those of them that nobody has told that they are banned.
     liars: usize,
+    unnoticed: usize,
     banned: usize,
 }
 
@@ -443,10 +450,11 @@ fn simulated(opened: &Opened, package: &Arc<Package>, seed: u64, recording: Opti
     }
     let world = &opened.world;
     let cameras = [1, 2, 0].map(|i| world.scene.cameras[i].camera);
-    let (mut liars, mut banned) = (0, 0);
+    let (mut liars, mut unnoticed, mut banned) = (0, 0, 0);
     let mut count = |guests: &[Played]| {
-        liars += guests.iter().filter(|guest| guest.lied).count();
         let is_banned = |guest: &&Played| guest.refused == Some(Refusal::Banned);
+        liars += guests.iter().filter(|guest| guest.lied).count();
+        unnoticed += guests.iter().filter(|guest| guest.lied && !is_banned(guest)).count();
         let wrongly = |guest: &Played| matches!(guest.nature, Nature::Honest | Nature::Slow);
         assert!(
             !guests.iter().any(|guest| is_banned(&guest) && wrongly(guest)),
@@ -462,9 +470,9 @@ fn simulated(opened: &Opened, package: &Arc<Package>, seed: u64, recording: Opti
             engine.begin(camera).expect("a view");
             for _ in 0..8 {
                 engine.work_until(Duration::from_millis(1), |_| false).expect("works");
-                while let Some((station, message)) = pipe.pop() {
+                while let Some((station, incarnation, message)) = pipe.pop() {
                     let mut effects = Vec::new();
-                    network.hall.passes(station, message, &mut effects);
+                    network.hall.passes(station, incarnation, message, &mut effects);
                     network.effects(effects, &mut tell);
                 }
                 network.turn(world, settings.k_max, &mut tell);
@@ -488,7 +496,7 @@ fn simulated(opened: &Opened, package: &Arc<Package>, seed: u64, recording: Opti
                 let stations = engine.stations();
                 let jobs = engine.actors().pool.as_ref().expect("a pool").stats();
                 assert_eq!(jobs.twice, 0, "seed {seed}: {jobs:?}");
-                return Played1 { picture, stations, liars, banned };
+                return Played1 { picture, stations, liars, unnoticed, banned };
             }
             assert!(began.elapsed() < WAIT, "seed {seed} does not converge");
         }
@@ -578,10 +586,10 @@ fn whatever_network_and_guests_do_a_view_converges_to_the_same_bits() {
     for seed in seeds.clone() {
         let recording = (seed % 4 == 0).then(|| folder.path().join(format!("{seed}.fvlog")));
         let played = simulated(&opened, &package, seed, recording.as_deref());
-        let lied = played.liars > played.banned;
-        assert!(played.picture == expected || lied, "seed {seed}: another picture, {:?}", played.stations);
-        if let Some(recording) = recording.filter(|_| !lied) {
-            replays(&recording);
+        let is_true = played.picture == expected || played.unnoticed > 0;
+        assert!(is_true, "seed {seed}: another picture, {:?}", played.stations);
+        if let Some(recording) = recording {
+            replays(&recording, played.liars > 0);
         }
         for station in &played.stations {
             samples += station.counts.samples;
@@ -593,7 +601,8 @@ fn whatever_network_and_guests_do_a_view_converges_to_the_same_bits() {
     println!(
         "seeds {seeds:?}: {samples} samples, {returned} returned, {late} late, {liars} lied, {banned} banned"
     );
-    assert!(samples > 1000 && returned > 0 && late > 0 && banned > 0);
+    // A single seed need not meet all of it.
+    assert!(seeds.end - seeds.start < 16 || samples > 1000 && returned > 0 && late > 0 && banned > 0);
 }
 
 #[test]
@@ -625,6 +634,45 @@ fn who_is_another_version_or_has_other_bits_is_told_so() {
     assert!(matches!(says(3, hello(PROTOCOL, program(), wanted)), Some(ToGuest::Welcome { .. })));
     assert_eq!(refused(says(4, hello(PROTOCOL, program(), wanted))), Some(Refusal::Full));
     assert_eq!(refused(says(5, FromGuest::Ready { incarnation: 0 })), Some(Refusal::Banned));
+}
+
+/// A guest leaves, another one takes its place, and only then the station has found out that the first one lied: the ban is
+/// not for who sits there now, nor are jobs.
+#[test]
+fn a_ban_that_comes_late_hits_nobody_else() {
+    let package = Arc::new(Package::of(&opened()).expect("a package"));
+    let mut hall = Hall::new(package, 16, 1);
+    let mut joins = |hall: &mut Hall, peer| {
+        let mut effects = Vec::new();
+        let hello = FromGuest::Hello {
+            protocol: PROTOCOL,
+            program: program(),
+            bits: bits::probe(),
+            cores: 1,
+            name: "n".into(),
+        };
+        hall.heard(Event::Opened(peer), &mut effects);
+        hall.heard(Event::Message(peer, hello.to_bytes()), &mut effects);
+        let welcomed = effects.iter().find_map(|effect| match effect {
+            Effect::Send(_, ToGuest::Welcome { incarnation, .. }) => Some(*incarnation),
+            _ => None,
+        });
+        let incarnation = welcomed.expect("there is room");
+        hall.heard(Event::Message(peer, FromGuest::Ready { incarnation }.to_bytes()), &mut effects);
+        incarnation
+    };
+    let liar = joins(&mut hall, 1);
+    hall.heard(Event::Closed(1), &mut Vec::new());
+    let honest = joins(&mut hall, 2);
+    let ban = || ToGuest::Refused(Refusal::Banned);
+    for late in [ToGuest::Jobs(Vec::new()), ban()] {
+        let mut effects = Vec::new();
+        hall.passes(0, liar, late, &mut effects);
+        assert!(effects.is_empty() && hall.serving() == 1);
+    }
+    let mut effects = Vec::new();
+    hall.passes(0, honest, ban(), &mut effects);
+    assert!(!effects.is_empty() && hall.serving() == 0);
 }
 
 /// What a guest is sent is the scene, and what it is not asked for it does not get.

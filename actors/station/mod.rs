@@ -44,8 +44,9 @@ const CHECKED: usize = 64;
 
 /// Takes what is for a guest. An effect: nothing comes back but messages.
 pub trait Outlet: Send + 'static {
-    /// Sends it, or loses it: then the jobs in it are overdue some time.
-    fn send(&mut self, message: ToGuest);
+    /// Sends it to the guest of this incarnation, if that still has the place, or loses it: then the jobs in it are overdue
+    /// some time. Who came after it must not get it, least of all its ban.
+    fn send(&mut self, incarnation: u64, message: ToGuest);
 }
 
 /// Makes the outlets of all stations of a walk, by number.
@@ -55,7 +56,7 @@ pub type Outlets = Arc<dyn Fn() -> Vec<Box<dyn Outlet>> + Send + Sync>;
 pub struct Silent;
 
 impl Outlet for Silent {
-    fn send(&mut self, _: ToGuest) {}
+    fn send(&mut self, _: u64, _: ToGuest) {}
 }
 
 /// What reaches a station from outside: recorded.
@@ -279,8 +280,8 @@ impl Station {
 
     /// Does what is for the guest, where there is one.
     fn post(&mut self, message: ToGuest, cx: &Cx<'_, StationMessage>) {
-        if !cx.replays() {
-            self.outlet.send(message);
+        if let Some(guest) = self.guest.as_ref().filter(|_| !cx.replays()) {
+            self.outlet.send(guest.incarnation, message);
         }
     }
 
@@ -391,11 +392,12 @@ impl Station {
 
     /// The guest sent what is not in the scene: nothing that came from it stays.
     fn ban(&mut self, cx: &mut Cx<'_, StationMessage>) {
-        let Some(guest) = self.guest.take() else { return };
+        let Some(guest) = &self.guest else { return };
         tracing::warn!("{}: what it sends is not what is there; it is banned", guest.name);
         self.counts.banned += 1;
-        self.hand_all_back(cx);
         self.post(ToGuest::Refused(wire::Refusal::Banned), cx);
+        self.guest = None;
+        self.hand_all_back(cx);
         self.outbox.tell(cx, &self.to.cache_ager, CacheAgerMessage::Doubted);
         self.tell_credits(cx);
     }

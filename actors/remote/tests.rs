@@ -65,7 +65,7 @@ fn replays(recording: &Path, with_liars: bool) {
     let report = runtime.replay_report();
     match &report.divergence {
         None => assert!(report.complete, "{report:?}"),
-        Some(at) => assert!(with_liars && (&*at.name, at.kind) == ("station", "Done"), "{report:?}"),
+        Some(at) => assert!(with_liars && at.name.starts_with("station") && at.kind == "Done", "{report:?}"),
     }
 }
 
@@ -642,7 +642,7 @@ fn who_is_another_version_or_has_other_bits_is_told_so() {
 fn a_ban_that_comes_late_hits_nobody_else() {
     let package = Arc::new(Package::of(&opened()).expect("a package"));
     let mut hall = Hall::new(package, 16, 1);
-    let mut joins = |hall: &mut Hall, peer| {
+    let joins = |hall: &mut Hall, peer| {
         let mut effects = Vec::new();
         let hello = FromGuest::Hello {
             protocol: PROTOCOL,

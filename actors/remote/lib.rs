@@ -29,6 +29,8 @@ pub mod identity;
 mod inbox;
 pub mod key;
 pub mod link;
+#[cfg(test)]
+mod network_tests;
 pub mod package;
 pub mod quic;
 pub mod tcp;

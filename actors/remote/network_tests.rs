@@ -1,0 +1,381 @@
+//! Walks over a simulated network that loses, delays, doubles and reorders what it is given, with guests that are slow, lie
+//! or send what is no message, by seeds. Whatever happens, a view converges to the bits of a walk without guests, and its
+//! recording replays without them.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use foveal::display::cpu_pass::PartlyDrawn;
+use foveal::rng::hash;
+use foveal::sampling::Lattice;
+use foveal_actors::station::wire::{DoneJob, FromGuest, Refusal, ToGuest, ViewSpec};
+use foveal_actors::station::{Heard, Outlet, StationStatus};
+use foveal_engine::opened::Opened;
+use foveal_engine::{Engine, Options, Recording, Standing};
+
+use crate::door::{Effect, Hall};
+use crate::link::Event;
+use crate::package::Package;
+use crate::tests::{WAIT, hello, local, opened, replays, settings};
+use crate::work;
+
+/// What a simulated guest does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Nature {
+    Honest,
+    /// Answers at times not at all.
+    Slow,
+    /// A few colours are not those of the scene.
+    Liar,
+    /// Sends bytes that are no message.
+    Corrupt,
+}
+
+/// A guest without threads: it answers when it is asked, and a network stands between.
+struct Played {
+    peer: u64,
+    nature: Nature,
+    incarnation: Option<u64>,
+    views: Vec<(ViewSpec, PartlyDrawn)>,
+    refused: Option<Refusal>,
+    lied: bool,
+}
+
+/// What is on its way: when it arrives, in the network's steps.
+struct OnTheWay {
+    at: u64,
+    what: Moving,
+}
+
+enum Moving {
+    ToGuest(u64, ToGuest),
+    FromGuest(u64, Vec<u8>),
+}
+
+/// A network between a hall and guests, by a seed.
+struct SimNetwork {
+    seed: u64,
+    drawn: u64,
+    step: u64,
+    faults: bool,
+    way: Vec<OnTheWay>,
+    hall: Hall,
+    guests: Vec<Played>,
+    peers: u64,
+    /// Until then nothing gets through.
+    cut: u64,
+}
+
+impl SimNetwork {
+    fn chance(&mut self, of: u64) -> bool {
+        self.drawn += 1;
+        hash(self.seed, self.drawn, 1).is_multiple_of(of)
+    }
+
+    fn number(&mut self, below: u64) -> u64 {
+        self.drawn += 1;
+        hash(self.seed, self.drawn, 2) % below
+    }
+
+    /// Some of it is lost, late or twice. What was lost before comes back as a new connection in truth, so only what the
+    /// protocol survives is lost: views, jobs and answers.
+    fn put(&mut self, what: Moving) {
+        let (lossy, twice) = match &what {
+            Moving::ToGuest(_, ToGuest::View(_) | ToGuest::Jobs(_) | ToGuest::Retire { .. }) => (true, true),
+            Moving::FromGuest(_, bytes) => {
+                let done = matches!(FromGuest::of_bytes(bytes), Some(FromGuest::Done { .. }));
+                (done, done)
+            }
+            Moving::ToGuest(..) => (false, false),
+        };
+        let is_cut = self.step < self.cut;
+        if self.faults && lossy && (is_cut || self.chance(20)) {
+            return;
+        }
+        let delay = if self.faults && lossy { self.number(6) } else { 1 };
+        if self.faults && twice && self.chance(15) {
+            let again = match &what {
+                Moving::ToGuest(peer, message) => Moving::ToGuest(*peer, message.clone()),
+                Moving::FromGuest(peer, bytes) => Moving::FromGuest(*peer, bytes.clone()),
+            };
+            let at = self.step + 1 + self.number(12);
+            self.way.push(OnTheWay { at, what: again });
+        }
+        self.way.push(OnTheWay { at: self.step + delay, what });
+    }
+
+    fn join(&mut self, nature: Nature, tell: &mut dyn FnMut(usize, Heard)) {
+        let peer = self.peers;
+        self.peers += 1;
+        self.guests.push(Played {
+            peer,
+            nature,
+            incarnation: None,
+            views: Vec::new(),
+            refused: None,
+            lied: false,
+        });
+        let hello = hello(1 + self.number(3) as u16, format!("{nature:?} {peer}"));
+        let mut effects = Vec::new();
+        self.hall.heard(Event::Opened(peer), &mut effects);
+        self.hall.heard(Event::Message(peer, hello.to_bytes()), &mut effects);
+        self.effects(effects, tell);
+    }
+
+    fn leave(&mut self, which: usize, tell: &mut dyn FnMut(usize, Heard)) {
+        let peer = self.guests.remove(which).peer;
+        let mut effects = Vec::new();
+        self.hall.heard(Event::Closed(peer), &mut effects);
+        self.effects(effects, tell);
+    }
+
+    fn effects(&mut self, effects: Vec<Effect>, tell: &mut dyn FnMut(usize, Heard)) {
+        for effect in effects {
+            match effect {
+                Effect::Send(peer, message) => self.put(Moving::ToGuest(peer, message)),
+                Effect::Close(_) => {}
+                Effect::Tell(station, heard) => tell(station, heard),
+            }
+        }
+    }
+
+    fn turn(&mut self, world: &foveal::world::World, k_max: u32, tell: &mut dyn FnMut(usize, Heard)) {
+        self.step += 1;
+        if self.faults && self.chance(40) {
+            self.cut = self.step + self.number(30);
+        }
+        let step = self.step;
+        let (now, later): (Vec<_>, Vec<_>) =
+            std::mem::take(&mut self.way).into_iter().partition(|w| w.at <= step);
+        self.way = later;
+        for OnTheWay { what, .. } in now {
+            match what {
+                Moving::FromGuest(peer, bytes) => {
+                    let mut effects = Vec::new();
+                    self.hall.heard(Event::Message(peer, bytes), &mut effects);
+                    self.effects(effects, tell);
+                }
+                Moving::ToGuest(peer, message) => {
+                    // Both sides read what the other one wrote.
+                    let message =
+                        ToGuest::of_bytes(&message.to_bytes()).expect("what a walk sends can be read");
+                    for answer in self.answers(peer, message, world, k_max) {
+                        self.put(Moving::FromGuest(peer, answer));
+                    }
+                }
+            }
+        }
+    }
+
+    fn answers(
+        &mut self,
+        peer: u64,
+        message: ToGuest,
+        world: &foveal::world::World,
+        k_max: u32,
+    ) -> Vec<Vec<u8>> {
+        let (draw, faults) = (self.number(1 << 30), self.faults);
+        let Some(guest) = self.guests.iter_mut().find(|guest| guest.peer == peer) else { return Vec::new() };
+        match message {
+            ToGuest::Welcome { incarnation, .. } => {
+                guest.incarnation = Some(incarnation);
+                vec![FromGuest::Ready { incarnation }.to_bytes()]
+            }
+            ToGuest::Refused(refusal) => {
+                guest.refused = Some(refusal);
+                Vec::new()
+            }
+            ToGuest::View(view) => {
+                guest.views.push((view, PartlyDrawn::new(view.frame, view.cell)));
+                Vec::new()
+            }
+            ToGuest::Jobs(jobs) => {
+                if faults && guest.nature == Nature::Slow && draw.is_multiple_of(3) {
+                    return Vec::new();
+                }
+                let mut done = Vec::new();
+                for job in jobs {
+                    let Some((view, drawn)) =
+                        guest.views.iter_mut().rev().find(|(view, _)| view.view == job.view)
+                    else {
+                        continue;
+                    };
+                    let lattice = Lattice::new(k_max, view.frame.size.map(|side| side as i32 / 2));
+                    assert!(job.fits(&lattice, view.frame.size));
+                    let mut found = work::colors(world, &lattice, drawn, &job);
+                    if guest.nature == Nature::Liar && !found.colors.is_empty() && (draw ^ job.lease) % 4 == 0
+                    {
+                        guest.lied = true;
+                        for color in found.colors.iter_mut().take(1 + draw as usize % 64) {
+                            color.x += 0.25;
+                        }
+                    }
+                    done.push(DoneJob { lease: job.lease, micros: 300, found: Some(found) });
+                }
+                if guest.nature == Nature::Corrupt && draw.is_multiple_of(5) {
+                    return vec![vec![0xff; 1 + draw as usize % 40]];
+                }
+                let Some(incarnation) = guest.incarnation else { return Vec::new() };
+                vec![FromGuest::Done { incarnation, jobs: done }.to_bytes()]
+            }
+            ToGuest::Retire { .. } | ToGuest::Piece { .. } | ToGuest::Farewell => Vec::new(),
+        }
+    }
+}
+
+/// Keeps what a station sends for the network to take.
+struct Pipe(Arc<crossbeam_queue::SegQueue<(usize, u64, ToGuest)>>, usize);
+
+impl Outlet for Pipe {
+    fn send(&mut self, incarnation: u64, message: ToGuest) {
+        self.0.push((self.1, incarnation, message));
+    }
+}
+
+struct Outcome {
+    picture: Vec<u8>,
+    stations: Vec<StationStatus>,
+    /// Guests that lied, and those of them that nobody has told that they are banned.
+    liars: usize,
+    unnoticed: usize,
+    banned: usize,
+}
+
+/// A walk over a simulated network: two views with faults, then the start view without, until it has converged.
+fn simulated(opened: &Opened, package: &Arc<Package>, seed: u64, recording: Option<&Path>) -> Outcome {
+    let stations = 1 + (seed % 3) as u32;
+    let settings = settings(stations);
+    let pipe = Arc::new(crossbeam_queue::SegQueue::new());
+    let given = Arc::clone(&pipe);
+    let outlets = move || {
+        (0..stations as usize)
+            .map(|i| Box::new(Pipe(Arc::clone(&given), i)) as Box<dyn Outlet>)
+            .collect::<Vec<_>>()
+    };
+    let options = Options {
+        outlets: Some(Arc::new(outlets)),
+        recording: recording.map(|path| Recording::file(path, "test")),
+        ..Options::new(settings)
+    };
+    let mut engine = Engine::start(opened.clone(), options).expect("actors");
+    let inputs = engine.station_inputs();
+    let hall = Hall::new(Arc::clone(package), settings.k_max, stations);
+    let mut network = SimNetwork {
+        seed,
+        drawn: 0,
+        step: 0,
+        faults: true,
+        way: Vec::new(),
+        hall,
+        guests: Vec::new(),
+        peers: 0,
+        cut: 0,
+    };
+    let mut tell = |station: usize, heard| {
+        inputs[station].send(heard).expect("room for what a guest can say");
+    };
+    for _ in 0..stations {
+        let nature = match network.number(6) {
+            0 => Nature::Slow,
+            1 | 2 => Nature::Liar,
+            3 => Nature::Corrupt,
+            _ => Nature::Honest,
+        };
+        network.join(nature, &mut tell);
+    }
+    let world = &opened.world;
+    let cameras = [1, 2, 0].map(|i| world.scene.cameras[i].camera);
+    let (mut liars, mut unnoticed, mut banned) = (0, 0, 0);
+    let mut count = |guests: &[Played]| {
+        let is_banned = |guest: &&Played| guest.refused == Some(Refusal::Banned);
+        liars += guests.iter().filter(|guest| guest.lied).count();
+        unnoticed += guests.iter().filter(|guest| guest.lied && !is_banned(guest)).count();
+        let wrongly = |guest: &Played| matches!(guest.nature, Nature::Honest | Nature::Slow);
+        assert!(
+            !guests.iter().any(|guest| is_banned(&guest) && wrongly(guest)),
+            "seed {seed}: an honest one is banned"
+        );
+        banned += guests.iter().filter(is_banned).count();
+    };
+    let began = Instant::now();
+    for (round, camera) in cameras.iter().enumerate() {
+        network.faults = round < 2;
+        let mut frames = 0;
+        loop {
+            engine.begin(camera).expect("a view");
+            for _ in 0..8 {
+                engine.work_until(Duration::from_millis(1), |_| false).expect("works");
+                while let Some((station, incarnation, message)) = pipe.pop() {
+                    let mut effects = Vec::new();
+                    network.hall.passes(station, incarnation, message, &mut effects);
+                    network.effects(effects, &mut tell);
+                }
+                network.turn(world, settings.k_max, &mut tell);
+            }
+            if network.faults && network.chance(6) && !network.guests.is_empty() {
+                // Killed; another one comes, or the same anew.
+                let which = network.number(network.guests.len() as u64) as usize;
+                count(&network.guests[which..=which]);
+                network.leave(which, &mut tell);
+                network.join(Nature::Honest, &mut tell);
+            }
+            let frame = engine.end().expect("a frame");
+            frames += 1;
+            if round < 2 && frames == 4 {
+                break;
+            }
+            if round == 2 && frame.standing == Standing::Converged {
+                count(&network.guests);
+                let picture = frame.snapshot.rgb8.data().as_flattened().to_vec();
+                engine.finish(Duration::from_secs(20));
+                let stations = engine.stations();
+                let jobs = engine.actors().pool.as_ref().expect("a pool").stats();
+                assert_eq!(jobs.twice, 0, "seed {seed}: {jobs:?}");
+                return Outcome { picture, stations, liars, unnoticed, banned };
+            }
+            assert!(began.elapsed() < WAIT, "seed {seed} does not converge");
+        }
+    }
+    unreachable!("the last round returns")
+}
+
+/// Seeds of simulated networks: 24, or what `FOVEAL_SEEDS` says, how many or `FIRST..END`, so that many can be run in parts.
+fn seeds() -> std::ops::Range<u64> {
+    let Ok(wanted) = std::env::var("FOVEAL_SEEDS") else { return 0..24 };
+    let number = |text: &str| text.parse().expect("FOVEAL_SEEDS is a number or FIRST..END");
+    match wanted.split_once("..") {
+        Some((first, end)) => number(first)..number(end),
+        None => 0..number(&wanted),
+    }
+}
+
+#[test]
+fn whatever_network_and_guests_do_a_view_converges_to_the_same_bits() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let opened = opened();
+    let package = Arc::new(Package::of(&opened).expect("a package"));
+    let expected = local(&opened);
+    let seeds = seeds();
+    let (mut samples, mut returned, mut late, mut liars, mut banned) = (0, 0, 0, 0, 0);
+    for seed in seeds.clone() {
+        let recording = (seed % 4 == 0).then(|| folder.path().join(format!("{seed}.fvlog")));
+        let played = simulated(&opened, &package, seed, recording.as_deref());
+        let is_true = played.picture == expected || played.unnoticed > 0;
+        assert!(is_true, "seed {seed}: another picture, {:?}", played.stations);
+        if let Some(recording) = recording {
+            replays(&recording, played.liars > 0);
+        }
+        for station in &played.stations {
+            samples += station.counts.samples;
+            returned += station.counts.returned;
+            late += station.counts.late;
+        }
+        (liars, banned) = (liars + played.liars, banned + played.banned);
+    }
+    println!(
+        "seeds {seeds:?}: {samples} samples, {returned} returned, {late} late, {liars} lied, {banned} banned"
+    );
+    // A single seed need not meet all of it.
+    assert!(seeds.end - seeds.start < 16 || samples > 1000 && returned > 0 && late > 0 && banned > 0);
+}

@@ -9,19 +9,19 @@ pub(crate) mod observe;
 pub(crate) mod port;
 mod recorder;
 pub(crate) mod script;
+mod sends;
+mod values;
 
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use crate::log::format::{
-    CHUNK_DELIVERIES_MAX, FAINT_BITS, Hashing, Payload, Symbol, lane, put, put_signed, reason, value,
-};
+use crate::log::format::{CHUNK_DELIVERIES_MAX, FAINT_BITS, Hashing, Payload, Symbol, lane, value};
 use crate::log::walk::Walk;
 use crate::log::writer::BACKLOG_BYTES_MAX;
 use crate::message::incident::guarded;
-use crate::message::{ActorId, Digest, Message, Reason};
+use crate::message::{ActorId, Digest, Message};
 use crate::scheduler::ThreadCx;
 use crate::scheduler::link::Link;
 
@@ -195,21 +195,35 @@ impl Journal {
         passed
     }
 
-    /// After the actor handled a delivery: its state's own hash.
+    /// After the actor handled a delivery: what it said in it, and its state's own hash, is recorded, or is what was
+    /// recorded, and only then goes to whom it is said.
     #[inline]
     pub(crate) fn handled(
         &mut self,
         thread: &ThreadCx,
         state: impl FnOnce() -> Option<u64>,
     ) -> Result<(), Halted> {
-        if self.hashing == Hashing::Said {
-            let state = state();
-            return self.said_all(state, thread);
+        match self.hashing {
+            Hashing::Said => self.said_all(state())?,
+            Hashing::Exact => self.became(state())?,
+            Hashing::Every(_) | Hashing::Off => {}
         }
-        if self.hashing != Hashing::Exact {
-            return Ok(());
+        self.tell_all(thread);
+        Ok(())
+    }
+
+    /// The same where the state's own hash cannot be told.
+    pub(crate) fn handled_at_last(&mut self, thread: &ThreadCx) -> Result<(), Halted> {
+        if self.hashing == Hashing::Said && self.handled < self.index {
+            self.said_all(None)?;
         }
-        let Some(state) = state() else { return Ok(()) };
+        self.tell_all(thread);
+        Ok(())
+    }
+
+    /// Where hashes are of what is delivered: the state that came of it.
+    fn became(&mut self, state: Option<u64>) -> Result<(), Halted> {
+        let Some(state) = state else { return Ok(()) };
         let mut chain = Digest::from_chain(self.chain);
         chain.u64(state);
         self.chain = chain.finish();
@@ -228,17 +242,8 @@ impl Journal {
         Ok(())
     }
 
-    /// The same where the state's own hash cannot be told.
-    pub(crate) fn handled_at_last(&mut self, thread: &ThreadCx) -> Result<(), Halted> {
-        if self.hashing == Hashing::Said && self.handled < self.index {
-            return self.said_all(None, thread);
-        }
-        Ok(())
-    }
-
-    /// A delivery is handled: what the actor said in it, and its state's own hash, is recorded, or is what was recorded,
-    /// and only then goes to whom it is said.
-    fn said_all(&mut self, state: Option<u64>, thread: &ThreadCx) -> Result<(), Halted> {
+    /// Where hashes are of what is said: all that was said in a delivery, and the state that came of it.
+    fn said_all(&mut self, state: Option<u64>) -> Result<(), Halted> {
         if let Some(state) = state {
             let mut chain = Digest::from_chain(self.chain);
             chain.u64(state);
@@ -264,12 +269,27 @@ impl Journal {
                 false => format!("nothing said, hash {hash:x}"),
             };
             let mut divergence = self.divergence(self.index - 1, told(spoke, expected), told(speaks, hash));
-            divergence.said = self.held.drain(..).map(|held| held.tell()).collect();
+            divergence.said = Some(self.held.drain(..).map(|held| held.tell()).collect());
             self.env.diverged(divergence, true);
             return Err(Halted);
         }
-        self.let_go(thread);
         Ok(())
+    }
+
+    /// What was said in the delivery at hand is kept where somebody listens, and goes to whom it was said.
+    #[inline]
+    fn tell_all(&mut self, thread: &ThreadCx) {
+        if self.listens() {
+            self.env.hear(self.held.iter().map(|held| held.tell()).collect());
+        }
+        self.let_go(thread);
+    }
+
+    /// Replay: whether what is said in the delivery at hand is wanted: see [`crate::Config::listen_to`].
+    #[inline]
+    fn listens(&self) -> bool {
+        self.env.listen_to.is_some_and(|(actor, index)| (actor, index + 1) == (self.id, self.index))
+            && self.script.is_some()
     }
 
     /// What was said goes to whom it was said.
@@ -277,11 +297,11 @@ impl Journal {
         self.held.drain(..).for_each(|held| held.go(thread));
     }
 
-    /// Replay: whether what is said waits until it is known that the recording has it, too. So nobody is ever told what is
-    /// wrong, and nothing that follows from it can come before it.
+    /// Replay: whether what is said waits until it is known that the recording has it, too, so that nobody is ever told
+    /// what is wrong, and nothing that follows from it can come before it; or until it was listened to.
     #[inline]
     pub(crate) fn holds_back(&self) -> bool {
-        self.hashing == Hashing::Said && self.script.is_some()
+        self.script.is_some() && (self.hashing == Hashing::Said || self.listens())
     }
 
     pub(crate) fn hold_back(&mut self, held: Box<dyn Held>) {
@@ -370,7 +390,7 @@ impl Journal {
             from: self.history.front().map(|turn| turn.from),
             expected,
             found,
-            said: Vec::new(),
+            said: None,
             turns: self.history.iter().cloned().collect(),
         }
     }
@@ -425,197 +445,6 @@ impl Journal {
 
     pub(crate) fn script(&mut self) -> Option<&mut Script> {
         self.script.as_deref_mut()
-    }
-
-    // --- values -----------------------------------------------------------------------------------------------------
-
-    /// During replay, the next recorded value, which must be of this kind and at this delivery.
-    pub(crate) fn replayed_value(&mut self, tag: u8) -> Option<u64> {
-        let index = self.index;
-        let script = self.script.as_mut()?;
-        match script.peek_value() {
-            Some((at, recorded)) if at == index && recorded == tag => {
-                Some(script.value().unwrap_or_default())
-            }
-            other => {
-                let expected = match other {
-                    Some((at, recorded)) if at == index => value::name(recorded).to_owned(),
-                    _ if script.exhausted() && !script.complete => return Some(0),
-                    _ => "none".to_owned(),
-                };
-                let _ = self.diverge(index.saturating_sub(1), expected, value::name(tag).to_owned());
-                Some(0)
-            }
-        }
-    }
-
-    pub(crate) fn record_now(&mut self, now: u64) {
-        if let Some(recorder) = &mut self.recorder {
-            recorder.value(self.index, value::NOW);
-            put_signed(&mut recorder.values, (now / 1000).wrapping_sub(recorder.last_now) as i64);
-            recorder.last_now = now / 1000;
-        }
-    }
-
-    pub(crate) fn record_measured(&mut self, code: u64) {
-        if let Some(recorder) = &mut self.recorder {
-            recorder.value(self.index, value::MEASURED);
-            put(&mut recorder.values, code);
-        }
-    }
-
-    pub(crate) fn record_count(&mut self, count: u64) {
-        if let Some(recorder) = &mut self.recorder {
-            recorder.value(self.index, value::COUNT);
-            put(&mut recorder.values, count);
-        }
-    }
-
-    pub(crate) fn mark(&mut self, kind: u32, mark: u64) {
-        if let Some(recorder) = &mut self.recorder {
-            recorder.value(self.index, value::MARK);
-            put(&mut recorder.values, u64::from(kind));
-            recorder.values.extend_from_slice(&mark.to_le_bytes());
-        }
-        if self.script.is_some()
-            && let Some(expected) = self.replayed_value(value::MARK)
-            && let Some(recorded_kind) = self.script.as_ref().map(|script| script.mark_kind)
-            && (expected, recorded_kind) != (mark, kind)
-            && !self.env.scheduler.halted()
-        {
-            let name = |kind: u32, mark: u64| format!("mark {kind} with {mark:016x}");
-            let _ =
-                self.diverge(self.index.saturating_sub(1), name(recorded_kind, expected), name(kind, mark));
-        }
-        self.env.marked(kind, mark);
-    }
-
-    /// What to do about a panic: decided live, taken from the recording in replay.
-    pub(crate) fn verdict(&mut self, decide: impl FnOnce() -> u64) -> u64 {
-        if let Some(verdict) = self.replayed_value(value::VERDICT) {
-            return verdict;
-        }
-        let verdict = decide();
-        if let Some(recorder) = &mut self.recorder {
-            recorder.value(self.index, value::VERDICT);
-            put(&mut recorder.values, verdict);
-        }
-        verdict
-    }
-
-    /// Whether a panic is injected into the delivery at hand.
-    #[inline]
-    pub(crate) fn panics_by_fault(&mut self) -> bool {
-        let index = self.index;
-        if let Some(script) = &mut self.script {
-            let injected = script.peek_value() == Some((index, value::FAULT));
-            if injected {
-                let _ = script.value();
-            }
-            return injected;
-        }
-        if self.panics.front().is_none_or(|at| *at >= index) {
-            return false;
-        }
-        self.panics.pop_front();
-        if let Some(recorder) = &mut self.recorder {
-            recorder.value(index, value::FAULT);
-        }
-        true
-    }
-
-    /// Simulation: whether the worker hangs at the job at hand.
-    #[inline]
-    pub(crate) fn hangs_by_fault(&mut self) -> bool {
-        let hangs = self.hangs.front().is_some_and(|at| *at < self.index);
-        if hangs {
-            self.hangs.pop_front();
-        }
-        hangs
-    }
-
-    /// Whether the job at hand is still this worker's: `live` tells, and the recording where it was not.
-    pub(crate) fn keeps_lease(&mut self, live: impl FnOnce() -> bool) -> bool {
-        if let Some(script) = &mut self.script {
-            let lost = script.peek_value() == Some((self.index, value::LOST));
-            if lost {
-                let _ = script.value();
-            }
-            return !lost;
-        }
-        let kept = live();
-        if !kept && let Some(recorder) = &mut self.recorder {
-            recorder.value(self.index, value::LOST);
-        }
-        kept
-    }
-
-    // --- sends ------------------------------------------------------------------------------------------------------
-
-    #[inline]
-    pub(crate) fn next_send(&mut self) -> u64 {
-        self.sends += 1;
-        self.sends - 1
-    }
-
-    #[inline]
-    pub(crate) fn rejects_by_fault(&mut self, number: u64) -> bool {
-        let rejects = self.fulls.front().is_some_and(|at| *at <= number);
-        if rejects {
-            self.fulls.pop_front();
-        }
-        rejects
-    }
-
-    /// Sends on behalf of the runtime: no fault is injected there.
-    pub(crate) fn without_faults<R>(&mut self, send: impl FnOnce(&mut Self) -> R) -> R {
-        let fulls = std::mem::take(&mut self.fulls);
-        let result = send(self);
-        self.fulls = fulls;
-        result
-    }
-
-    pub(crate) fn record_rejection(&mut self, number: u64, reason: Reason) {
-        if let Some(recorder) = &mut self.recorder {
-            let code = (number - recorder.last_rejected) << reason::BITS | reason::code(reason);
-            put(&mut recorder.rejected, code);
-            recorder.last_rejected = number;
-        }
-    }
-
-    pub(crate) fn replays_rejection(&mut self, number: u64) -> Option<Reason> {
-        self.script.as_mut()?.rejects(number)
-    }
-
-    pub(crate) fn latest_sent(&self, to: ActorId, key: u8) -> u32 {
-        count_of(&self.sent, to, key)
-    }
-
-    pub(crate) fn count_latest_sent(&mut self, to: ActorId, key: u8) {
-        let count = count_of(&self.sent, to, key);
-        set_count(&mut self.sent, to, key, count.wrapping_add(1));
-    }
-
-    /// How many values of this sender and slot were replaced before the one with this sequence number.
-    pub(crate) fn skipped(&mut self, from: ActorId, key: u8, sequence: u32) -> u32 {
-        let seen = count_of(&self.seen, from, key);
-        set_count(&mut self.seen, from, key, sequence.wrapping_add(1));
-        sequence.wrapping_sub(seen)
-    }
-
-    /// The identity of the next job this actor makes: its maker and a count.
-    pub(crate) fn next_job(&mut self) -> u64 {
-        self.jobs_made += 1;
-        u64::from(self.id.0) << 40 | (self.jobs_made - 1)
-    }
-
-    pub(crate) fn random(&mut self) -> u64 {
-        let mut hash = Digest::new();
-        hash.u64(self.env.seed);
-        hash.u64(u64::from(self.id.0));
-        hash.u64(self.randoms);
-        self.randoms += 1;
-        hash.finish()
     }
 
     // --- the end of a turn ------------------------------------------------------------------------------------------
@@ -677,15 +506,4 @@ fn short(chain: u64) -> u16 {
 /// The bits of it that are recorded where an actor says nothing.
 fn faint(chain: u64) -> u16 {
     short(chain) >> (16 - FAINT_BITS)
-}
-
-fn count_of(counts: &[(ActorId, u8, u32)], id: ActorId, key: u8) -> u32 {
-    counts.iter().find(|(other, slot, _)| (*other, *slot) == (id, key)).map_or(0, |(_, _, count)| *count)
-}
-
-fn set_count(counts: &mut Vec<(ActorId, u8, u32)>, id: ActorId, key: u8, value: u32) {
-    match counts.iter_mut().find(|(other, slot, _)| (*other, *slot) == (id, key)) {
-        Some((_, _, count)) => *count = value,
-        None => counts.push((id, key, value)),
-    }
 }

@@ -3,7 +3,7 @@
 use std::sync::atomic::Ordering;
 
 use crate::actor::node::ScriptState;
-use crate::journal::divergence::{Divergence, Until};
+use crate::journal::divergence::{Divergence, Said, Until};
 use crate::log::format::lane;
 use crate::message::ActorId;
 use crate::runtime::{Limit, Runtime};
@@ -117,9 +117,15 @@ impl Runtime {
             from,
             expected,
             found,
-            said: Vec::new(),
+            said: None,
             turns: Vec::new(),
         }
+    }
+
+    /// All that was said in the delivery of [`Config::listen_to`](crate::Config::listen_to), as recorded; none before
+    /// the replay has come there.
+    pub fn heard(&self) -> Option<&[Said]> {
+        self.env.heard()
     }
 
     /// Goes on after [`Until`] stopped the replay, to another place or to the end.

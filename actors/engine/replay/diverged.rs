@@ -81,6 +81,7 @@ fn seen(source: &Source, divergence: &Divergence, workers: usize) -> Result<Opti
     runtime.pump(Limit::IDLE);
     runtime.positions();
     let here = runtime.replay_report().divergence;
-    let answers = here.filter(|d| (d.actor, d.index) == (actor, index)).map(|d| d.said).unwrap_or_default();
+    let here = here.filter(|d| (d.actor, d.index) == (actor, index));
+    let answers = here.and_then(|d| d.said).unwrap_or_default();
     Ok(found.pop().map(|(says, state)| Found { says, state, answers }))
 }

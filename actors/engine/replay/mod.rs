@@ -12,6 +12,8 @@ pub mod late;
 mod pair;
 mod player;
 mod source;
+#[cfg(test)]
+mod source_tests;
 mod stepper;
 pub mod when;
 pub mod why;

@@ -22,7 +22,7 @@ pub struct Turn {
 /// What an actor said to another one.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Said {
-    /// To whom; for a job, who made it.
+    /// To whom; for a job, which whoever is free may take, who made it.
     pub to: ActorId,
     /// The message's variant, or the job's.
     pub kind: &'static str,
@@ -55,8 +55,8 @@ pub struct Divergence {
     pub expected: String,
     /// What happened instead.
     pub found: String,
-    /// What the actor said there in this replay, where that is what differs. Nobody was told it.
-    pub said: Vec<Said>,
+    /// All that the actor said there in this replay, where that is what differs. Nobody was told it.
+    pub said: Option<Vec<Said>>,
     /// The actor's last deliveries, newest first (at most 20).
     pub turns: Vec<Turn>,
 }

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use crate::journal::Journal;
-use crate::journal::divergence::{Divergence, Until};
+use crate::journal::divergence::{Divergence, Said, Until};
 use crate::journal::faults::{FaultKind, Faults};
 use crate::journal::observe::{Delivery, Observer};
 use crate::log::fingerprint::Fingerprint;
@@ -33,6 +33,8 @@ pub(crate) struct Env {
     pub(crate) seed: u64,
     pub(crate) hashing: Hashing,
     pub(crate) observer: Option<Observer>,
+    pub(crate) listen_to: Option<(ActorId, u64)>,
+    heard: OnceLock<Vec<Said>>,
     pub(crate) log: Option<Arc<LogQueue>>,
     driven: Driven,
     pub(crate) trace: Option<Arc<Trace>>,
@@ -61,6 +63,7 @@ pub(crate) struct Terms {
     pub(crate) seed: u64,
     pub(crate) hashing: Hashing,
     pub(crate) observer: Option<Observer>,
+    pub(crate) listen_to: Option<(ActorId, u64)>,
     pub(crate) records: bool,
     pub(crate) trace: Option<Arc<Trace>>,
     pub(crate) until: Option<Until>,
@@ -71,7 +74,7 @@ pub(crate) struct Terms {
 
 impl Env {
     pub(crate) fn new(terms: Terms, scheduler: Scheduler) -> Self {
-        let Terms { driven, seed, hashing, observer, records, trace, until, faults, here } = terms;
+        let Terms { driven, seed, hashing, observer, listen_to, records, trace, until, faults, here } = terms;
         let hashing = match &trace {
             Some(trace) => trace.header().hashing,
             None if driven == Driven::Live && !records => Hashing::Off,
@@ -83,6 +86,8 @@ impl Env {
             seed: trace.as_ref().map_or(seed, |trace| trace.header().seed),
             hashing,
             observer,
+            listen_to,
+            heard: OnceLock::new(),
             log: records.then(|| Arc::new(LogQueue::new())),
             driven,
             foreign: trace.as_ref().and_then(|trace| trace.header().fingerprint.difference(&here)),
@@ -275,6 +280,15 @@ impl Env {
     /// Whether the main thread is to leave its pump: a replay goes on to where the recording ends, and so does an end.
     pub(crate) fn ends(&self) -> bool {
         self.ended.get().is_some() && !self.replaying() && !self.closed()
+    }
+
+    /// Keeps what was said in the delivery of which it was asked.
+    pub(crate) fn hear(&self, said: Vec<Said>) {
+        let _ = self.heard.set(said);
+    }
+
+    pub(crate) fn heard(&self) -> Option<&[Said]> {
+        self.heard.get().map(Vec::as_slice)
     }
 
     /// Shows a delivery to the observer.

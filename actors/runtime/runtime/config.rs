@@ -71,6 +71,9 @@ pub struct Config {
     pub ring_turns: usize,
     /// Sees every delivery.
     pub observer: Option<Observer>,
+    /// Replay: what this actor says in this delivery is kept for [`Runtime::heard`](crate::Runtime::heard), also what
+    /// is delivered to nobody.
+    pub listen_to: Option<(ActorId, u64)>,
     /// Where a replay begins, if not at the start: a snapshot of a replay of the same recording.
     pub from: Option<Arc<Snapshot>>,
     /// Called when the main thread is not in [`Runtime::pump`](crate::Runtime::pump) and a pinned actor has
@@ -93,6 +96,7 @@ impl Config {
             budget: Budget::default(),
             ring_turns: RING_TURNS,
             observer: None,
+            listen_to: None,
             from: None,
             waker: None,
         }
@@ -136,6 +140,7 @@ impl Config {
             budget,
             ring_turns,
             observer,
+            listen_to,
             from,
             waker,
         } = self;
@@ -154,7 +159,7 @@ impl Config {
         };
         let faults = driver.as_ref().map_or(Faults::NONE, |driver| driver.faults());
         let (records, here) = (record.is_some(), Fingerprint::here(&program));
-        let terms = Terms { driven, seed, hashing, observer, records, trace, until, faults, here };
+        let terms = Terms { driven, seed, hashing, observer, listen_to, records, trace, until, faults, here };
         let env = Arc::new(Env::new(terms, scheduler));
         (env, Parts { locals, gives_way, record, program, application, ring_turns, driver, from })
     }

@@ -117,9 +117,13 @@ fn wire(wiring: &mut Wiring, leak: (Leak, u64), digests: bool) {
 
 /// Records a run in which `leaky-2` leaks.
 fn recorded(leak: (Leak, u64), digests: bool) -> Arc<Trace> {
+    recorded_under(Hashing::Said, leak, digests)
+}
+
+fn recorded_under(hashing: Hashing, leak: (Leak, u64), digests: bool) -> Arc<Trace> {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("leaky.fvlog");
-    let config = Config::live(2).record(&path);
+    let config = Config { hashing, ..Config::live(2).record(&path) };
     let (mut runtime, ()) = Runtime::build(config, |wiring| wire(wiring, leak, digests)).expect("builds");
     assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
     runtime.shutdown(WAIT);
@@ -174,9 +178,10 @@ fn what_an_actor_must_not_do_is_found_where_it_did() {
             for divergence in [&one, &two] {
                 assert_eq!((divergence.actor, divergence.index), (culprit, at), "{now:?}: {divergence}");
                 assert_eq!((divergence.kind, divergence.turns[0].index), ("Token", at));
-                assert_eq!(divergence.said.len(), 2, "{divergence}");
+                assert_eq!(divergence.said.as_ref().map(Vec::len), Some(2), "{divergence}");
             }
-            let says = |of: &Divergence| of.said.iter().map(|said| said.says.clone()).collect::<Vec<_>>();
+            let says =
+                |of: &Divergence| of.said.iter().flatten().map(|said| said.says.clone()).collect::<Vec<_>>();
             let (left, right) = match same {
                 true => (told(&trace, (was, at), (culprit, at)), says(&one)),
                 false => (says(&one), says(&two)),
@@ -189,4 +194,29 @@ fn what_an_actor_must_not_do_is_found_where_it_did() {
         }
     }
     assert_eq!(named, 200);
+}
+
+/// Under every kind of hash, and before anybody is told it.
+#[test]
+fn what_is_said_in_a_delivery_can_be_listened_to() {
+    let (culprit, at) = (ActorId(1), 40);
+    for hashing in [Hashing::Said, Hashing::Exact, Hashing::Every(64), Hashing::Off] {
+        let trace = recorded_under(hashing, (Leak::Nothing, 0), false);
+        for threads in [0, 2] {
+            let until = Some(Until::Delivery { actor: culprit, index: at });
+            let mode = Mode::Replay { trace: Arc::clone(&trace), until };
+            let config = Config { mode, listen_to: Some((culprit, at)), ..Config::live(threads) };
+            let (mut runtime, ()) =
+                Runtime::build(config, |wiring| wire(wiring, (Leak::Nothing, 0), false)).expect("builds");
+            runtime.pump(Limit::IDLE);
+            assert_eq!(runtime.replay_report().divergence, None);
+            let heard: Vec<Content> =
+                runtime.heard().expect("it comes there").iter().map(|said| said.says.clone()).collect();
+            assert_eq!(heard.len(), 2);
+            assert_eq!(heard, told(&trace, (Leak::Nothing, 0), (culprit, at)), "{hashing:?}");
+            // And it goes on.
+            runtime.resume(None);
+            assert_eq!(runtime.replay().divergence, None, "{hashing:?}");
+        }
+    }
 }

@@ -14,7 +14,10 @@ mod exits;
 mod faults;
 mod gltf;
 mod hostile;
+mod misfits;
 mod packages;
+#[cfg(unix)]
+mod recorder;
 mod remote;
 mod replay;
 #[cfg(feature = "serve")]

@@ -2,6 +2,7 @@
 
 #[cfg(feature = "serve")]
 pub mod browser;
+pub mod recording;
 
 use std::ffi::OsStr;
 use std::fs::{self, File};

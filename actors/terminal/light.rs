@@ -1,5 +1,6 @@
 //! Where illumination comes from, as a command line says it.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -117,5 +118,13 @@ impl ElsewhereArguments {
     /// As the engine takes them.
     pub fn files(&self) -> Elsewhere {
         Elsewhere { scene: self.scene.clone(), bake: self.bake.clone(), cache: self.cache.clone() }
+    }
+
+    /// As another program takes them.
+    pub fn words(&self) -> Vec<OsString> {
+        let Self { scene, bake, cache } = self;
+        let all = [("--scene", scene), ("--bake", bake), ("--cache", cache)];
+        let given = all.into_iter().filter_map(|(option, file)| Some((option, file.as_ref()?)));
+        given.flat_map(|(option, file)| [OsString::from(option), file.into()]).collect()
     }
 }

@@ -6,30 +6,40 @@ mod export;
 mod look;
 mod recorded;
 mod step;
+mod verify;
 #[cfg(feature = "window")]
 mod view;
 
 use std::path::{Path, PathBuf};
+#[cfg(feature = "serve")]
 use std::sync::Arc;
 
 use clap::Args;
-use crossbeam_queue::SegQueue;
 use foveal::image::Map2d;
 use foveal_engine::Failure;
 use foveal_engine::files::{png_bytes, write_atomic};
-use foveal_engine::replay::{How, Source, Telling, diverged, drawn_over, late, observe, ring_turns, why};
+use foveal_engine::replay::{Source, Telling, drawn_over, late, why};
 #[cfg(feature = "serve")]
 use foveal_engine::{replay::Player, source::FrameSource};
-use foveal_runtime::{Delivery, Divergence, ReplayReport};
 use foveal_terminal::light::ElsewhereArguments;
 use foveal_terminal::print::{print_json, print_line};
 use foveal_terminal::progress::{Progress, end_on_interrupt};
-use serde_json::{Value, json};
 
 /// A timeline as the bytes of a file, in the format that its name asks for.
 pub fn profile(timeline: &foveal_runtime::Timeline, file: &std::path::Path) -> Vec<u8> {
     let perfetto = file.extension().is_some_and(|e| e == "pftrace" || e == "perfetto-trace");
     export::encode(if perfetto { export::Format::Perfetto } else { export::Format::Chrome }, timeline)
+}
+
+/// What goes with a replay to its end or to a place, and with nothing that is answered by itself.
+const ON_THE_WAY: [&str; 5] = ["verify", "show", "actor", "export", "with"];
+/// What is answered by itself.
+const QUESTIONS: [&str; 9] =
+    ["step", "back", "why", "why_late", "state", "state_diff", "said", "when", "diff"];
+
+/// Questions behind one of them: a conflict is said once of two arguments.
+fn behind(question: &str) -> impl Iterator<Item = &'static str> {
+    QUESTIONS.into_iter().skip_while(move |other| *other != question).skip(1)
 }
 
 /// Arguments of `foveal replay`.
@@ -45,20 +55,20 @@ pub struct ReplayArguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64))]
     workers: Option<u32>,
     /// Stop when this frame was shown, or after this delivery of an actor
-    #[arg(long, value_name = "FRAME|ACTOR:INDEX")]
+    #[arg(long, value_name = "FRAME|ACTOR:INDEX", conflicts_with_all = ["why", "why_late", "state", "state_diff", "said", "diff"])]
     until: Option<String>,
     /// Read commands: step forward and back through the deliveries, from --until or the start; h lists them
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("back"))]
     step: bool,
     /// Leave snapshots all along it, so that every moment of it is reached at once from now on
-    #[arg(long, conflicts_with_all = ["verify", "until", "step", "show", "why", "actor", "export"])]
+    #[arg(long, conflicts_with = "until", conflicts_with_all = ON_THE_WAY, conflicts_with_all = QUESTIONS)]
     index: bool,
     /// Take this many deliveries back from --until or the end, and say which
-    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "1", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "1", value_parser = clap::value_parser!(u32).range(1..=100_000), conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("back"))]
     back: Option<u32>,
     /// Show it in a window: a timeline to scrub, step and play, a click on a pixel for its story, and a walk on from there
     #[cfg(feature = "window")]
-    #[arg(long, conflicts_with_all = ["verify", "until", "step", "back", "show", "why", "actor", "export", "json"])]
+    #[arg(long, conflicts_with_all = ["until", "index", "json"], conflicts_with_all = ON_THE_WAY, conflicts_with_all = QUESTIONS)]
     view: bool,
     /// Another recording, shown beside it at the same frame, with the first frame marked that differs
     #[cfg(feature = "window")]
@@ -70,46 +80,50 @@ pub struct ReplayArguments {
     record: Option<PathBuf>,
     /// Show it in a browser: the same timeline and stories, at this address
     #[cfg(feature = "serve")]
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, require_equals = true, default_missing_value = "127.0.0.1:8080", conflicts_with_all = ["verify", "until", "step", "back", "show", "why", "actor", "export"])]
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, require_equals = true, default_missing_value = "127.0.0.1:8080", conflicts_with_all = ["until", "index"], conflicts_with_all = ON_THE_WAY, conflicts_with_all = QUESTIONS)]
+    #[cfg_attr(feature = "window", arg(conflicts_with = "view"))]
     serve: Option<std::net::SocketAddr>,
     /// Folder for its screenshots (F12)
     #[cfg(feature = "window")]
     #[arg(long, value_name = "DIR", default_value = ".", requires = "view")]
     screenshots: PathBuf,
     /// Write this frame's picture to --out
-    #[arg(long, value_name = "FRAME", requires = "out", conflicts_with = "until")]
+    #[arg(long, value_name = "FRAME", requires = "out", conflicts_with = "until", group = "drawn")]
     show: Option<u32>,
     /// Where --show writes the picture, and --path draws it over the picture
-    #[arg(long, value_name = "PNG")]
+    #[arg(long, value_name = "PNG", requires = "drawn")]
     out: Option<PathBuf>,
     /// With --why: trace the sample's whole path again: surfaces, lobes, random numbers and what each adds
     #[arg(long, requires = "why")]
     path: bool,
     /// Why this pixel of --frame looks as it does: the chain from input to sample
-    #[arg(long, value_name = "X,Y", value_parser = pixel)]
+    #[arg(long, value_name = "X,Y", value_parser = pixel, group = "drawn", conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("why"))]
     why: Option<(u32, u32)>,
     /// The frame that --why looks at (default: the last)
     #[arg(long, requires = "why")]
     frame: Option<u32>,
     /// Why this frame took as long as it did: what each thread did, the chain that it waited for, what of it would have had
     /// to be faster
-    #[arg(long, value_name = "FRAME")]
+    #[arg(long, value_name = "FRAME", conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("why_late"))]
     why_late: Option<u32>,
     /// Say what was delivered to this actor
     #[arg(long, value_name = "NAME")]
     actor: Option<String>,
     /// Tell this actor's state, at --at or the end
-    #[arg(long, value_name = "ACTOR")]
+    #[arg(long, value_name = "ACTOR", conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("state_diff"))]
     state: Option<String>,
     /// Where --state looks
     #[arg(long, value_name = "FRAME|ACTOR:INDEX", requires = "state")]
     at: Option<String>,
     /// What changed between two places, in the state of --state or of all actors
-    #[arg(long, num_args = 2, value_names = ["A", "B"], conflicts_with = "at")]
+    #[arg(long, num_args = 2, value_names = ["A", "B"], conflicts_with = "at", conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("state_diff"))]
     state_diff: Option<Vec<String>>,
+    /// All that an actor said when it was delivered this, also what nobody was told in the end
+    #[arg(long, value_name = "ACTOR:INDEX", conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("said"))]
+    said: Option<String>,
     /// Where this comes about: `ACTOR.PATH < 3`, `ACTOR.PATH changes`, `ACTOR hears MESSAGE [PATH > 3]`, `pixel X,Y changes`,
     /// `object "NAME" loses samples`; --state shows which paths there are
-    #[arg(long, value_name = "CONDITION")]
+    #[arg(long, value_name = "CONDITION", conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("when"))]
     when: Option<String>,
     /// Which of the places where --when comes about
     #[arg(long, value_name = "WHICH", default_value = "all", requires = "when")]
@@ -122,7 +136,7 @@ pub struct ReplayArguments {
     #[arg(long, value_name = "PROGRAM")]
     with: Option<PathBuf>,
     /// The first message at which two recordings part
-    #[arg(long, num_args = 2, value_names = ["A", "B"], conflicts_with_all = ["trace", "until", "show", "step", "back", "why", "export", "actor"])]
+    #[arg(long, num_args = 2, value_names = ["A", "B"], conflicts_with = "trace", conflicts_with_all = ON_THE_WAY)]
     diff: Option<Vec<PathBuf>>,
     #[command(flatten)]
     elsewhere: ElsewhereArguments,
@@ -167,9 +181,6 @@ pub fn run(a: &ReplayArguments, progress: Progress) -> Result<(), Failure> {
             false => Ok(()),
         };
     }
-    if a.out.is_some() && a.show.is_none() && a.why.is_none() {
-        return Err(Failure::Usage("--out is where --show and --why draw".into()));
-    }
     if let Some(pixel) = a.why {
         let explained = why::explain(&source, pixel, a.frame, a.path, workers)?;
         if let Some(out) = &a.out {
@@ -199,134 +210,13 @@ pub fn run(a: &ReplayArguments, progress: Progress) -> Result<(), Failure> {
     if let Some(actor) = &a.state {
         return look::state(&source, actor, a.at.as_deref(), workers, telling);
     }
+    if let Some(place) = &a.said {
+        return recorded::said(&source, place, workers, a.json);
+    }
     if a.step || a.back.is_some() {
         return step::run(source, a.until.as_deref(), a.back, a.step, workers, telling);
     }
-    verify(a, &source, workers, export)
-}
-
-fn verify(
-    a: &ReplayArguments,
-    source: &Source,
-    workers: usize,
-    export: Option<(export::Format, PathBuf)>,
-) -> Result<(), Failure> {
-    let until = match (a.show, &a.until) {
-        (Some(frame), _) => Some(source.frame_shown(frame)?),
-        (None, Some(until)) => Some(source.place(until)?),
-        (None, None) => None,
-    };
-    let asked = a.actor.as_deref().map(|name| source.actor(name)).transpose()?;
-    let seen = Arc::new(SegQueue::new());
-    let all = export.is_some();
-    // A profile has no room for what messages say.
-    let telling = match (all, a.json) {
-        (true, _) => Telling::Nothing,
-        (false, true) => Telling::Json,
-        (false, false) => Telling::Text,
-    };
-    let wanted = move |d: &Delivery<'_>| all || Some(d.actor) == asked;
-    let observer = (all || asked.is_some()).then(|| observe(&seen, telling, wanted));
-    // Whoever wants to see all deliveries, or to be sure of all, begins at the start.
-    let jump = until.is_some() && observer.is_none() && !a.verify;
-    let mut how = How { threads: workers, until, observer, jump, ..How::default() };
-    if all {
-        // One delivery a turn, and all of them kept: so each has its time.
-        how.turn = Some(1);
-        how.ring_turns = Some(ring_turns(&source.trace));
-    }
-    tracing::info!("recorded by {}", source.trace.header().fingerprint);
-    let (mut runtime, actors) = source.run(how, |_| ())?;
-    let report = runtime.replay_report();
-    let shown = runtime.inspect(actors.renderer, |r| r.shown().cloned()).flatten();
-    let frames = shown.as_ref().map_or(0, |s| s.index.0 + 1);
-
-    let seen: Vec<_> = std::iter::from_fn(|| seen.pop()).collect();
-    if let (Some(asked), false) = (asked, a.json) {
-        for s in seen.iter().filter(|s| s.actor == asked) {
-            print_line(&source.line(s));
-            s.told.iter().for_each(|told| print_line(&format!("    {told}")));
-        }
-    }
-    if let (Some(frame), Some(out)) = (a.show, &a.out)
-        && let Some(snapshot) = shown.as_ref().filter(|s| s.index.0 == frame)
-    {
-        write_picture(out, &snapshot.rgb8)?;
-    }
-    if let Some((format, file)) = export {
-        write_atomic(&file, &export::bytes(format, source, &runtime, &seen))?;
-    }
-    // Where the replay was to stop before the end, all that was asked for is there.
-    let complete =
-        report.complete || until.is_some() && source.trace.complete() && report.divergence.is_none();
-    let mut document = document(&report, source, frames, workers, complete);
-    let looked = report.divergence.as_ref().map(|d| diverged::look_at(source, d, workers)).transpose()?;
-    if let Some(found) = looked.flatten() {
-        if a.json {
-            let differs = found.differs.iter().map(|d| json!({"path": d.path, "a": d.left, "b": d.right}));
-            document["diverged"]["says"] = json!(found.says);
-            document["diverged"]["state"] = json!(found.state);
-            document["diverged"]["answers"] = found
-                .answers
-                .iter()
-                .map(|said| json!({"to": source.name(said.to), "message": said.kind, "says": said.says}))
-                .collect();
-            document["diverged"]["replays_differ"] = differs.collect();
-        } else {
-            print_line(&format!("there it says {}", found.says));
-            for said in &found.answers {
-                print_line(&format!(
-                    "and is answered by {} to {}: {}",
-                    said.kind,
-                    source.name(said.to),
-                    said.says
-                ));
-            }
-            match found.differs.is_empty() {
-                true => print_line(
-                    "two more replays say the same there: this program says something else than that one did",
-                ),
-                false => print_line(
-                    "two more replays differ there, so it depends on something that is no message:",
-                ),
-            }
-            found
-                .differs
-                .iter()
-                .for_each(|d| print_line(&format!("  {}: {} and {}", d.path, d.left, d.right)));
-        }
-    }
-    if let (Some(program), Some(divergence)) = (&a.with, &report.divergence) {
-        let others = recorded::others(program, source, divergence, &divergence.said)?;
-        if a.json {
-            let others = others.iter();
-            document["diverged"]["recorded_differs"] =
-                others.map(|o| json!({"path": o.path, "recorded": o.recorded, "here": o.here})).collect();
-        } else {
-            for o in &others {
-                print_line(&format!("  {}: recorded {}, here {}", o.path, o.recorded, o.here));
-            }
-        }
-    }
-    if let Some(asked) = asked {
-        document["deliveries"] =
-            seen.iter().filter(|s| s.actor == asked).map(|s| source.document(s)).collect();
-    }
-    if a.json {
-        print_json(&document);
-    } else {
-        summary(&report, frames, workers, complete);
-    }
-    match &report.divergence {
-        None => Ok(()),
-        Some(divergence) => Err(Failure::Check(match &report.foreign {
-            None => format!("the replay diverges: {divergence}"),
-            Some(foreign) => format!(
-                "{}: recorded elsewhere, where results have other bits: {foreign}; first at {divergence}",
-                source.path.display()
-            ),
-        })),
-    }
+    verify::verify(a, &source, workers, export)
 }
 
 fn write_picture(out: &Path, picture: &Map2d<[u8; 3]>) -> Result<(), Failure> {
@@ -334,41 +224,78 @@ fn write_picture(out: &Path, picture: &Map2d<[u8; 3]>) -> Result<(), Failure> {
     write_atomic(out, &png_bytes(width, height, picture.data().as_flattened())?)
 }
 
-fn document(report: &ReplayReport, source: &Source, frames: u32, workers: usize, complete: bool) -> Value {
-    let diverged = |d: &Divergence| {
-        json!({
-            "actor": d.name,
-            "index": d.index,
-            "frame": frames,
-            "message": d.kind,
-            "from": d.from.map(|from| source.name(from)),
-            "expected": d.expected,
-            "found": d.found,
-            "turns": d.turns.iter().map(|t| json!({
-                "index": t.index, "message": t.kind, "from": source.name(t.from), "lane": t.lane,
-            })).collect::<Vec<_>>(),
-        })
-    };
-    json!({
-        "schema": "foveal.replay/1",
-        "frames": frames,
-        "messages": report.deliveries,
-        "recorded": report.recorded,
-        "workers": workers,
-        "diverged": report.divergence.as_ref().map(diverged),
-        "foreign": report.foreign,
-        "complete": complete,
-        "damage": source.trace.damage().map(|cut| json!({"offset": cut.offset, "reason": cut.reason})),
-    })
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-fn summary(report: &ReplayReport, frames: u32, workers: usize, complete: bool) {
-    if report.divergence.is_some() {
-        return;
+    use clap::error::ErrorKind;
+
+    /// Every argument that asks for something, as one says it.
+    const ASKED: &[&[&str]] = &[
+        #[cfg(feature = "window")]
+        &["--view"],
+        #[cfg(feature = "serve")]
+        &["--serve"],
+        &["--index"],
+        &["--verify"],
+        &["--until", "3"],
+        &["--show", "3", "--out", "a.png"],
+        &["--actor", "renderer"],
+        &["--export", "chrome", "a.json"],
+        &["--with", "before"],
+        &["--step"],
+        &["--back"],
+        &["--why", "1,2"],
+        &["--why-late", "3"],
+        &["--state", "renderer"],
+        &["--state-diff", "1", "2"],
+        &["--said", "renderer:3"],
+        &["--when", "renderer.view > 1"],
+        &["--diff", "a.fvl", "b.fvl"],
+    ];
+
+    /// Of these any may go together but for `--show` and `--until`, which both say where to stop.
+    const TOGETHER: [&str; 6] = ["--verify", "--until", "--show", "--actor", "--export", "--with"];
+    const ALSO: [[&str; 2]; 5] = [
+        ["--until", "--step"],
+        ["--until", "--back"],
+        ["--until", "--when"],
+        ["--step", "--back"],
+        ["--state", "--state-diff"],
+    ];
+
+    fn parsed(words: &[&[&str]]) -> Result<(), ErrorKind> {
+        let command = ReplayArguments::augment_args(clap::Command::new("replay"));
+        // A diff names its recordings itself.
+        let trace: &[&str] = if words.iter().any(|of| of[0] == "--diff") { &[] } else { &["a.fvl"] };
+        let line = std::iter::once("replay").chain(trace.iter().copied());
+        let line = line.chain(words.iter().flat_map(|of| of.iter().copied()));
+        command.try_get_matches_from(line).map(drop).map_err(|e| e.kind())
     }
-    let end = if complete { "" } else { "; the recording ends early" };
-    print_line(&format!(
-        "{frames} frames, {} messages on {workers} threads: each as recorded{end}",
-        report.deliveries
-    ));
+
+    /// What cannot be answered together is refused, and nothing is dropped in silence.
+    #[test]
+    fn each_two_questions_go_together_or_are_refused() {
+        for (number, one) in ASKED.iter().enumerate() {
+            assert_eq!(parsed(&[one]), Ok(()), "{one:?}");
+            for other in &ASKED[number + 1..] {
+                let pair = [one[0], other[0]];
+                let stops = pair == ["--until", "--show"];
+                let both = pair.iter().all(|of| TOGETHER.contains(of)) && !stops;
+                let goes = both || ALSO.contains(&pair);
+                let expected = if goes { Ok(()) } else { Err(ErrorKind::ArgumentConflict) };
+                assert_eq!(parsed(&[one, other]), expected, "{one:?} {other:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_picture_is_drawn_by_somebody() {
+        let out: &[&str] = &["--out", "a.png"];
+        assert_eq!(parsed(&[out]), Err(ErrorKind::MissingRequiredArgument));
+        assert_eq!(parsed(&[&["--why", "1,2"], out]), Ok(()));
+        for question in ["--index", "--step", "--verify"] {
+            assert!(parsed(&[&[question], out]).is_err(), "{question}");
+        }
+    }
 }

@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use serde_json::Value;
+
 use crate::support::*;
 
 const WALK: &str = "walk --frames 1 --until-converged --seed 5 --workers 1 --n-job 64";
@@ -121,7 +123,9 @@ fn who_has_no_key_or_a_wrong_one_is_told_so() {
     Foveal::new("trace --once --join @/nowhere/at/all").fails(3, &["/nowhere"]);
     Foveal::new("trace --once --join -").input("what is this\n").fails(3, &["no key"]);
     assert!(walk.is_running(), "{}", walk.said());
-    let guest = Foveal::new("trace --once --join -").input(&text).start();
+    Foveal::new("trace --once --memory 1kB --join").arg(text.trim()).fails(4, &["--memory"]);
+    Foveal::new("trace --once --limit 5 --join").arg(text.trim()).fails(2, &["--limit"]);
+    let guest = Foveal::new("trace --once --limit 5MB --memory 2GiB --join -").input(&text).start();
     assert_eq!(walk.wait().code, Some(0));
     assert_eq!(guest.wait().code, Some(0));
     Foveal::new("trace --once --join").arg(text.trim()).fails(5, &["nobody answers"]);
@@ -152,6 +156,71 @@ fn a_view_has_its_door_too() {
     assert!(fs::read_to_string(&key).expect("a key").starts_with("fvj1-"));
     assert_same_bits(&picture(&out.join("remote.png")), &picture(&out.join("local.png")), "with a door");
     Foveal::new("serve --share each --tracers quic/127.0.0.1:0").arg(scene("box")).fails(2, &["--share one"]);
+}
+
+/// A command with two guests over `link` that it waits for, of which the first is killed once it works.
+fn with_two_guests(words: &str, link: &str, out: &Path, file: &str) -> Value {
+    let key = out.join(format!("{file}.key"));
+    let line = format!("{words} --json --tracers {link}/127.0.0.1:0 --tracers-wait 2 --tracers-key");
+    let mut work = Foveal::new(&line).arg(&key).arg("--out").arg(out.join(file)).arg(scene("box")).start();
+    let began = Instant::now();
+    while fs::read_to_string(&key).map_or(true, |text| !text.ends_with('\n')) {
+        assert!(work.is_running() && began.elapsed() < Duration::from_secs(120), "{}", work.said());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let (killed, stays) = (join(&key), join(&key));
+    // They come within a fraction of a second; when exactly it is killed must not matter.
+    std::thread::sleep(Duration::from_millis(1500));
+    killed.kill();
+    let ended = work.wait();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    stays.kill();
+    ended.json()
+}
+
+/// What was done elsewhere, of a document.
+fn pieces(document: &Value) -> u64 {
+    let stations = document["stations"].as_array().expect("a list");
+    assert!(stations.len() == 2 && stations.iter().all(|s| s["banned"] == false), "{document:#}");
+    stations.iter().map(|s| s["pieces"].as_u64().expect("a number")).sum()
+}
+
+#[test]
+fn references_split_over_two_guests_have_the_bits_of_one_machine() {
+    let out = folder("remote-reference");
+    let mut elsewhere = 0;
+    for (name, link, kind) in [
+        ("traced.exr", "tcp", format!("traced --spp 1 {CHEAP_BAKE}")),
+        ("refined.exr", "quic", format!("traced --spp 24 {CHEAP_BAKE}")),
+        ("path.exr", "tcp", "path --spp 48".to_owned()),
+        ("truth.exr", "quic", "truth --spp 8".to_owned()),
+    ] {
+        let words = format!("reference --size 320x240 --kind {kind}");
+        let local = out.join(format!("local-{name}"));
+        Foveal::new(&words).arg("--out").arg(&local).arg(scene("box")).ok();
+        let document = with_two_guests(&words, link, &out, name);
+        assert_same_bits(&picture(&out.join(name)), &picture(&local), name);
+        elsewhere += pieces(&document);
+    }
+    // One that takes milliseconds may be done before anybody has its light.
+    assert!(elsewhere > 0, "nothing was done elsewhere");
+}
+
+#[test]
+fn a_bake_split_over_two_guests_has_the_bits_of_one_machine() {
+    let out = folder("remote-bake");
+    let words = "bake --particles 1500000 --error 0.01% --texels 4096";
+    let local = out.join("local");
+    Foveal::new(words).arg("--out").arg(&local).arg(scene("box")).ok();
+    for link in ["tcp", "quic"] {
+        let document = with_two_guests(words, link, &out, link);
+        assert!(pieces(&document) > 0, "{document:#}");
+        let read = |file: &Path| fs::read(file).expect("a bake");
+        assert!(read(&out.join(link)) == read(&local), "another bake over {link}");
+    }
+    Foveal::new("bake --method radiosity --tracers tcp/127.0.0.1:0")
+        .arg(scene("box"))
+        .fails(2, &["--method"]);
 }
 
 #[test]

@@ -218,6 +218,14 @@ impl Running {
     }
 }
 
+/// A test that fails leaves nothing behind that runs on.
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
 impl Ended {
     /// Its standard output as the one JSON document it must be.
     pub fn json(&self) -> Value {

@@ -38,7 +38,8 @@ fn code(source: &str) -> String {
 /// Code without the tests at its end.
 fn code_without_tests(source: &str) -> String {
     let code = code(source);
-    let end = code.find("#[cfg(test)]\nmod tests {").unwrap_or(code.len());
+    let tests = ["", "pub(super) "].map(|seen| code.find(&format!("#[cfg(test)]\n{seen}mod tests {{")));
+    let end = tests.into_iter().flatten().min().unwrap_or(code.len());
     code[..end].to_owned()
 }
 

@@ -40,6 +40,7 @@
 struct Readme;
 
 pub mod bake_clock;
+pub mod batch;
 pub mod change;
 pub mod controls;
 pub mod edit;

@@ -18,15 +18,19 @@ use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
 
 use foveal_engine::bake_clock::{BakeClock, Watch};
+use foveal_engine::batch::Handed;
 use foveal_engine::failure::Failure;
 use foveal_engine::files::make_folder;
 use foveal_engine::interrupt::interrupted;
 use foveal_engine::opened::{cache_file, load_scene_as};
 use foveal_engine::process::peak_memory_bytes;
+use foveal_remote::hands::Helped;
 use foveal_terminal::arguments::bytes;
 use foveal_terminal::light::{BakeSettingsArguments, ReadingArguments};
 use foveal_terminal::print::{print_json, print_line};
 use foveal_terminal::progress::{BakeLines, Progress};
+
+use super::tracers::{self, HelpersArguments};
 
 /// Bytes that an element needs at most while it is baked: its geometry, two bins, two sums of direct light, its
 /// place in a tree and in the map.
@@ -65,6 +69,8 @@ pub struct BakeArguments {
     /// Bake even if a kept one meets the settings
     #[arg(long)]
     again: bool,
+    #[command(flatten)]
+    helpers: HelpersArguments,
     /// Progress as lines of JSON on stderr
     #[arg(long)]
     jsonl: bool,
@@ -115,6 +121,9 @@ pub fn run(a: &BakeArguments, progress: Progress) -> Result<(), Failure> {
         warnings.push(note);
     }
     let method = if a.elements.is_some() { Method::Radiosity } else { a.method };
+    if a.helpers.are_asked_for() && method == Method::Radiosity {
+        return Err(Failure::Usage("--tracers: other machines help with --method particles alone".into()));
+    }
     let key = cache_key(&scene, &settings);
     let kept = cache_file(a.cache.as_deref(), &scene, &settings)
         .map(|file| if method == Method::Radiosity { file.with_extension("radiosity.fvbake") } else { file });
@@ -205,6 +214,19 @@ fn state_file(file: &Path) -> PathBuf {
     file.with_extension("fvstate")
 }
 
+/// What an interrupted bake has kept; nothing where there is none.
+fn kept_state(file: &Path, key: &[u8; 32]) -> Option<BakeState> {
+    match load(file, key) {
+        Ok(kept) => Some(kept),
+        Err(CacheError::Io(e)) if e.kind() == std::io::ErrorKind::NotFound => None,
+        // Never trusted, never fatal: the bake begins anew.
+        Err(e) => {
+            tracing::warn!("{}: {e}; the bake begins anew", file.display());
+            None
+        }
+    }
+}
+
 fn particles(
     a: &BakeArguments,
     scene: &Scene,
@@ -219,25 +241,26 @@ fn particles(
     let accel = Accel::build(scene);
     let lights = Lights::build(scene);
     let indexed = Indexed { scene, accel: &accel, lights: &lights };
-    let mut baker = Baker::new(indexed, settings);
+    let helped = a.helpers.open(&a.scene, &a.reading.reading(), scene.content_hash)?;
+    let handed = Handed { hands: tracers::hands(helped.as_ref()), settings };
     let state = state_file(file);
-    let mut resumed = false;
-    if a.resume {
-        match load::<BakeState>(&state, key) {
-            Ok(kept) => {
-                resumed = baker.restore(&kept);
-                clock.resumed_at(baker.paths());
-            }
-            Err(CacheError::Io(e)) if e.kind() == std::io::ErrorKind::NotFound => {}
-            // Never trusted, never fatal: the bake begins anew.
-            Err(e) => tracing::warn!("{}: {e}; the bake begins anew", state.display()),
-        }
-    }
+    let kept = if a.resume { kept_state(&state, key) } else { None };
     let keep_going = |p: &foveal::illumination::bake::Progress| {
         clock.at(p);
         !interrupted() && !clock.is_over()
     };
-    let baked = baker.run(indexed, &keep_going, &mut |_| {});
+    let (mut baker, mut resumed, mut baked);
+    loop {
+        baker = Baker::new(indexed, settings);
+        resumed = kept.as_ref().is_some_and(|kept| baker.restore(kept));
+        clock.resumed_at(baker.paths());
+        baked = baker.run_by(indexed, &handed, &keep_going, &mut |_| {});
+        if !handed.hands.doubts() {
+            break;
+        }
+        tracing::warn!("a machine sent light that is not in the scene and is banned; the bake begins anew");
+    }
+    let helpers = helped.map(Helped::close);
     let stages = clock.finish();
     let measured = match baker.statement().filter(|_| baked.complete) {
         None => measured_by(indexed, &baked.illumination, settings),
@@ -252,10 +275,13 @@ fn particles(
     let s = &baked.illumination.summary;
     let gathering = stages.iter().find(|(name, _)| *name == "gather").map_or(0.0, |s| s.1);
     let rate = if gathering > 0.0 && !resumed { Some(s.particles as f64 / gathering) } else { None };
-    let more = json!({
+    let mut more = json!({
         "resumed": resumed,
         "particles_per_second": rate,
     });
+    if let Some(helpers) = &helpers {
+        more["stations"] = tracers::helpers_document(helpers);
+    }
     Ok(Made { map: baked.illumination, complete: baked.complete, measured, more, stages })
 }
 

@@ -12,14 +12,19 @@ use foveal::world::World;
 use foveal_engine::files::{exr_bytes, png_bytes, write_atomic, write_batches};
 use foveal_engine::interrupt::interrupted;
 use foveal_engine::opened::{self, camera};
-use foveal_engine::reference::{Enough, Sampled, sampled_paths, sampled_truth, traced_picture};
+use foveal_engine::reference::{
+    Enough, Sampled, sampled_paths_by, sampled_truth_by, steps, traced_picture_by,
+};
 use foveal_engine::{Failure, Light};
+use foveal_remote::hands::Helped;
 use foveal_terminal::arguments::{Size, share};
 use foveal_terminal::light::IlluminationArguments;
 use foveal_terminal::print::{print_json, print_line};
 use foveal_terminal::progress::{Progress, end_on_interrupt};
 use glam::Vec3;
 use serde_json::json;
+
+use super::tracers::{self, HelpersArguments};
 
 /// Arguments of `foveal reference`.
 #[derive(Args, Debug)]
@@ -50,6 +55,8 @@ pub struct ReferenceArguments {
     out: PathBuf,
     #[command(flatten)]
     illumination: IlluminationArguments,
+    #[command(flatten)]
+    helpers: HelpersArguments,
     /// One JSON document
     #[arg(long)]
     json: bool,
@@ -84,13 +91,16 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
     // Where nothing is baked, the bake's time is the picture's.
     let enough =
         Enough { samples: a.spp, error: a.until_error.map(f64::from), time: a.illumination.settings.time };
+    let reading = a.illumination.reading.reading();
+    let helped = a.helpers.open(&a.scene, &reading, world.scene.content_hash)?;
+    let hands = tracers::hands(helped.as_ref());
     let steps = match a.kind {
         Kind::Traced if a.until_error.is_some() => {
             return Err(Failure::Usage("--until-error is for --kind path and truth".into()));
         }
-        Kind::Traced if a.spp == 1 => u64::from(a.size.height),
-        Kind::Traced => (a.size.height as usize + Tiles::of_size(a.size.width, a.size.height).len()) as u64,
-        Kind::Path | Kind::Truth => u64::from(a.spp),
+        Kind::Traced if a.spp == 1 => steps(&frame, 1),
+        Kind::Traced => steps(&frame, 1) + Tiles::of_size(a.size.width, a.size.height).len() as u64,
+        Kind::Path | Kind::Truth => steps(&frame, a.spp),
     };
     let bar = progress.bar(steps, "reference");
     let goes_on = || {
@@ -98,16 +108,22 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
         !interrupted()
     };
     let start = Instant::now();
-    let mut stated = None;
-    let (picture, sampled) = match a.kind {
-        Kind::Traced => {
-            let refined = traced_picture(&world, &frame, a.seed, a.spp, &goes_on);
-            stated = Some(refined.stated).filter(|s| s.is_finite());
-            (refined.picture, None)
+    let (mut stated, mut picture, mut sampled);
+    loop {
+        (stated, (picture, sampled)) = match a.kind {
+            Kind::Traced => {
+                let refined = traced_picture_by(hands, &world, &frame, a.seed, a.spp, &goes_on);
+                (Some(refined.stated).filter(|s| s.is_finite()), (refined.picture, None))
+            }
+            Kind::Path => (None, parted(sampled_paths_by(hands, &world, &frame, a.seed, &enough, &goes_on))),
+            Kind::Truth => (None, parted(sampled_truth_by(hands, &world, &frame, a.seed, &enough, &goes_on))),
+        };
+        if !hands.doubts() || interrupted() {
+            break;
         }
-        Kind::Path => parted(sampled_paths(&world, &frame, a.seed, &enough, &goes_on)),
-        Kind::Truth => parted(sampled_truth(&world, &frame, a.seed, &enough, &goes_on)),
-    };
+        tracing::warn!("a machine sent what is not in the scene and is banned; the picture is made anew");
+        bar.reset();
+    }
     let seconds = start.elapsed().as_secs_f64();
     bar.finish_and_clear();
     if interrupted() {
@@ -126,6 +142,7 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
     if let Some(batches) = batches {
         write_batches(&a.out, batches)?;
     }
+    let helpers = helped.map(Helped::close);
     if a.json {
         let mut document = json!({
             "schema": "foveal.reference/1",
@@ -139,6 +156,9 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
         });
         if let Some(stated) = stated {
             document["stated"] = json!(stated);
+        }
+        if let Some(helpers) = &helpers {
+            document["stations"] = tracers::helpers_document(helpers);
         }
         if let Some(s) = &sampled {
             document["error"] = json!(error);

@@ -6,12 +6,13 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use foveal_actors::station::CREDITS_MAX;
+use foveal_actors::station::wire::Refusal;
 use foveal_engine::failure::Failure;
 use foveal_engine::interrupt::interrupted;
 use foveal_engine::opened::cache_folder;
 use foveal_remote::guest::{Done, End, Host, Options, Progress as Stage, stay};
 use foveal_remote::key::Invitation;
-use foveal_remote::link;
+use foveal_remote::link::{self, GuestLink, Limited};
 use foveal_terminal::arguments::bytes;
 use foveal_terminal::print::{print_json, print_line};
 use foveal_terminal::progress::Progress;
@@ -19,6 +20,8 @@ use serde_json::json;
 
 use super::tracers;
 
+/// Bytes a second with which somebody is still of use.
+const LIMIT_LEAST: u64 = 10_000;
 /// Time between two attempts to reach a walk, at first and at most.
 const AGAIN: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(5)];
 
@@ -40,6 +43,12 @@ pub struct TraceArguments {
     /// Most bytes of one scene
     #[arg(long, value_name = "SIZE", value_parser = bytes, default_value = "8GiB")]
     cache_size: u64,
+    /// Most memory that this process takes: it leaves a walk that needs more
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
+    memory: Option<u64>,
+    /// Most bytes a second from and to the walk, e.g. 10MB
+    #[arg(long, value_name = "RATE", value_parser = bytes)]
+    limit: Option<u64>,
     /// What this machine is called there (default: its host name)
     #[arg(long)]
     name: Option<String>,
@@ -105,6 +114,9 @@ fn host_name() -> String {
 /// Runs the command.
 pub fn run(a: &TraceArguments, progress: Progress) -> Result<(), Failure> {
     foveal_terminal::progress::end_on_interrupt();
+    if a.limit.is_some_and(|limit| limit < LIMIT_LEAST) {
+        return Err(Failure::Usage("--limit: at least 10kB a second".into()));
+    }
     let invitation = invitation(&a.join)?;
     let folder = cache_folder(a.cache.as_deref())
         .ok_or_else(|| Failure::Environment("nowhere to keep scenes; set FOVEAL_CACHE or --cache".into()))?;
@@ -115,11 +127,18 @@ pub fn run(a: &TraceArguments, progress: Progress) -> Result<(), Failure> {
         stock: folder.join("remote"),
         stock_bytes_max: a.cache_size,
         name,
+        memory_max: a.memory,
     };
+    // What scenes are made ready by, too, keeps to them. Who has threads already has been asked for nothing yet.
+    let _ = rayon::ThreadPoolBuilder::new().num_threads(usize::from(options.cores)).build_global();
     let (mut done, mut wait, mut stays) = (Done::default(), AGAIN[0], 0_u32);
     let ended = loop {
         let attempt = match link::connect(&invitation) {
-            Ok(mut link) => {
+            Ok(link) => {
+                let mut link: Box<dyn GuestLink> = match a.limit {
+                    Some(bytes) => Box::new(Limited::new(link, bytes)),
+                    None => link,
+                };
                 stays += 1;
                 wait = AGAIN[0];
                 let mut teller = Teller { progress, bar: None };
@@ -132,12 +151,15 @@ pub fn run(a: &TraceArguments, progress: Progress) -> Result<(), Failure> {
             }
         };
         match attempt {
+            Ok(End::Refused(why @ Refusal::TooSmall { .. })) => break Err(Failure::Limit(why.to_string())),
             Ok(End::Refused(why)) => break Err(Failure::Check(why.to_string())),
             Ok(End::Left) => {
                 break Err(Failure::Interrupted("interrupted; the walk does the rest elsewhere".into()));
             }
             Ok(End::Farewell) if a.once => break Ok("farewell"),
             Ok(End::Gone) if a.once => break Ok("gone"),
+            // What is too large for here stays so.
+            Err(failure @ Failure::Limit(_)) => break Err(failure),
             Err(failure) if a.once => break Err(failure),
             Err(failure) => tracing::warn!("{failure}"),
             Ok(End::Farewell | End::Gone) => {}
@@ -163,7 +185,7 @@ pub fn run(a: &TraceArguments, progress: Progress) -> Result<(), Failure> {
     });
     if a.json {
         print_json(&document);
-    } else if stays > 0 {
+    } else if ended.is_ok() || done.jobs > 0 {
         print_line(&format!("{} samples in {} jobs", done.samples, done.jobs));
     }
     ended.map(drop)

@@ -5,21 +5,26 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
-use foveal_actors::station::{STATIONS_MAX, StationStatus};
+use foveal_actors::station::wire::Hash;
+use foveal_actors::station::{STATIONS_MAX, Stands, StationStatus};
+use foveal_engine::batch::{Alone, Hands};
 use foveal_engine::failure::Failure;
 use foveal_engine::interrupt::interrupted;
+use foveal_engine::light::Reading;
 use foveal_engine::recording::TRACERS_MAX;
 use foveal_engine::{Engine, Opened, Options, Settings};
 use foveal_remote::door::Door;
+use foveal_remote::hands::{Helped, HelperStatus};
 use foveal_remote::key::{Invitation, Key};
 use foveal_remote::package::Package;
+use foveal_terminal::arguments::one_of;
 use serde_json::{Value, json};
 
 /// Arguments of commands that other machines can trace for.
 #[derive(Args, Clone, Debug)]
 pub struct TracersArguments {
     /// Have other machines trace as well: listens at quic/ADDRESS:PORT, or at tcp/ADDRESS:PORT of this machine alone, for
-    /// `foveal trace`; light is baked first
+    /// `foveal trace`; a walk's light is baked first
     #[arg(long, value_name = "ADDRESS")]
     tracers: Option<String>,
     /// File for what they join with (made, or its key is taken again; default: printed)
@@ -28,6 +33,9 @@ pub struct TracersArguments {
     /// Most machines at once
     #[arg(long, value_name = "N", default_value_t = STATIONS_MAX, requires = "tracers", value_parser = clap::value_parser!(u32).range(1..=i64::from(STATIONS_MAX)))]
     tracers_max: u32,
+    /// How much of what comes from there is traced here as well and compared: 1/64 is one sample in 64
+    #[arg(long, value_name = "1/N", default_value = "1/64", requires = "tracers", value_parser = one_of)]
+    check: u32,
 }
 
 impl TracersArguments {
@@ -45,7 +53,8 @@ impl TracersArguments {
     /// Places for them.
     pub fn settings(&self, settings: Settings) -> Settings {
         let stations = if self.is_asked_for() { self.tracers_max } else { 0 };
-        Settings { stations, tracers: settings.tracers.min(TRACERS_MAX + 1 - stations), ..settings }
+        let tracers = settings.tracers.min(TRACERS_MAX + 1 - stations);
+        Settings { stations, tracers, checked: self.check, ..settings }
     }
 
     /// Opens the door, if one was asked for.
@@ -63,30 +72,107 @@ impl TracersArguments {
 
     /// Opens it at an address, and tells others how to come.
     pub(super) fn door(&self, address: &str, package: Package, settings: &Settings) -> Result<Door, Failure> {
-        let key = match &self.tracers_key {
-            Some(file) if file.exists() => read(file)?.key,
-            _ => Key::new().map_err(Failure::Environment)?,
-        };
-        let door = Door::open(address, key, package, settings.k_max, settings.stations)?;
-        match &self.tracers_key {
-            Some(file) => write(file, door.invitation())?,
-            None => invite(door.invitation()),
-        }
+        let door = Door::open(address, self.key()?, package, settings.k_max, settings.stations)?;
+        self.invite(door.invitation())?;
         Ok(door)
+    }
+
+    /// What others join with: what the file says, or a new one.
+    fn key(&self) -> Result<Key, Failure> {
+        match &self.tracers_key {
+            Some(file) if file.exists() => Ok(read(file)?.key),
+            _ => Key::new().map_err(Failure::Environment),
+        }
+    }
+
+    /// Tells others how to come.
+    fn invite(&self, invitation: &Invitation) -> Result<(), Failure> {
+        match &self.tracers_key {
+            Some(file) => write(file, invitation),
+            None => {
+                invite(invitation);
+                Ok(())
+            }
+        }
     }
 
     /// Has guests lead to the walk, and waits for as many as are wanted.
     pub fn attach(&self, door: Option<&Door>, guests: u32, engine: &mut Engine) -> Result<(), Failure> {
         let Some(door) = door else { return Ok(()) };
         door.attach(engine.station_inputs());
-        while door.serving() < guests {
-            if interrupted() {
-                return Err(Failure::Interrupted("interrupted while waiting for other machines".into()));
-            }
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        Ok(())
+        until(|| door.serving() >= guests)
     }
+}
+
+/// Waits for other machines.
+fn until(they_are_there: impl Fn() -> bool) -> Result<(), Failure> {
+    while !they_are_there() {
+        if interrupted() {
+            return Err(Failure::Interrupted("interrupted while waiting for other machines".into()));
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    Ok(())
+}
+
+/// Arguments of commands whose work other machines can do in pieces.
+#[derive(Args, Clone, Debug)]
+pub struct HelpersArguments {
+    #[command(flatten)]
+    tracers: TracersArguments,
+    /// Begin once so many machines are there
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "tracers", value_parser = clap::value_parser!(u32).range(0..=i64::from(STATIONS_MAX)))]
+    tracers_wait: u32,
+}
+
+impl HelpersArguments {
+    /// Whether other machines may help.
+    pub fn are_asked_for(&self) -> bool {
+        self.tracers.is_asked_for()
+    }
+
+    /// Opens the door for them, if one was asked for, and waits for as many as are wanted.
+    pub fn open(
+        &self,
+        scene: &Path,
+        reading: &Reading,
+        content_hash: Hash,
+    ) -> Result<Option<Helped>, Failure> {
+        let Some(address) = &self.tracers.tracers else { return Ok(None) };
+        let package = Package::without_light(scene, reading, content_hash)?;
+        let helped = Helped::open(
+            address,
+            self.tracers.key()?,
+            package,
+            self.tracers.tracers_max,
+            self.tracers.check,
+        )?;
+        self.tracers.invite(helped.invitation())?;
+        until(|| helped.serving() >= self.tracers_wait)?;
+        Ok(Some(helped))
+    }
+}
+
+/// Who does pieces of work.
+pub fn hands(helped: Option<&Helped>) -> &dyn Hands {
+    helped.map_or(&Alone, |helped| helped)
+}
+
+/// What became of the work of each machine that came.
+pub fn helpers_document(helpers: &[HelperStatus]) -> Value {
+    let helper = |h: &HelperStatus| {
+        json!({
+            "guest": h.name,
+            "cores": h.cores,
+            "pieces": h.pieces,
+            "busy_seconds": h.busy,
+            "late": h.late,
+            "returned": h.returned,
+            "checked": h.checked,
+            "banned": h.banned,
+        })
+    };
+    helpers.iter().map(helper).collect()
 }
 
 /// A walk prints its results on standard output; this is none.
@@ -119,12 +205,14 @@ fn write(file: &Path, invitation: &Invitation) -> Result<(), Failure> {
 /// The stations of a walk that has come to rest, those that had a guest.
 pub fn document(stations: &[StationStatus]) -> Value {
     let station = |(number, s): (usize, &StationStatus)| {
-        let StationStatus { guest, cores, suspect, jobs, round_trip, counts } = s;
+        let StationStatus { guest, cores, stands, rate, jobs, round_trip, counts } = s;
         json!({
             "station": number,
             "guest": guest,
             "cores": cores,
-            "suspect": suspect,
+            "state": stands.name(),
+            "suspect": *stands == Stands::Suspect,
+            "samples_per_second": rate,
             "credits": jobs[1],
             "round_trip_ms": f64::from(*round_trip) * 1e3,
             "samples": counts.samples,

@@ -10,7 +10,9 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use crossbeam_queue::ArrayQueue;
-use foveal_actors::station::wire::{DoneJob, FromGuest, JOBS_MAX, PROTOCOL, Refusal, ToGuest};
+use foveal_actors::station::wire::{
+    DoneJob, FromGuest, Hash, JOBS_MAX, PIECE_BYTES_MAX, PROTOCOL, Refusal, ToGuest,
+};
 use foveal_actors::station::{
     CREDITS_MAX, Found, Heard, Outlet, Outlets, STATIONS_MAX, StationMessage, bits,
 };
@@ -28,6 +30,9 @@ const AHEAD: usize = 8 * CREDITS_MAX as usize;
 /// Pieces of blobs that one guest is sent before others are heard.
 const LOOK: Duration = Duration::from_millis(50);
 
+/// Blobs beside the package that may be wanted.
+const OFFERS: usize = 4;
+
 /// Something that the hall wants done.
 #[derive(Debug)]
 pub enum Effect {
@@ -37,6 +42,23 @@ pub enum Effect {
     Close(Peer),
     /// Tell this station.
     Tell(usize, Heard),
+    /// The guest of this place, in this stay of its, has what these pieces of work are of.
+    Grounded(usize, u64, u32),
+    /// It has answered one.
+    Worked(usize, u64, Worked),
+}
+
+/// The answer to a piece of work.
+#[derive(Debug)]
+pub struct Worked {
+    /// Which.
+    pub lease: u64,
+    /// Time of one core, µs, as the guest says.
+    pub micros: u32,
+    /// Pieces that it has and nobody there has begun, as it says.
+    pub waiting: u32,
+    /// What was found; nothing where it could not be done.
+    pub found: Vec<u8>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,12 +87,14 @@ pub struct Hall {
     guests: BTreeMap<Peer, Guest>,
     incarnations: u64,
     bits: u64,
+    /// What guests may want beside the package, where it is work in pieces that they come for.
+    offers: Option<Vec<(Hash, Arc<Vec<u8>>)>>,
     /// Numbers that no guest can know before.
     salt: fn() -> u64,
 }
 
 /// A number of the system's.
-fn random() -> u64 {
+pub(crate) fn random() -> u64 {
     let mut bytes = [0; 8];
     // Without any, checks are those that a guest could foresee: what it sends is checked all the same.
     let _ = getrandom::fill(&mut bytes);
@@ -88,7 +112,30 @@ impl Hall {
             guests: BTreeMap::new(),
             incarnations: 0,
             bits: bits::probe(),
+            offers: None,
             salt: random,
+        }
+    }
+
+    /// For work in pieces, of so many guests.
+    pub fn of_work(package: Arc<Package>, guests: u32) -> Self {
+        Self { offers: Some(Vec::new()), ..Self::new(package, 0, guests) }
+    }
+
+    /// Guests may want this blob from now on. Who still fetches one of those before fetches it to its end.
+    pub fn offer(&mut self, hash: Hash, bytes: Arc<Vec<u8>>) {
+        let offers = self.offers.get_or_insert_default();
+        if offers.iter().all(|(known, _)| *known != hash) {
+            offers.push((hash, bytes));
+            let old = offers.len().saturating_sub(OFFERS);
+            offers.drain(..old);
+        }
+    }
+
+    /// Tells everybody that it is over.
+    pub(crate) fn farewell(&self, link: &mut dyn HostLink) {
+        for peer in self.guests.keys() {
+            link.send(*peer, &ToGuest::Farewell.to_bytes());
         }
     }
 
@@ -130,14 +177,15 @@ impl Hall {
     fn said(&mut self, peer: Peer, message: FromGuest, effects: &mut Vec<Effect>) {
         let Some(guest) = self.guests.get_mut(&peer) else { return };
         match (message, guest.stage) {
-            (FromGuest::Hello { protocol, program: theirs, bits, cores, name }, Stage::Silent) => {
+            (FromGuest::Hello { protocol, program: theirs, bits, cores, name, memory }, Stage::Silent) => {
                 let wanted = program();
                 let refusal = if protocol != PROTOCOL || theirs != wanted {
                     Some(Refusal::Version { wanted })
                 } else if bits != self.bits {
                     Some(Refusal::OtherBits { wanted: self.bits })
                 } else {
-                    None
+                    let bytes = self.package.bytes();
+                    memory.filter(|memory| *memory < bytes).map(|_| Refusal::TooSmall { bytes })
                 };
                 let place = self.places.iter().position(Option::is_none);
                 let (refusal, place) = match (refusal, place) {
@@ -167,7 +215,7 @@ impl Hall {
                 let (cores, name) = (guest.cores, guest.name.clone());
                 effects.push(Effect::Tell(place, Heard::Joined { incarnation, cores, name }));
             }
-            (FromGuest::Done { incarnation, jobs }, Stage::Serving(place)) => {
+            (FromGuest::Done { incarnation, jobs }, Stage::Serving(place)) if self.offers.is_none() => {
                 if jobs.iter().any(|job| job.found.as_ref().is_some_and(|found| !found.is_sound())) {
                     return self.ban(peer, effects);
                 }
@@ -180,7 +228,25 @@ impl Hall {
                 self.leave(peer, false, effects);
             }
             // It may have wanted more than it needs before it said that it is ready.
-            (FromGuest::Want { .. }, Stage::Serving(_)) => {}
+            (FromGuest::Want { hash, at }, Stage::Serving(_)) => {
+                let offered = self.offers.iter().flatten().find(|(known, _)| *known == hash);
+                let piece = offered.and_then(|(_, bytes)| bytes.get(at as usize..));
+                if let Some(bytes) = piece {
+                    let bytes = bytes[..bytes.len().min(PIECE_BYTES_MAX)].to_vec();
+                    effects.push(Effect::Send(peer, ToGuest::Piece { hash, at, bytes }));
+                }
+            }
+            (FromGuest::Grounded { incarnation, number }, Stage::Serving(place))
+                if incarnation == guest.incarnation && self.offers.is_some() =>
+            {
+                effects.push(Effect::Grounded(place, incarnation, number));
+            }
+            (FromGuest::Worked { incarnation, lease, micros, waiting, found }, Stage::Serving(place))
+                if incarnation == guest.incarnation && self.offers.is_some() =>
+            {
+                let worked = Worked { lease, micros, waiting, found };
+                effects.push(Effect::Worked(place, incarnation, worked));
+            }
             _ => self.ban(peer, effects),
         }
     }
@@ -242,12 +308,48 @@ impl Outlet for ToDoor {
     }
 }
 
+/// Who answers at a link, until it ends with a value.
+pub(crate) type Serving<T> = JoinHandle<Option<T>>;
+
+/// Makes a link on a thread of its own, which serves who comes over it. Tells the link's address, and who wakes it.
+pub(crate) fn serving<T: Send + 'static>(
+    link: impl FnOnce() -> Result<Box<dyn HostLink>, String> + Send + 'static,
+    serve: impl FnOnce(Box<dyn HostLink>) -> T + Send + 'static,
+) -> Result<(String, Waker, Serving<T>), Failure> {
+    let opened = Arc::new(ArrayQueue::new(1));
+    let (tells, asker) = (Arc::clone(&opened), thread::current());
+    let run = move || {
+        // The link's messages come to the thread that made it.
+        let (link, told) = match link() {
+            Ok(link) => {
+                let told = Ok((link.address(), link.waker()));
+                (Some(link), told)
+            }
+            Err(e) => (None, Err(e)),
+        };
+        let _ = tells.push(told);
+        asker.unpark();
+        link.map(serve)
+    };
+    let thread = thread::Builder::new().name("door".into()).spawn(run);
+    let thread = thread.map_err(|e| Failure::Environment(format!("no thread for the door: {e}")))?;
+    loop {
+        match opened.pop() {
+            Some(told) => {
+                let (address, waker) = told.map_err(Failure::Environment)?;
+                return Ok((address, waker, thread));
+            }
+            None => thread::park_timeout(Duration::from_millis(10)),
+        }
+    }
+}
+
 /// A door that is open.
 pub struct Door {
     shared: Arc<Shared>,
     waker: Waker,
     invitation: Invitation,
-    thread: Option<JoinHandle<()>>,
+    thread: Option<Serving<()>>,
 }
 
 impl Door {
@@ -270,34 +372,12 @@ impl Door {
             serving: AtomicU32::new(0),
         });
         let hall = Hall::new(Arc::new(package), k_max, stations);
-        let opened = Arc::new(ArrayQueue::new(1));
-        let (inside, tells, asker) = (Arc::clone(&shared), Arc::clone(&opened), thread::current());
+        let inside = Arc::clone(&shared);
         let (at, own_key) = (address.to_owned(), key.clone());
-        let run = move || {
-            // The link's messages come to the thread that made it.
-            let link = link::listen(&at, &own_key);
-            let (link, told) = match link {
-                Ok(link) => {
-                    let told = Ok((link.address(), link.waker()));
-                    (Some(link), told)
-                }
-                Err(e) => (None, Err(e)),
-            };
-            let _ = tells.push(told);
-            asker.unpark();
-            if let Some(link) = link {
-                serve(link, hall, &inside);
-            }
-        };
-        let thread = thread::Builder::new().name("door".into()).spawn(run);
-        let thread = thread.map_err(|e| Failure::Environment(format!("no thread for the door: {e}")))?;
-        let (address, waker) = loop {
-            match opened.pop() {
-                Some(told) => break told.map_err(Failure::Environment)?,
-                None => thread::park_timeout(Duration::from_millis(10)),
-            }
-        };
-        Ok(Self { shared, waker, invitation: Invitation { address, key }, thread: Some(thread) })
+        let link = move || link::listen(&at, &own_key);
+        let (address, waker, thread) = serving(link, move |link| serve(link, hall, &inside))?;
+        let invitation = Invitation { address, key };
+        Ok(Self { shared, waker, invitation, thread: Some(thread) })
     }
 
     /// What guests need to come.
@@ -377,6 +457,8 @@ fn serve(mut link: Box<dyn HostLink>, mut hall: Hall, shared: &Shared) {
                 Effect::Send(peer, message) => link.send(peer, &message.to_bytes()),
                 Effect::Close(peer) => link.close(peer),
                 Effect::Tell(station, heard) => waiting[station].push_back(heard),
+                // Of work in pieces, which walks have none of.
+                Effect::Grounded(..) | Effect::Worked(..) => {}
             }
         }
         for (input, waiting) in inputs.iter().zip(&mut waiting) {
@@ -389,9 +471,7 @@ fn serve(mut link: Box<dyn HostLink>, mut hall: Hall, shared: &Shared) {
         }
         shared.serving.store(hall.serving(), Ordering::Relaxed);
     }
-    for peer in hall.guests.keys() {
-        link.send(*peer, &ToGuest::Farewell.to_bytes());
-    }
+    hall.farewell(&mut *link);
 }
 
 /// Takes what a station has for its guest; jobs that follow each other go together.

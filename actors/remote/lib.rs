@@ -15,7 +15,8 @@
 //! | [`link`], [`quic`], [`tcp`] | bytes from one machine to another |
 //! | [`identity`] | how an encrypted link knows either side by the key |
 //! | [`door`] | the walk's side: who comes, what they are sent, what they say |
-//! | [`guest`], [`work`] | the other side |
+//! | [`hands`] | a reference or a bake in pieces, which guests do as well |
+//! | [`guest`], [`work`], [`ground`] | the other side |
 //!
 //! A walk decides by its [stations](foveal_actors::station); the door decides only who may come. Both sides take the other
 //! one for hostile: messages are bounded and checked ([`foveal_actors::station::wire`]), a guest opens no path that it was
@@ -24,7 +25,12 @@
 #![expect(clippy::disallowed_methods, reason = "outside of the actors, which it serves")]
 
 pub mod door;
+mod foreman;
+pub mod ground;
 pub mod guest;
+pub mod hands;
+#[cfg(test)]
+mod hands_tests;
 pub mod identity;
 mod inbox;
 pub mod key;
@@ -33,6 +39,7 @@ pub mod link;
 mod network_tests;
 pub mod package;
 pub mod quic;
+mod round;
 pub mod tcp;
 #[cfg(test)]
 mod tests;

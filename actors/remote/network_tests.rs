@@ -134,7 +134,7 @@ impl SimNetwork {
         for effect in effects {
             match effect {
                 Effect::Send(peer, message) => self.put(Moving::ToGuest(peer, message)),
-                Effect::Close(_) => {}
+                Effect::Close(_) | Effect::Grounded(..) | Effect::Worked(..) => {}
                 Effect::Tell(station, heard) => tell(station, heard),
             }
         }
@@ -219,6 +219,8 @@ impl SimNetwork {
                 let Some(incarnation) = guest.incarnation else { return Vec::new() };
                 vec![FromGuest::Done { incarnation, jobs: done }.to_bytes()]
             }
+            // Of work in pieces walks have none.
+            ToGuest::Ground { .. } | ToGuest::Work { .. } => panic!("{message:?}"),
             ToGuest::Retire { .. } | ToGuest::Piece { .. } | ToGuest::Farewell => Vec::new(),
         }
     }
@@ -341,7 +343,7 @@ fn simulated(opened: &Opened, package: &Arc<Package>, seed: u64, recording: Opti
 }
 
 /// Seeds of simulated networks: 24, or what `FOVEAL_SEEDS` says, how many or `FIRST..END`, so that many can be run in parts.
-fn seeds() -> std::ops::Range<u64> {
+pub(super) fn seeds() -> std::ops::Range<u64> {
     let Ok(wanted) = std::env::var("FOVEAL_SEEDS") else { return 0..24 };
     let number = |text: &str| text.parse().expect("FOVEAL_SEEDS is a number or FIRST..END");
     match wanted.split_once("..") {

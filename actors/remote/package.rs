@@ -6,13 +6,18 @@
 use std::fs::{self, File};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use foveal::illumination::Uniform;
 use foveal::illumination::bake::cache_key;
 use foveal::illumination::cache::encode;
+use foveal::world::World;
 use foveal_actors::station::wire::{Hash, PIECE_BYTES_MAX};
 use foveal_engine::Light;
 use foveal_engine::failure::Failure;
+use foveal_engine::glam::Vec3;
+use foveal_engine::light::Reading;
 use foveal_engine::opened::{self, Opened};
 use foveal_engine::recording::illumination_hash;
 use serde::{Deserialize, Serialize};
@@ -44,10 +49,8 @@ pub struct Manifest {
     pub files: Vec<Entry>,
     /// How they are read and what is changed of them, JSON.
     pub light: String,
-    /// The illumination, a blob.
-    pub illumination: Entry,
-    /// BLAKE3 of the illumination as recordings have it.
-    pub illumination_hash: String,
+    /// The illumination, a blob, and its BLAKE3 as recordings have it; none where work has light of its own.
+    pub illumination: Option<(Entry, String)>,
     /// BLAKE3 of the scene as it is read, edits and all.
     pub content_hash: Hash,
 }
@@ -63,14 +66,15 @@ impl Manifest {
         let is_sound = |entry: &Entry| is_inside(&entry.name) && entry.bytes <= BLOB_BYTES_MAX;
         let sound = files.len() <= FILES_MAX
             && files.iter().all(is_sound)
-            && illumination.bytes <= BLOB_BYTES_MAX
+            && illumination.iter().all(|(entry, _)| entry.bytes <= BLOB_BYTES_MAX)
             && files.iter().any(|entry| entry.name == *scene);
         sound.then_some(manifest)
     }
 
     /// Every blob that it names, with its size.
     pub fn blobs(&self) -> impl Iterator<Item = (Hash, u64)> {
-        self.files.iter().chain([&self.illumination]).map(|entry| (entry.hash, entry.bytes))
+        let illumination = self.illumination.iter().map(|(entry, _)| entry);
+        self.files.iter().chain(illumination).map(|entry| (entry.hash, entry.bytes))
     }
 }
 
@@ -110,9 +114,38 @@ impl Package {
                 "other machines can trace only under light that is baked, with all textures".into(),
             ));
         }
-        let folder = opened.path.parent().unwrap_or(Path::new(""));
+        let (light, scene) = (&opened.light, &opened.world.scene);
+        let stored =
+            opened.world.illumination.stored().ok_or_else(|| cannot("it has no light to send".into()))?;
+        let bytes = encode(&cache_key(scene, &light.settings.settings(scene)), stored)
+            .map_err(|e| cannot(format!("its light cannot be sent: {e}")))?;
+        let hash = *blake3::hash(&bytes).as_bytes();
+        let entry = Entry { name: "illumination".into(), hash, bytes: bytes.len() as u64 };
+        let illumination = Some((entry, illumination_hash(&*opened.world.illumination)?));
+        let mut package = Self::new(&opened.path, light, scene.content_hash, illumination)?;
+        package.blobs.push((hash, bytes.len() as u64, Content::Bytes(bytes)));
+        Ok(package)
+    }
+
+    /// Of a scene without light, for work that has light of its own.
+    ///
+    /// # Errors
+    /// If its files cannot be read any more.
+    pub fn without_light(path: &Path, reading: &Reading, content_hash: Hash) -> Result<Self, Failure> {
+        let light = Light { reading: reading.clone(), ..Light::default() };
+        Self::new(path, &light, content_hash, None)
+    }
+
+    fn new(
+        path: &Path,
+        light: &Light,
+        content_hash: Hash,
+        illumination: Option<(Entry, String)>,
+    ) -> Result<Self, Failure> {
+        let cannot = |what: String| Failure::Input(format!("{}: {what}", path.display()));
+        let folder = path.parent().unwrap_or(Path::new(""));
         let (mut files, mut blobs): (Vec<Entry>, Vec<(Hash, u64, Content)>) = (Vec::new(), Vec::new());
-        for (name, hash) in opened::files(&opened.path, &opened.light.reading)? {
+        for (name, hash) in opened::files(path, &light.reading)? {
             if files.iter().any(|entry| entry.name == name) {
                 continue;
             }
@@ -124,24 +157,14 @@ impl Package {
             blobs.push((hash, bytes, Content::File(path)));
             files.push(Entry { name, hash, bytes });
         }
-        let light = &opened.light;
-        let scene = &opened.world.scene;
-        let stored =
-            opened.world.illumination.stored().ok_or_else(|| cannot("it has no light to send".into()))?;
-        let bytes = encode(&cache_key(scene, &light.settings.settings(scene)), stored)
-            .map_err(|e| cannot(format!("its light cannot be sent: {e}")))?;
-        let hash = *blake3::hash(&bytes).as_bytes();
-        let illumination = Entry { name: "illumination".into(), hash, bytes: bytes.len() as u64 };
-        blobs.push((hash, bytes.len() as u64, Content::Bytes(bytes)));
         let light =
             Light { bake: None, cache: None, first: None, quick: false, baked: true, ..light.clone() };
         let manifest = Manifest {
-            scene: opened.path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+            scene: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
             files,
             light: serde_json::to_string(&light).map_err(|e| cannot(e.to_string()))?,
             illumination,
-            illumination_hash: illumination_hash(&*opened.world.illumination)?,
-            content_hash: scene.content_hash,
+            content_hash,
         };
         let bytes = postcard::to_stdvec(&manifest).map_err(|e| cannot(e.to_string()))?;
         if Manifest::of_bytes(&bytes).is_none() {
@@ -156,6 +179,11 @@ impl Package {
     pub fn manifest(&self) -> (Hash, u64) {
         let bytes = self.blobs.iter().find(|(hash, ..)| *hash == self.manifest).map_or(0, |blob| blob.1);
         (self.manifest, bytes)
+    }
+
+    /// Bytes of all that is in it.
+    pub fn bytes(&self) -> u64 {
+        self.blobs.iter().map(|(_, bytes, _)| bytes).sum()
     }
 
     /// A piece of a blob of it, from `at` on.
@@ -238,11 +266,11 @@ impl Stock {
         Ok(Arriving { hash, bytes, got: 0, hasher: blake3::Hasher::new(), file, path, kept })
     }
 
-    /// Lays the files of a scene out, and tells where its main file and its illumination are.
+    /// Lays the files of a scene out, and tells where its main file is, and its illumination if it comes with one.
     ///
     /// # Errors
     /// If a file cannot be written, or is not there.
-    pub fn lay_out(&self, manifest: &Manifest, hash: &Hash) -> Result<(PathBuf, PathBuf), String> {
+    pub fn lay_out(&self, manifest: &Manifest, hash: &Hash) -> Result<(PathBuf, Option<PathBuf>), String> {
         let folder = self.folder.join("scenes").join(blake3::Hash::from(*hash).to_hex().as_str());
         for Entry { name, hash, bytes } in &manifest.files {
             let path = folder.join(name);
@@ -264,7 +292,8 @@ impl Stock {
             let copied = fs::copy(&blob, &new).and_then(|_| fs::rename(&new, &path));
             copied.map_err(|e| format!("{}: {e}", path.display()))?;
         }
-        Ok((folder.join(&manifest.scene), self.path_of(&manifest.illumination.hash)))
+        let light = manifest.illumination.as_ref().map(|(entry, _)| self.path_of(&entry.hash));
+        Ok((folder.join(&manifest.scene), light))
     }
 }
 
@@ -308,27 +337,37 @@ impl Arriving {
 ///
 /// # Errors
 /// If it cannot be opened, or is something else.
-pub fn open(manifest: &Manifest, scene: &Path, illumination: &Path) -> Result<Opened, Failure> {
+pub fn open(manifest: &Manifest, scene: &Path, illumination: Option<&Path>) -> Result<World, Failure> {
     let wrong = |what: &str| Failure::Input(format!("the scene that came is not that of the walk: {what}"));
     let light: Light = serde_json::from_str(&manifest.light).map_err(|e| wrong(&e.to_string()))?;
-    // Nothing of this machine is named from there.
-    let light = Light {
-        bake: Some(illumination.to_owned()),
-        quick: false,
-        baked: true,
-        refined: false,
-        cache: None,
-        first: None,
-        ..light
+    let world = match illumination {
+        Some(illumination) => {
+            // Nothing of this machine is named from there.
+            let light = Light {
+                bake: Some(illumination.to_owned()),
+                quick: false,
+                baked: true,
+                refined: false,
+                cache: None,
+                first: None,
+                ..light
+            };
+            opened::open(scene, &light, &())?.world
+        }
+        None => {
+            let (scene, _) = opened::load_scene_as(scene, &light.reading)?;
+            World::new(scene, Arc::new(Uniform(Vec3::ZERO)))
+        }
     };
-    let opened = opened::open(scene, &light, &())?;
-    if opened.world.scene.content_hash != manifest.content_hash {
+    if world.scene.content_hash != manifest.content_hash {
         return Err(wrong("its files differ"));
     }
-    if illumination_hash(&*opened.world.illumination)? != manifest.illumination_hash {
+    if let Some((_, hash)) = &manifest.illumination
+        && illumination_hash(&*world.illumination)? != *hash
+    {
         return Err(wrong("its light differs"));
     }
-    Ok(opened)
+    Ok(world)
 }
 
 #[cfg(test)]
@@ -380,8 +419,7 @@ mod tests {
                 scene: scene.into(),
                 files: names.iter().map(|name| entry(name)).collect(),
                 light: String::new(),
-                illumination: entry("illumination"),
-                illumination_hash: String::new(),
+                illumination: Some((entry("illumination"), String::new())),
                 content_hash: [0; 32],
             };
             Manifest::of_bytes(&postcard::to_stdvec(&manifest).unwrap()).is_some()

@@ -23,7 +23,7 @@ use crate::program;
 
 pub(super) const WAIT: Duration = Duration::from_secs(120);
 
-fn scene() -> PathBuf {
+pub(super) fn scene() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/box/box.toml")
 }
 
@@ -68,7 +68,14 @@ pub(super) fn replays(recording: &Path, with_liars: bool) {
 
 /// What a guest of this program says first.
 pub(super) fn hello(cores: u16, name: String) -> FromGuest {
-    FromGuest::Hello { protocol: PROTOCOL, program: program(), bits: bits::probe(), cores, name }
+    FromGuest::Hello {
+        protocol: PROTOCOL,
+        program: program(),
+        bits: bits::probe(),
+        cores,
+        name,
+        memory: None,
+    }
 }
 
 struct Nobody(Arc<AtomicBool>);
@@ -81,7 +88,7 @@ impl Host for Nobody {
     fn progress(&mut self, _: Progress) {}
 }
 
-fn guest(
+pub(super) fn guest(
     invitation: &Invitation,
     stock: &Path,
     leaves: &Arc<AtomicBool>,
@@ -91,7 +98,8 @@ fn guest(
     let stay = move || {
         let (mut leaves, mut done) = (leaves, Done::default());
         let mut link = link::connect(&invitation).expect("somebody answers");
-        let options = guest::Options { cores: 1, stock, stock_bytes_max: 1 << 30, name: "a test".into() };
+        let name = "a test".into();
+        let options = guest::Options { cores: 1, stock, stock_bytes_max: 1 << 30, name, memory_max: None };
         let end = guest::stay(&mut *link, &options, &mut leaves, &mut done).expect("a stay");
         (end, done)
     };
@@ -248,6 +256,7 @@ fn who_is_another_version_or_has_other_bits_is_told_so() {
         bits,
         cores: 1,
         name: "n".into(),
+        memory: None,
     };
     let refused =
         |said: Option<ToGuest>| if let Some(ToGuest::Refused(why)) = said { Some(why) } else { None };
@@ -256,6 +265,13 @@ fn who_is_another_version_or_has_other_bits_is_told_so() {
     assert!(matches!(refused(says(1, hello(PROTOCOL, "other".into(), 0))), Some(Refusal::Version { .. })));
     let wanted = bits::probe();
     assert_eq!(refused(says(2, hello(PROTOCOL, program(), wanted ^ 1))), Some(Refusal::OtherBits { wanted }));
+    let FromGuest::Hello { protocol, program: of, bits, cores, name, .. } =
+        hello(PROTOCOL, program(), wanted)
+    else {
+        panic!("a hello");
+    };
+    let small = FromGuest::Hello { protocol, program: of, bits, cores, name, memory: Some(100) };
+    assert!(matches!(refused(says(6, small)), Some(Refusal::TooSmall { bytes }) if bytes > 100));
     assert!(matches!(says(3, hello(PROTOCOL, program(), wanted)), Some(ToGuest::Welcome { .. })));
     assert_eq!(refused(says(4, hello(PROTOCOL, program(), wanted))), Some(Refusal::Full));
     assert_eq!(refused(says(5, FromGuest::Ready { incarnation: 0 })), Some(Refusal::Banned));

@@ -1,5 +1,5 @@
-//! The threads of a guest: jobs in, colours out. They trace by the same functions as a walk's tracers, from hits that they
-//! draw where jobs look.
+//! The threads of a guest: jobs in, colours out; pieces of work in, what they come to out. They trace by the same functions
+//! as a walk's tracers, from hits that they draw where jobs look.
 
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -14,8 +14,10 @@ use foveal::display::cpu_pass::PartlyDrawn;
 use foveal::sampling::Lattice;
 use foveal::splatting::trace::{trace_colors, trace_guides};
 use foveal::world::World;
-use foveal_actors::station::wire::{Colors, DoneJob, JobSpec, ViewSpec};
+use foveal_actors::station::wire::{Colors, DoneJob, JobSpec, ViewSpec, round_of};
+use foveal_engine::batch::{Found, Piece};
 
+use crate::ground::{OwnGround, Pass};
 use crate::link::Waker;
 
 /// Pixels of the largest view that is traced for.
@@ -23,13 +25,34 @@ pub const VIEW_PIXELS_MAX: u64 = 1 << 24;
 /// Pixels of views that a thread has two of; of larger ones, one.
 const TWO_VIEWS_PIXELS: u64 = 1 << 22;
 
+/// What a thread is to do.
+enum Task {
+    Samples(Arc<ViewSpec>, JobSpec),
+    Piece { lease: u64, ground: Arc<OwnGround>, pass: Pass, piece: Piece },
+}
+
+/// What a thread has done.
+pub enum Done {
+    /// A walk's job.
+    Samples(DoneJob),
+    /// A piece of work.
+    Piece {
+        /// Which.
+        lease: u64,
+        /// Time of one core, µs.
+        micros: u32,
+        /// What it comes to; none where it could not be done.
+        found: Option<Found>,
+    },
+}
+
 /// What the threads share.
 struct Shared {
     world: World,
     k_max: u32,
-    jobs: SegQueue<(Arc<ViewSpec>, JobSpec)>,
-    done: SegQueue<DoneJob>,
-    /// Jobs of views before this one are not begun.
+    tasks: SegQueue<Task>,
+    done: SegQueue<Done>,
+    /// Jobs of views before this one are not begun, nor pieces of rounds before it.
     below: AtomicU32,
     ending: AtomicBool,
     hears: Waker,
@@ -51,7 +74,7 @@ impl Crew {
         let shared = Arc::new(Shared {
             world,
             k_max,
-            jobs: SegQueue::new(),
+            tasks: SegQueue::new(),
             done: SegQueue::new(),
             below: AtomicU32::new(0),
             ending: AtomicBool::new(false),
@@ -71,24 +94,38 @@ impl Crew {
 
     /// Takes a job of a view.
     pub fn take(&mut self, view: &Arc<ViewSpec>, job: JobSpec) {
-        self.shared.jobs.push((Arc::clone(view), job));
+        self.push(Task::Samples(Arc::clone(view), job));
+    }
+
+    /// Takes a piece of work, which has the photons of a pass in common with others.
+    pub fn take_piece(&mut self, lease: u64, ground: &Arc<OwnGround>, pass: Pass, piece: Piece) {
+        self.push(Task::Piece { lease, ground: Arc::clone(ground), pass, piece });
+    }
+
+    fn push(&mut self, task: Task) {
+        self.shared.tasks.push(task);
         self.next = (self.next + 1) % self.threads.len();
         self.threads[self.next].1.unpark();
     }
 
-    /// Jobs of views before this one need not be begun.
+    /// Jobs of views before this one, and pieces of rounds, need not be begun.
     pub fn retire(&self, below: u32) {
         self.shared.below.fetch_max(below, Ordering::Relaxed);
     }
 
-    /// A job that is done.
-    pub fn done(&self) -> Option<DoneJob> {
+    /// What was done.
+    pub fn done(&self) -> Option<Done> {
         self.shared.done.pop()
     }
 
-    /// Jobs that nobody has begun.
+    /// How much was done and not [told](Self::done) yet.
+    pub fn finished(&self) -> usize {
+        self.shared.done.len()
+    }
+
+    /// Jobs and pieces that nobody has begun.
     pub fn waiting(&self) -> usize {
-        self.shared.jobs.len()
+        self.shared.tasks.len()
     }
 }
 
@@ -105,20 +142,36 @@ impl Drop for Crew {
 fn work(shared: &Shared) {
     let mut views: VecDeque<(u32, PartlyDrawn)> = VecDeque::new();
     while !shared.ending.load(Ordering::SeqCst) {
-        let Some((view, job)) = shared.jobs.pop() else {
+        let Some(task) = shared.tasks.pop() else {
             thread::park_timeout(Duration::from_millis(20));
             continue;
         };
-        let mut done = DoneJob { lease: job.lease, micros: 0, found: None };
-        if job.view >= shared.below.load(Ordering::Relaxed) {
-            let began = Instant::now();
-            // What panics here is said to be not done, and somebody else's.
-            done.found = catch_unwind(AssertUnwindSafe(|| trace(shared, &mut views, &view, &job))).ok();
-            if done.found.is_none() {
-                views.clear();
+        let began = Instant::now();
+        let micros = || began.elapsed().as_micros().min(u128::from(u32::MAX)) as u32;
+        // What panics here is said to be not done, and somebody else's.
+        let done = match task {
+            Task::Samples(view, job) => {
+                let is_wanted = job.view >= shared.below.load(Ordering::Relaxed);
+                let found = is_wanted
+                    .then(|| catch_unwind(AssertUnwindSafe(|| trace(shared, &mut views, &view, &job))).ok())
+                    .flatten();
+                if is_wanted && found.is_none() {
+                    views.clear();
+                }
+                let micros = if is_wanted { micros() } else { 0 };
+                Done::Samples(DoneJob { lease: job.lease, micros, found })
             }
-            done.micros = began.elapsed().as_micros().min(u128::from(u32::MAX)) as u32;
-        }
+            Task::Piece { lease, ground, pass, piece } => {
+                let is_wanted = || {
+                    round_of(lease) >= shared.below.load(Ordering::Relaxed)
+                        && !shared.ending.load(Ordering::Relaxed)
+                };
+                let done = || ground.with(&pass, |ground| ground.done(&piece, &is_wanted));
+                let found =
+                    is_wanted().then(|| catch_unwind(AssertUnwindSafe(done)).ok().flatten()).flatten();
+                Done::Piece { lease, micros: micros(), found }
+            }
+        };
         shared.done.push(done);
         shared.hears.wake();
     }

@@ -11,7 +11,7 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 /// Changes with every change of a message.
-pub const PROTOCOL: u16 = 1;
+pub const PROTOCOL: u16 = 2;
 /// Most bytes of a message.
 pub const MESSAGE_BYTES_MAX: usize = 2 << 20;
 /// Most bytes of one piece of a blob.
@@ -22,10 +22,22 @@ pub const JOBS_MAX: usize = 512;
 pub const SAMPLES_MAX: u32 = 1 << 14;
 /// Largest side of a picture, as recordings have it.
 pub const SIDE_MAX: u32 = 16_384;
+/// Most bytes that say what a piece of work is, or what pieces are of.
+pub const WORK_BYTES_MAX: usize = 128 << 10;
 /// Most bytes of names and versions.
 const NAME_BYTES_MAX: usize = 128;
 /// Brightest colour that a sample may have.
 const COLOR_MAX: f32 = 1e9;
+
+/// The lease of a piece of a round.
+pub fn lease_of(round: u32, piece: u32) -> u64 {
+    u64::from(round) << 32 | u64::from(piece)
+}
+
+/// The round that a piece of work belongs to.
+pub fn round_of(lease: u64) -> u32 {
+    (lease >> 32) as u32
+}
 
 /// A blob's BLAKE3.
 pub type Hash = [u8; 32];
@@ -60,10 +72,30 @@ pub enum ToGuest {
     View(ViewSpec),
     /// Jobs.
     Jobs(Vec<JobSpec>),
-    /// Whoever has not begun a job of an older view need not.
+    /// Whoever has not begun a job of an older view, or a piece of work of an older round, need not.
     Retire {
-        /// The first view that counts.
+        /// The first view or round that counts.
         below: u32,
+    },
+    /// What pieces of work are of, from now on.
+    Ground {
+        /// Names it.
+        number: u32,
+        /// The task, as whoever does it takes it.
+        #[serde(with = "serde_bytes_like")]
+        task: Vec<u8>,
+        /// The light that it is done under: a blob, and its bytes.
+        map: Option<(Hash, u64)>,
+    },
+    /// A piece of work.
+    Work {
+        /// Names it in the answer; its upper half is the round that it belongs to.
+        lease: u64,
+        /// What it is of.
+        ground: u32,
+        /// Which, as whoever does it takes it.
+        #[serde(with = "serde_bytes_like")]
+        piece: Vec<u8>,
     },
     /// The walk ends.
     Farewell,
@@ -82,6 +114,11 @@ pub enum Refusal {
         /// Those of the walk.
         wanted: u64,
     },
+    /// It has less memory than the scene's files take.
+    TooSmall {
+        /// Bytes of these.
+        bytes: u64,
+    },
     /// Every place is taken.
     Full,
     /// It sent what makes no sense, or colours that are not those of the scene.
@@ -94,6 +131,9 @@ impl std::fmt::Display for Refusal {
             Self::Version { wanted } => write!(f, "the walk is of {wanted}, this is another version"),
             Self::OtherBits { wanted } => {
                 write!(f, "numbers have other bits here than on the walk's machine ({wanted:016x})")
+            }
+            Self::TooSmall { bytes } => {
+                write!(f, "the scene's files are {bytes} bytes, more than this machine has for it (--memory)")
             }
             Self::Full => write!(f, "the walk has no place free"),
             Self::Banned => write!(f, "the walk has banned this machine: it sent what is not in the scene"),
@@ -140,6 +180,8 @@ pub enum FromGuest {
         cores: u16,
         /// Its name, for people.
         name: String,
+        /// Bytes of memory that it has for a scene, if it has said so.
+        memory: Option<u64>,
     },
     /// It wants a part of a blob, from `at` on.
     Want {
@@ -159,6 +201,27 @@ pub enum FromGuest {
         incarnation: u64,
         /// Which, and what was found.
         jobs: Vec<DoneJob>,
+    },
+    /// It has what pieces of work are of.
+    Grounded {
+        /// Its stay.
+        incarnation: u64,
+        /// Which.
+        number: u32,
+    },
+    /// A piece of work is done.
+    Worked {
+        /// Its stay.
+        incarnation: u64,
+        /// Which.
+        lease: u64,
+        /// Time of one core, µs.
+        micros: u32,
+        /// Pieces that it has and nobody there has begun.
+        waiting: u32,
+        /// What was found; nothing where it could not be done.
+        #[serde(with = "serde_bytes_like")]
+        found: Vec<u8>,
     },
     /// It leaves; what it has not answered, it will not.
     Leaving,
@@ -239,6 +302,8 @@ impl ToGuest {
             Self::Piece { bytes, .. } => bytes.len() <= PIECE_BYTES_MAX,
             Self::View(view) => is_view(view),
             Self::Jobs(jobs) => jobs.len() <= JOBS_MAX,
+            Self::Ground { task, .. } => task.len() <= WORK_BYTES_MAX,
+            Self::Work { piece, .. } => piece.len() <= WORK_BYTES_MAX,
             Self::Refused(_) | Self::Retire { .. } | Self::Farewell => true,
         };
         (sound && rest.is_empty()).then_some(message)
@@ -259,7 +324,11 @@ impl FromGuest {
                 program.len() <= NAME_BYTES_MAX && name.len() <= NAME_BYTES_MAX && (1..=1024).contains(cores)
             }
             Self::Done { jobs, .. } => jobs.len() <= JOBS_MAX,
-            Self::Want { .. } | Self::Ready { .. } | Self::Leaving => true,
+            Self::Want { .. }
+            | Self::Ready { .. }
+            | Self::Grounded { .. }
+            | Self::Worked { .. }
+            | Self::Leaving => true,
         };
         (sound && rest.is_empty()).then_some(message)
     }

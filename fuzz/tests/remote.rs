@@ -57,6 +57,8 @@ fn of_walk() -> Vec<Vec<u8>> {
         ToGuest::View(ViewSpec { view: 3, frame, cell: 2 }),
         ToGuest::Jobs(vec![job; 8]),
         ToGuest::Retire { below: 3 },
+        ToGuest::Ground { number: 4, task: vec![3; 60], map: Some(([8; 32], 1 << 22)) },
+        ToGuest::Work { lease: lease_of(5, 6), ground: 4, piece: vec![7; 300] },
     ];
     said.iter().map(ToGuest::to_bytes).collect()
 }
@@ -71,10 +73,13 @@ fn of_guest() -> Vec<Vec<u8>> {
             bits: 5,
             cores: 16,
             name: "a machine".into(),
+            memory: Some(1 << 33),
         },
         FromGuest::Want { hash: [1; 32], at: 1 << 30 },
         FromGuest::Ready { incarnation: 3 },
         FromGuest::Done { incarnation: 3, jobs: vec![done, DoneJob::default()] },
+        FromGuest::Grounded { incarnation: 3, number: 4 },
+        FromGuest::Worked { incarnation: 3, lease: lease_of(5, 6), micros: 900, waiting: 1, found: vec![9; 400] },
     ];
     said.iter().map(FromGuest::to_bytes).collect()
 }
@@ -133,8 +138,7 @@ fn lists_of_files_and_keys() {
         scene: "a.obj".into(),
         files: ["a.obj", "a.mtl", "maps/wood.png"].map(entry).to_vec(),
         light: "{}".into(),
-        illumination: entry("illumination"),
-        illumination_hash: "none".into(),
+        illumination: Some((entry("illumination"), "none".into())),
         content_hash: [2; 32],
     };
     let key = Invitation { address: "tcp/127.0.0.1:7447".into(), key: Key::new().expect("randomness") };

@@ -14,6 +14,10 @@ use glam::{DVec3, Vec3, Vec4};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+pub mod orders;
+
+use orders::{Gatherers, Here};
+
 use super::ahead::ahead;
 use super::atlas::{Atlas, ConformalCharts, Element};
 use super::filter::{Noisy, Parts, Smoothing};
@@ -28,7 +32,6 @@ use crate::image::luminance;
 use crate::scene::Scene;
 use crate::transport::Indexed;
 use crate::transport::caustic::{Caustics, Class, RUN, Sources};
-use crate::transport::gather::Trust;
 
 /// Samples of a site in the first round over all of them; every later round doubles them.
 const FIRST_ROUND: u32 = 4;
@@ -308,6 +311,11 @@ impl Baker {
 
     /// A bounded piece of work.
     pub fn step(&mut self, indexed: Indexed<'_>) -> Step {
+        self.step_by(indexed, &Here)
+    }
+
+    /// The same, where others may gather.
+    pub fn step_by(&mut self, indexed: Indexed<'_>, gatherers: &dyn Gatherers) -> Step {
         match std::mem::replace(&mut self.doing, Doing::Gather) {
             Doing::Begin => {
                 let first = first_picture(indexed, self.settings.seed);
@@ -321,7 +329,7 @@ impl Baker {
                 Step::Going
             }
             Doing::Gather => {
-                self.gather(indexed);
+                self.gather(indexed, gatherers);
                 Step::Going
             }
             Doing::Smooth(mut smoothing) => {
@@ -390,68 +398,6 @@ impl Baker {
         };
         let left = most.saturating_sub(self.paths) as f64 / sites.max(1.0);
         whole.min(2 * (0.5 * left).ceil().min(f64::from(whole)) as u32).max(2)
-    }
-
-    fn gather(&mut self, indexed: Indexed<'_>) {
-        // The first round that comes to all sites tells which are dark.
-        let first = self.whole_rounds() == 0;
-        // Decided at the beginning of the round; later the paths that are left say something else.
-        let samples = self.round_samples.unwrap_or_else(|| self.samples_of_round());
-        self.round_samples = Some(samples);
-        let (sites, atlas, points, seen, dark) =
-            (self.sites.all(), &self.atlas, &self.points, &self.seen, &self.dark);
-        let is_ahead = &self.ahead.1;
-        let of = |i: usize| match (is_ahead[i], seen[i], first && sites[i].back) {
-            (true, ..) => AHEAD * samples,
-            (.., true) => FIRST_LOOK,
-            (_, true, _) => samples,
-            _ => (samples / UNSEEN).next_multiple_of(2).max(2),
-        };
-        let chosen = self.chosen();
-        let (count, is_whole) = (self.places(), chosen.is_none());
-        let place = |k: usize| chosen.map_or(k, |chosen| chosen[k] as usize);
-        let map = self.map.clone();
-        let gather = indexed.gather(Trust::Map(&*map)).without_caustics().without_named();
-        let mut end = self.next;
-        let mut batch = 0;
-        while end < count && batch < BATCH {
-            let i = place(end);
-            batch += if dark[i / BLOCK] { 0 } else { u64::from(of(i)) };
-            end += 1;
-        }
-        let seed = self.settings.seed;
-        let gathered: Vec<(usize, Gathered, u32)> = (self.next..end)
-            .into_par_iter()
-            .map(|k| {
-                let i = place(k);
-                let (site, mut sums) = (&sites[i], self.gathered[i]);
-                if dark[i / BLOCK]
-                    || !sums.find_points((indexed.scene, indexed.accel), atlas, points, (site, seen[i]))
-                {
-                    return (i, sums, 0);
-                }
-                let count = of(i);
-                sums.begin_round();
-                let e = &atlas.elements[site.element as usize];
-                let expected = luminance(map.lookup_unnamed(e.triangle, e.b1, e.b2, site.back).truncate());
-                sums.gather(indexed.scene, (atlas, points), &gather, site, (seed, count, expected));
-                (i, sums, count)
-            })
-            .collect();
-        for (i, sums, taken) in gathered {
-            self.gathered[i] = sums;
-            self.paths += u64::from(taken);
-        }
-        self.next = end;
-        if end < count {
-            return;
-        }
-        if first && is_whole {
-            let blocks = self.gathered.chunks(BLOCK).map(|block| !block.iter().any(Gathered::is_lit));
-            self.dark = blocks.collect();
-        }
-        self.round_samples = None;
-        self.doing = Doing::Smooth(self.smoothing());
     }
 
     /// Whether particles of caustics are still to be traced before the round that has begun.
@@ -567,6 +513,17 @@ impl Baker {
         keep_going: &(dyn Fn(&Progress) -> bool + Sync),
         on_round: &mut dyn FnMut(&Summary),
     ) -> Baked {
+        self.run_by(indexed, &Here, keep_going, on_round)
+    }
+
+    /// The same, where others may gather.
+    pub fn run_by(
+        &mut self,
+        indexed: Indexed<'_>,
+        gatherers: &dyn Gatherers,
+        keep_going: &(dyn Fn(&Progress) -> bool + Sync),
+        on_round: &mut dyn FnMut(&Summary),
+    ) -> Baked {
         let mut begun = false;
         loop {
             // Without any light there is nothing to show; and who goes on again and again must get somewhere.
@@ -585,7 +542,7 @@ impl Baker {
                 return Baked { illumination, complete: false };
             }
             begun = !matches!(self.doing, Doing::Begin);
-            match self.step(indexed) {
+            match self.step_by(indexed, gatherers) {
                 Step::Going => {}
                 Step::Better(map) => on_round(&map.summary),
                 Step::Done(map) => {

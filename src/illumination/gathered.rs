@@ -63,6 +63,13 @@ impl Gathered {
         [self.sharp, self.soft].iter().flatten().flatten().chain(named).any(|v| *v > 0.0)
     }
 
+    /// Whether it can be what samples brought: what came from elsewhere must.
+    pub fn is_sound(&self) -> bool {
+        let sums = [self.sharp, self.soft, self.caustic];
+        let mut all = sums.iter().flatten().chain(&self.named).flatten().chain([&self.soft_weight]);
+        all.all(|v| v.is_finite()) && self.samples < 1 << 30
+    }
+
     /// Another round begins: indirect light of the ones before counts less.
     pub fn begin_round(&mut self) {
         self.soft.iter_mut().flatten().for_each(|v| *v *= KEPT);

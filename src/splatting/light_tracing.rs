@@ -63,6 +63,12 @@ impl Splats {
         h.digest()
     }
 
+    /// Whether it can be one of a picture of so many pixels: what came from elsewhere must.
+    pub fn fits(&self, pixels: usize) -> bool {
+        let fits = |s: &Splat| (s.pixel as usize) < pixels && s.parts.iter().all(|part| part.is_finite());
+        self.splats.iter().all(fits)
+    }
+
     /// Bytes of it.
     pub fn size_bytes(&self) -> usize {
         size_of_val(&self.splats[..]) + size_of::<Self>()
@@ -250,7 +256,7 @@ mod tests {
     use crate::display::cpu_pass::{self, Passes};
     use crate::illumination::Uniform;
     use crate::scene::{Camera, Light, Model, Reflectance};
-    use crate::splatting::supersampling::supersampled;
+    use crate::splatting::supersampling::tests::supersampled;
     use crate::transport::test_boxes::{Builder, lambert};
     use std::sync::Arc;
 
@@ -313,7 +319,7 @@ mod tests {
             let (frame, mut buffers) = (frame(), FrameBuffers::new(24, 16));
             cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
             let first = buffers.color.clone();
-            let picture = supersampled(&world, &frame, &buffers, 1, 256, &first, &|| true).picture;
+            let picture = supersampled(&world, &frame, &buffers, 1, 256, &first).picture;
             let found = picture.data().iter().map(|c| f64::from(c.x)).sum::<f64>() / 384.0;
             assert!((found / expected(1.0) - 1.0).abs() < 0.02, "{map}: {found} {}", expected(1.0));
         }

@@ -8,10 +8,10 @@
 //! Each tile goes on from its own sums, one order at a time, so its bits depend neither on who traces nor on the order of
 //! tiles. What is shown of them is made of all tiles at once (`splatting::settled`).
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::Vec3;
-use rayon::prelude::*;
 
 use crate::display::FrameBuffers;
 use crate::display::tone::ToneMap;
@@ -20,7 +20,8 @@ use crate::image::{Map2d, srgb_from_linear};
 use crate::rng::{Stream, hash};
 use crate::sampling::Rect;
 use crate::scene::camera::CameraFrame;
-use crate::splatting::light_tracing::{LightSums, runs_for, trace_run};
+use crate::splatting::filter::GoesOn;
+use crate::splatting::light_tracing::{LightSums, Splats, runs_for};
 use crate::splatting::settled::settled;
 use crate::splatting::tile_sums::{BATCHES, PixelSample, TileSums};
 use crate::transport::gather::{Gather, Trust};
@@ -131,12 +132,28 @@ pub fn supersample(
     count: u32,
     seed: u64,
 ) -> TileSums {
+    supersample_while(world, frame, tile, on, count, seed, &|| true)
+}
+
+/// The same, as long as it goes on, which is asked before each sample of all pixels.
+pub fn supersample_while(
+    world: &World,
+    frame: &CameraFrame,
+    tile: u32,
+    on: Option<&TileSums>,
+    count: u32,
+    seed: u64,
+    goes_on: GoesOn<'_>,
+) -> TileSums {
     let [width, height] = frame.size;
     let tiles = Tiles::of_size(width, height);
     let area = tiles.rect(tile).area() as usize;
     let mut sums = on.cloned().unwrap_or_else(|| TileSums::new(tile, area));
     let gather = world.gather(Trust::EndValue(&*world.illumination));
     for number in sums.samples..sums.samples.saturating_add(count).min(SAMPLES_MAX - 1) {
+        if !goes_on() {
+            break;
+        }
         let of_pixel = |(x, y)| sample(&gather, frame, seed, [x as u32, y as u32], number);
         let samples: Vec<PixelSample> = tiles.pixels(tile).map(of_pixel).collect();
         sums.add(&samples);
@@ -154,61 +171,63 @@ pub struct Refined {
     pub stated: f32,
 }
 
-/// The picture that a view is refined to after `samples` of each pixel, from its `first` samples. Before each tile it is
-/// asked whether it `goes_on`; tiles after that stay as they were.
-pub fn supersampled(
+/// The picture that a view is refined to after `samples` of each pixel, from its `first` samples: of the sums of `tiles`, those
+/// that there are, and of `runs` of light traced to the eye, as many as belong to so many samples, if paths do not find all.
+/// Without one of these runs it has none.
+pub fn refined(
     world: &World,
     frame: &CameraFrame,
     buffers: &FrameBuffers,
-    seed: u64,
     samples: u32,
     first: &Map2d<Vec3>,
-    goes_on: &(dyn Fn() -> bool + Sync),
+    tiles: &[Option<Arc<TileSums>>],
+    mut runs: impl FnMut(Range<u32>) -> Vec<Option<Splats>>,
 ) -> Refined {
-    let [width, height] = frame.size;
-    let of_tile = |tile| goes_on().then(|| Arc::new(supersample(world, frame, tile, None, samples, seed)));
-    let tiles: Vec<_> =
-        (0..Tiles::of_size(width, height).len() as u32).into_par_iter().map(of_tile).collect();
-    let traced = traced(world, frame, seed, samples, goes_on);
-    let Some(settled) = settled(world, frame, buffers, &tiles, traced.as_ref(), &|| true) else {
+    /// Runs that are held at once.
+    const TOGETHER: u32 = 64;
+    let [width, height] = frame.size.map(|s| s as usize);
+    let mut traced = None;
+    if samples > 0 && world.caustics().is_possible() {
+        let (sums, all) =
+            (traced.insert(LightSums::new(world, width * height)), runs_for(samples, width * height));
+        for first in (0..all).step_by(TOGETHER as usize) {
+            runs(first..all.min(first + TOGETHER)).iter().flatten().for_each(|splats| sums.add(splats));
+        }
+    }
+    let Some(settled) = settled(world, frame, buffers, tiles, traced.as_ref(), &|| true) else {
         return Refined { picture: first.clone(), stated: f32::INFINITY };
     };
     let pixel = |x, y| settled.pixel(x, y, buffers.color.at(x, y), first.at(x, y));
-    Refined { picture: Map2d::from_fn(width as usize, height as usize, pixel), stated: settled.stated }
-}
-
-/// Light traced to the eye as much as belongs to so many samples of each pixel; `None` where paths find all there is.
-fn traced(
-    world: &World,
-    frame: &CameraFrame,
-    seed: u64,
-    samples: u32,
-    goes_on: &(dyn Fn() -> bool + Sync),
-) -> Option<LightSums> {
-    /// Runs that are held at once.
-    const TOGETHER: u32 = 64;
-    let pixels = frame.size.iter().map(|s| *s as usize).product();
-    if samples == 0 || !world.caustics().is_possible() {
-        return None;
-    }
-    let (mut sums, runs) = (LightSums::new(world, pixels), runs_for(samples, pixels));
-    for first in (0..runs).step_by(TOGETHER as usize) {
-        let some = first..runs.min(first + TOGETHER);
-        let traced: Vec<_> =
-            some.into_par_iter().map(|run| trace_run(world, frame, run, seed, &|| goes_on())).collect();
-        traced.iter().flatten().for_each(|splats| sums.add(splats));
-    }
-    Some(sums)
+    Refined { picture: Map2d::from_fn(width, height, pixel), stated: settled.stated }
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::display::cpu_pass::{self, Passes};
     use crate::illumination::Uniform;
     use crate::image::luminance;
     use crate::scene::test_scenes::{add_box, grey, scene};
     use crate::scene::{Camera, Material, Mesh, Model, Reflectance};
+    use crate::splatting::light_tracing::trace_run;
+    use rayon::prelude::*;
+
+    /// A refined picture, from this machine's threads.
+    pub(in crate::splatting) fn supersampled(
+        world: &World,
+        frame: &CameraFrame,
+        buffers: &FrameBuffers,
+        seed: u64,
+        samples: u32,
+        first: &Map2d<Vec3>,
+    ) -> Refined {
+        let of_tile = |tile| Some(Arc::new(supersample(world, frame, tile, None, samples, seed)));
+        let count = Tiles::of_size(frame.size[0], frame.size[1]).len() as u32;
+        let tiles: Vec<_> = (0..count).into_par_iter().map(of_tile).collect();
+        refined(world, frame, buffers, samples, first, &tiles, |runs| {
+            runs.into_par_iter().map(|run| trace_run(world, frame, run, seed, &|| true)).collect()
+        })
+    }
 
     /// A box that shines before black: radiance 0.5 where it is, 0 elsewhere.
     fn world() -> World {
@@ -258,7 +277,7 @@ mod tests {
             let mut buffers = FrameBuffers::new(48, 32);
             cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
             for (samples, seed) in [(16, 1), (16, 2), (64, 3), (64, 4), (64, 5)] {
-                let shown = supersampled(&world, &frame, &buffers, seed, samples, &buffers.color, &|| true);
+                let shown = supersampled(&world, &frame, &buffers, seed, samples, &buffers.color);
                 let off =
                     blocks(&shown.picture).iter().zip(&truth).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
                 let (off, stated) = ((off / 24.0).sqrt() / mean, f64::from(shown.stated));
@@ -284,8 +303,7 @@ mod tests {
             let world = World::new(scene.clone(), Arc::new(Uniform(Vec3::splat(irradiance))));
             let mut buffers = FrameBuffers::new(32, 16);
             cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
-            let picture =
-                supersampled(&world, &frame, &buffers, 1, samples, &buffers.color, &|| true).picture;
+            let picture = supersampled(&world, &frame, &buffers, 1, samples, &buffers.color).picture;
             picture.data().iter().map(|c| f64::from(c.x)).sum::<f64>() / 512.0
         };
         let [dark, bright] = [0.0, 9.0].map(|map| mean(map, 256));
@@ -300,7 +318,7 @@ mod tests {
         let frame = camera.frame(40, 24);
         let mut buffers = FrameBuffers::new(40, 24);
         cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
-        let seen = |n| supersampled(&world, &frame, &buffers, 1, n, &buffers.color, &|| true).picture;
+        let seen = |n| supersampled(&world, &frame, &buffers, 1, n, &buffers.color).picture;
         assert_eq!(seen(0).data(), buffers.color.data());
         let (few, many) = (seen(64), seen(4096));
         let full = buffers.color.data().iter().fold(0.0_f32, |m, c| m.max(c.x));

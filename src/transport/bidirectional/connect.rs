@@ -82,7 +82,7 @@ impl Bidirectional<'_> {
     }
 
     /// A vertex from a light joined with the eye: the pixel, counted row by row, and its radiance.
-    pub(super) fn shown(&self, y: &Vertex) -> Option<(usize, Vec3)> {
+    pub(super) fn shown(&self, y: &Vertex) -> Option<(u32, Vec3)> {
         let (scene, frame) = (self.scene, self.frame);
         let (px, py, _) = frame.project(y.at.position)?;
         let [width, height] = frame.size;
@@ -104,7 +104,7 @@ impl Bidirectional<'_> {
         }
         let passed = visibility(scene, self.accel, &y.at.spawn_to(frame.eye));
         let value = value * passed * y.media.transmittance(scene, distance);
-        (value.max_element() > 0.0).then_some((py as usize * width as usize + px as usize, value))
+        (value.max_element() > 0.0).then_some((py as u32 * width + px as u32, value))
     }
 }
 

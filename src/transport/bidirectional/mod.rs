@@ -17,8 +17,11 @@ mod photons;
 mod vertex;
 mod walk;
 
+use std::ops::Range;
+
 use glam::Vec3;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::geometry::{Accel, Ray};
 use crate::image::Map2d;
@@ -29,7 +32,8 @@ use crate::scene::{Model, Scene};
 
 use super::light::Lights;
 use super::medium::Media;
-use photons::{Photon, Photons};
+use photons::Photon;
+pub use photons::Photons;
 use vertex::Vertex;
 pub(crate) use vertex::geometric_cosine;
 pub(super) use vertex::{End, scattering};
@@ -64,11 +68,19 @@ pub struct Pass {
     pub merged: Option<Map2d<[Vec3; 2]>>,
 }
 
-/// What the subpaths that belong to a row of pixels find.
-struct Row {
+/// What the subpaths find that belong to some pixels in a row of all pixels.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Part {
     seen: Vec<Seen>,
     /// Of light traced to the eye: pixels and what is added to them.
-    splats: Vec<(usize, Vec3)>,
+    splats: Vec<(u32, Vec3)>,
+}
+
+impl Part {
+    /// Whether it can be one of so many pixels of a picture: what came from elsewhere must.
+    pub fn fits(&self, pixels: usize, of: usize) -> bool {
+        self.seen.len() == pixels && self.splats.iter().all(|(pixel, _)| (*pixel as usize) < of)
+    }
 }
 
 impl<'a> Bidirectional<'a> {
@@ -98,41 +110,56 @@ impl<'a> Bidirectional<'a> {
 
     /// Pass number `pass`: the same for the same numbers, on any number of threads.
     pub fn pass(&self, seed: u64, pass: u64) -> Pass {
-        let [width, height] = self.frame.size.map(|s| s as usize);
-        let photons = if self.merges { self.photons(seed, pass) } else { Photons::default() };
+        let [width, height] = self.frame.size;
+        let photons = self.photons(seed, pass);
+        let rows: Vec<Part> = (0..height)
+            .into_par_iter()
+            .map(|y| self.part(seed, pass, y * width..(y + 1) * width, &photons))
+            .collect();
+        self.joined(&rows, &photons)
+    }
+
+    /// What pass number `pass` finds for some pixels, counted row by row, with the photons of that pass.
+    pub fn part(&self, seed: u64, pass: u64, pixels: Range<u32>, photons: &Photons) -> Part {
+        let width = self.frame.size[0];
         let shrunk = math::powf((pass + 1) as f64, SHRINKS) as f32;
         let radius = FIRST_RADIUS * self.frame.pixel_angle() * shrunk;
-        let merged = (!photons.is_empty()).then_some((&photons, radius));
-        let rows: Vec<Row> = (0..height)
-            .into_par_iter()
-            .map(|y| {
-                let (mut splats, mut light): (_, Vec<Vertex>) = (Vec::new(), Vec::new());
-                let seen = (0..width).map(|x| {
-                    light.clear();
-                    self.light_path(self.light_stream(seed, pass, y * width + x), false, |vertex, _| {
-                        splats.extend(self.shown(vertex));
-                        light.push(*vertex);
-                    });
-                    let mut stream = Stream::of_pixel(seed, x as u32, y as u32, pass);
-                    let [dx, dy] = stream.next_2d();
-                    let direction = self.frame.direction(x as f32 + dx, y as f32 + dy);
-                    self.eye_path(direction, stream, &light, merged)
-                });
-                Row { seen: seen.collect(), splats }
-            })
-            .collect();
+        let merged = (!photons.is_empty()).then_some((photons, radius));
+        let (mut splats, mut light): (_, Vec<Vertex>) = (Vec::new(), Vec::new());
+        let seen = pixels.map(|pixel| {
+            light.clear();
+            self.light_path(self.light_stream(seed, pass, pixel as usize), false, |vertex, _| {
+                splats.extend(self.shown(vertex));
+                light.push(*vertex);
+            });
+            let (x, y) = (pixel % width, pixel / width);
+            let mut stream = Stream::of_pixel(seed, x, y, pass);
+            let [dx, dy] = stream.next_2d();
+            let direction = self.frame.direction(x as f32 + dx, y as f32 + dy);
+            self.eye_path(direction, stream, &light, merged)
+        });
+        Part { seen: seen.collect(), splats }
+    }
+
+    /// The pass whose parts, in order, and photons these are.
+    pub fn joined(&self, parts: &[Part], photons: &Photons) -> Pass {
+        let [width, height] = self.frame.size.map(|s| s as usize);
         let finite = |v: Vec3| if v.is_finite() { v } else { Vec3::ZERO };
-        let seen = || rows.iter().flat_map(|row| &row.seen);
+        let seen = || parts.iter().flat_map(|part| &part.seen);
         let mut connected = Map2d::from_vec(width, height, seen().map(|s| finite(s.connected)).collect());
-        for (pixel, value) in rows.iter().flat_map(|row| &row.splats) {
-            connected.data_mut()[*pixel] += *value;
+        for (pixel, value) in parts.iter().flat_map(|part| &part.splats) {
+            connected.data_mut()[*pixel as usize] += *value;
         }
-        let merged = merged.map(|_| Map2d::from_vec(width, height, seen().map(|s| s.merged).collect()));
+        let merged =
+            (!photons.is_empty()).then(|| Map2d::from_vec(width, height, seen().map(|s| s.merged).collect()));
         Pass { connected, merged }
     }
 
-    /// Photons of the same subpaths that no connection would have found so far.
-    fn photons(&self, seed: u64, pass: u64) -> Photons {
+    /// Photons of the subpaths of a pass that no connection would have found so far; none where every light is found.
+    pub fn photons(&self, seed: u64, pass: u64) -> Photons {
+        if !self.merges {
+            return Photons::default();
+        }
         let [width, height] = self.frame.size.map(|s| s as usize);
         let rows: Vec<Vec<Photon>> = (0..height)
             .into_par_iter()

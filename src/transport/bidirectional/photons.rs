@@ -13,7 +13,7 @@ use super::vertex::{Vertex, geometric_cosine};
 
 /// Light that arrives.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Photon {
+pub(super) struct Photon {
     position: Vec3,
     /// Unit direction back to where it came from.
     wi: Vec3,
@@ -24,7 +24,7 @@ pub struct Photon {
 }
 
 impl Photon {
-    pub fn at(vertex: &Vertex) -> Self {
+    pub(super) fn at(vertex: &Vertex) -> Self {
         let (at, wi) = (&vertex.at, vertex.at.wo);
         let flux = vertex.throughput / geometric_cosine(at, wi);
         Self { position: at.position, wi, normal: at.facing_geometric(), flux }
@@ -39,20 +39,20 @@ pub struct Photons {
 }
 
 impl Photons {
-    pub fn new(photons: impl Iterator<Item = Photon>) -> Self {
+    pub(super) fn new(photons: impl Iterator<Item = Photon>) -> Self {
         let usable = |p: &Photon| p.position.is_finite() && p.flux.is_finite();
         let mut tree: Vec<(Photon, u8)> = photons.filter(usable).map(|p| (p, 0)).collect();
         divide(&mut tree);
         Self { tree }
     }
 
-    pub fn is_empty(&self) -> bool {
+    pub(super) fn is_empty(&self) -> bool {
         self.tree.is_empty()
     }
 
     /// Radiance that a vertex scatters towards the eye of all photons within `radius`, as if one had been emitted; and
     /// the same within radius/√2.
-    pub fn around(&self, vertex: &Vertex, radius: f32) -> [Vec3; 2] {
+    pub(super) fn around(&self, vertex: &Vertex, radius: f32) -> [Vec3; 2] {
         let mut sums = [Vec3::ZERO; 2];
         let (at, squared) = (&vertex.at, radius * radius);
         visit(&self.tree, at.position, radius, &mut |p, distance| {

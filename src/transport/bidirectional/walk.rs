@@ -3,6 +3,7 @@
 //! A pane that is passed straight on is no vertex: it attenuates, and connections see through it too.
 
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 
 use crate::geometry::Ray;
 use crate::rng::Stream;
@@ -62,7 +63,7 @@ impl Walk {
 }
 
 /// What a subpath from the eye finds.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Seen {
     /// Radiance by all ways that connect.
     pub connected: Vec3,

@@ -1,0 +1,157 @@
+//! Parts of a round, for whoever gathers: at which sites, and what is known of each.
+//!
+//! What an order comes to is a function of scene, settings, the map of the round before and the order itself. So it does
+//! not matter who gathers, where, or how often.
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::{AHEAD, BATCH, BLOCK, Baker, Doing, FIRST_LOOK, FIRST_ROUND, ROUNDS_MAX, UNSEEN};
+use crate::illumination::gathered::Gathered;
+use crate::illumination::stored::Illumination;
+use crate::image::luminance;
+use crate::transport::Indexed;
+use crate::transport::gather::Trust;
+
+/// Samples of an order, about: some milliseconds.
+const SAMPLES: u64 = 1 << 10;
+/// Sites of an order at most.
+const SITES: usize = 256;
+
+/// Sites to gather light at.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Order {
+    /// Samples of a site in the round.
+    samples: u32,
+    /// Whether the round is the first over all sites.
+    first: bool,
+    /// By number, with what is known of each.
+    sites: Vec<(u32, Gathered)>,
+}
+
+/// What is known of an order's sites once light was gathered there, in the same order.
+pub type Answer = Vec<Gathered>;
+
+impl Order {
+    /// Whether an answer may be one to it: what came from elsewhere must.
+    pub fn may_be_answered_by(&self, answer: &Answer) -> bool {
+        answer.len() == self.sites.len()
+            && answer.iter().zip(&self.sites).all(|(sums, (_, before))| {
+                sums.is_sound()
+                    && (before.samples()..=before.samples() + most(self.samples)).contains(&sums.samples())
+            })
+    }
+}
+
+/// Samples that a site takes in a round at most.
+fn most(samples: u32) -> u32 {
+    (AHEAD * samples).max(FIRST_LOOK)
+}
+
+/// Who gathers.
+pub trait Gatherers: Sync {
+    /// What these orders of a bake come to ([`Baker::answer`]), in the same order.
+    fn gather(&self, baker: &Baker, indexed: Indexed<'_>, orders: &[Order]) -> Vec<Answer>;
+
+    /// How much they do in the time that the threads of this machine take for 1.
+    fn worth(&self) -> u64 {
+        1
+    }
+}
+
+/// The threads of this machine.
+#[derive(Clone, Copy, Debug)]
+pub struct Here;
+
+impl Gatherers for Here {
+    fn gather(&self, baker: &Baker, indexed: Indexed<'_>, orders: &[Order]) -> Vec<Answer> {
+        orders.par_iter().map(|order| baker.answer(indexed, baker.map(), order)).collect()
+    }
+}
+
+impl Baker {
+    /// Gathers at some more sites of the round.
+    pub(super) fn gather(&mut self, indexed: Indexed<'_>, gatherers: &dyn Gatherers) {
+        // The first round that comes to all sites tells which are dark.
+        let first = self.whole_rounds() == 0;
+        // Decided at the beginning of the round; later the paths that are left say something else.
+        let samples = self.round_samples.unwrap_or_else(|| self.samples_of_round());
+        self.round_samples = Some(samples);
+        let (chosen, count) = (self.chosen(), self.places());
+        let is_whole = chosen.is_none();
+        let place = |k: usize| chosen.map_or(k, |chosen| chosen[k] as usize);
+        let (mut end, mut batch, most) = (self.next, 0, BATCH * gatherers.worth());
+        let (mut orders, mut in_order): (Vec<Order>, u64) = (Vec::new(), SAMPLES);
+        while end < count && batch < most {
+            let i = place(end);
+            end += 1;
+            if self.dark[i / BLOCK] {
+                continue;
+            }
+            if in_order >= SAMPLES || orders.last().is_none_or(|order| order.sites.len() >= SITES) {
+                orders.push(Order { samples, first, sites: Vec::new() });
+                in_order = 0;
+            }
+            let taken = u64::from(self.samples_at(i, samples, first));
+            (batch, in_order) = (batch + taken, in_order + taken);
+            if let Some(order) = orders.last_mut() {
+                order.sites.push((i as u32, self.gathered[i]));
+            }
+        }
+        let answers = gatherers.gather(self, indexed, &orders);
+        for ((site, before), sums) in orders.iter().flat_map(|o| &o.sites).zip(answers.into_iter().flatten())
+        {
+            self.gathered[*site as usize] = sums;
+            self.paths += u64::from(sums.samples() - before.samples());
+        }
+        self.next = end;
+        if end < count {
+            return;
+        }
+        if first && is_whole {
+            let blocks = self.gathered.chunks(BLOCK).map(|block| !block.iter().any(Gathered::is_lit));
+            self.dark = blocks.collect();
+        }
+        self.round_samples = None;
+        self.doing = Doing::Smooth(self.smoothing());
+    }
+
+    /// Samples that a site takes in a round.
+    fn samples_at(&self, i: usize, samples: u32, first: bool) -> u32 {
+        match (self.ahead.1[i], self.seen[i], first && self.sites.all()[i].back) {
+            (true, ..) => AHEAD * samples,
+            (.., true) => FIRST_LOOK,
+            (_, true, _) => samples,
+            _ => (samples / UNSEEN).next_multiple_of(2).max(2),
+        }
+    }
+
+    /// Whether an order is one of this bake: what came from elsewhere must be.
+    pub fn has(&self, order: &Order) -> bool {
+        let is_known =
+            |(site, sums): &(u32, Gathered)| (*site as usize) < self.gathered.len() && sums.is_sound();
+        order.samples <= FIRST_ROUND << ROUNDS_MAX
+            && order.sites.len() <= SITES
+            && order.sites.iter().all(is_known)
+    }
+
+    /// What an order comes to under the `map` of the round before. Of the bake itself only scene and settings count.
+    pub fn answer(&self, indexed: Indexed<'_>, map: &Illumination, order: &Order) -> Answer {
+        let gather = indexed.gather(Trust::Map(map)).without_caustics().without_named();
+        let (atlas, points) = (&self.atlas, &self.points);
+        let at = |&(site, mut sums): &(u32, Gathered)| {
+            let i = site as usize;
+            let site = &self.sites.all()[i];
+            if !sums.find_points((indexed.scene, indexed.accel), atlas, points, (site, self.seen[i])) {
+                return sums;
+            }
+            let count = self.samples_at(i, order.samples, order.first);
+            sums.begin_round();
+            let e = &atlas.elements[site.element as usize];
+            let expected = luminance(map.lookup_unnamed(e.triangle, e.b1, e.b2, site.back).truncate());
+            sums.gather(indexed.scene, (atlas, points), &gather, site, (self.settings.seed, count, expected));
+            sums
+        };
+        order.sites.iter().map(at).collect()
+    }
+}

@@ -8,6 +8,8 @@ use foveal::scene::Display;
 use foveal::splatting::supersampling::Supersampling;
 use foveal::splatting::{AgeingRules, Footprint};
 
+use crate::station::CHECKED;
+
 /// Settings that all actors of a session share; part of a recording's header.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Settings {
@@ -46,6 +48,17 @@ pub struct Settings {
     /// Places for other machines among the tracers.
     #[serde(default, skip_serializing_if = "has_none")]
     pub stations: u32,
+    /// One of so many samples that come from there is traced here as well.
+    #[serde(default = "checked", skip_serializing_if = "is_usual")]
+    pub checked: u32,
+}
+
+fn checked() -> u32 {
+    CHECKED
+}
+
+fn is_usual(checked: &u32) -> bool {
+    *checked == CHECKED
 }
 
 fn has_none(stations: &u32) -> bool {
@@ -139,6 +152,7 @@ impl Settings {
             winner_takes_all: false,
             approximates: approximates(),
             stations: 0,
+            checked: CHECKED,
         }
     }
 

@@ -42,6 +42,7 @@ use crate::message::{AllocatorMessage, RendererInput, RendererMessage, TraceJob}
 use crate::renderer::{FrameSink, Neighbours, Renderer};
 use crate::settings::Settings;
 use crate::stages::StageTimes;
+use crate::station::board::Board;
 use crate::station::{CREDITS_MAX, Heard, Listeners, Outlet, STATIONS_MAX, Silent, Station, StationMessage};
 use crate::textures::TextureStore;
 use crate::tracer::Tracer;
@@ -112,6 +113,8 @@ pub struct Actors {
     pub pool: Option<JobPool<TraceJob>>,
     /// By number; none where no machine may come.
     pub stations: Vec<Handle<Station>>,
+    /// How these stand.
+    pub board: Board,
     /// What leads from each guest to its station.
     pub station_inputs: Vec<Port<Heard, StationMessage>>,
 }
@@ -180,6 +183,7 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
             pool: None,
             illuminator,
             stations: Vec::new(),
+            board: Board::default(),
             station_inputs: Vec::new(),
         };
     };
@@ -247,6 +251,7 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
     let renderer = wiring.spawn(renderer, actor, OnPanic::End);
     // Behind all others, whose numbers do not depend on them.
     let (mut stations, mut station_inputs) = (Vec::new(), Vec::new());
+    let board = Board::new(settings.stations.min(STATIONS_MAX));
     let mut outlets = outlets.into_iter();
     for number in 0..settings.stations.min(STATIONS_MAX) {
         // An answer for each job, and those who come and go.
@@ -254,7 +259,8 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
         station_inputs.push(wiring.port(&format!("guest {number}"), &station.address()));
         let outlet = outlets.next().unwrap_or_else(|| Box::new(Silent));
         let (index, to) = (settings.tracers + number, listeners.clone());
-        let actor = Station::new(index, settings.lattice(), pool.clone(), to, outlet);
+        let own = (settings.checked, (board.clone(), number as usize));
+        let actor = Station::new(index, settings.lattice(), pool.clone(), to, outlet, own);
         // A job is over in its state before anybody is told.
         stations.push(wiring.spawn_worker(station, actor, &pool, OnPanic::Resume));
     }
@@ -266,6 +272,7 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
         pool: Some(pool),
         illuminator,
         stations,
+        board,
         station_inputs,
     }
 }

@@ -375,6 +375,7 @@ fn unsound(s: &Settings) -> Option<String> {
         (side.contains(&s.width) && side.contains(&s.height) && pixels <= 1 << 26, "picture size"),
         ((1..=TRACERS_MAX).contains(&s.tracers), "number of tracers"),
         (s.stations <= STATIONS_MAX && s.tracers + s.stations <= TRACERS_MAX + 1, "number of stations"),
+        (s.checked >= 1, "share of samples that are checked"),
         ((1..=1 << 20).contains(&s.samples_per_job), "samples of a job"),
         (s.k_max <= 7, "number of levels"),
         (s.cache_capacity <= 1 << 26, "size of the sample cache"),

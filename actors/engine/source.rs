@@ -13,6 +13,7 @@ use glam::Vec3;
 use foveal_actors::insight::Insight;
 use foveal_actors::renderer::overlay::Overlay;
 use foveal_actors::settings::Adjustment;
+use foveal_actors::station::StationStatus;
 
 use crate::engine::Event;
 use crate::look::Mirror;
@@ -74,6 +75,8 @@ pub struct Status {
     pub lit: bool,
     /// The actors.
     pub actors: Vec<ActorStatus>,
+    /// Places for other machines, by number.
+    pub stations: Vec<StationStatus>,
 }
 
 /// What a window needs to know of a scene.

@@ -1,6 +1,7 @@
 //! How a walk stands, as pages show it.
 
 use foveal_actors::insight::ObjectInsight;
+use foveal_actors::station::StationCounts;
 use foveal_engine::foveal::scene::Camera;
 use foveal_engine::thread::Report;
 use serde_json::{Value, json};
@@ -29,6 +30,16 @@ pub fn state(report: &Report, camera: Option<&Camera>) -> String {
         .iter()
         .map(|a| json!([a.name, a.delivered, a.waiting, a.waiting_max, rounded(a.busy.as_secs_f64(), 2)]))
         .collect();
+    let stations =
+        status.stations.iter().filter(|s| s.guest.is_some() || s.counts != StationCounts::default());
+    let stations: Vec<Value> = stations
+        .map(|s| {
+            let rate = rounded(f64::from(s.rate), 0);
+            let trip = rounded(f64::from(s.round_trip) * 1e3, 1);
+            let c = &s.counts;
+            json!([s.guest, s.cores, s.stands.name(), trip, rate, c.late, c.shared, c.checked])
+        })
+        .collect();
     json!({
         "type": "state",
         "state": state,
@@ -54,6 +65,7 @@ pub fn state(report: &Report, camera: Option<&Camera>) -> String {
             [report.used, *limit].map(|bytes| rounded(bytes as f64 / MIB, 1))
         }),
         "actors": actors,
+        "stations": stations,
         "timeline": timeline.as_ref().map(|(at, plays)| json!({
             "frame": at.frame, "frames": at.frames, "plays": plays,
             "position": at.position, "lines": at.lines, "story": at.story,

@@ -10,6 +10,7 @@
 
 mod answer;
 pub mod bits;
+pub mod board;
 mod estimate;
 mod saved;
 pub mod wire;
@@ -26,6 +27,7 @@ use serde::{Deserialize, Serialize};
 use crate::message::{AllocatorMessage, CacheAgerMessage, RendererMessage, SampleOrder, TraceJob};
 use crate::outbox::Outbox;
 use answer::{Answer, colors_of, is_right};
+use board::Board;
 use estimate::Estimate;
 use wire::{Colors, JobSpec, SAMPLES_MAX, ToGuest, ViewSpec};
 
@@ -39,8 +41,8 @@ pub const VIEWS: usize = 4;
 const PROVING: u32 = 4;
 /// One job of so many may be given to others as well.
 const SHARED: u64 = 20;
-/// One sample of so many is checked.
-const CHECKED: usize = 64;
+/// One sample of so many is checked, or one answer, unless something else is said.
+pub const CHECKED: u32 = 64;
 
 /// Takes what is for a guest. An effect: nothing comes back but messages.
 pub trait Outlet: Send + 'static {
@@ -145,6 +147,36 @@ struct Guest {
     /// A job was overdue, and nothing came since.
     suspect: bool,
     estimate: Estimate,
+    /// When it came, and when it answered last, nanoseconds; and samples between.
+    came: u64,
+    answered: u64,
+    samples: u64,
+}
+
+/// How a station stands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Stands {
+    /// It has no guest.
+    #[default]
+    Vacant,
+    /// The first answers of its guest are checked in full.
+    Proving,
+    /// Its guest traces.
+    Serving,
+    /// Its guest does not answer.
+    Suspect,
+}
+
+impl Stands {
+    /// For people.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Vacant => "vacant",
+            Self::Proving => "proving",
+            Self::Serving => "serving",
+            Self::Suspect => "suspect",
+        }
+    }
 }
 
 /// A job that the guest has.
@@ -193,8 +225,10 @@ pub struct StationStatus {
     pub guest: Option<String>,
     /// Its cores.
     pub cores: u16,
-    /// Whether it does not answer.
-    pub suspect: bool,
+    /// How it stands.
+    pub stands: Stands,
+    /// Samples a second that came from the guest, between its coming and its last answer.
+    pub rate: f32,
     /// Jobs that it has, and may have.
     pub jobs: [u32; 2],
     /// The way there and back, seconds.
@@ -230,6 +264,10 @@ pub struct Station {
     /// Jobs that the allocator was told of last.
     credits: u32,
     counts: StationCounts,
+    /// One sample of so many is checked.
+    checked: u32,
+    /// Where it is said how it stands, and under which number.
+    board: (Board, usize),
 }
 
 impl Station {
@@ -239,6 +277,7 @@ impl Station {
         pool: JobPool<TraceJob>,
         to: Listeners,
         outlet: Box<dyn Outlet>,
+        (checked, board): (u32, (Board, usize)),
     ) -> Self {
         Self {
             index,
@@ -253,6 +292,8 @@ impl Station {
             timer: None,
             credits: 0,
             counts: StationCounts::default(),
+            checked: checked.max(1),
+            board,
         }
     }
 
@@ -261,7 +302,16 @@ impl Station {
         StationStatus {
             guest: self.guest.as_ref().map(|guest| guest.name.clone()),
             cores: self.guest.as_ref().map_or(0, |guest| guest.cores),
-            suspect: self.guest.as_ref().is_some_and(|guest| guest.suspect),
+            stands: match &self.guest {
+                None => Stands::Vacant,
+                Some(guest) if guest.suspect => Stands::Suspect,
+                Some(guest) if guest.proved < PROVING => Stands::Proving,
+                Some(_) => Stands::Serving,
+            },
+            rate: self.guest.as_ref().map_or(0.0, |guest| {
+                let seconds = guest.answered.saturating_sub(guest.came) as f32 * 1e-9;
+                if seconds > 0.0 { guest.samples as f32 / seconds } else { 0.0 }
+            }),
             jobs: [self.out.len() as u32, self.window()],
             round_trip: self.guest.as_ref().map_or(0.0, |guest| guest.estimate.round_trip().as_secs_f32()),
             counts: self.counts,
@@ -290,7 +340,18 @@ impl Station {
         self.views.clear();
         let estimate = Estimate::default();
         let cores = cores.clamp(1, CREDITS_MAX as u16 - 1);
-        self.guest = Some(Guest { incarnation, cores, name, proved: 0, suspect: false, estimate });
+        let came = cx.now().0;
+        self.guest = Some(Guest {
+            incarnation,
+            cores,
+            name,
+            proved: 0,
+            suspect: false,
+            estimate,
+            came,
+            answered: came,
+            samples: 0,
+        });
         self.tell_credits(cx);
     }
 
@@ -344,12 +405,13 @@ impl Station {
         let proving = guest.proved < PROVING;
         guest.proved = guest.proved.saturating_add(1);
         guest.estimate.learn(out.samples, found.micros, now.saturating_sub(out.sent));
+        (guest.answered, guest.samples) = (now, guest.samples + u64::from(out.samples));
         let traced = match &found.colors {
             Some(colors) => Arc::clone(colors),
             // Nobody kept them: they are what anybody traces.
             None => Arc::new(colors_of(order, &self.lattice, None)),
         };
-        let checked = if proving { usize::MAX } else { count.div_ceil(CHECKED as u32) as usize };
+        let checked = if proving { usize::MAX } else { count.div_ceil(self.checked) as usize };
         self.counts.checked += u64::from(count).min(checked as u64);
         let answer = Answer::of(order, &self.lattice, &traced);
         // What was found then counts, whoever looks at it now.
@@ -482,6 +544,9 @@ impl Actor for Station {
             }
             StationMessage::Overdue => self.on_overdue(cx),
             StationMessage::SendAgain => self.outbox.send(cx),
+        }
+        if cx.effects() {
+            self.board.0.put(self.board.1, self.status());
         }
     }
 

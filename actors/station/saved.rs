@@ -19,6 +19,8 @@ impl Station {
             timer,
             credits,
             counts,
+            checked: _,
+            board: _,
         } = self;
         if !outbox.is_empty() {
             return saver.refuse();

@@ -60,6 +60,14 @@ pub fn share(s: &str) -> Result<f32, String> {
     Ok(value * scale)
 }
 
+/// One of how many: `1/64`.
+pub fn one_of(s: &str) -> Result<u32, String> {
+    match s.trim().strip_prefix("1/").and_then(|many| many.parse().ok()) {
+        Some(many) if many > 0 => Ok(many),
+        _ => Err(format!("`{s}` is not one of so many; write it as 1/64")),
+    }
+}
+
 /// A number above zero and below a million.
 pub fn positive(s: &str) -> Result<f32, String> {
     match s.parse::<f32>() {
@@ -100,6 +108,8 @@ mod tests {
         }
         assert_eq!(share("2%"), Ok(0.02));
         assert!(share("0").is_err() && share("nan").is_err());
+        assert_eq!((one_of("1/64"), one_of("1/1")), (Ok(64), Ok(1)));
+        assert!(one_of("1/0").is_err() && one_of("2/3").is_err() && one_of("64").is_err());
         assert!(unit("1.1").is_err() && unit("nan").is_err() && unit("0.5") == Ok(0.5));
         assert!(positive("0").is_err() && positive("inf").is_err());
     }

@@ -10,6 +10,7 @@ use super::decisions::decisions;
 use foveal_actors::insight::Insight;
 use foveal_actors::renderer::overlay::Overlay;
 use foveal_actors::settings::Adjustment;
+use foveal_actors::station::StationStatus;
 use foveal_engine::controls::controls;
 use foveal_engine::source::{ActorStatus, Controls, Names, Ranges, Status};
 use foveal_engine::walk::{FrameTimes, Notice};
@@ -98,6 +99,11 @@ pub fn panel(ui: &mut Ui, controls: &mut Controls, shown: &Shown<'_>) {
         if !shown.status.actors.is_empty() {
             egui::CollapsingHeader::new("actors").default_open(true).show(ui, |ui| {
                 actors(ui, &shown.status.actors);
+            });
+        }
+        if shown.status.stations.iter().any(|station| station.guest.is_some()) {
+            egui::CollapsingHeader::new("other machines").default_open(true).show(ui, |ui| {
+                stations(ui, &shown.status.stations);
             });
         }
         ui.separator();
@@ -296,6 +302,27 @@ fn actors(ui: &mut Ui, actors: &[ActorStatus]) {
             ui.label(actor.delivered.to_string());
             ui.label(format!("{} / {}", actor.waiting, actor.waiting_max));
             ui.label(format!("{:.2}", actor.busy.as_secs_f32()));
+            ui.end_row();
+        }
+    });
+}
+
+fn stations(ui: &mut Ui, stations: &[StationStatus]) {
+    egui::Grid::new("stations").striped(true).num_columns(7).show(ui, |ui| {
+        for heading in ["machine", "cores", "state", "way, ms", "samples/s", "late, shared", "checked"] {
+            ui.weak(heading);
+        }
+        ui.end_row();
+        for station in stations {
+            let Some(guest) = &station.guest else { continue };
+            let counts = &station.counts;
+            ui.label(guest);
+            ui.label(station.cores.to_string());
+            ui.label(station.stands.name());
+            ui.label(format!("{:.1}", station.round_trip * 1e3));
+            ui.label(format!("{:.0}", station.rate));
+            ui.label(format!("{}, {}", counts.late, counts.shared));
+            ui.label(counts.checked.to_string());
             ui.end_row();
         }
     });

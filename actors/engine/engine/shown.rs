@@ -164,6 +164,7 @@ impl FrameSource for Engine {
             expired: counts.expired,
             supersampled: counts.refined,
             actors: self.runtime.as_ref().map(look::actors).unwrap_or_default(),
+            stations: self.actors.board.read(),
         }
     }
 

@@ -37,4 +37,6 @@ export function insight(root, state, { latency, rate }) {
     name || "(no name)", attention, error ?? "–", level || "done"]));
   fill(root.querySelector("#actors"), state.actors.map(([name, delivered, waiting, most, busy]) => [
     name, delivered, `${waiting} / ${most}`, busy]));
+  fill(root.querySelector("#stations"), state.stations.map(([guest, cores, stands, trip, rate, late, shared, checked]) => [
+    guest ?? "–", cores, stands, `${trip} ms`, rate, late, shared, checked]));
 }

@@ -21,6 +21,8 @@ mod messages;
 mod motion;
 mod rays;
 mod remote;
+mod remote_batch;
+mod remote_soak;
 mod report;
 mod scaling;
 #[cfg(feature = "serve")]

@@ -1,6 +1,7 @@
 //! `foveal bench scaling --tracers`: what a tracer on another machine adds to one here, as far as one machine can show it:
 //! the guest is a process of its own with one core, over loopback.
 
+use std::ffi::OsStr;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -10,9 +11,10 @@ use foveal_actors::station::StationStatus;
 use foveal_engine::failure::Failure;
 use foveal_engine::opened::{self, Opened, camera};
 use foveal_engine::process::cpu_ns;
+use foveal_engine::source::FrameSource;
 use foveal_engine::{Engine, Light, Options, Settings, Standing};
 use foveal_remote::door::Door;
-use foveal_remote::key::Key;
+use foveal_remote::key::{Invitation, Key};
 use foveal_remote::package::Package;
 use foveal_terminal::table::{Aim, Row, median};
 use glam::Vec3;
@@ -28,13 +30,42 @@ const CONVERGES: Duration = Duration::from_secs(120);
 const FRAME: Duration = Duration::from_millis(100);
 
 /// A guest's process, which ends with this value.
-struct Guest(Child);
+pub(super) struct Guest(Child);
+
+impl Guest {
+    /// Resident memory of its process, where the system tells.
+    pub fn memory_bytes(&self) -> Option<u64> {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.0.id())).ok()?;
+        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+        line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|k| k * 1024)
+    }
+}
 
 impl Drop for Guest {
     fn drop(&mut self) {
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
+}
+
+/// Keeps this thread, and what begins from it, to one core of the machine. Whether that can be done.
+#[cfg(target_os = "linux")]
+fn keep_to(core: usize) -> bool {
+    use rustix::thread::{CpuSet, sched_setaffinity};
+    let mut set = CpuSet::new();
+    set.set(core);
+    sched_setaffinity(None, &set).is_ok()
+}
+
+/// Not here.
+#[cfg(not(target_os = "linux"))]
+fn keep_to(_: usize) -> bool {
+    false
+}
+
+/// One core for this process, and another one for guests.
+pub(super) fn keep_apart() -> bool {
+    std::thread::available_parallelism().is_ok_and(|cores| cores.get() > 1) && keep_to(0)
 }
 
 /// Views until each has converged.
@@ -54,23 +85,29 @@ fn aside(start: &Camera, number: u32) -> Camera {
     Camera { eye: start.eye + right * (0.2 * (number % 2) as f32), ..*start }
 }
 
-fn walked(opened: &Opened, link: Option<&str>, views: u32) -> Result<Walked, Failure> {
+pub(super) fn door(opened: &Opened, link: &str, settings: &Settings) -> Result<Door, Failure> {
+    let key = Key::new().map_err(Failure::Environment)?;
+    let address = format!("{link}/127.0.0.1:0");
+    Door::open(&address, key, Package::of(opened)?, settings.k_max, settings.stations)
+}
+
+fn walked(opened: &Opened, link: Option<&str>, views: u32, apart: bool) -> Result<Walked, Failure> {
     let start = camera(&opened.world.scene, None)?.camera;
     let stations = u32::from(link.is_some());
     let settings = Settings { environment_bytes: 0, stations, ..Settings::new(512, 512, 1) };
     let mut options = Options::new(settings);
     let mut door = None;
     if let Some(link) = link {
-        let key = Key::new().map_err(Failure::Environment)?;
-        let address = format!("{link}/127.0.0.1:0");
-        let opened = Door::open(&address, key, Package::of(opened)?, settings.k_max, stations)?;
+        let opened = self::door(opened, link, &settings)?;
         options.outlets = Some(opened.outlets());
         door = Some(opened);
     }
     let mut engine = Engine::start(opened.clone(), options)?;
     let guest = door.as_ref().map(|door| {
         door.attach(engine.station_inputs());
-        comes(door)
+        let mut guest = guest(door.invitation(), &[], apart)?;
+        comes(&mut guest, || door.serving() > 0)?;
+        Ok::<_, Failure>(guest)
     });
     let guest = guest.transpose()?;
     let mut walked = Walked { seconds: Vec::new(), samples: 0.0, cpu_ns: 0.0, stations: Vec::new() };
@@ -101,49 +138,95 @@ fn walked(opened: &Opened, link: Option<&str>, views: u32) -> Result<Walked, Fai
     Ok(walked)
 }
 
-/// Starts a guest with one core, and waits for it.
-fn comes(door: &Door) -> Result<Guest, Failure> {
+/// Starts a guest with one core, not this process's where cores are [kept apart](keep_apart).
+pub(super) fn guest(invitation: &Invitation, more: &[&OsStr], apart: bool) -> Result<Guest, Failure> {
     let environment = |what: String| Failure::Environment(what);
     let program =
         std::env::current_exe().map_err(|e| environment(format!("the program does not find itself: {e}")))?;
+    // It inherits what this thread keeps to.
+    let _ = apart && keep_to(1);
     let child = Command::new(program)
-        .args(["trace", "--once", "--quiet", "--cores", "1", "--join", &door.invitation().to_string()])
+        .args(["trace", "--once", "--quiet", "--cores", "1", "--join", &invitation.to_string()])
+        .args(more)
         .stdin(Stdio::null())
         .stdout(Stdio::null())
-        .spawn()
-        .map_err(|e| environment(format!("no guest: {e}")))?;
-    let mut guest = Guest(child);
+        .spawn();
+    let _ = apart && keep_to(0);
+    child.map(Guest).map_err(|e| environment(format!("no guest: {e}")))
+}
+
+/// Waits until a guest is there.
+pub(super) fn comes(guest: &mut Guest, is_there: impl Fn() -> bool) -> Result<(), Failure> {
     let began = Instant::now();
-    while door.serving() == 0 {
+    while !is_there() {
         if began.elapsed() > COMES || !matches!(guest.0.try_wait(), Ok(None)) {
-            return Err(environment("the guest does not come".to_owned()));
+            return Err(Failure::Environment("the guest does not come".to_owned()));
         }
-        std::thread::sleep(Duration::from_millis(5));
+        std::thread::sleep(Duration::from_millis(1));
     }
-    Ok(guest)
+    Ok(())
+}
+
+/// Kills a guest that has jobs: milliseconds until all of them are back.
+fn killed(opened: &Opened, link: &str, apart: bool) -> Result<f64, Failure> {
+    let start = camera(&opened.world.scene, None)?.camera;
+    let settings = Settings { environment_bytes: 0, stations: 1, ..Settings::new(512, 512, 1) };
+    let door = door(opened, link, &settings)?;
+    let options = Options { outlets: Some(door.outlets()), ..Options::new(settings) };
+    let mut engine = Engine::start(opened.clone(), options)?;
+    door.attach(engine.station_inputs());
+    let mut guest = guest(door.invitation(), &[], apart)?;
+    comes(&mut guest, || door.serving() > 0)?;
+    let out = |engine: &Engine| engine.status().stations.first().map_or(0, |station| station.jobs[0]);
+    let (mut number, mut frames) = (0, 0);
+    // Some frames, so that it is known how long its jobs take.
+    while frames < 30 || out(&engine) == 0 {
+        let frame = engine.frame(&aside(&start, number), FRAME)?;
+        number += u32::from(frame.standing != Standing::Growing);
+        frames += 1;
+        if frames > 600 {
+            return Err(Failure::Check("the guest has no jobs".into()));
+        }
+    }
+    engine.begin(&aside(&start, number + 1))?;
+    while out(&engine) == 0 {
+        engine.work_until(Duration::from_micros(500), |_| false)?;
+    }
+    let began = Instant::now();
+    // SIGKILL.
+    let _ = guest.0.kill();
+    while out(&engine) > 0 {
+        engine.work_until(Duration::from_micros(200), |_| false)?;
+    }
+    let took = began.elapsed().as_secs_f64() * 1e3;
+    engine.end()?;
+    engine.finish(Duration::from_secs(10));
+    Ok(took)
 }
 
 /// Measures each link beside a walk without guests.
-pub fn rows(links: &[String], views: u32) -> Result<Vec<Row>, Failure> {
+pub fn rows(links: &[String], views: u32, apart: bool) -> Result<Vec<Row>, Failure> {
     let made = MadeScene::bundled("table")?;
     let light = Light { quick: true, baked: true, ..Light::default() };
     let opened = opened::open(made.path(), &light, &())?;
-    let alone = walked(&opened, None, views)?;
+    let alone = walked(&opened, None, views, apart)?;
     let Some(own) = median(&alone.seconds) else { return Ok(Vec::new()) };
-    let mut rows = vec![Row::new("table, a view until it has converged, one tracer", "s", &alone.seconds)];
+    let mut rows = vec![Row::new("table, a view until it has converged, one core", "s", &alone.seconds)];
+    let each = alone.cpu_ns / alone.samples * 1e-3;
+    rows.push(Row::new("  its processor time a sample", "CPU µs", &[each]));
     for link in links {
-        let with = walked(&opened, Some(link), views)?;
+        let with = walked(&opened, Some(link), views, apart)?;
         let name = format!("  and a guest of one core over {link}");
         rows.push(Row::new(&name, "s", &with.seconds));
-        let gains: Vec<f64> = with.seconds.iter().map(|seconds| own / seconds).collect();
-        rows.push(Row::new(format!("{name}: gain"), "×", &gains).aim(Aim::AtLeast(1.8)));
         let of = |count: fn(&StationStatus) -> u64| with.stations.iter().map(count).sum::<u64>() as f64;
         // The first view's are among them.
         let remote = of(|s| s.counts.samples) * f64::from(views) / f64::from(views + 1);
-        rows.push(Row::new(format!("{name}: share of samples"), "", &[remote / with.samples]));
         // What the host took beyond what its own samples cost it alone.
         let cost = alone.cpu_ns / alone.samples;
         let host = (with.cpu_ns - cost * (with.samples - remote)) / remote * 1e-3;
+        let gains: Vec<f64> = with.seconds.iter().map(|seconds| own / seconds).collect();
+        rows.push(Row::new(format!("{name}: gain"), "×", &gains).aim(Aim::AtLeast(1.8)));
+        rows.push(Row::new(format!("{name}: share of samples"), "", &[remote / with.samples]));
         rows.push(
             Row::new(format!("{name}: host's time a sample from there"), "CPU µs", &[host])
                 .aim(Aim::AtMost(0.7)),
@@ -155,6 +238,9 @@ pub fn rows(links: &[String], views: u32) -> Result<Vec<Row>, Failure> {
         ));
         let trip: Vec<f64> = with.stations.iter().map(|s| f64::from(s.round_trip) * 1e3).collect();
         rows.push(Row::new(format!("{name}: round trip beside the work"), "ms", &trip));
+        let back = (0..views.max(1)).map(|_| killed(&opened, link, apart)).collect::<Result<Vec<_>, _>>()?;
+        let row = Row::new(format!("{name}: from kill -9 until its jobs are back"), "ms", &back);
+        rows.push(if link == "tcp" { row.aim(Aim::AtMost(50.0)) } else { row });
     }
     Ok(rows)
 }

@@ -20,8 +20,8 @@ use foveal::world::World;
 use glam::Vec3;
 
 use super::made::MadeScene;
-use super::remote;
 use super::stages::{quick_world, stepped, traced};
+use super::{remote, remote_batch};
 use foveal_actors::renderer::Renderer;
 use foveal_engine::failure::Failure;
 use foveal_engine::files::make_folder;
@@ -47,6 +47,9 @@ pub struct ScalingArguments {
     /// Measure instead what a guest with one core adds over these links
     #[arg(long, value_name = "LINK,…", value_delimiter = ',', num_args = 0..=1, default_missing_value = "tcp,quic", value_parser = ["tcp", "quic"])]
     tracers: Vec<String>,
+    /// Measure instead how long it takes a guest to come to a scene of a hundred mebibytes
+    #[arg(long, requires = "tracers")]
+    join: bool,
     #[command(flatten)]
     common: CommonArguments,
 }
@@ -113,9 +116,19 @@ fn measure(runs: u32, mut work: impl FnMut()) -> f64 {
 /// Runs the benchmark.
 pub fn run(a: &ScalingArguments, progress: Progress) -> Result<(), Failure> {
     if !a.tracers.is_empty() {
-        let rows = remote::rows(&a.tracers, a.common.runs)?;
-        let notes =
-            vec!["both on this machine, over loopback: a network adds its round trip and its losses".into()];
+        let apart = remote::keep_apart();
+        let rows = match a.join {
+            true => remote_batch::joins(&a.tracers, apart)?,
+            false => {
+                let mut rows = remote::rows(&a.tracers, a.common.runs, apart)?;
+                rows.extend(remote_batch::rows(&a.tracers, a.common.runs, apart)?);
+                rows
+            }
+        };
+        let cores = if apart { "each kept to a core of its own" } else { "cores are shared" };
+        let notes = vec![format!(
+            "both on this machine, {cores}, over loopback: a network adds its round trip and its losses"
+        )];
         return finish("scaling-tracers", &rows, &notes, &a.common);
     }
     let bar = progress.bar(5, "scaling");

@@ -10,6 +10,7 @@ use foveal::metrics::quantile;
 use foveal_runtime::simulate::Simulation;
 
 use super::made::MadeScene;
+use super::remote_soak;
 use super::scaling::slope;
 use super::stages::quick_world;
 use foveal_actors::allocator::Allocator;
@@ -17,7 +18,7 @@ use foveal_engine::failure::Failure;
 use foveal_engine::opened::{Opened, camera};
 use foveal_engine::process::{cpu_ns, memory_bytes};
 use foveal_engine::{Clock, Engine, Options, Settings};
-use foveal_terminal::arguments::Size;
+use foveal_terminal::arguments::{Size, duration};
 use foveal_terminal::progress::Progress;
 use foveal_terminal::table::{Aim, CommonArguments, Row, finish, median};
 
@@ -36,6 +37,12 @@ pub struct SoakArguments {
     /// Virtual time of a frame, in milliseconds
     #[arg(long, value_name = "MS", default_value_t = 5)]
     frame_ms: u64,
+    /// Walk in real time instead, with a guest's process over this link, for so long
+    #[arg(long, value_name = "LINK", value_parser = ["tcp", "quic"])]
+    tracers: Option<String>,
+    /// Time of a walk with a guest
+    #[arg(long, value_name = "TIME", default_value = "10min", requires = "tracers", value_parser = duration)]
+    time: Duration,
     #[command(flatten)]
     common: CommonArguments,
 }
@@ -45,6 +52,11 @@ const LOOKS: u32 = 200;
 
 /// Runs the benchmark.
 pub fn run(a: &SoakArguments, progress: Progress) -> Result<(), Failure> {
+    if let Some(link) = &a.tracers {
+        let rows = remote_soak::rows(&a.scene, (a.size.width, a.size.height), link, a.time, progress)?;
+        let notes = ["both on this machine, over loopback".into()];
+        return finish("soak-tracers", &rows, &notes, &a.common);
+    }
     let world = quick_world(MadeScene::bundled(&a.scene)?.path())?;
     let still = camera(&world.scene, None)?.camera;
     let path = world.scene.paths.first().cloned();

@@ -25,7 +25,7 @@ use super::made::MadeScene;
 use super::remote::{comes, guest};
 
 /// Triangles of a scene whose files are a hundred mebibytes.
-const TRIANGLES: usize = 1_000_000;
+const TRIANGLES: usize = 2_600_000;
 
 fn world(path: &Path) -> Result<World, Failure> {
     let (scene, _) = load_scene(path)?;

@@ -79,7 +79,13 @@ fn of_guest() -> Vec<Vec<u8>> {
         FromGuest::Ready { incarnation: 3 },
         FromGuest::Done { incarnation: 3, jobs: vec![done, DoneJob::default()] },
         FromGuest::Grounded { incarnation: 3, number: 4 },
-        FromGuest::Worked { incarnation: 3, lease: lease_of(5, 6), micros: 900, waiting: 1, found: vec![9; 400] },
+        FromGuest::Worked {
+            incarnation: 3,
+            lease: lease_of(5, 6),
+            micros: 900,
+            waiting: 1,
+            found: vec![9; 400],
+        },
     ];
     said.iter().map(FromGuest::to_bytes).collect()
 }

@@ -17,6 +17,7 @@ use crate::transport::bidirectional::Bidirectional;
 use crate::transport::caustic::{Caustics, Class, Sources};
 use crate::transport::gather::{Gather, Trust};
 use crate::transport::light::Lights;
+use crate::transport::light::bright::BrightSurfaces;
 use crate::transport::tracer::{Settings, Tracer};
 
 /// Everything rays need, shared by all who trace and never changed. A refined illumination makes a
@@ -32,7 +33,9 @@ pub struct World {
     /// Diffuse illumination.
     pub illumination: Arc<dyn Irradiance>,
     /// Where light begins that no path finds, once it was looked for.
-    pub unfound: Arc<OnceLock<Sources>>,
+    unfound: Arc<OnceLock<Sources>>,
+    /// The surfaces that most light comes from under this illumination, once they were looked for.
+    bright: Arc<OnceLock<BrightSurfaces>>,
 }
 
 impl World {
@@ -41,7 +44,17 @@ impl World {
         let accel = Arc::new(Accel::build(&scene));
         let lights = Arc::new(Lights::build(&scene));
         let scene = metered(scene, &accel, &lights);
-        Self { scene, accel, lights, illumination, unfound: Arc::default() }
+        Self::of(scene, accel, lights, illumination)
+    }
+
+    /// Of what was built before.
+    pub fn of(
+        scene: Arc<Scene>,
+        accel: Arc<Accel>,
+        lights: Arc<Lights>,
+        illumination: Arc<dyn Irradiance>,
+    ) -> Self {
+        Self { scene, accel, lights, illumination, unfound: Arc::default(), bright: Arc::default() }
     }
 
     /// The tracer of corrections in this world.
@@ -64,6 +77,13 @@ impl World {
         Gather::new(&self.scene, &self.accel, &self.lights, trust)
     }
 
+    /// The same with this world's illumination as the value of what paths do not follow, and as the guide to where light
+    /// comes from.
+    pub fn gather_beyond_map(&self) -> Gather<'_> {
+        let look = || BrightSurfaces::new(&self.scene, &*self.illumination);
+        self.gather(Trust::EndValue(&*self.illumination)).looking_for(self.bright.get_or_init(look))
+    }
+
     /// Particles of the light that [`Self::gather`] does not find.
     pub fn caustics(&self) -> Caustics<'_> {
         let look = || Sources::new(&self.scene, &self.accel, &self.lights, Class::Unfound);
@@ -80,9 +100,15 @@ impl World {
         Self { scene: Arc::new(self.scene.with_resident(textures)), ..self.clone() }
     }
 
+    /// Another scene of the same triangles and lights.
+    pub fn with_scene(&self, scene: Arc<Scene>) -> Self {
+        let Self { accel, lights, illumination, .. } = self.clone();
+        Self::of(scene, accel, lights, illumination)
+    }
+
     /// The same scene under another illumination.
     pub fn with_illumination(&self, illumination: Arc<dyn Irradiance>) -> Self {
-        Self { illumination, ..self.clone() }
+        Self { illumination, bright: Arc::default(), ..self.clone() }
     }
 }
 

@@ -24,7 +24,7 @@ fn world(name: &str) -> World {
     let scene = Arc::new(load(&scene(name)).expect("a bundled scene").scene);
     let (accel, lights) = (Arc::new(Accel::build(&scene)), Arc::new(Lights::build(&scene)));
     let illumination = Arc::new(first_picture(Indexed { scene: &scene, accel: &accel, lights: &lights }, 1));
-    World { scene, accel, lights, illumination, unfound: Arc::default() }
+    World::of(scene, accel, lights, illumination)
 }
 
 fn check(name: &str, share: f64) {

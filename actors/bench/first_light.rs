@@ -63,13 +63,7 @@ pub fn run(a: &FirstLightArguments, progress: Progress) -> Result<(), Failure> {
             let (light_ms, world) = timed(|| {
                 let lights = Arc::new(Lights::build(&scene));
                 let map = first_picture(Indexed { scene: &scene, accel: &accel, lights: &lights }, 1);
-                World {
-                    scene: scene.clone(),
-                    accel: accel.clone(),
-                    lights,
-                    illumination: Arc::new(map),
-                    unfound: Arc::default(),
-                }
+                World::of(scene.clone(), accel.clone(), lights, Arc::new(map))
             });
             let (draw_ms, ()) = timed(|| {
                 let mut buffers = FrameBuffers::new(a.size.width as usize, a.size.height as usize);

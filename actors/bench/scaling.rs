@@ -203,7 +203,7 @@ fn triangles(a: &ScalingArguments) -> Result<Vec<Curve>, Failure> {
         let frame = camera(&scene, None)?.camera.frame(512, 512);
         let uniform = Arc::new(foveal::illumination::Uniform(Vec3::ONE));
         let lights = Arc::new(foveal::transport::light::Lights::build(&scene));
-        let world = World { scene, accel, lights, illumination: uniform, unfound: Arc::default() };
+        let world = World::of(scene, accel, lights, uniform);
         let mut buffers = FrameBuffers::new(512, 512);
         display.points.push((
             n,

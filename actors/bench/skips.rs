@@ -183,7 +183,7 @@ fn rays(a: &SkipsArguments) -> Result<Vec<Row>, Failure> {
             material.model = Model::Metal { specular: *specular, roughness };
         }
     }
-    let rough = World { scene: Arc::new(scene), unfound: Arc::default(), ..world.clone() };
+    let rough = world.with_scene(Arc::new(scene));
     let view =
         world.scene.cameras.iter().find(|c| c.name == "mirror-ball").unwrap_or(&world.scene.cameras[0]);
     let frame = view.camera.frame(a.size.width, a.size.height);

@@ -94,7 +94,7 @@ fn scene(file: &Path) -> Result<Arc<Scene>, Failure> {
 fn quick(scene: Arc<Scene>, accel: Arc<Accel>) -> World {
     let lights = Arc::new(Lights::build(&scene));
     let illumination = first_picture(Indexed { scene: &scene, accel: &accel, lights: &lights }, 1);
-    World { scene, accel, lights, illumination: Arc::new(illumination), unfound: Arc::default() }
+    World::of(scene, accel, lights, Arc::new(illumination))
 }
 
 /// A world of a scene file under the quick illumination.

@@ -4,7 +4,7 @@
 //! it, where, or how often. Results are put together in the order of pieces, so nothing depends on when they came.
 
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use foveal::display::FrameBuffers;
 use foveal::display::cpu_pass;
@@ -19,6 +19,7 @@ use foveal::splatting::tile_sums::TileSums;
 use foveal::splatting::trace::pixel_stream;
 use foveal::transport::Indexed;
 use foveal::transport::bidirectional::{Bidirectional, Part, Photons};
+use foveal::transport::light::bright::BrightSurfaces;
 use foveal::transport::tracer::Tracer;
 use foveal::world::World;
 use glam::Vec3;
@@ -128,6 +129,8 @@ pub enum Ground<'a> {
         indexed: Indexed<'a>,
         /// The map of the round before.
         map: &'a Illumination,
+        /// Where most of its light comes from, once it was looked for.
+        bright: &'a OnceLock<BrightSurfaces>,
         /// When it is good enough, which others need to make theirs.
         settings: &'a BakeSettings,
     },
@@ -254,8 +257,8 @@ impl Ground<'_> {
     pub fn done(&self, piece: &Piece, goes_on: &dyn Fn() -> bool) -> Option<Found> {
         match (self, piece) {
             (Self::Picture(picture), piece) => picture.done(piece, goes_on),
-            (Self::Bake { baker, indexed, map, .. }, Piece::Gather(order)) => {
-                Some(Found::Gathered(baker.answer(*indexed, map, order)))
+            (Self::Bake { baker, indexed, map, bright, .. }, Piece::Gather(order)) => {
+                Some(Found::Gathered(baker.answer(*indexed, (map, bright), order)))
             }
             (Self::Bake { .. }, _) => None,
         }
@@ -309,12 +312,18 @@ pub struct Handed<'a> {
 
 impl Gatherers for Handed<'_> {
     fn gather(&self, baker: &Baker, indexed: Indexed<'_>, orders: &[Order]) -> Vec<Answer> {
-        let ground = Ground::Bake { baker, indexed, map: baker.map(), settings: self.settings };
+        let ground = Ground::Bake {
+            baker,
+            indexed,
+            map: baker.map(),
+            bright: baker.bright(),
+            settings: self.settings,
+        };
         let pieces = orders.iter().cloned().map(Piece::Gather).collect();
         let answers = self.hands.each(&ground, pieces, &|| true).into_iter().zip(orders);
         let answer = |(found, order): (Option<Found>, &Order)| match found {
             Some(Found::Gathered(answer)) => answer,
-            _ => baker.answer(indexed, baker.map(), order),
+            _ => baker.answer(indexed, (baker.map(), baker.bright()), order),
         };
         answers.map(answer).collect()
     }

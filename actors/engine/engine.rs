@@ -19,7 +19,6 @@ use foveal::allocation::residency::smallest;
 use foveal::display::tone::Encoder;
 use foveal::scene::plan::ScenePlan;
 use foveal::scene::{Budget, Camera};
-use foveal::world::World;
 use foveal_actors::allocator::Allocator;
 use foveal_actors::foresight::Foresight;
 use foveal_actors::insight::{Insight, InsightSlot, LONGEST_FRAME};
@@ -441,7 +440,7 @@ impl Engine {
     pub(crate) fn as_lit(&self) -> Opened {
         let mut opened = self.opened.clone();
         if let Some((illumination, lit)) = self.look(|r| (r.world().illumination.clone(), r.is_lit())) {
-            opened.world = World { illumination, ..opened.world };
+            opened.world = opened.world.with_illumination(illumination);
             opened.refinement = opened.refinement.filter(|_| !lit);
         }
         opened

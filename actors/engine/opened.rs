@@ -227,7 +227,7 @@ impl Unlit {
             Some(kept) => (kept, None),
             None => illuminate(&scene, &accel, &lights, light, watch, &mut warnings)?,
         };
-        let world = World { scene, accel, lights, illumination, unfound: Arc::default() };
+        let world = World::of(scene, accel, lights, illumination);
         let refinement =
             unmet.map(|(settings, keep)| Refinement { world: world.clone(), settings, keep, book: None });
         Ok(Opened { path, light: light.clone(), world, textures: None, refinement, warnings, as_read })

@@ -55,7 +55,7 @@ impl Saved for Arc<Illumination> {
 impl Saved for World {
     /// Geometry, lights and materials are those of the surroundings.
     fn save(&self, saver: &mut Saver) {
-        let Self { scene, accel: _, lights: _, illumination, unfound: _ } = self;
+        let Self { scene, illumination, .. } = self;
         let Some(surroundings) = saver.context::<Surroundings>() else { return saver.refuse() };
         let began = &surroundings.world;
         if std::ptr::addr_eq(Arc::as_ptr(illumination), Arc::as_ptr(&began.illumination)) {
@@ -83,7 +83,7 @@ impl Saved for World {
         let surroundings = loader.context::<Surroundings>()?;
         let mut world = surroundings.world.clone();
         if loader.take::<u8>()? == GROWN {
-            world.illumination = Arc::<Illumination>::restore(loader)?;
+            world = world.with_illumination(Arc::<Illumination>::restore(loader)?);
         }
         let is_as_it_began: bool = loader.take()?;
         if !is_as_it_began {

@@ -9,6 +9,7 @@ use foveal::illumination::bake::{BakeSettings, Baker};
 use foveal::illumination::stored::Illumination;
 use foveal::scene::camera::CameraFrame;
 use foveal::transport::bidirectional::{Bidirectional, Photons};
+use foveal::transport::light::bright::BrightSurfaces;
 use foveal::world::World;
 use foveal_actors::station::wire::SIDE_MAX;
 use foveal_engine::batch::{Ground, Picture, Piece, Task};
@@ -31,7 +32,7 @@ pub struct OwnGround {
 
 enum Of {
     Picture { frame: CameraFrame, seed: u64, base: Option<FrameBuffers> },
-    Bake { baker: Arc<Baker>, settings: BakeSettings, map: Illumination },
+    Bake { baker: Arc<Baker>, settings: BakeSettings, map: Illumination, bright: OnceLock<BrightSurfaces> },
 }
 
 impl OwnGround {
@@ -82,7 +83,7 @@ impl OwnGround {
                 };
                 let map = map.filter(|map| map.element_count() == baker.atlas().elements.len());
                 let map = map.ok_or("a bake without light, or of other elements")?;
-                (world.clone(), Of::Bake { baker, settings, map })
+                (world.clone(), Of::Bake { baker, settings, map, bright: OnceLock::new() })
             }
         };
         Ok(Self { number, world, of })
@@ -98,8 +99,8 @@ impl OwnGround {
                 let (world, base) = (&self.world, base.as_ref());
                 what(&Ground::Picture(Picture { world, frame, seed: *seed, base, photons: &photons }))
             }
-            Of::Bake { baker, settings, map } => {
-                what(&Ground::Bake { baker, indexed: self.world.indexed(), map, settings })
+            Of::Bake { baker, settings, map, bright } => {
+                what(&Ground::Bake { baker, indexed: self.world.indexed(), map, bright, settings })
             }
         }
     }

@@ -8,7 +8,7 @@
 //! No clock in here: the caller's `keep_going` decides when the time is over. The result depends on the number of paths
 //! only, not on threads or on where a bake was interrupted: sites do not depend on each other within a round.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use glam::{DVec3, Vec3, Vec4};
 use rayon::prelude::*;
@@ -32,6 +32,7 @@ use crate::image::luminance;
 use crate::scene::Scene;
 use crate::transport::Indexed;
 use crate::transport::caustic::{Caustics, Class, RUN, Sources};
+use crate::transport::light::bright::BrightSurfaces;
 
 /// Samples of a site in the first round over all of them; every later round doubles them.
 const FIRST_ROUND: u32 = 4;
@@ -164,6 +165,8 @@ pub struct Baker {
     dark: Vec<bool>,
     /// What is read where paths meet a diffuse surface.
     map: Arc<Illumination>,
+    /// Where most of its light comes from, once it was looked for.
+    bright: OnceLock<BrightSurfaces>,
     /// Whether there are named lights.
     has_named: bool,
     held_back: HeldBack,
@@ -229,6 +232,7 @@ impl Baker {
             gathered: vec![Gathered::default(); sites.all().len()],
             dark: vec![false; sites.all().len().div_ceil(BLOCK)],
             map: Arc::default(),
+            bright: OnceLock::new(),
             has_named: indexed.lights.has_any_named(),
             held_back: HeldBack::new(indexed, settings.seed),
             doing: Doing::Begin,
@@ -249,6 +253,7 @@ impl Baker {
     pub fn begin_with(&mut self, first: &dyn super::Irradiance) {
         if matches!(self.doing, Doing::Begin) {
             self.map = Arc::new(Illumination::resampled(&self.atlas, first));
+            self.bright = OnceLock::new();
             self.doing = Doing::Gather;
         }
     }
@@ -266,6 +271,11 @@ impl Baker {
     /// The last map: that of the last round that ended.
     pub fn map(&self) -> &Arc<Illumination> {
         &self.map
+    }
+
+    /// Where most of its light comes from, once it was looked for.
+    pub fn bright(&self) -> &OnceLock<BrightSurfaces> {
+        &self.bright
     }
 
     /// What the last map was found to be off by where it is seen.
@@ -302,7 +312,7 @@ impl Baker {
         }
         self.gathered.clone_from(&state.gathered);
         self.dark.clone_from(&state.dark);
-        self.map = Arc::new(state.map.clone());
+        (self.map, self.bright) = (Arc::new(state.map.clone()), OnceLock::new());
         (self.paths, self.round, self.next) = (state.paths, state.round, state.next as usize);
         (self.round_samples, self.particles) = (state.round_samples, state.particles);
         self.doing = Doing::Gather;
@@ -359,7 +369,7 @@ impl Baker {
         map.summary.bias_error = (error * error - noise * noise).max(0.0).sqrt();
         self.relative_error = Some(error);
         let map = Arc::new(map);
-        self.map = map.clone();
+        (self.map, self.bright) = (map.clone(), OnceLock::new());
         (self.round, self.next) = (self.round + 1, 0);
         let met = self.settings.error.is_some_and(|limit| error <= limit);
         let all = self.settings.particles.is_some_and(|most| self.paths >= most);
@@ -411,7 +421,7 @@ impl Baker {
         let caustics = Caustics::new(indexed.scene, indexed.accel, indexed.lights, &self.sources);
         let (seed, begin, atlas, site_of) = (self.settings.seed, self.particles, &self.atlas, &self.site_of);
         let mesh = &indexed.scene.mesh;
-        let traced: Vec<Vec<(u32, usize, Vec3)>> = (0..2 * RUN / TOGETHER)
+        let traced: Vec<Vec<(u32, usize, Vec3, bool)>> = (0..2 * RUN / TOGETHER)
             .into_par_iter()
             .map(|part| {
                 let mut found = Vec::new();
@@ -422,7 +432,8 @@ impl Baker {
                         let site = site_of[element as usize][usize::from(at.back)];
                         let normal = mesh.smooth_normal(at.triangle, at.b1, at.b2, at.geometric_normal);
                         if site != u32::MAX {
-                            found.push((site, (index / RUN % 2) as usize, deposit.on(normal)));
+                            let half = (index / RUN % 2) as usize;
+                            found.push((site, half, deposit.on(normal), deposit.is_unfound));
                         }
                     });
                 }
@@ -430,8 +441,8 @@ impl Baker {
             })
             .collect();
         // In the order of particles: sums depend on it.
-        for (site, half, flux) in traced.into_iter().flatten() {
-            self.gathered[site as usize].deposit(half, flux);
+        for (site, half, flux, is_unfound) in traced.into_iter().flatten() {
+            self.gathered[site as usize].deposit(half, flux, is_unfound);
         }
         self.particles += 2 * RUN;
         self.paths += 2 * RUN;
@@ -468,7 +479,7 @@ impl Baker {
     fn stored(&self, parts: &[Parts]) -> Illumination {
         let elements = self.atlas.elements.len();
         let mut sides: [Vec<Value>; 2] = [vec![None; elements], vec![None; elements]];
-        let mut named = sides.clone();
+        let (mut named, mut unfound) = (sides.clone(), sides.clone());
         let mut totals = Totals::default();
         for (i, (site, parts)) in self.sites.all().iter().zip(parts).enumerate() {
             if !self.gathered[i].is_open() {
@@ -483,10 +494,12 @@ impl Baker {
             let begun = || self.map.lookup_named(e.triangle, e.b1, e.b2, site.back);
             let straight = self.gathered[i].named().unwrap_or_else(begun).extend(0.0);
             (sides[side][element], named[side][element]) = (Some(value), Some(straight));
+            unfound[side][element] = Some((parts[2].mean() * self.gathered[i].unfound_share()).extend(0.0));
             totals.add(e, value + straight, parts, self.seen[i]);
         }
         let [front, back] = sides;
         let map = Illumination::new(&self.atlas, front, back, totals.summary(self));
+        let map = map.with_unfound(&self.atlas, unfound);
         if self.has_named { map.with_named(&self.atlas, named) } else { map }
     }
 

@@ -29,6 +29,8 @@ pub struct Gathered {
     sharp: [[f32; 3]; 2],
     soft: [[f32; 3]; 2],
     caustic: [[f32; 3]; 2],
+    /// What of the caustics no path from a surface finds.
+    unfound: [f32; 3],
     /// Mean irradiance straight from named lights, once somebody asked for it.
     named: Option<[f32; 3]>,
     /// Samples of both halves.
@@ -123,8 +125,19 @@ impl Gathered {
     }
 
     /// Adds what a particle of a half brought, W.
-    pub fn deposit(&mut self, half: usize, flux: Vec3) {
+    pub fn deposit(&mut self, half: usize, flux: Vec3, is_unfound: bool) {
         add(&mut self.caustic[half], flux);
+        if is_unfound {
+            add(&mut self.unfound, flux);
+        }
+    }
+
+    /// The share of caustics that no path from a surface finds ([`crate::transport::caustic::Class::Unfound`]).
+    pub fn unfound_share(&self) -> Vec3 {
+        Vec3::from_array(std::array::from_fn(|c| {
+            let all = self.caustic[0][c] + self.caustic[1][c];
+            if all > 0.0 { (self.unfound[c] / all).min(1.0) } else { 0.0 }
+        }))
     }
 
     /// Irradiance of its parts, W/m²; `caustic`: what the sums of caustics are multiplied with.

@@ -41,6 +41,12 @@ pub trait Irradiance: Any + Sync + Send {
         Unnamed { rest: self.irradiance(triangle, b1, b2, back), is_lit: false }
     }
 
+    /// What of it no path from a surface finds ([`Class::Unfound`](crate::transport::caustic::Class)): light of lamps
+    /// without area that came over mirrors or clear glass, where that is known apart.
+    fn unfound(&self, _triangle: u32, _b1: f32, _b2: f32, _back: bool) -> Vec3 {
+        Vec3::ZERO
+    }
+
     /// The stored values behind it, where there are some: for displays that interpolate themselves.
     fn stored(&self) -> Option<&stored::Illumination> {
         None

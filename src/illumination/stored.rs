@@ -36,12 +36,47 @@ pub struct Summary {
     pub notes: Vec<String>,
 }
 
-/// Irradiance straight from named lights, per element.
+/// A part of the irradiance per element.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct Named {
+struct Part {
     front: Vec<[f32; 3]>,
     /// Empty where all backs are dark.
     back: Vec<[f32; 3]>,
+}
+
+impl Part {
+    /// Of values per element of `atlas`, front and back.
+    fn new(atlas: &Atlas, sides: [Vec<Value>; 2]) -> Self {
+        assert!(sides.iter().all(|side| side.len() == atlas.elements.len()), "values per element");
+        let [front, back] = sides.map(|mut side| {
+            fill_unknown(atlas, &mut side);
+            let stored = |v: &Value| {
+                let v = v.unwrap_or_default().truncate();
+                if v.is_finite() { v.max(Vec3::ZERO).to_array() } else { [0.0; 3] }
+            };
+            side.iter().map(stored).collect::<Vec<_>>()
+        });
+        let back = if back.iter().flatten().any(|v| *v > 0.0) { back } else { Vec::new() };
+        Self { front, back }
+    }
+
+    #[inline]
+    fn value(&self, element: usize, back: bool) -> Vec3 {
+        let side = if back { &self.back } else { &self.front };
+        side.get(element).map_or(Vec3::ZERO, |v| Vec3::from_array(*v))
+    }
+
+    /// Whether it is one of so many elements, with values that are finite and not negative.
+    fn is_sound(&self, elements: usize) -> bool {
+        let Self { front, back } = self;
+        front.len() == elements
+            && (back.is_empty() || back.len() == elements)
+            && front.iter().chain(back).flatten().all(|v| v.is_finite() && *v >= 0.0)
+    }
+
+    fn bytes(&self) -> usize {
+        (self.front.len() + self.back.len()) * size_of::<[f32; 3]>()
+    }
 }
 
 /// Irradiance on all surfaces, front and back, with its standard error.
@@ -56,7 +91,9 @@ pub struct Illumination {
     back_blocks: Vec<u32>,
     back: Vec<[f32; 4]>,
     /// What comes straight from named lights, where that is kept apart: not in `front` and `back`, then.
-    named: Option<Named>,
+    named: Option<Part>,
+    /// What of the values no path from a surface finds; `None` where there is nothing.
+    unfound: Option<Part>,
     /// What the bake came to.
     pub summary: Summary,
 }
@@ -94,23 +131,21 @@ impl Illumination {
             back_blocks,
             back: lit_back,
             named: None,
+            unfound: None,
             summary,
         }
     }
 
     /// With what comes straight from named lights, front and back, which the values do not hold.
     pub fn with_named(self, atlas: &Atlas, sides: [Vec<Value>; 2]) -> Self {
-        assert!(sides.iter().all(|side| side.len() == atlas.elements.len()), "values per element");
-        let [front, back] = sides.map(|mut side| {
-            fill_unknown(atlas, &mut side);
-            let stored = |v: &Value| {
-                let v = v.unwrap_or_default().truncate();
-                if v.is_finite() { v.max(Vec3::ZERO).to_array() } else { [0.0; 3] }
-            };
-            side.iter().map(stored).collect::<Vec<_>>()
-        });
-        let back = if back.iter().flatten().any(|v| *v > 0.0) { back } else { Vec::new() };
-        Self { named: Some(Named { front, back }), ..self }
+        Self { named: Some(Part::new(atlas, sides)), ..self }
+    }
+
+    /// With what of the values no path from a surface finds ([`crate::transport::caustic::Class::Unfound`]), front and back.
+    pub fn with_unfound(self, atlas: &Atlas, sides: [Vec<Value>; 2]) -> Self {
+        let lit = |v: &Value| v.is_some_and(|v| v.truncate().max_element() > 0.0);
+        let any = sides.iter().flatten().any(lit);
+        Self { unfound: any.then(|| Part::new(atlas, sides)), ..self }
     }
 
     /// Columns and rows of the lightmap.
@@ -133,7 +168,7 @@ impl Illumination {
         self.corners.len() * size_of::<Corners>()
             + (self.front.len() + self.back.len()) * size_of::<[f32; 4]>()
             + self.back_blocks.len() * 4
-            + self.named.as_ref().map_or(0, |n| (n.front.len() + n.back.len()) * size_of::<[f32; 3]>())
+            + [&self.named, &self.unfound].into_iter().flatten().map(Part::bytes).sum::<usize>()
     }
 
     /// Irradiance and the standard error of its luminance.
@@ -197,8 +232,7 @@ impl Illumination {
 
     #[inline]
     fn named_value(&self, element: usize, back: bool) -> Vec4 {
-        let side = self.named.as_ref().map(|named| if back { &named.back } else { &named.front });
-        side.and_then(|side| side.get(element)).map_or(Vec4::ZERO, |v| Vec3::from_array(*v).extend(0.0))
+        self.named.as_ref().map_or(Vec4::ZERO, |named| named.value(element, back).extend(0.0))
     }
 
     /// All irradiance on a side of an element, and the standard error of its luminance.
@@ -228,11 +262,7 @@ impl Illumination {
             && self.back_blocks.len() == self.front.len().div_ceil(BLOCK)
             && self.back_blocks.iter().all(|&b| b == DARK || (b as usize + 1) * BLOCK <= self.back.len())
             && self.front.iter().chain(&self.back).flatten().all(|v| v.is_finite() && *v >= 0.0)
-            && self.named.as_ref().is_none_or(|Named { front, back }| {
-                front.len() == self.front.len()
-                    && (back.is_empty() || back.len() == front.len())
-                    && front.iter().chain(back).flatten().all(|v| v.is_finite() && *v >= 0.0)
-            })
+            && [&self.named, &self.unfound].into_iter().flatten().all(|part| part.is_sound(self.front.len()))
             && self.corners.iter().all(|c| match c {
                 Corners::Vertices(v) => v.iter().all(|&e| u64::from(e) < elements),
                 Corners::Texels(uv) => texel_corners_allowed && uv.iter().all(|p| p.is_finite()),
@@ -274,7 +304,7 @@ impl Illumination {
             h.update(bytemuck::cast_slice(values));
         }
         h.update(bytemuck::cast_slice(&self.back_blocks));
-        if let Some(Named { front, back }) = &self.named {
+        for Part { front, back } in [&self.named, &self.unfound].into_iter().flatten() {
             h.update(bytemuck::cast_slice(front));
             h.update(bytemuck::cast_slice(back));
         }
@@ -324,6 +354,7 @@ impl Illumination {
             back,
             // Exact from the first map of these elements on.
             named: target.named.clone(),
+            unfound: target.unfound.clone(),
             summary: target.summary.clone(),
         };
         Some((if arrived { target.clone() } else { next }, arrived))
@@ -342,6 +373,11 @@ impl Irradiance for Illumination {
         }
         let is_lit = |e| Vec4::splat(f32::from(u8::from(self.named_value(e, back) != Vec4::ZERO)));
         Unnamed { rest, is_lit: self.interpolated(triangle, b1, b2, &is_lit).x > 0.0 }
+    }
+
+    fn unfound(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {
+        let Some(unfound) = &self.unfound else { return Vec3::ZERO };
+        self.interpolated(triangle, b1, b2, &|e| unfound.value(e, back).extend(0.0)).truncate()
     }
 
     fn stored(&self) -> Option<&Illumination> {

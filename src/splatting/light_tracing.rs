@@ -315,7 +315,7 @@ mod tests {
     #[test]
     fn a_refined_picture_shows_it() {
         for map in [0.0, 3.0] {
-            let world = World { illumination: Arc::new(Uniform(Vec3::splat(map))), ..world(ALBEDO) };
+            let world = world(ALBEDO).with_illumination(Arc::new(Uniform(Vec3::splat(map))));
             let (frame, mut buffers) = (frame(), FrameBuffers::new(24, 16));
             cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
             let first = buffers.color.clone();

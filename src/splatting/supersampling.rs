@@ -24,7 +24,7 @@ use crate::splatting::filter::GoesOn;
 use crate::splatting::light_tracing::{LightSums, Splats, runs_for};
 use crate::splatting::settled::settled;
 use crate::splatting::tile_sums::{BATCHES, PixelSample, TileSums};
-use crate::transport::gather::{Gather, Trust};
+use crate::transport::gather::Gather;
 use crate::world::World;
 
 /// Side of a tile, pixels.
@@ -149,7 +149,7 @@ pub fn supersample_while(
     let tiles = Tiles::of_size(width, height);
     let area = tiles.rect(tile).area() as usize;
     let mut sums = on.cloned().unwrap_or_else(|| TileSums::new(tile, area));
-    let gather = world.gather(Trust::EndValue(&*world.illumination));
+    let gather = world.gather_beyond_map();
     for number in sums.samples..sums.samples.saturating_add(count).min(SAMPLES_MAX - 1) {
         if !goes_on() {
             break;
@@ -210,6 +210,7 @@ pub(super) mod tests {
     use crate::scene::test_scenes::{add_box, grey, scene};
     use crate::scene::{Camera, Material, Mesh, Model, Reflectance};
     use crate::splatting::light_tracing::trace_run;
+    use crate::transport::gather::Trust;
     use rayon::prelude::*;
 
     /// A refined picture, from this machine's threads.

@@ -88,7 +88,8 @@ impl Sources {
         });
         let pieces = if distant { PIECES } else { 0 };
         let lit = LitSurfaces::new(areas, pieces, 1, near, &|_| 1.0, &|start, stream| {
-            distant_light(scene, accel, lights, class, start, stream).map_or(0.0, |(_, e)| luminance(e))
+            distant_light(scene, accel, lights, class, start, stream)
+                .map_or(0.0, |light| luminance(light.irradiance))
         });
         let meets = |lamp: usize, u: [f32; 2]| {
             let Some((ray, _)) = lights.emit_near_dirac(scene, lamp, u) else { return 0.0 };
@@ -108,8 +109,17 @@ impl Sources {
     }
 }
 
-/// A place under a sample of distant light, as that light sees it, and the irradiance on its geometric normal; `None`
-/// where something hides it, or the light is not wanted.
+/// A place under a sample of distant light.
+struct Distant {
+    /// As that light sees it.
+    at: Interaction,
+    /// On its geometric normal.
+    irradiance: Vec3,
+    /// Whether it comes from a single direction.
+    is_dirac: bool,
+}
+
+/// Looks there; `None` where something hides it, or the light is not wanted.
 fn distant_light(
     scene: &Scene,
     accel: &Accel,
@@ -117,7 +127,7 @@ fn distant_light(
     class: Class,
     start: &Start,
     stream: &mut Stream,
-) -> Option<(Interaction, Vec3)> {
+) -> Option<Distant> {
     let (choice, u) = (stream.next_f32(), stream.next_2d());
     let hit = Hit { t: 1.0, triangle: start.triangle, b1: start.b1, b2: start.b2 };
     let [a, b, c] = scene.mesh.corners(hit.triangle);
@@ -135,7 +145,7 @@ fn distant_light(
         return None;
     }
     let irradiance = irradiance * visibility(scene, accel, &at.spawn(light.wi));
-    shines(irradiance).then_some((at, irradiance))
+    shines(irradiance).then_some(Distant { at, irradiance, is_dirac: light.delta })
 }
 
 /// A particle that arrives.
@@ -150,6 +160,8 @@ pub struct Deposit<'a> {
     /// Incoming flux before reflection, as if it were the only particle, W per band: through the geometric surface, without
     /// the coat.
     pub flux: Vec3,
+    /// Whether no path from a surface finds it ([`Class::Unfound`]).
+    pub is_unfound: bool,
 }
 
 impl Deposit<'_> {
@@ -169,6 +181,9 @@ struct Flight {
     media: Media,
     /// Surfaces met, but for panes that it passed.
     vertices: u32,
+    /// Whether its light has no area, and, once it has met a surface, whether a lobe of single directions came first.
+    is_dirac: bool,
+    is_unfound: bool,
 }
 
 /// What became of a particle at a surface from which it goes on.
@@ -212,22 +227,25 @@ impl<'a> Caustics<'a> {
     fn begin(&self, stream: &mut Stream) -> Option<Flight> {
         let Sources { class, lit, aim: _, possible: true } = self.sources else { return None };
         let (near, choice) = (lit.near_share(), stream.next_f64());
-        let begun = |ray, flux, share: f64| Flight {
+        let begun = |ray, flux, share: f64, is_dirac| Flight {
             ray,
             flux: flux / share as f32,
             media: Media::EMPTY,
             vertices: 0,
+            is_dirac,
+            is_unfound: false,
         };
         if choice < near {
-            let (ray, flux) = match class {
-                Class::All => self.lights.sample_near_emission(self.scene, stream),
-                Class::Unfound => self.emit(stream),
-            }?;
-            return Some(begun(ray, flux, near));
+            let (ray, flux, is_dirac) = match class {
+                Class::All => self.lights.sample_near_emission(self.scene, stream)?,
+                Class::Unfound => self.emit(stream).map(|(ray, flux)| (ray, flux, true))?,
+            };
+            return Some(begun(ray, flux, near, is_dirac));
         }
         let start = lit.start((choice - near) / (1.0 - near), stream.next_2d())?;
-        let (at, irradiance) = distant_light(self.scene, self.accel, self.lights, *class, &start, stream)?;
-        let mut flight = begun(at.spawn(at.wo), irradiance, start.density * (1.0 - near));
+        let Distant { at, irradiance, is_dirac } =
+            distant_light(self.scene, self.accel, self.lights, *class, &start, stream)?;
+        let mut flight = begun(at.spawn(at.wo), irradiance, start.density * (1.0 - near), is_dirac);
         let bsdf = Bsdf::at(self.scene, &at);
         // What only passes a pane falls on the surfaces behind it, and begins there.
         (self.scatter(&at, &bsdf, &mut flight, stream)? == Onwards::Scattered).then_some(flight)
@@ -265,7 +283,8 @@ impl<'a> Caustics<'a> {
                 Class::Unfound => bsdf.is_connectible(),
             };
             if arrives && flight.vertices > 0 {
-                deposit(&Deposit { at: &at, bsdf: &bsdf, media: flight.media, flux: flight.flux });
+                let Flight { media, flux, is_unfound, .. } = flight;
+                deposit(&Deposit { at: &at, bsdf: &bsdf, media, flux, is_unfound });
             }
             if self.scatter(&at, &bsdf, &mut flight, stream).is_none() {
                 return;
@@ -315,6 +334,9 @@ impl<'a> Caustics<'a> {
         }
         if sample.transmitted {
             flight.media = flight.media.crossed(self.scene, at).with_band(band);
+        }
+        if !passed && flight.vertices == 0 {
+            flight.is_unfound = flight.is_dirac && sample.delta;
         }
         flight.vertices += u32::from(!passed);
         flight.flux *= weight / survival;

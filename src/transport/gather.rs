@@ -18,7 +18,8 @@
 //! | I indirect | L … D S* x | a direction, then Ê at the next D point |
 //!
 //! Maps hold all four in one number, so all four are estimated here, C too. What no sampling finds is C of lights without
-//! area over mirrors and clear glass: it stays dark. Going straight through a pane is no vertex, light is attenuated only.
+//! area over mirrors and clear glass: particles bring it to the eye ([`super::caustic::Class::Unfound`]), but for what is seen in
+//! mirrors and through clear glass first, where the map tells of it. Going straight through a pane is no vertex, light is attenuated only.
 //!
 //! Irradiance is `∫ L · coat(ω) · max(0, n_s·ω) dω` over the directions above the surface, whatever the albedo is: it is
 //! multiplied in where a surface is looked at.
@@ -34,6 +35,7 @@ use super::bsdf::bands::Band;
 use super::bsdf::{Bsdf, cosine_hemisphere};
 use super::direct::{arriving, goes_straight, mis_weight, towards, visibilities};
 use super::interaction::Interaction;
+use super::light::bright::BrightSurfaces;
 use super::light::named::{NAMED_MAX, named_sample};
 use super::light::{Lights, Receiver};
 use super::medium::Media;
@@ -44,6 +46,10 @@ use crate::illumination::Irradiance;
 use crate::illumination::Unnamed;
 use crate::rng::Stream;
 use crate::scene::Scene;
+
+mod aimed;
+
+use aimed::Aimed;
 
 /// How much of a map is believed at the D points that paths meet.
 #[derive(Clone, Copy)]
@@ -107,8 +113,9 @@ enum Dimension {
     Part,
     Direction,
     Roulette,
-    Lobe = 6,
-    Band = 7,
+    Aim,
+    Lobe,
+    Band,
 }
 
 /// Dimensions of a vertex.
@@ -142,6 +149,8 @@ struct Path {
     media: Media,
     /// How the direction was found, where light samples were taken beside it.
     found: Option<Found>,
+    /// How it was found where bright surfaces are looked for, until it ends somewhere.
+    aimed: Option<Aimed>,
     /// Vertices behind it, and the D ones among them.
     vertices: u32,
     diffuse: u32,
@@ -151,6 +160,8 @@ struct Path {
     narrow: bool,
     /// Whether no S vertex lies between it and its beginning.
     straight: bool,
+    /// Whether an eye looks over a lobe of a single direction first, so that no particle can be joined with it.
+    is_hidden: bool,
     /// Width of its cone here, and what a unit of length adds; for textures.
     width: f32,
     spread: f32,
@@ -163,6 +174,8 @@ pub struct Gather<'a> {
     accel: &'a Accel,
     lights: &'a Lights,
     trust: Trust<'a>,
+    /// Where most of what is reflected comes from.
+    bright: Option<&'a BrightSurfaces>,
     /// Whether light that reaches a D point over S alone is somebody else's.
     drops_caustics: bool,
     /// Whether the light of named lights that a sample begins with is somebody else's.
@@ -172,7 +185,12 @@ pub struct Gather<'a> {
 impl<'a> Gather<'a> {
     /// For a scene, with as much trust.
     pub fn new(scene: &'a Scene, accel: &'a Accel, lights: &'a Lights, trust: Trust<'a>) -> Self {
-        Self { scene, accel, lights, trust, drops_caustics: false, drops_named: false }
+        Self { scene, accel, lights, trust, bright: None, drops_caustics: false, drops_named: false }
+    }
+
+    /// Looks for such surfaces, too: less noise, and the same mean.
+    pub fn looking_for(self, bright: &'a BrightSurfaces) -> Self {
+        Self { bright: Some(bright).filter(|bright| bright.share() > 0.0), ..self }
     }
 
     /// Leaves out class C over lobes that are not wide: particles bring it ([`super::caustic`]).
@@ -317,6 +335,16 @@ impl<'a> Gather<'a> {
         }
     }
 
+    /// What neither a path finds nor a particle brings to the eye, as far as the map knows it.
+    fn unfound_at(&self, at: &Interaction, path: &Path) -> Vec3 {
+        match self.trust {
+            Trust::Map(map) | Trust::EndValue(map) if path.is_hidden => {
+                map.unfound(at.triangle, at.b1, at.b2, at.back)
+            }
+            _ => Vec3::ZERO,
+        }
+    }
+
     /// What the display shows of the irradiance at a point that named lights light so much.
     fn shown_at(&self, at: &Interaction, named: Vec3) -> Vec3 {
         match self.trust {
@@ -338,6 +366,13 @@ impl<'a> Gather<'a> {
         let mut sum = Arriving::default();
         while path.vertices < VERTICES_MAX {
             let hit = self.accel.intersect(self.scene, &path.ray);
+            if let Some(aimed) = path.aimed.take() {
+                let weight = self.weight_of(&aimed, path.ray.direction, hit.as_ref());
+                if weight == 0.0 {
+                    break;
+                }
+                path.throughput *= weight;
+            }
             let Some(hit) = &hit else {
                 self.shine(self.lights.escaped(self.scene, path.ray.direction), &path, None, &mut sum);
                 break;
@@ -377,8 +412,8 @@ impl<'a> Gather<'a> {
                 if !lit || !self.goes_on(&at, &mut path, stream, &mut sum.soft) {
                     break;
                 }
-                sum.soft +=
-                    path.throughput * self.straight_light(&at, &bsdf, &path, stream) * path.index_scale;
+                let straight = self.straight_light(&at, &bsdf, &path, stream);
+                sum.soft += path.throughput * (straight + self.unfound_at(&at, &path)) * path.index_scale;
                 self.reflect(&at, &bsdf, &mut path, stream);
                 path.straight = false;
             }
@@ -461,24 +496,39 @@ impl<'a> Gather<'a> {
     /// Irradiance straight from lights, by samples of them.
     fn straight_light(&self, at: &Interaction, bsdf: &Bsdf, path: &Path, stream: Stream) -> Vec3 {
         let has_named = !(self.drops_named && path.vertices == 0);
+        let by_cosine = 1.0 - self.aims(path).map_or(0.0, BrightSurfaces::share);
         self.light_samples(at, path, stream, has_named, |wi| {
             let (value, cosine) = below_coat(at, bsdf, wi);
-            (Vec3::splat(value), cosine * FRAC_1_PI)
+            (Vec3::splat(value), cosine * (by_cosine * FRAC_1_PI))
         })
     }
 
-    /// Sends the path on from a D point, by the cosine. Directions below the surface see nothing.
+    /// Sends the path on from a D point, by the cosine or to a bright surface. Directions below the surface see nothing.
     fn reflect(&self, at: &Interaction, bsdf: &Bsdf, path: &mut Path, stream: Stream) {
-        let local = cosine_hemisphere(path.numbers(stream, Dimension::Direction).next_2d());
+        let u = path.numbers(stream, Dimension::Direction).next_2d();
         let normal = at.facing_shading();
-        let (x, y) = normal.any_orthonormal_pair();
-        let wi = (x * local.x + y * local.y + normal * local.z).normalize_or(normal);
+        let by_cosine = || {
+            let local = cosine_hemisphere(u);
+            let (x, y) = normal.any_orthonormal_pair();
+            (x * local.x + y * local.y + normal * local.z).normalize_or(normal)
+        };
+        let (wi, share) = match self.aims(path) {
+            None => {
+                // Cosine / density.
+                path.throughput *= PI;
+                (by_cosine(), 0.0)
+            }
+            Some(bright) => {
+                let choice = path.numbers(stream, Dimension::Aim).next_f64();
+                let (wi, aimed) = self.aim(bright, at, choice, u, by_cosine);
+                path.aimed = Some(aimed);
+                (wi, bright.share())
+            }
+        };
         let above = if at.facing_geometric().dot(wi) > 0.0 { bsdf.coat_factor(wi) } else { 0.0 };
-        // Cosine / density.
-        path.throughput *= PI;
         path.since = Vec3::ONE;
         path.weigh(Vec3::splat(above));
-        let pdf = normal.dot(wi).max(0.0) * FRAC_1_PI;
+        let pdf = normal.dot(wi).max(0.0) * ((1.0 - share) * FRAC_1_PI);
         path.found = (!self.lights.is_empty()).then_some(Found { from: at.into(), pdf });
         (path.specular, path.narrow) = (0, true);
         path.vertices += 1;
@@ -520,6 +570,7 @@ impl<'a> Gather<'a> {
         if !goes_straight(self.scene, at, &sample) {
             let pdf = sample.pdf;
             path.found = (!sample.delta && !self.lights.is_empty()).then_some(Found { from: at.into(), pdf });
+            path.is_hidden |= path.straight && path.diffuse == 0 && sample.delta;
             path.straight = false;
         }
         path.specular += 1;
@@ -571,11 +622,13 @@ impl Path {
             index_scale: 1.0,
             media: Media::EMPTY,
             found: None,
+            aimed: None,
             vertices: 0,
             diffuse: 0,
             specular: 0,
             narrow: true,
             straight: true,
+            is_hidden: false,
             width: 0.0,
             spread: 0.0,
         }
@@ -597,6 +650,8 @@ fn finite(value: Vec3) -> Vec3 {
     if value.is_finite() { value } else { Vec3::ZERO }
 }
 
+#[cfg(test)]
+mod aimed_tests;
 #[cfg(test)]
 mod path_tests;
 #[cfg(test)]

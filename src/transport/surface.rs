@@ -31,7 +31,7 @@ pub struct SurfacePoint {
 /// Twice the area of the triangle spanned by `e1` and `e2` times its normal, or, where that underflows, a vector
 /// of the same direction; zero for triangles without area.
 #[inline]
-pub(super) fn area_normal(e1: Vec3, e2: Vec3) -> Vec3 {
+pub(in crate::transport) fn area_normal(e1: Vec3, e2: Vec3) -> Vec3 {
     let cross = e1.cross(e2);
     if cross.length_squared() > 0.0 {
         return cross;

@@ -17,7 +17,7 @@ fn seen_from(world: &World, eye: Vec3, target: Vec3, fov_degrees: f32, size: [u3
     let mut scene = (*world.scene).clone();
     let camera = &mut scene.cameras[0].camera;
     (camera.eye, camera.target, camera.fov_y) = (eye, target, fov_degrees.to_radians());
-    look(&World { scene: Arc::new(scene), ..world.clone() }, size, what);
+    look(&world.with_scene(Arc::new(scene)), size, what);
 }
 
 #[test]

@@ -210,7 +210,7 @@ fn baked(scene: Scene) -> World {
         BakeSettings { texels: 512, particles: Some(1 << 12), error: None, ..BakeSettings::default() };
     let baked = bake(Indexed { scene: &scene, accel: &accel, lights: &lights }, &settings, &|_| true);
     assert!(baked.illumination.is_sound(), "{}: irradiance is not finite", scene.name);
-    World { scene, accel, lights, illumination: Arc::new(baked.illumination), unfound: Arc::default() }
+    World::of(scene, accel, lights, Arc::new(baked.illumination))
 }
 
 /// What was seen of a scene.

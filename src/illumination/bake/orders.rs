@@ -3,6 +3,8 @@
 //! What an order comes to is a function of scene, settings, the map of the round before and the order itself. So it does
 //! not matter who gathers, where, or how often.
 
+use std::sync::OnceLock;
+
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -12,6 +14,7 @@ use crate::illumination::stored::Illumination;
 use crate::image::luminance;
 use crate::transport::Indexed;
 use crate::transport::gather::Trust;
+use crate::transport::light::bright::BrightSurfaces;
 
 /// Samples of an order, about: some milliseconds.
 const SAMPLES: u64 = 1 << 10;
@@ -65,7 +68,7 @@ pub struct Here;
 
 impl Gatherers for Here {
     fn gather(&self, baker: &Baker, indexed: Indexed<'_>, orders: &[Order]) -> Vec<Answer> {
-        orders.par_iter().map(|order| baker.answer(indexed, baker.map(), order)).collect()
+        orders.par_iter().map(|order| baker.answer(indexed, (baker.map(), baker.bright()), order)).collect()
     }
 }
 
@@ -135,9 +138,16 @@ impl Baker {
             && order.sites.iter().all(is_known)
     }
 
-    /// What an order comes to under the `map` of the round before. Of the bake itself only scene and settings count.
-    pub fn answer(&self, indexed: Indexed<'_>, map: &Illumination, order: &Order) -> Answer {
-        let gather = indexed.gather(Trust::Map(map)).without_caustics().without_named();
+    /// What an order comes to under the `map` of the round before, whose `bright` surfaces are looked for once. Of the bake
+    /// itself only scene and settings count.
+    pub fn answer(
+        &self,
+        indexed: Indexed<'_>,
+        (map, bright): (&Illumination, &OnceLock<BrightSurfaces>),
+        order: &Order,
+    ) -> Answer {
+        let bright = bright.get_or_init(|| BrightSurfaces::new(indexed.scene, map));
+        let gather = indexed.gather(Trust::Map(map)).without_caustics().without_named().looking_for(bright);
         let (atlas, points) = (&self.atlas, &self.points);
         let at = |&(site, mut sums): &(u32, Gathered)| {
             let i = site as usize;

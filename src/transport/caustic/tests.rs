@@ -89,6 +89,42 @@ fn a_lamp_in_a_paraboloid() {
     }
 }
 
+/// Among all caustics those are told that no path finds: of lamps without area, over single directions first.
+#[test]
+fn what_no_path_finds_is_told_apart() {
+    for (floor, is_lamp, expected) in
+        [(mirror(0.8), true, true), (mirror(0.8), false, false), (glossy(0.1), true, false)]
+    {
+        let mut b = Builder::default();
+        let floor = b.material(floor);
+        b.rectangle(Vec3::ZERO, Vec3::X * 4.0, Vec3::Y * 4.0, floor);
+        ceiling(&mut b, 2.0, 0.5);
+        if !is_lamp {
+            let lamp = b.emitter(lambert(0.0), Vec3::ONE);
+            b.rectangle(Vec3::Z, Vec3::Y * 0.1, Vec3::X * 0.1, lamp);
+        }
+        let mut scene = b.scene();
+        if is_lamp {
+            scene.lights =
+                vec![Light::Point { position: Vec3::Z, intensity: Vec3::ONE, range: f32::INFINITY }];
+        }
+        let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
+        let sources = Sources::new(&scene, &accel, &lights, Class::All);
+        let (mut count, mut unfound) = (0, 0);
+        for i in 0..RUN {
+            Caustics::new(&scene, &accel, &lights, &sources).trace(3, i, &mut |d| {
+                count += 1;
+                unfound += usize::from(d.is_unfound);
+            });
+        }
+        assert!(count > 50 && unfound == if expected { count } else { 0 }, "{unfound} of {count}");
+    }
+}
+
+fn glossy(alpha: f32) -> Model {
+    Model::Metal { specular: Reflectance::constant(Vec3::ONE), roughness: rough(alpha) }
+}
+
 /// A slab that does not bend light and lets τ per unit of length through.
 #[test]
 fn light_through_a_slab() {

@@ -98,11 +98,12 @@ impl Lights {
         }
     }
 
-    /// The same for the lights inside of the scene only.
-    pub fn sample_near_emission(&self, scene: &Scene, stream: &mut Stream) -> Option<(Ray, Vec3)> {
+    /// The same for the lights inside of the scene only, with whether its light has no area.
+    pub fn sample_near_emission(&self, scene: &Scene, stream: &mut Stream) -> Option<(Ray, Vec3, bool)> {
         let choice = stream.next_f64();
         let i = self.near.sample(choice)?;
-        self.emit(scene, self.emitters[i], self.near.probability(i), stream)
+        let (ray, flux) = self.emit(scene, self.emitters[i], self.near.probability(i), stream)?;
+        Some((ray, flux, self.is_dirac(self.emitters[i])))
     }
 
     /// A light by power of those inside of the scene that have no area, counted from 0, and its probability.

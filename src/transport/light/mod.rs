@@ -7,6 +7,7 @@
 //! Lights inside of the scene are chosen by what they may bring to the surface (`tree`). The tracer of corrections
 //! still chooses by power alone ([`Lights::sample_direct`]).
 
+pub mod bright;
 mod distant;
 mod distribution;
 mod emission;

@@ -36,18 +36,18 @@ fn densities_of_aims_add_up() {
     assert!(bright.share() > 0.1 && bright.share() <= 0.5, "{}", bright.share());
     let at = floor(&scene, &accel);
     let from = Receiver::from(&at);
-    let mut shares = [0.0; 2];
+    let bright_ones = std::cell::Cell::new(0);
     let (total, error) = mean(200_000, |i| {
         let local = cosine_hemisphere(Stream::new(1, i, 0).next_2d());
         let (x, y) = from.normal.any_orthonormal_pair();
         let wi = x * local.x + y * local.y + from.normal * local.z;
         let Some(hit) = accel.intersect(&scene, &at.spawn(wi)) else { return Vec3::ZERO };
         let pdf = bright.pdf(&scene, &from, wi, &hit, false);
-        shares[usize::from(pdf > 0.0)] += 1.0;
+        bright_ones.set(bright_ones.get() + u32::from(pdf > 0.0));
         Vec3::splat(pdf * PI / from.normal.dot(wi))
     });
     assert!((total - 1.0).abs() < 4.0 * error && error < 0.02, "{total} ± {error}");
-    assert!(shares[0] > shares[1], "most of the room is dark: {shares:?}");
+    assert!((1_000..50_000).contains(&bright_ones.get()), "most of the room is dark: {bright_ones:?}");
     // Aims end where they are said to.
     for i in 0..1000 {
         let mut s = Stream::new(2, i, 0);
@@ -92,7 +92,7 @@ fn aims_change_the_noise_and_not_the_mean() {
                 (found - expected).abs() < 4.0 * (noise + less),
                 "{triangles:?}: {found} ± {less}, not {expected} ± {noise}"
             );
-            assert!(!(right && pays) || less < 0.5 * noise, "{less} beside {noise}");
+            assert!(!(right && pays) || less < 0.7 * noise, "{less} beside {noise}");
         }
     }
 }

@@ -13,6 +13,7 @@ use foveal::illumination::bake::BakeSettings;
 use foveal::image::Map2d;
 use foveal::splatting::AgeingRules;
 use foveal::splatting::supersampling::Supersampling;
+use foveal::world::World;
 use foveal_actors::illuminator::Refinement;
 use foveal_runtime::simulate::{Fault, FaultKind, Faults, Simulation};
 use foveal_runtime::{ActorId, Hashing, Record};

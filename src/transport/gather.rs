@@ -48,8 +48,9 @@ use crate::rng::Stream;
 use crate::scene::Scene;
 
 mod aimed;
+mod path;
 
-use aimed::Aimed;
+use path::{Dimension, Found, Path};
 
 /// How much of a map is believed at the D points that paths meet.
 #[derive(Clone, Copy)]
@@ -105,67 +106,12 @@ impl Seen {
     }
 }
 
-/// What a vertex needs random numbers for, in the order of its dimensions.
-#[derive(Clone, Copy)]
-enum Dimension {
-    LightChoice,
-    Light,
-    Part,
-    Direction,
-    Roulette,
-    Aim,
-    Lobe,
-    Band,
-}
-
-/// Dimensions of a vertex.
-const DIMENSIONS: u32 = 8;
-/// Vertices whose numbers are stratified over the samples of a pixel; of later ones none matters much.
-const STRATIFIED: u32 = 4;
 /// S surfaces in a row that every path meets before roulette begins.
 const CERTAIN: u32 = 4;
 /// Most that a path goes on with, also between surfaces that lose nothing.
 const SURVIVAL_MAX: f32 = 0.95;
 /// No path is longer; roulette ends nearly all long before.
 const VERTICES_MAX: u32 = 1000;
-
-/// How a direction was found along which a light may lie.
-#[derive(Clone, Copy)]
-struct Found {
-    from: Receiver,
-    pdf: f32,
-}
-
-/// A path on its way.
-#[derive(Clone, Copy)]
-struct Path {
-    ray: Ray,
-    /// What radiance found from here on counts.
-    throughput: Vec3,
-    /// Its part since the last D vertex.
-    since: Vec3,
-    /// Squares of refractive indices crossed; kept apart, so that roulette does not end paths inside of glass.
-    index_scale: f32,
-    media: Media,
-    /// How the direction was found, where light samples were taken beside it.
-    found: Option<Found>,
-    /// How it was found where bright surfaces are looked for, until it ends somewhere.
-    aimed: Option<Aimed>,
-    /// Vertices behind it, and the D ones among them.
-    vertices: u32,
-    diffuse: u32,
-    /// S surfaces in a row behind it.
-    specular: u32,
-    /// Whether none of these has a wide lobe.
-    narrow: bool,
-    /// Whether no S vertex lies between it and its beginning.
-    straight: bool,
-    /// Whether an eye looks over a lobe of a single direction first, so that no particle can be joined with it.
-    is_hidden: bool,
-    /// Width of its cone here, and what a unit of length adds; for textures.
-    width: f32,
-    spread: f32,
-}
 
 /// Estimates light in a scene. Costs nothing to make.
 #[derive(Clone, Copy)]
@@ -610,40 +556,6 @@ fn cosine_above(at: &Interaction, wi: Vec3) -> f32 {
 pub(crate) fn shown(map: &dyn Irradiance, at: &Interaction, named: Vec3) -> Vec3 {
     let Unnamed { rest, is_lit } = map.unnamed(at.triangle, at.b1, at.b2, at.back);
     if is_lit { rest + named } else { rest }
-}
-
-impl Path {
-    /// That begins at a surface.
-    fn at(at: &Interaction, throughput: Vec3) -> Self {
-        Self {
-            ray: Ray::new(at.position, at.wo),
-            throughput,
-            since: Vec3::ONE,
-            index_scale: 1.0,
-            media: Media::EMPTY,
-            found: None,
-            aimed: None,
-            vertices: 0,
-            diffuse: 0,
-            specular: 0,
-            narrow: true,
-            straight: true,
-            is_hidden: false,
-            width: 0.0,
-            spread: 0.0,
-        }
-    }
-
-    fn weigh(&mut self, by: Vec3) {
-        self.throughput *= by;
-        self.since *= by;
-    }
-
-    /// The random numbers of one use at the vertex that it is at.
-    fn numbers(&self, stream: Stream, of: Dimension) -> Stream {
-        let stream = if self.vertices < STRATIFIED { stream } else { stream.independent() };
-        stream.at(DIMENSIONS * self.vertices + of as u32)
-    }
 }
 
 fn finite(value: Vec3) -> Vec3 {

@@ -9,6 +9,7 @@ use foveal_actors::renderer::MARK_FRAME;
 use foveal_runtime::{ActorId, Trace};
 
 use super::beside::Beside;
+use super::why_path::Segment;
 use crate::engine::Event;
 use crate::source::{Branch, Controls, FrameSource, Names, Place, Ranges, Status, Timeline, TimelineShown};
 
@@ -43,6 +44,11 @@ impl Pair {
     fn left(&self) -> &Beside {
         &self.sides[0]
     }
+
+    /// The first column of the right picture.
+    fn right_begins(&self) -> u32 {
+        self.left().size()[0] + GAP as u32
+    }
 }
 
 impl Timeline for Pair {
@@ -52,7 +58,19 @@ impl Timeline for Pair {
         lines.extend(right.lines.iter().map(|line| format!("right: {line}")));
         let mut story = left.story;
         story.extend(right.story.iter().map(|line| format!("right: {line}")));
-        TimelineShown { lines, story, frames: left.frames.max(right.frames), parted: self.parted, ..left }
+        let mut path = left.path;
+        path.extend(right.path.into_iter().map(|segment| Segment {
+            ends: segment.ends.map(|[x, y]| [x + self.right_begins() as f32, y]),
+            ..segment
+        }));
+        TimelineShown {
+            lines,
+            story,
+            path,
+            frames: left.frames.max(right.frames),
+            parted: self.parted,
+            ..left
+        }
     }
 
     fn go_to(&mut self, frame: u32) {
@@ -76,10 +94,12 @@ impl Timeline for Pair {
     }
 
     fn why(&mut self, x: u32, y: u32) {
-        let width = self.sides[0].size()[0];
-        match x.checked_sub(width + GAP as u32) {
+        match x.checked_sub(self.right_begins()) {
             Some(x) => self.sides[1].why(x, y),
-            None => self.sides[0].why(x.min(width - 1), y),
+            None => {
+                let last = self.sides[0].size()[0].saturating_sub(1);
+                self.sides[0].why(x.min(last), y);
+            }
         }
     }
 
@@ -88,7 +108,8 @@ impl Timeline for Pair {
     }
 
     fn go_to_place(&mut self, place: &str) {
-        self.sides[0].go_to_place(place);
+        // Up to where they part it is the same one; where one has no such place, it says so and stays.
+        self.sides.iter_mut().for_each(|side| side.go_to_place(place));
     }
 
     fn tell_state(&mut self, actor: &str) {
@@ -110,8 +131,8 @@ impl FrameSource for Pair {
     }
 
     fn size(&self) -> [u32; 2] {
-        let [[a, b], [c, d]] = self.sides.each_ref().map(FrameSource::size);
-        [a + GAP as u32 + c, b.max(d)]
+        let [[_, left], [width, right]] = self.sides.each_ref().map(FrameSource::size);
+        [self.right_begins() + width, left.max(right)]
     }
 
     fn controls(&self) -> Controls {
@@ -188,5 +209,84 @@ impl FrameSource for Pair {
 
     fn timeline_mut(&mut self) -> Option<&mut dyn Timeline> {
         Some(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::super::source::Source;
+    use super::*;
+    use crate::recording::Elsewhere;
+
+    fn side(name: &str, cache: &Path) -> Beside {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../traces").join(name);
+        let elsewhere = Elsewhere { cache: Some(cache.to_owned()), ..Elsewhere::default() };
+        Beside::new(Source::open(&path, &elsewhere, true, &()).expect("a walk"), 1).expect("a player")
+    }
+
+    fn wait(pair: &mut Pair) {
+        while pair.is_busy() {
+            std::thread::sleep(Duration::from_millis(1));
+            pair.take_news();
+        }
+    }
+
+    fn trace(name: &str) -> Trace {
+        Trace::open(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../traces").join(name)).expect("a trace")
+    }
+
+    /// Whatever is done to one, the other shows the same moment; what is drawn over a picture is drawn over its own.
+    #[test]
+    fn both_sides_show_the_same_moment() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let sides = || ["gallery.fvl"; 2].map(|name| side(name, folder.path()));
+        let [left, right] = sides();
+        let parted = first_other_frame(&trace("gallery.fvl"), &trace("gallery.fvl"));
+        assert_eq!(parted, None, "one recording");
+        let mut pair = Pair::new(left, right, parted);
+        let frames = |pair: &Pair| pair.sides.each_ref().map(|side| Timeline::shown(side).frame);
+        pair.go_to(4);
+        wait(&mut pair);
+        assert_eq!(frames(&pair), [Some(4); 2]);
+        assert!(pair.next_frame());
+        wait(&mut pair);
+        assert_eq!(frames(&pair), [Some(5); 2]);
+        pair.go_to_place("renderer:3");
+        wait(&mut pair);
+        // How far the others are by then differs from replay to replay.
+        let at_place = |side: &Beside| Timeline::shown(side).position.starts_with("renderer 4,");
+        assert!(pair.sides.iter().all(at_place));
+        pair.go_to(5);
+        wait(&mut pair);
+        // A pixel and the same one of the other picture: the same path, on the other side.
+        let [width, height] = pair.left().size();
+        let begins = pair.right_begins();
+        let path = |pair: &mut Pair, x: u32, y: u32| {
+            pair.go_to(5);
+            pair.why(x, y);
+            wait(pair);
+            Timeline::shown(pair).path
+        };
+        let pixels = (0..64).map(|i| [(i % 8) * width / 8, (i / 8) * height / 8]);
+        let found = pixels.map(|[x, y]| ([x, y], path(&mut pair, x, y))).find(|(_, path)| !path.is_empty());
+        let ([x, y], left) = found.expect("some pixel shows a sample");
+        let right = path(&mut pair, begins + x, y);
+        assert_eq!(left.len(), right.len());
+        for (left, right) in left.iter().zip(&right) {
+            for (left, right) in left.ends.iter().zip(&right.ends) {
+                assert_eq!([left[0] + begins as f32, left[1]], *right);
+            }
+        }
+        let picture = pair.picture().expect("a picture");
+        assert_eq!(picture.width() as u32, begins + width);
+        assert_eq!(picture.at(x as usize, y as usize), picture.at((begins + x) as usize, y as usize));
+    }
+
+    #[test]
+    fn where_pictures_differ_is_known_from_the_marks() {
+        let [gallery, table] = ["gallery.fvl", "table.fvl"].map(trace);
+        assert_eq!(first_other_frame(&gallery, &table), Some(0));
     }
 }

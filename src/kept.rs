@@ -9,7 +9,7 @@
 //! [`scene::kept`]: crate::scene::kept
 
 use std::fs;
-use std::io::{Read, Write};
+use std::io::Write;
 use std::path::Path;
 
 use atomic_write_file::AtomicWriteFile;
@@ -19,14 +19,15 @@ use xxhash_rust::xxh3::Xxh3;
 use crate::geometry::Accel;
 use crate::geometry::kept::AccelHead;
 use crate::scene::Scene;
-use crate::scene::kept::{Bulk, BulkReader, SceneHead};
+use crate::scene::bulk::{Bulk, BulkReader, Source};
+use crate::scene::kept::SceneHead;
 use crate::scene::load::Sources;
 
 /// First bytes of a file.
 const MAGIC: [u8; 8] = *b"FVSCENE\n";
 /// Raised with every change of what is stored.
-const VERSION: u32 = 1;
-/// Magic, version, who made it, length of the head, checksum.
+const VERSION: u32 = 2;
+/// Magic, version, who made it, length of the head, checksum of all of that and of the head.
 const HEADER: usize = 8 + 4 + 32 + 8 + 16;
 /// Bytes of a file at most.
 const BYTES_MAX: u64 = 1 << 30;
@@ -91,6 +92,8 @@ struct Head {
     scene: SceneHead,
     accel: AccelHead,
     warnings: Vec<String>,
+    /// Checksum of the lists behind it.
+    lists: [u8; 16],
 }
 
 /// The bytes of a file, which `made_by` tells the program that may read it again.
@@ -110,6 +113,7 @@ pub fn encode(
         scene: scene.keep(&mut bulk).ok_or(KeptError::NotKept)?,
         accel: accel.keep(&mut bulk),
         warnings: warnings.to_vec(),
+        lists: bulk.sum(),
     };
     let head = postcard::to_stdvec(&head).map_err(|_| KeptError::NotKept)?;
     let mut bytes = Vec::with_capacity(HEADER + head.len() + bulk.bytes.len());
@@ -117,16 +121,16 @@ pub fn encode(
     bytes.extend(VERSION.to_le_bytes());
     bytes.extend(made_by);
     bytes.extend((head.len() as u64).to_le_bytes());
-    bytes.extend(checksum(&bytes, &[&head, &bulk.bytes]));
+    bytes.extend(checksum(&bytes, &head));
     bytes.extend(head);
     bytes.extend(bulk.bytes);
     if bytes.len() as u64 > BYTES_MAX { Err(KeptError::NotKept) } else { Ok(bytes) }
 }
 
-fn checksum(header: &[u8], parts: &[&[u8]]) -> [u8; 16] {
+fn checksum(header: &[u8], head: &[u8]) -> [u8; 16] {
     let mut hasher = Xxh3::new();
     hasher.update(header);
-    parts.iter().for_each(|part| hasher.update(part));
+    hasher.update(head);
     hasher.digest128().to_le_bytes()
 }
 
@@ -136,24 +140,41 @@ fn checksum(header: &[u8], parts: &[&[u8]]) -> [u8; 16] {
 /// # Errors
 /// Says why not.
 pub fn decode(made_by: &[u8; 32], bytes: &[u8], path: &Path, limit: u64) -> Result<Kept, KeptError> {
-    let (header, body) = bytes.split_at_checked(HEADER).ok_or(KeptError::Damaged)?;
+    read(made_by, (Source::Bytes(bytes), bytes.len() as u64), path, limit, true)
+}
+
+/// The same from wherever these bytes, so many of them, are. Without `sums`, as if somebody had made them up with their
+/// checksums.
+fn read(
+    made_by: &[u8; 32],
+    (source, bytes): (Source<'_>, u64),
+    path: &Path,
+    limit: u64,
+    sums: bool,
+) -> Result<Kept, KeptError> {
+    let mut header = [0; HEADER];
+    let there = |is_there: bool| is_there.then_some(()).ok_or(KeptError::Damaged);
+    there(source.read(0, &mut header))?;
     if header[..8] != MAGIC || header[8..12] != VERSION.to_le_bytes() || header[12..44] != *made_by {
         return Err(KeptError::Foreign);
     }
     let mut length = [0; 8];
     length.copy_from_slice(&header[44..52]);
-    let length = usize::try_from(u64::from_le_bytes(length)).map_err(|_| KeptError::Damaged)?;
-    let (head, bulk) = body.split_at_checked(length).ok_or(KeptError::Damaged)?;
-    if header[52..] != checksum(&header[..52], &[head, bulk]) {
-        return Err(KeptError::Damaged);
-    }
-    let Head { sources, scene, accel, warnings } =
-        postcard::from_bytes(head).map_err(|_| KeptError::Damaged)?;
+    let length = u64::from_le_bytes(length);
+    let lists =
+        (HEADER as u64).checked_add(length).filter(|lists| *lists <= bytes).ok_or(KeptError::Damaged)?;
+    let mut head = vec![0; length as usize];
+    there(source.read(HEADER as u64, &mut head))?;
+    there(!sums || header[52..] == checksum(&header[..52], &head))?;
+    let Head { sources, scene, accel, warnings, lists: sum } =
+        postcard::from_bytes(&head).map_err(|_| KeptError::Damaged)?;
+    // What the lists say is held against the rest while they are read, and is nothing where their checksum is another one.
     let made = || {
-        let mut bulk = BulkReader::new(bulk);
+        let mut bulk = BulkReader::new(source, lists..bytes);
         let scene = Scene::from_kept(scene, &mut bulk)?;
         let accel = Accel::from_kept(&scene, &accel, &mut bulk)?;
-        bulk.is_empty().then_some(Kept { scene, accel, warnings })
+        let own = bulk.sum()?;
+        (!sums || own == sum).then_some(Kept { scene, accel, warnings })
     };
     let (made, holds) = rayon::join(made, || sources.hold(path, limit));
     if holds { made.ok_or(KeptError::Damaged) } else { Err(KeptError::Changed) }
@@ -183,9 +204,7 @@ pub fn load(made_by: &[u8; 32], file: &Path, path: &Path, limit: u64) -> Result<
     if length > BYTES_MAX {
         return Err(KeptError::Damaged);
     }
-    let mut bytes = Vec::with_capacity(length as usize);
-    opened.take(length).read_to_end(&mut bytes)?;
-    decode(made_by, &bytes, path, limit)
+    read(made_by, (Source::File(&opened), length), path, limit, true)
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use super::bvh::Accel;
 use super::node::{CHILDREN, Node};
 use super::wide::Wide;
 use crate::scene::Scene;
-use crate::scene::kept::{Bulk, BulkReader};
+use crate::scene::bulk::{Bulk, BulkReader};
 
 /// What of an index is short.
 #[derive(Debug, Serialize, Deserialize)]

@@ -3,6 +3,8 @@
 //! Neighbours are found in space, not on the page of the lightmap, so that seams between charts do not show and vertices of
 //! dense meshes have neighbours as texels do.
 
+use std::sync::OnceLock;
+
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -56,8 +58,9 @@ pub struct Sites {
     members: Vec<Near>,
     /// Which sizes of cells there are, as powers of two from [`FINEST`] on.
     sizes: Vec<bool>,
-    /// Per site the one a width to its right, left, above and below, or [`NONE`].
-    links: Vec<Links>,
+    /// Per site the one a width to its right, left, above and below, or [`NONE`]; once somebody smooths, since finding them
+    /// takes longer than a first picture should wait.
+    links: OnceLock<Vec<Links>>,
 }
 
 /// A site's neighbours in four directions, opposite ones beside each other.
@@ -129,14 +132,20 @@ impl Sites {
             next[b] += 1;
             sizes[(level(s.width) - FINEST) as usize] = true;
         }
-        let mut sites = Self { all, first, members, sizes, links: Vec::new() };
-        sites.links = (0..sites.all.len()).into_par_iter().map(|i| sites.linked(i)).collect();
-        sites
+        Self { all, first, members, sizes, links: OnceLock::new() }
     }
 
-    /// Per site those that lie a width away.
+    /// Per site those that lie a width away. The first who asks has them found.
     pub fn links(&self) -> &[Links] {
-        &self.links
+        self.links.get_or_init(|| (0..self.all.len()).into_par_iter().map(|i| self.linked(i)).collect())
+    }
+
+    /// Those that lie a width away from one site, for whoever asks of few.
+    pub fn links_of(&self, site: u32) -> Links {
+        match self.links.get() {
+            Some(links) => links[site as usize],
+            None => self.linked(site as usize),
+        }
     }
 
     /// Whether what light does at a site says something about another one: whether one surface goes on from one to the other.

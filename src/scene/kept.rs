@@ -6,65 +6,16 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use bytemuck::Pod;
 use glam::{Vec2, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 
+use super::bulk::{Bulk, BulkReader};
 use super::texture::MipChain;
 use super::{
     Budget, CameraPath, Display, Environment, ExtensionUse, Light, Material, MaterialId, Mesh, NamedCamera,
     Object, Placement, Scene, SceneParts, Texture, TextureId, Things,
 };
 use crate::image::Map2d;
-
-/// Long lists one after the other, each from a whole 16 bytes on.
-#[derive(Debug, Default)]
-pub struct Bulk {
-    /// The bytes.
-    pub bytes: Vec<u8>,
-}
-
-/// Bytes that lists begin at multiples of.
-const ALIGNED: usize = 16;
-
-impl Bulk {
-    /// Adds a list.
-    pub fn put<T: Pod>(&mut self, list: &[T]) {
-        self.bytes.extend_from_slice(bytemuck::cast_slice(list));
-        self.bytes.resize(self.bytes.len().next_multiple_of(ALIGNED), 0);
-    }
-}
-
-/// Takes lists out again.
-#[derive(Clone, Debug)]
-pub struct BulkReader<'a> {
-    left: &'a [u8],
-}
-
-impl<'a> BulkReader<'a> {
-    /// From the first on.
-    pub fn new(bytes: &'a [u8]) -> Self {
-        Self { left: bytes }
-    }
-
-    /// The bytes of the next list, which has `count` elements of `size` bytes; `None` where that is more than there is.
-    pub fn bytes(&mut self, count: usize, size: usize) -> Option<&'a [u8]> {
-        let length = count.checked_mul(size)?;
-        let (list, _) = self.left.split_at_checked(length)?;
-        (_, self.left) = self.left.split_at_checked(length.checked_next_multiple_of(ALIGNED)?)?;
-        Some(list)
-    }
-
-    /// The next list.
-    pub fn take<T: Pod>(&mut self, count: usize) -> Option<Vec<T>> {
-        self.bytes(count, size_of::<T>()).map(bytemuck::pod_collect_to_vec)
-    }
-
-    /// Whether all was taken.
-    pub fn is_empty(&self) -> bool {
-        self.left.is_empty()
-    }
-}
 
 /// What of a scene is short. Its materials are apart: what they say is read knowing how many textures there are.
 #[derive(Debug, Serialize, Deserialize)]
@@ -166,11 +117,9 @@ impl Scene {
             let chain = match of_chain.get(&Arc::as_ptr(mips)) {
                 Some(&chain) => chain,
                 None => {
-                    let mut levels = Vec::new();
                     for level in 0..mips.level_count() {
-                        levels.extend_from_slice(mips.level(level)?.as_bytes());
+                        bulk.put(mips.level(level)?.as_bytes());
                     }
-                    bulk.put(&levels);
                     let texel = mips.level(0)?.size();
                     chains.push(ChainHead { size: texture.size(0), gamma: mips.is_gamma_encoded(), texel });
                     of_chain.insert(Arc::as_ptr(mips), chains.len() - 1);
@@ -233,20 +182,10 @@ impl Scene {
         };
         let mut chains = Vec::new();
         for ChainHead { size: [width, height], gamma, texel } in head.chains {
-            let mut texels = 0usize;
-            let (mut w, mut h) = (width, height);
-            if w == 0 || h == 0 || w.max(h) > u32::MAX as usize {
+            if width == 0 || height == 0 || width.max(height) > u32::MAX as usize {
                 return None;
             }
-            loop {
-                texels = texels.checked_add(w.checked_mul(h)?)?;
-                if w == 1 && h == 1 {
-                    break;
-                }
-                (w, h) = ((w / 2).max(1), (h / 2).max(1));
-            }
-            let bytes = bulk.bytes(texels, texel)?;
-            chains.push(Arc::new(MipChain::of_bytes(width, height, gamma, texel, bytes)?));
+            chains.push(Arc::new(MipChain::take(width, height, gamma, texel, bulk)?));
         }
         let mut textures = Vec::new();
         for t in head.textures {

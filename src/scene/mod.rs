@@ -4,6 +4,7 @@
 //! W·sr⁻¹·m⁻² per band. `load` turns files into a [`Scene`] and warnings, or an error that names
 //! file, line and remedy.
 
+pub mod bulk;
 pub mod camera;
 pub mod coat;
 mod cutout;

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::Vec2;
 use rayon::prelude::*;
 
+use super::bulk::BulkReader;
 use super::placement::Placement;
 use crate::image::{linear_from_srgb, srgb_byte_from_linear};
 use crate::math;
@@ -228,16 +229,26 @@ impl MipChain {
         Self { levels, finest: 0, decode, gamma }
     }
 
-    /// A chain of these levels, of texels of `size` bytes each, the finest first; `None` where the bytes are not theirs.
-    pub fn of_bytes(width: usize, height: usize, gamma: bool, size: usize, mut bytes: &[u8]) -> Option<Self> {
+    /// A chain of the next lists, of texels of `size` bytes each, the finest level first.
+    pub fn take(
+        width: usize,
+        height: usize,
+        gamma: bool,
+        size: usize,
+        bulk: &mut BulkReader<'_>,
+    ) -> Option<Self> {
         let mut levels = Vec::new();
         for [w, h] in sizes_of(width, height) {
-            let length = (w as usize).checked_mul(h as usize)?.checked_mul(size)?;
-            let (own, rest) = bytes.split_at_checked(length)?;
-            levels.push(Level { width: w, height: h, texels: Some(LevelTexels::of_size(size, own)?) });
-            bytes = rest;
+            let count = (w as usize).checked_mul(h as usize)?;
+            let texels = match size {
+                4 => Texels::Byte(Arc::new(Counted::new(bulk.take(count)?))),
+                8 => Texels::Word(Arc::new(Counted::new(bulk.take(count)?))),
+                16 => Texels::Float(Arc::new(Counted::new(bulk.take(count)?))),
+                _ => return None,
+            };
+            levels.push(Level { width: w, height: h, texels: Some(LevelTexels(texels)) });
         }
-        bytes.is_empty().then(|| Self { levels, finest: 0, decode: decode_table(gamma), gamma })
+        Some(Self { levels, finest: 0, decode: decode_table(gamma), gamma })
     }
 
     #[inline]

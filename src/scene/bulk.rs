@@ -1,0 +1,171 @@
+//! Long lists as bytes: written one after the other as they lie in memory, and read back straight to where they stay, by several
+//! threads at once.
+//!
+//! Each list has a checksum for each piece of it, so that whoever reads a piece looks at it while it is in its cache; the sum of all
+//! is one over these.
+
+use std::fs::File;
+
+use bytemuck::Pod;
+use rayon::prelude::*;
+use xxhash_rust::xxh3::{Xxh3, xxh3_128};
+
+/// Bytes that lists begin at multiples of.
+const ALIGNED: usize = 16;
+/// Bytes that are read and summed at once.
+const PIECE: usize = 1 << 20;
+
+/// Lists one after the other, each from a whole 16 bytes on.
+#[derive(Debug, Default)]
+pub struct Bulk {
+    /// The bytes.
+    pub bytes: Vec<u8>,
+    sums: Sums,
+}
+
+/// Checksums of pieces, as they were read or written.
+#[derive(Debug, Default)]
+struct Sums(Vec<u128>);
+
+impl Sums {
+    fn of_all(&self) -> [u8; 16] {
+        let mut hasher = Xxh3::new();
+        self.0.iter().for_each(|sum| hasher.update(&sum.to_le_bytes()));
+        hasher.digest128().to_le_bytes()
+    }
+}
+
+impl Bulk {
+    /// Adds a list.
+    pub fn put<T: Pod>(&mut self, list: &[T]) {
+        let bytes: &[u8] = bytemuck::cast_slice(list);
+        self.sums.0.extend(bytes.chunks(PIECE).map(xxh3_128));
+        self.bytes.extend_from_slice(bytes);
+        self.bytes.resize(self.bytes.len().next_multiple_of(ALIGNED), 0);
+    }
+
+    /// The checksum of all lists.
+    pub fn sum(&self) -> [u8; 16] {
+        self.sums.of_all()
+    }
+}
+
+/// Where bytes are read from.
+#[derive(Clone, Copy, Debug)]
+pub enum Source<'a> {
+    /// Memory.
+    Bytes(&'a [u8]),
+    /// A file, which stays as it is.
+    File(&'a File),
+}
+
+impl Source<'_> {
+    /// Reads all that `into` takes, from byte `at` on. False where there is not as much.
+    pub fn read(&self, at: u64, into: &mut [u8]) -> bool {
+        match self {
+            Self::Bytes(bytes) => {
+                let from = usize::try_from(at).ok().and_then(|at| bytes.get(at..at.checked_add(into.len())?));
+                from.inspect(|from| into.copy_from_slice(from)).is_some()
+            }
+            Self::File(file) => read_at(file, at, into).is_ok(),
+        }
+    }
+}
+
+#[cfg(unix)]
+fn read_at(file: &File, at: u64, into: &mut [u8]) -> std::io::Result<()> {
+    std::os::unix::fs::FileExt::read_exact_at(file, into, at)
+}
+
+#[cfg(windows)]
+fn read_at(file: &File, mut at: u64, mut into: &mut [u8]) -> std::io::Result<()> {
+    while !into.is_empty() {
+        let read = std::os::windows::fs::FileExt::seek_read(file, into, at)?;
+        if read == 0 {
+            return Err(std::io::ErrorKind::UnexpectedEof.into());
+        }
+        at += read as u64;
+        into = &mut std::mem::take(&mut into)[read..];
+    }
+    Ok(())
+}
+
+/// Takes lists out again.
+#[derive(Debug)]
+pub struct BulkReader<'a> {
+    source: Source<'a>,
+    /// Where the next list begins, and where the last one ends.
+    at: u64,
+    end: u64,
+    sums: Sums,
+}
+
+impl<'a> BulkReader<'a> {
+    /// From the first on; they lie in these bytes of a source.
+    pub fn new(source: Source<'a>, within: std::ops::Range<u64>) -> Self {
+        Self { source, at: within.start, end: within.end, sums: Sums::default() }
+    }
+
+    /// The next list, which has `count` elements; `None` where that is more than there is.
+    pub fn take<T: Pod + Send>(&mut self, count: usize) -> Option<Vec<T>> {
+        let length = count.checked_mul(size_of::<T>())?;
+        let padded = length.checked_next_multiple_of(ALIGNED)?;
+        let next = self.at.checked_add(padded as u64).filter(|next| *next <= self.end)?;
+        let mut list: Vec<T> = bytemuck::zeroed_vec(count);
+        let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut list);
+        let (source, at) = (self.source, self.at);
+        let read = |(i, piece): (usize, &mut [u8])| {
+            source.read(at + (i * PIECE) as u64, piece).then(|| xxh3_128(piece))
+        };
+        let sums: Option<Vec<u128>> = bytes.par_chunks_mut(PIECE).enumerate().map(read).collect();
+        self.sums.0.extend(sums?);
+        let mut rest = [0; ALIGNED];
+        let rest = &mut rest[..padded - length];
+        if !source.read(at + length as u64, rest) || rest.iter().any(|byte| *byte != 0) {
+            return None;
+        }
+        self.at = next;
+        Some(list)
+    }
+
+    /// The checksum of all lists; `None` where some were not taken.
+    pub fn sum(self) -> Option<[u8; 16]> {
+        (self.at == self.end).then(|| self.sums.of_all())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_come_back_from_memory_and_from_a_file() {
+        let long: Vec<u32> = (0..700_000).collect();
+        let mut bulk = Bulk::default();
+        bulk.put(&[1u8, 2, 3]);
+        bulk.put(&long);
+        bulk.put::<[f32; 3]>(&[]);
+        bulk.put(&[[0.5f32; 3]]);
+        let mut behind = vec![9; 5];
+        behind.extend(&bulk.bytes);
+        let path = std::env::temp_dir().join(format!("foveal-bulk-{}", std::process::id()));
+        std::fs::write(&path, &behind).expect("written");
+        let file = File::open(&path).expect("a file");
+        std::fs::remove_file(&path).expect("removed");
+        let within = 5..5 + bulk.bytes.len() as u64;
+        for source in [Source::Bytes(&behind), Source::File(&file)] {
+            let mut reader = BulkReader::new(source, within.clone());
+            assert_eq!(reader.take::<u8>(3), Some(vec![1, 2, 3]));
+            assert_eq!(reader.take::<u32>(long.len()).as_ref(), Some(&long));
+            assert_eq!(reader.take::<[f32; 3]>(0), Some(Vec::new()));
+            assert_eq!(reader.take::<u32>(usize::MAX), None);
+            assert_eq!(reader.take::<u32>(1 << 40), None, "more than there is takes no memory");
+            assert_eq!(reader.take::<[f32; 3]>(1), Some(vec![[0.5; 3]]));
+            assert_eq!(reader.sum(), Some(bulk.sum()));
+            assert_eq!(BulkReader::new(source, within.clone()).sum(), None, "not all was taken");
+        }
+        let mut cut = BulkReader::new(Source::Bytes(&behind[..100]), within);
+        assert_eq!(cut.take::<u8>(3), Some(vec![1, 2, 3]));
+        assert_eq!(cut.take::<u32>(long.len()), None);
+    }
+}

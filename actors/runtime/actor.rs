@@ -24,6 +24,7 @@ use crate::message::{ActorId, LATEST_KEYS, Lane, Message, Reason, Rejected};
 use crate::scheduler::ThreadCx;
 use crate::scheduler::clock::{Time, nanoseconds};
 use crate::scheduler::link::{Class, Control};
+use crate::scheduler::signals::signal;
 use crate::scheduler::timer::{Alarm, TIMERS_PER_ACTOR};
 
 /// A state machine that owns its state and changes it only by the messages it is given, in order.
@@ -279,6 +280,26 @@ impl<M: Message> Cx<'_, M> {
         let lease = self.lease;
         let done = work(&|| lease.is_none_or(|lease| lease.is_wanted()));
         self.journal.record_count(u64::from(done.is_none()));
+        done
+    }
+
+    /// Does `work` as long as nobody has ordered this actor to stop. `work` asks now and then, from whichever threads it
+    /// uses, whether it is to go on, and gives up with `None` where it is not. That it gave up is recorded: in replay it is not
+    /// begun then, and otherwise goes on to its end. Whoever gave up says nothing of what it was at.
+    ///
+    /// For turns that take longer than a system's end can wait.
+    pub fn while_running<R>(
+        &mut self,
+        work: impl FnOnce(&(dyn Fn() -> bool + Sync)) -> Option<R>,
+    ) -> Option<R> {
+        if let Some(given_up) = self.journal.replays_giving_up() {
+            return if given_up { None } else { work(&|| true) };
+        }
+        let link = &self.address.mailbox.link;
+        let done = work(&|| !link.signals.any(signal::STOP) && !link.scheduler.is_stopping());
+        if done.is_none() {
+            self.journal.record_given_up();
+        }
         done
     }
 

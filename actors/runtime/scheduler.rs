@@ -339,6 +339,11 @@ impl Scheduler {
         self.notify_all();
     }
 
+    /// Whether worker threads are to end.
+    pub(crate) fn is_stopping(&self) -> bool {
+        self.stopping.load(Ordering::Relaxed)
+    }
+
     fn find(&self, thread: &ThreadCx, index: usize, tick: u32) -> Option<u32> {
         let local = thread.local.as_ref()?;
         if tick.is_multiple_of(61)

@@ -110,6 +110,23 @@ impl Journal {
         hangs
     }
 
+    /// In replay, whether the work at hand was given up then.
+    pub(crate) fn replays_giving_up(&mut self) -> Option<bool> {
+        let index = self.index;
+        let script = self.script.as_mut()?;
+        let given_up = script.peek_value() == Some((index, value::GIVEN_UP));
+        if given_up {
+            let _ = script.value();
+        }
+        Some(given_up)
+    }
+
+    pub(crate) fn record_given_up(&mut self) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.value(self.index, value::GIVEN_UP);
+        }
+    }
+
     /// Whether the job at hand is still this worker's: `live` tells, and the recording where it was not.
     pub(crate) fn keeps_lease(&mut self, live: impl FnOnce() -> bool) -> bool {
         if let Some(script) = &mut self.script {

@@ -65,6 +65,11 @@ pub enum Event {
         /// Deliveries by then.
         index: u64,
     },
+    /// The actor was ordered to stop, and left what it was at.
+    GivenUp {
+        /// Deliveries by then.
+        index: u64,
+    },
 }
 
 /// What comes next of an actor: a value, or deliveries from an index on.
@@ -259,6 +264,7 @@ fn event_of(value: Value) -> Event {
         value::COUNT => Event::Counted { index, count: content },
         value::MARK => Event::Mark { index, kind, value: content },
         value::LOST => Event::LeaseLost { index },
+        value::GIVEN_UP => Event::GivenUp { index },
         _ => Event::Panicked { index, injected: tag == value::FAULT },
     }
 }

@@ -210,6 +210,7 @@ pub(crate) mod value {
     pub(crate) const FAULT: u8 = 4;
     pub(crate) const COUNT: u8 = 5;
     pub(crate) const LOST: u8 = 6;
+    pub(crate) const GIVEN_UP: u8 = 7;
     /// Bits of a tag; the deliveries since the last value stand above them.
     pub(crate) const TAG_BITS: u32 = 3;
 
@@ -222,6 +223,7 @@ pub(crate) mod value {
             FAULT => "an injected fault",
             COUNT => "a count",
             LOST => "a lost lease",
+            GIVEN_UP => "work that was given up",
             _ => "an unknown value",
         }
     }

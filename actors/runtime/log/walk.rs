@@ -191,7 +191,7 @@ impl Walk {
                 kind = u32::try_from(cursor.number()?).ok()?;
                 cursor.u64()?
             }
-            value::FAULT | value::LOST => 0,
+            value::FAULT | value::LOST | value::GIVEN_UP => 0,
             _ => return None,
         };
         self.last_value = index;

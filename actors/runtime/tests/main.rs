@@ -19,4 +19,5 @@ mod ring;
 mod simulation;
 mod snapshots;
 mod spawning;
+mod stopping;
 mod workshop;

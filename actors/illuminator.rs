@@ -4,6 +4,9 @@
 //! again and again, that there is better light. What it computes depends on its settings only, so the last
 //! map is that of `foveal bake`, bit for bit.
 //!
+//! A walk that begins with light that a former one kept begins its bake anew all the same, and shows none of it until it is
+//! better. A turn that takes long ends early where the actor is to stop ([`Cx::while_running`]).
+//!
 //! What a turn publishes is a function of its number, so a replay that has the maps at hand ([`LightBook`]) does not bake,
 //! and a state is the number of turns. Where maps are missing they are baked again, from the first turn on.
 
@@ -11,7 +14,8 @@ use std::cell::OnceCell;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use foveal::illumination::bake::{BakeSettings, Baker, Step, cache_key};
+use foveal::illumination::bake::orders::WhileWanted;
+use foveal::illumination::bake::{BakeSettings, Baker, Step, cache_key, early_key};
 use foveal::illumination::cache::save;
 use foveal::illumination::stored::{Illumination, Summary};
 use foveal::world::World;
@@ -29,8 +33,12 @@ pub struct Refinement {
     pub world: World,
     /// Settings of the bake.
     pub settings: BakeSettings,
+    /// Rounds of this bake that the light it begins with has; 0 where that is a first estimate.
+    pub begun: u32,
     /// Where the last map is kept.
     pub keep: Option<PathBuf>,
+    /// Where maps before it are kept, each in the place of the one before, for a walk that begins before there is a last one.
+    pub early: Option<PathBuf>,
     /// Where all maps are kept for replays of the walk.
     pub book: Option<Arc<LightBook>>,
 }
@@ -43,6 +51,13 @@ enum Bake {
     Going(Box<Baker>),
     /// The last map was made.
     Done,
+}
+
+/// What is done beside a turn's work.
+#[derive(Clone, Copy)]
+struct During {
+    replays: bool,
+    effects: bool,
 }
 
 /// What a turn publishes, if anything.
@@ -108,17 +123,20 @@ impl Illuminator {
 
     fn refine(&mut self, cx: &mut Cx<'_, IlluminatorMessage>) {
         let turn = self.turns;
+        let during = During { replays: cx.replays(), effects: cx.effects() };
+        let published = cx.while_running(|is_wanted| match self.at_hand(turn, during) {
+            Known::Published { map, last } => Some(Some(Published { map, last })),
+            Known::Silent => Some(None),
+            Known::Unknown => self.bake_until(turn, during, is_wanted),
+        });
+        // Where it is to stop nobody waits for what it was at.
+        let Some(published) = published else { return };
         self.turns += 1;
-        let published = match self.at_hand(turn, cx) {
-            Known::Published { map, last } => Some(Published { map, last }),
-            Known::Silent => None,
-            Known::Unknown => self.bake_until(turn, cx),
-        };
         if let Some(Published { map, last }) = published {
             let Summary { particles, rounds, relative_error, .. } = map.summary;
             self.stated = Stated { turn: Some(turn), paths: particles, rounds, relative_error, last };
-            if last && cx.effects() {
-                self.keep(&map);
+            if during.effects {
+                self.keep(&map, last);
             }
             let hash = map.digest();
             let message = RendererMessage::Illuminated { map, last, hash };
@@ -131,34 +149,40 @@ impl Illuminator {
     }
 
     /// What a replay need not bake.
-    fn at_hand(&self, turn: u64, cx: &Cx<'_, IlluminatorMessage>) -> Known {
+    fn at_hand(&self, turn: u64, during: During) -> Known {
         match &self.refinement.book {
-            Some(book) if cx.replays() => book.turn(turn),
+            Some(book) if during.replays => book.turn(turn),
             _ => Known::Unknown,
         }
     }
 
-    /// Does the work of all turns up to this one that nobody has done here, and says what this one publishes.
-    fn bake_until(&mut self, turn: u64, cx: &Cx<'_, IlluminatorMessage>) -> Option<Published> {
-        if cx.replays() && self.baked == 0 {
+    /// Does the work of all turns up to this one that nobody has done here, and says what this one publishes; `None` where that
+    /// is not wanted any more.
+    fn bake_until(
+        &mut self,
+        turn: u64,
+        during: During,
+        is_wanted: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Option<Published>> {
+        if during.replays && self.baked == 0 {
             let trouble = self.refinement.book.as_ref().map(|book| book.trouble());
             tracing::warn!("{}", trouble.unwrap_or_else(|| "the light is baked again".into()));
         }
         let mut published = None;
         while self.baked <= turn {
-            published = self.step();
+            published = self.step(is_wanted)?;
             if let Some(Published { map, last }) = &published {
-                self.put_down(map, *last, cx);
+                self.put_down(map, *last, during);
                 self.baked_map = Some(self.baked);
             }
             self.baked += 1;
         }
-        published
+        Some(published)
     }
 
     /// Keeps a map for replays.
-    fn put_down(&self, map: &Illumination, last: bool, cx: &Cx<'_, IlluminatorMessage>) {
-        let Some(book) = self.refinement.book.as_ref().filter(|_| cx.replays() || cx.effects()) else {
+    fn put_down(&self, map: &Illumination, last: bool, during: During) {
+        let Some(book) = self.refinement.book.as_ref().filter(|_| during.replays || during.effects) else {
             return;
         };
         if let Err(e) = book.keep(self.baked, self.baked_map, map, last) {
@@ -166,24 +190,35 @@ impl Illuminator {
         }
     }
 
-    /// One step of the bake.
-    fn step(&mut self) -> Option<Published> {
+    /// One step of the bake; `None` where it is not wanted any more, and the bake is of no use then.
+    fn step(&mut self, is_wanted: &(dyn Fn() -> bool + Sync)) -> Option<Option<Published>> {
         let bake = std::mem::replace(&mut self.bake, Bake::Done);
-        let Refinement { world, settings, .. } = &self.refinement;
+        let Refinement { world, settings, begun, .. } = &self.refinement;
         let work = || match bake {
             Bake::Begun => {
-                let mut baker = Box::new(Baker::new(world.indexed(), settings));
-                baker.begin_with(&*world.illumination);
-                // The same light in the storage of what follows, so that values can be blended.
-                let map = baker.map().clone();
-                (Bake::Going(baker), Some(Published { map, last: false }))
+                let mut baker = Box::new(Baker::new_while(world.indexed(), settings, is_wanted)?);
+                let map = match world.illumination.stored().filter(|_| *begun > 0) {
+                    // It is in the storage of what follows, and stays on show until that is better.
+                    Some(kept) => Arc::new(kept.clone()),
+                    None => {
+                        baker.begin_with(&*world.illumination);
+                        // The same light in the storage of what follows, so that values can be blended.
+                        baker.map().clone()
+                    }
+                };
+                Some((Bake::Going(baker), Some(Published { map, last: false })))
             }
-            Bake::Going(mut baker) => match baker.step(world.indexed()) {
-                Step::Going => (Bake::Going(baker), None),
-                Step::Better(map) => (Bake::Going(baker), Some(Published { map, last: false })),
-                Step::Done(map) => (Bake::Done, Some(Published { map, last: true })),
-            },
-            Bake::Done => (Bake::Done, None),
+            Bake::Going(mut baker) => {
+                let step = baker.step_by(world.indexed(), &WhileWanted(is_wanted));
+                is_wanted().then_some(match step {
+                    Step::Better(map) if map.summary.rounds > *begun => {
+                        (Bake::Going(baker), Some(Published { map, last: false }))
+                    }
+                    Step::Better(_) | Step::Going => (Bake::Going(baker), None),
+                    Step::Done(map) => (Bake::Done, Some(Published { map, last: true })),
+                })
+            }
+            Bake::Done => Some((Bake::Done, None)),
         };
         let own_threads = || {
             let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -192,18 +227,30 @@ impl Illuminator {
         let (bake, published) = match self.pool.get_or_init(own_threads) {
             Some(pool) => pool.install(work),
             None => work(),
-        };
+        }?;
         self.bake = bake;
-        published
+        Some(published)
     }
 
-    /// Keeps the last map for the next walk. That it cannot be kept costs time then, and nothing now.
-    fn keep(&self, map: &Illumination) {
-        let Some(file) = &self.refinement.keep else { return };
-        let key = cache_key(&self.refinement.world.scene, &self.refinement.settings);
+    /// Keeps a map for the next walk. That it cannot be kept costs time then, and nothing now.
+    fn keep(&self, map: &Illumination, last: bool) {
+        let Refinement { world, settings, keep, early, .. } = &self.refinement;
+        let (file, key) = match last {
+            true => (keep, cache_key(&world.scene, settings)),
+            false => (early, early_key(&world.scene, settings)),
+        };
+        // What is on show in the first turn was kept by whoever made it.
+        let Some(file) = file.as_ref().filter(|_| last || map.summary.rounds > 0) else { return };
         let folder = file.parent().map_or(Ok(()), std::fs::create_dir_all);
         if let Err(e) = folder.map_err(Into::into).and_then(|()| save(file, &key, map)) {
-            tracing::warn!("{}: the illumination cannot be kept: {e}", file.display());
+            match last {
+                true => tracing::warn!("{}: the illumination cannot be kept: {e}", file.display()),
+                false => tracing::debug!("{}: {e}", file.display()),
+            }
+        }
+        if let (true, Some(early)) = (last, early) {
+            // Nobody begins with it any more.
+            let _ = std::fs::remove_file(early);
         }
     }
 }

@@ -1,4 +1,5 @@
-//! `foveal bench first-light`: from a loaded scene to its first lit picture: lights, quick illumination, one frame.
+//! `foveal bench first-light`: from a loaded scene to its first lit picture: lights, quick illumination, one frame; and whole
+//! processes ([`crate::starts`]), the first start with nothing kept and the second.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -13,7 +14,7 @@ use foveal::transport::light::Lights;
 use foveal::world::World;
 
 use super::made::MadeScene;
-use super::timed;
+use super::{starts, timed};
 use foveal_engine::failure::Failure;
 use foveal_engine::interrupt::interrupted;
 use foveal_engine::opened::{camera, load_scene};
@@ -34,6 +35,9 @@ pub struct FirstLightArguments {
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "512x512")]
     size: Size,
+    /// Another build of foveal, whose starts are measured in turn with this one's
+    #[arg(long, value_name = "PROGRAM")]
+    before: Option<PathBuf>,
     #[command(flatten)]
     common: CommonArguments,
 }
@@ -80,15 +84,21 @@ pub fn run(a: &FirstLightArguments, progress: Progress) -> Result<(), Failure> {
         let row = Row::new(format!("{}, {triangles} triangles: first light", scene.name), "s", &walls);
         rows.push(if triangles <= TRIANGLES { row.aim(Aim::AtMost(1.0)) } else { row });
         rows.push(Row::new(format!("{}: the same, processor time of all cores", scene.name), "s", &shares));
+        let of = (file.as_path(), scene.name.as_str(), triangles);
+        rows.extend(starts::rows(of, a.size, a.common.runs, a.before.as_deref())?);
         bar.inc(1);
         if interrupted() {
             break;
         }
     }
     bar.finish_and_clear();
-    let notes = vec![format!(
-        "geometry index, lights, quick illumination and a frame of {} × {}",
-        a.size.width, a.size.height
-    )];
+    let notes = vec![
+        format!(
+            "first light: geometry index, lights, quick illumination and a frame of {} × {}",
+            a.size.width, a.size.height
+        ),
+        "starts: processes of one frame at 10 frames a second; files of the scene are in the system's memory"
+            .to_owned(),
+    ];
     finish("first-light", &rows, &notes, &a.common)
 }

@@ -31,6 +31,7 @@ mod simplify;
 mod skips;
 mod soak;
 mod stages;
+mod starts;
 mod study;
 mod texture_walks;
 mod textures;
@@ -51,7 +52,7 @@ pub enum BenchCommand {
     Stages(stages::StagesArguments),
     /// How fast the error of corrected pixels falls under each policy
     Error(error::ErrorArguments),
-    /// From a loaded scene to its first lit picture
+    /// From a loaded scene, and from the start of a process, to the first lit picture
     FirstLight(first_light::FirstLightArguments),
     /// What a glTF file's loading takes beside the decoding of its pictures, and its surfaces beside plastic ones
     Gltf(gltf::GltfArguments),

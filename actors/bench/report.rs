@@ -23,7 +23,12 @@ const MEASUREMENTS: [(&str, &str, u32, &str); 7] = [
     ("stages", "", 7, "Stages of a frame, with what the first paper measured on eight processors of 2001."),
     ("rays", "", 5, "Rays per second and thread; a diffuse bounce is what a walk traces most."),
     ("messages", "--quick", 5, "What a message between actors costs, with and without recording."),
-    ("first-light", "", 3, "From a scene that is loaded to its first lit picture."),
+    (
+        "first-light",
+        "",
+        3,
+        "From a scene that is loaded, and from the start of a process, to the first lit picture.",
+    ),
     ("error", "", 3, "How fast the error of corrected pixels falls under each order of samples."),
     ("textures", "", 3, "What a limit on the memory of textures costs, beside plain rules."),
     ("skips", "", 3, "What is saved by leaving out what a scene does not need."),

@@ -38,8 +38,14 @@ impl Made {
     /// Light that is being baked all the time.
     fn baking(mut self) -> Self {
         let settings = BakeSettings { particles: Some(1 << 40), error: None, ..BakeSettings::default() };
-        self.opened.refinement =
-            Some(Refinement { world: self.opened.world.clone(), settings, keep: None, book: None });
+        self.opened.refinement = Some(Refinement {
+            world: self.opened.world.clone(),
+            settings,
+            begun: 0,
+            keep: None,
+            early: None,
+            book: None,
+        });
         self
     }
 

@@ -63,16 +63,16 @@ impl Keep {
         let bytes = kept::encode(&self.made_by, &self.sources, scene, accel, &self.warnings)?;
         let folder = self.file.parent().unwrap_or(Path::new("."));
         fs::create_dir_all(folder)?;
-        make_room(folder, bytes.len() as u64)?;
+        make_room(folder, EXTENSION, BYTES_MAX, bytes.len() as u64)?;
         kept::save(&self.file, &bytes)
     }
 }
 
-/// Removes kept scenes until one of `bytes` fits, those that were used least lately first.
-fn make_room(folder: &Path, bytes: u64) -> std::io::Result<()> {
+/// Removes files with this extension until `bytes` fit below `most`, those that were used least lately first.
+pub(crate) fn make_room(folder: &Path, extension: &str, most: u64, bytes: u64) -> std::io::Result<()> {
     let mut kept: Vec<(SystemTime, u64, PathBuf)> = fs::read_dir(folder)?
         .filter_map(Result::ok)
-        .filter(|entry| entry.path().extension().is_some_and(|e| e == EXTENSION))
+        .filter(|entry| entry.path().extension().is_some_and(|e| e == extension))
         .filter_map(|entry| {
             let meta = entry.metadata().ok()?;
             Some((meta.modified().ok()?, meta.len(), entry.path()))
@@ -81,7 +81,7 @@ fn make_room(folder: &Path, bytes: u64) -> std::io::Result<()> {
     kept.sort();
     let mut all: u64 = bytes + kept.iter().map(|(_, bytes, _)| bytes).sum::<u64>();
     for (_, bytes, file) in kept {
-        if all <= BYTES_MAX {
+        if all <= most {
             break;
         }
         fs::remove_file(file)?;
@@ -232,7 +232,7 @@ mod tests {
             file.set_modified(SystemTime::now() - std::time::Duration::from_secs(age)).expect("set");
         }
         fs::write(folder.path().join("other.txt"), "stays").expect("written");
-        make_room(folder.path(), 2 << 30).expect("room");
+        make_room(folder.path(), EXTENSION, BYTES_MAX, 2 << 30).expect("room");
         let left = |name: &str| folder.path().join(name).exists();
         assert!(!left("a.fvscene") && left("b.fvscene") && left("c.fvscene") && left("other.txt"));
     }

@@ -48,6 +48,7 @@ pub mod engine;
 pub mod failure;
 pub mod files;
 pub mod interrupt;
+mod kept_light;
 mod kept_scene;
 pub mod light;
 pub mod look;

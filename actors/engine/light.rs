@@ -22,6 +22,12 @@ pub struct Light {
     /// In a recording: the illumination was refined while walking.
     #[serde(default)]
     pub refined: bool,
+    /// In a recording: rounds of the bake whose map it began with, where that was kept by a walk before; of a first estimate 0.
+    #[serde(default, skip_serializing_if = "is_first")]
+    pub begun: u32,
+    /// Begin with what the last walk of the scene had found by its end, and leave that to the next one.
+    #[serde(skip)]
+    pub keeps_early: bool,
     /// Folder of kept bakes; `None` is FOVEAL_CACHE, else the user's cache folder.
     #[serde(skip)]
     pub cache: Option<PathBuf>,
@@ -36,6 +42,10 @@ pub struct Light {
     /// What is changed of what was read, before it is lit.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub edits: Vec<SceneEdit>,
+}
+
+fn is_first(rounds: &u32) -> bool {
+    *rounds == 0
 }
 
 /// What is chosen where a scene's files leave a choice.

@@ -25,8 +25,10 @@ use crate::bake_clock::{BakeClock, Watch};
 use crate::edit::EditError;
 use crate::failure::Failure;
 use crate::interrupt::interrupted;
+use crate::kept_light;
 use crate::kept_scene::{self, Read};
 use crate::light::{Light, Reading};
+use crate::process::told;
 use crate::source::NamedLamp;
 
 /// A scene that is ready for a picture.
@@ -72,7 +74,7 @@ impl Opened {
             return Err(EditError::LimitedTextures);
         }
         // A file that was baked holds other light.
-        let mut light = Light { bake: None, ..self.light.clone() };
+        let mut light = Light { bake: None, begun: 0, ..self.light.clone() };
         edit::add(&mut light.edits, edit);
         let scene = self.as_read.edited(&self.world.scene, &light.edits)?;
         let (mut warnings, accel) = (self.warnings.clone(), self.world.accel.clone());
@@ -157,7 +159,7 @@ pub fn files(path: &Path, reading: &Reading) -> Result<Vec<(String, [u8; 32])>, 
 
 /// Loads a scene and its illumination.
 pub fn open(path: &Path, light: &Light, watch: &dyn Watch) -> Result<Opened, Failure> {
-    with_light(path, kept_scene::read(path, light)?, light, watch)
+    with_light(path, told("scene", || kept_scene::read(path, light))?, light, watch)
 }
 
 /// The illumination of a scene that is loaded, with what went wrong so far.
@@ -188,12 +190,12 @@ pub(crate) fn with_light(
     // What is kept is read while the geometry index is built.
     let index = read.accel.take();
     let (accel, kept) = rayon::join(
-        || index.unwrap_or_else(|| Arc::new(Accel::build(&scene))),
+        || index.unwrap_or_else(|| told("geometry index", || Arc::new(Accel::build(&scene)))),
         || kept(&changed, light, &mut warnings),
     );
-    let mut lights = Arc::new(Lights::build(&scene));
+    let mut lights = told("lights", || Arc::new(Lights::build(&scene)));
     // As it was read: an exposure that followed the lamps would undo what is done to them.
-    let mut scene = metered(scene, &accel, &lights);
+    let mut scene = told("exposure", || metered(scene, &accel, &lights));
     read.keep(&scene, &accel);
     if !edits.is_empty() {
         let display = scene.display;
@@ -223,13 +225,19 @@ impl Unlit {
         watch: &dyn Watch,
     ) -> Result<Opened, Failure> {
         let Self { path, scene, accel, lights, as_read, mut warnings } = self;
-        let (illumination, unmet): (Arc<dyn Irradiance>, Unmet) = match kept {
+        let (illumination, unmet): (Arc<dyn Irradiance>, Option<Unmet>) = match kept {
             Some(kept) => (kept, None),
             None => illuminate(&scene, &accel, &lights, light, watch, &mut warnings)?,
         };
         let world = World::of(scene, accel, lights, illumination);
-        let refinement =
-            unmet.map(|(settings, keep)| Refinement { world: world.clone(), settings, keep, book: None });
+        let refinement = unmet.map(|Unmet { settings, keep, early, begun }| Refinement {
+            world: world.clone(),
+            settings,
+            begun,
+            keep,
+            early,
+            book: None,
+        });
         Ok(Opened { path, light: light.clone(), world, textures: None, refinement, warnings, as_read })
     }
 }
@@ -269,8 +277,16 @@ fn kept(
     Ok(None)
 }
 
-/// Settings that the illumination does not meet yet, and where one that does is to be kept.
-type Unmet = Option<(BakeSettings, Option<PathBuf>)>;
+/// What the illumination does not meet yet.
+struct Unmet {
+    settings: BakeSettings,
+    /// Where one that meets it is to be kept.
+    keep: Option<PathBuf>,
+    /// Where those before it are kept.
+    early: Option<PathBuf>,
+    /// Rounds of the bake that it has.
+    begun: u32,
+}
 
 fn illuminate(
     scene: &Arc<Scene>,
@@ -279,21 +295,45 @@ fn illuminate(
     a: &Light,
     watch: &dyn Watch,
     warnings: &mut Vec<String>,
-) -> Result<(Arc<dyn Irradiance>, Unmet), Failure> {
+) -> Result<(Arc<dyn Irradiance>, Option<Unmet>), Failure> {
     let indexed = Indexed { scene, accel, lights };
-    let of_scene = (cache_key(scene, &a.settings.settings(scene)), scene.mesh.triangles.len());
-    let first = || {
-        let kept = a.first.as_ref().and_then(|file| load_illumination(file, &of_scene.0, of_scene.1).ok());
-        Arc::new(kept.unwrap_or_else(|| first_picture(indexed, a.settings.bake_seed)))
-    };
-    if a.quick {
-        return Ok((first(), None));
-    }
     let settings = a.settings.settings(scene);
     let key = cache_key(scene, &settings);
+    let first = || {
+        let of_recording = || load_illumination(a.first.as_ref()?, &key, scene.mesh.triangles.len()).ok();
+        of_recording().unwrap_or_else(|| match a.begun {
+            0 => told("first light", || first_picture(indexed, a.settings.bake_seed)),
+            rounds => {
+                tracing::warn!(
+                    "the light that the walk began with was not kept; {rounds} rounds of it are made anew"
+                );
+                kept_light::baked(indexed, &settings, rounds)
+            }
+        })
+    };
+    if a.quick {
+        return Ok((Arc::new(first()), None));
+    }
     let kept = cache_file(a.cache.as_deref(), scene, &settings);
     if !a.baked {
-        return Ok((first(), Some((settings, kept))));
+        // A replay begins with what was recorded.
+        let is_kept = a.keeps_early && !a.refined;
+        let early = kept_light::file(a.cache.as_deref(), scene, &settings).filter(|_| is_kept);
+        let map = match early
+            .as_ref()
+            .and_then(|file| told("kept light", || kept_light::load(file, scene, &settings)))
+        {
+            Some(map) => Arc::new(map),
+            None => {
+                let map = Arc::new(first());
+                if let Some(early) = &early {
+                    kept_light::keep(early, scene, &settings, map.clone());
+                }
+                map
+            }
+        };
+        let begun = map.summary.rounds;
+        return Ok((map, Some(Unmet { settings, keep: kept, early, begun })));
     }
     let baked = bake_within(indexed, &settings, a.settings.time, watch);
     if interrupted() {

@@ -128,7 +128,8 @@ impl Recording {
             return Ok(None);
         }
         let triangles = refinement.world.scene.mesh.triangles.len();
-        let key = light_key(refinement, &illumination_hash(&*refinement.world.illumination)?);
+        let Refinement { world, settings, .. } = refinement;
+        let key = light_key(&world.scene, settings, &illumination_hash(&*world.illumination)?);
         let book = LightBook::begin(key, triangles, &light_beside(path));
         Ok(Some(Arc::new(book)))
     }

@@ -1,5 +1,15 @@
 //! What this process takes: processor time, which what else the machine does hardly changes, and memory.
 
+use std::time::Instant;
+
+/// Does a part of a start and says how long it took, to whoever asks for such messages (`foveal -vv`).
+pub(crate) fn told<R>(part: &str, work: impl FnOnce() -> R) -> R {
+    let start = Instant::now();
+    let result = work();
+    tracing::debug!("{part}: {:.1} ms", start.elapsed().as_secs_f64() * 1e3);
+    result
+}
+
 /// Processor time of all threads so far, nanoseconds.
 #[cfg(unix)]
 pub fn cpu_ns() -> f64 {

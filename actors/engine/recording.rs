@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use foveal::display::cpu_pass::Passes;
 use foveal::illumination::Irradiance;
-use foveal::illumination::bake::cache_key;
+use foveal::illumination::bake::{BakeSettings, cache_key};
 use foveal::illumination::cache::{encode, save, under};
 use foveal::illumination::stored::Illumination;
 use foveal::scene::Scene;
@@ -12,13 +12,13 @@ use foveal::scene::edit::AsRead;
 use foveal_runtime::{Header, Trace, TraceError};
 use serde::{Deserialize, Serialize};
 
-use foveal_actors::illuminator::Refinement;
 use foveal_actors::settings::Settings;
 use foveal_actors::station::STATIONS_MAX;
 
 use crate::bake_clock::Watch;
 use crate::failure::Failure;
-use crate::kept_scene;
+use crate::kept_light;
+use crate::kept_scene::{self, Read};
 use crate::light::Light;
 use crate::machine::Machine;
 use crate::opened::{self, Opened};
@@ -111,7 +111,11 @@ impl RecordedRun {
             texture_ids: machine.passes.texture_ids,
             corrects: machine.corrects,
             texture_limit: opened.textures.as_ref().map(|store| store.limit),
-            illumination: Light { refined: opened.refinement.is_some(), ..opened.light.clone() },
+            illumination: Light {
+                refined: opened.refinement.is_some(),
+                begun: opened.refinement.as_ref().map_or(0, |refinement| refinement.begun),
+                ..opened.light.clone()
+            },
             illumination_hash: illumination_hash(&*opened.world.illumination)?,
             particles,
             relative_error,
@@ -189,6 +193,9 @@ impl RecordedRun {
         let grows = illumination.refined || illumination.quick;
         let folder = opened::cache_folder(elsewhere.cache.as_deref()).filter(|_| grows);
         illumination.first = folder.map(|folder| folder.join(&self.illumination_hash).with_extension(FIRST));
+        if illumination.begun > 0 {
+            self.take_beside(trace, &read, &illumination)?;
+        }
         let mut opened = opened::with_light(&scene_file, read, &illumination, watch)?;
         let stored = &*opened.world.illumination;
         // What is kept under the recorded hash was taken if it is that.
@@ -216,6 +223,27 @@ impl RecordedRun {
         }
         opened.limit_textures(self.texture_limit)?;
         Ok(opened)
+    }
+
+    /// Puts the light that the walk began with where it is looked for, if it is among the maps beside the recording and not
+    /// there yet. Where it is not, it is baked again.
+    fn take_beside(&self, trace: &Path, read: &Read, light: &Light) -> Result<(), Failure> {
+        let Some(first) = light.first.as_ref().filter(|file| !file.exists()) else { return Ok(()) };
+        let edited = AsRead::of(&read.scene)
+            .edited(&read.scene, &light.edits)
+            .map_err(|e| Failure::Input(format!("{}: {e}", trace.display())))?;
+        let settings = light.settings.settings(&edited);
+        let beside = light_beside(trace);
+        let kept = kept_light::beside_recording(&beside, &edited, &settings, &self.illumination_hash);
+        if let Some(map) = kept.filter(|map| self.began_in(&**map)) {
+            let folder = first.parent().map_or(Ok(()), std::fs::create_dir_all);
+            let saved =
+                folder.map_err(Into::into).and_then(|()| save(first, &cache_key(&edited, &settings), &*map));
+            if let Err(e) = saved {
+                tracing::warn!("{}: {e}", first.display());
+            }
+        }
+        Ok(())
     }
 }
 
@@ -342,12 +370,11 @@ fn stored_of(opened: &Opened) -> Option<&Illumination> {
     opened.world.illumination.stored()
 }
 
-/// What tells apart the light that a refinement comes to, by all that decides it. `began_in` is what [`illumination_hash`]
+/// What tells apart the light that a walk's refinement comes to, by all that decides it. `began_in` is what [`illumination_hash`]
 /// says of what it begins with.
-pub fn light_key(refinement: &Refinement, began_in: &str) -> [u8; 32] {
-    let Refinement { world, settings, .. } = refinement;
+pub fn light_key(scene: &Scene, settings: &BakeSettings, began_in: &str) -> [u8; 32] {
     let mut hasher = blake3::Hasher::new();
-    hasher.update(&cache_key(&world.scene, settings));
+    hasher.update(&cache_key(scene, settings));
     hasher.update(&settings.particles.unwrap_or(0).to_le_bytes());
     hasher.update(&settings.error.unwrap_or(0.0).to_le_bytes());
     hasher.update(began_in.as_bytes());

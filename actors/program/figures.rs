@@ -298,7 +298,8 @@ pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Res
     let shown = engine.look(|r| r.shown().cloned()).flatten();
     let corrects = engine.actors().correction.is_some();
     let comparison = match &shown {
-        Some(shown) if corrects && document["converged"] != true => {
+        // A walk of one frame has shown what it was asked for, and its process is to end with it.
+        Some(shown) if corrects && document["converged"] != true && walked.frame_ms.len() > 1 => {
             // Under the light that it was shown in.
             beside_reference(&shown.drawn.world, shown, settings.seed)?
         }
@@ -338,7 +339,7 @@ pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Res
                 &map,
             )?);
         }
-        // A walk of one frame has nothing to warp, and its process is to end with it.
+        // Nor is there anything to warp.
         if let Some(camera) = camera.filter(|_| walked.frame_ms.len() > 1) {
             figures.extend(warp_figures(world, &camera, settings)?);
         }

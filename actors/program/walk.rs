@@ -268,7 +268,9 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
     let converged = engine.look(Renderer::is_converged).unwrap_or(false);
     let linear = if a.out.is_some() { engine.look(Renderer::picture).flatten() } else { None };
     // Only the main thread's actors can be looked at while others run.
+    let ending = Instant::now();
     let end = engine.finish(Duration::from_secs(10));
+    tracing::debug!("end of the actors: {:.1} ms", ending.elapsed().as_secs_f64() * 1e3);
     drop(door);
     let mut document = document(a, &engine, fps, &walked, converged);
     if a.tracers.is_asked_for() {

@@ -157,8 +157,15 @@ impl Package {
             blobs.push((hash, bytes, Content::File(path)));
             files.push(Entry { name, hash, bytes });
         }
-        let light =
-            Light { bake: None, cache: None, first: None, quick: false, baked: true, ..light.clone() };
+        let light = Light {
+            bake: None,
+            cache: None,
+            first: None,
+            quick: false,
+            baked: true,
+            begun: 0,
+            ..light.clone()
+        };
         let manifest = Manifest {
             scene: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
             files,

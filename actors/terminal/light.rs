@@ -59,6 +59,8 @@ impl IlluminationArguments {
             quick: self.quick,
             baked: self.baked,
             refined: false,
+            begun: 0,
+            keeps_early: true,
             first: None,
             cache: self.cache.clone(),
             settings: self.settings.options(),

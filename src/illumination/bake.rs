@@ -21,7 +21,7 @@ use orders::{Gatherers, Here};
 use super::ahead::ahead;
 use super::atlas::{Atlas, ConformalCharts, Element};
 use super::filter::{Noisy, Parts, Smoothing};
-use super::first::first_picture;
+use super::first::first_picture_while;
 use super::gathered::Gathered;
 use super::points::Points;
 use super::seen::seen;
@@ -91,6 +91,16 @@ pub fn cache_key(scene: &Scene, settings: &BakeSettings) -> [u8; 32] {
     hasher.update(&settings.texels.to_le_bytes());
     hasher.update(&settings.seed.to_le_bytes());
     hasher.update(&[u8::from(settings.everything)]);
+    *hasher.finalize().as_bytes()
+}
+
+/// Key of a map that a bake publishes on its way, after some of its rounds: with what decides the values, as far as those
+/// came, the number of paths, which the rounds share.
+pub fn early_key(scene: &Scene, settings: &BakeSettings) -> [u8; 32] {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(b"early");
+    hasher.update(&cache_key(scene, settings));
+    hasher.update(&settings.particles.unwrap_or(u64::MAX).to_le_bytes());
     *hasher.finalize().as_bytes()
 }
 
@@ -206,15 +216,33 @@ pub enum Step {
 impl Baker {
     /// Divides the surfaces into elements. No light is gathered yet.
     pub fn new(indexed: Indexed<'_>, settings: &BakeSettings) -> Self {
+        Self::new_while(indexed, settings, &|| true).unwrap_or_else(|| unreachable!("it is always wanted"))
+    }
+
+    /// The same, as long as it is wanted; `None` where that ended before.
+    pub fn new_while(
+        indexed: Indexed<'_>,
+        settings: &BakeSettings,
+        is_wanted: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Self> {
         let scene = indexed.scene;
         let watched = if settings.everything {
             vec![true; scene.mesh.triangles.len()]
         } else {
             seen(scene, indexed.accel, u64::from(settings.texels).clamp(LOOKS.0, LOOKS.1))
         };
+        if !is_wanted() {
+            return None;
+        }
         let atlas = atlas_of(scene, settings.texels, &|t: u32| watched[t as usize]);
+        if !is_wanted() {
+            return None;
+        }
         let points = Points::new(&scene.mesh, &atlas);
         let sites = Sites::new(&atlas, &sides_of(&atlas));
+        if !is_wanted() {
+            return None;
+        }
         let is_seen = |element: u32| watched[atlas.elements[element as usize].triangle as usize];
         let mut site_of = vec![[u32::MAX; 2]; atlas.elements.len()];
         for (i, site) in sites.all().iter().enumerate() {
@@ -222,7 +250,7 @@ impl Baker {
         }
         let is_ahead = ahead((scene, indexed.accel), &atlas, &sites, &site_of);
         let first = (0..is_ahead.len() as u32).filter(|i| is_ahead[*i as usize]).collect();
-        Self {
+        Some(Self {
             ahead: (first, is_ahead),
             site_of,
             sources: Sources::new(scene, indexed.accel, indexed.lights, Class::All),
@@ -245,7 +273,7 @@ impl Baker {
             atlas,
             points,
             sites,
-        }
+        })
     }
 
     /// Begins with this light instead of a first picture of its own; with the one that [`first_picture`] makes of the
@@ -328,14 +356,16 @@ impl Baker {
     pub fn step_by(&mut self, indexed: Indexed<'_>, gatherers: &dyn Gatherers) -> Step {
         match std::mem::replace(&mut self.doing, Doing::Gather) {
             Doing::Begin => {
-                let first = first_picture(indexed, self.settings.seed);
+                let first = first_picture_while(indexed, self.settings.seed, &|| gatherers.is_wanted());
                 self.doing = Doing::Begin;
-                self.begin_with(&first);
+                if let Some(first) = first {
+                    self.begin_with(&first);
+                }
                 Step::Going
             }
             // What a round shows has all parts of light, wherever it ends.
             Doing::Gather if self.next == 0 && self.wants_particles() => {
-                self.trace(indexed);
+                self.trace(indexed, gatherers);
                 Step::Going
             }
             Doing::Gather => {
@@ -350,7 +380,7 @@ impl Baker {
                 Step::Going
             }
             Doing::Test(map) => {
-                if self.held_back.sample(indexed, &map) {
+                if self.held_back.sample(indexed, &map, &|| gatherers.is_wanted()) {
                     self.doing = Doing::Test(map);
                     return Step::Going;
                 }
@@ -417,7 +447,7 @@ impl Baker {
     }
 
     /// Traces a run of particles for each half.
-    fn trace(&mut self, indexed: Indexed<'_>) {
+    fn trace(&mut self, indexed: Indexed<'_>, gatherers: &dyn Gatherers) {
         let caustics = Caustics::new(indexed.scene, indexed.accel, indexed.lights, &self.sources);
         let (seed, begin, atlas, site_of) = (self.settings.seed, self.particles, &self.atlas, &self.site_of);
         let mesh = &indexed.scene.mesh;
@@ -425,6 +455,9 @@ impl Baker {
             .into_par_iter()
             .map(|part| {
                 let mut found = Vec::new();
+                if !gatherers.is_wanted() {
+                    return found;
+                }
                 for index in begin + part * TOGETHER..begin + (part + 1) * TOGETHER {
                     caustics.trace(seed, index, &mut |deposit| {
                         let at = deposit.at;

@@ -32,6 +32,15 @@ const BLOCK: usize = 64;
 
 /// The first picture of a scene's light.
 pub fn first_picture(indexed: Indexed<'_>, seed: u64) -> Illumination {
+    first_picture_while(indexed, seed, &|| true).unwrap_or_else(|| unreachable!("it is always wanted"))
+}
+
+/// The same, as long as it is wanted; `None` where that ended before.
+pub fn first_picture_while(
+    indexed: Indexed<'_>,
+    seed: u64,
+    is_wanted: &(dyn Fn() -> bool + Sync),
+) -> Option<Illumination> {
     let Indexed { scene, accel, lights } = indexed;
     let seen = seen(scene, accel, u64::from(TEXELS));
     let atlas = atlas_of(scene, TEXELS, &|t: u32| seen[t as usize]);
@@ -52,7 +61,10 @@ pub fn first_picture(indexed: Indexed<'_>, seed: u64) -> Illumination {
             .enumerate()
             .map(|(i, sums)| {
                 let site = &sites.all()[i];
-                if dark[i / BLOCK] || !sums.find_points((scene, accel), &atlas, &points, (site, true)) {
+                if dark[i / BLOCK]
+                    || !is_wanted()
+                    || !sums.find_points((scene, accel), &atlas, &points, (site, true))
+                {
                     return 0;
                 }
                 sums.begin_round();
@@ -60,6 +72,9 @@ pub fn first_picture(indexed: Indexed<'_>, seed: u64) -> Illumination {
                 u64::from(SAMPLES)
             })
             .sum();
+        if !is_wanted() {
+            return None;
+        }
         paths += taken;
         dark = gathered.chunks(BLOCK).map(|block| !block.iter().any(Gathered::is_lit)).collect();
         let parts: Vec<Parts> = gathered.iter().map(|g| g.parts(0.0)).collect();
@@ -76,7 +91,7 @@ pub fn first_picture(indexed: Indexed<'_>, seed: u64) -> Illumination {
     }
     map.summary.notes = atlas.notes.clone();
     map.summary.notes.push("a first estimate from few paths".into());
-    map
+    Some(map)
 }
 
 fn smoothed(sites: &Sites, parts: Vec<Parts>, known: Vec<bool>) -> Vec<Parts> {

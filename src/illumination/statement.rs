@@ -139,13 +139,18 @@ impl HeldBack {
 
     /// Takes some of the samples that are wanted before the next statement, with `map` as the value of what they do not
     /// follow. Whether there are more.
-    pub fn sample(&mut self, indexed: Indexed<'_>, map: &dyn Irradiance) -> bool {
+    pub fn sample(
+        &mut self,
+        indexed: Indexed<'_>,
+        map: &dyn Irradiance,
+        is_wanted: &(dyn Fn() -> bool + Sync),
+    ) -> bool {
         if self.taken >= self.wanted {
             return false;
         }
         let gather = indexed.gather(Trust::EndValue(map));
         let (seed, taken) = (self.seed ^ TEST, self.taken);
-        self.points.par_iter_mut().enumerate().for_each(|(i, point)| {
+        self.points.par_iter_mut().enumerate().filter(|_| is_wanted()).for_each(|(i, point)| {
             for (batch, sum) in point.sums.iter_mut().enumerate() {
                 for k in taken..taken + ADDED {
                     let numbers = Stream::in_sequence(seed, (i as u64) << 2 | batch as u64, k);
@@ -213,7 +218,7 @@ impl HeldBack {
 /// The error of a map where it is seen; `None` where nothing can be said.
 pub fn statement(indexed: Indexed<'_>, map: &dyn Irradiance, seed: u64) -> Option<Statement> {
     let mut held_back = HeldBack::new(indexed, seed);
-    while held_back.sample(indexed, map) {}
+    while held_back.sample(indexed, map, &|| true) {}
     held_back.statement(map, 0)
 }
 

@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use foveal::illumination::bake::early_key;
+use foveal::illumination::cache::save;
 use foveal::scene::edit::{Lamp, SceneEdit};
 use foveal_actors::renderer::MARK_FRAME;
 use foveal_runtime::{Limit, Snapshot};
@@ -14,7 +16,7 @@ use super::{How, Source};
 use crate::light::BakeOptions;
 use crate::options::{Options, Recording};
 use crate::recording::{Elsewhere, light_beside};
-use crate::{Engine, Light, Settings, opened};
+use crate::{Engine, Light, Settings, kept_light, opened};
 
 const TEXTURES: u64 = 24_000;
 
@@ -158,4 +160,108 @@ fn maps_that_are_missing_or_damaged_are_made_again() {
         std::fs::write(&light, &whole[..at]).expect("written");
         seek_everywhere(&open(&trace, &cache), 31);
     }
+}
+
+/// Rounds of the bake that an opened scene shows.
+fn begun_in(opened: &opened::Opened) -> u32 {
+    opened.refinement.as_ref().expect("it grows").begun
+}
+
+fn early_of(opened: &opened::Opened) -> PathBuf {
+    opened.refinement.as_ref().and_then(|r| r.early.clone()).expect("a file")
+}
+
+/// Light that a walk through `file` with a folder of its own keeps.
+fn keeping(folder: &Path, particles: u64) -> Light {
+    let settings = BakeOptions { texels: Some(800), particles, error: 1e-4, ..BakeOptions::default() };
+    Light { settings, cache: Some(folder.join("cache")), keeps_early: true, ..Light::default() }
+}
+
+#[test]
+fn what_a_walk_finds_is_kept_while_it_goes_on() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = scene(folder.path());
+    // It never comes to its end.
+    let light = keeping(folder.path(), 1 << 40);
+    let first = opened::open(&file, &light, &()).expect("a scene");
+    assert_eq!(begun_in(&first), 0);
+    let camera = first.world.scene.cameras[0].camera;
+    let mut walk = Engine::start(first, Options::new(Settings::new(48, 32, 2))).expect("actors");
+    let mut frames = 0;
+    while begun_in(&opened::open(&file, &light, &()).expect("a scene")) == 0 {
+        walk.frame(&camera, Duration::from_millis(20)).expect("a frame");
+        frames += 1;
+        assert!(frames < 2000, "nothing is kept");
+    }
+}
+
+#[test]
+fn a_second_walk_begins_in_the_light_of_the_first_and_replays_without_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = scene(folder.path());
+    let light = keeping(folder.path(), 1 << 16);
+    let first = opened::open(&file, &light, &()).expect("a scene");
+    let camera = first.world.scene.cameras[0].camera;
+    // As a walk before would have left it.
+    let settings = light.settings.settings(&first.world.scene);
+    let kept = kept_light::baked(first.world.indexed(), &settings, 2);
+    assert_eq!(kept.summary.rounds, 2);
+    let key = early_key(&first.world.scene, &settings);
+    // The thread that keeps the first estimate may still be at it.
+    while begun_in(&opened::open(&file, &light, &()).expect("a scene")) != 2 {
+        save(&early_of(&first), &key, &kept).expect("kept");
+    }
+
+    let second = opened::open(&file, &light, &()).expect("a scene");
+    assert_eq!(begun_in(&second), 2);
+    let trace = folder.path().join("a.fvl");
+    let options = Options {
+        recording: Some(Recording::file(&trace, "test")),
+        ..Options::new(Settings::new(48, 32, 2))
+    };
+    let early = early_of(&second);
+    let mut walk = Engine::start(second, options).expect("actors");
+    let mut frames = 0;
+    while walk.look(|r| r.is_lit()) != Some(true) {
+        walk.frame(&camera, Duration::from_millis(20)).expect("a frame");
+        frames += 1;
+        assert!(frames < 4000, "the light is final");
+    }
+    // Nobody begins with it any more, and what it came to is what a bake comes to.
+    assert!(!early.exists());
+    let found = walk.look(|r| r.world().illumination.stored().map(|map| map.digest())).flatten();
+    let elsewhere = Light { cache: Some(folder.path().join("baked")), baked: true, ..light };
+    let baked = opened::open(&file, &elsewhere, &()).expect("a scene").world.illumination;
+    assert_eq!(found, baked.stored().map(|map| map.digest()));
+    drop(walk);
+
+    // From the maps beside the recording, and without anything.
+    let step = (frames / 3).max(1);
+    seek_everywhere(&open(&trace, &folder.path().join("beside")), step);
+    std::fs::remove_file(light_beside(&trace)).expect("it was there");
+    seek_everywhere(&open(&trace, &folder.path().join("nothing")), step);
+}
+
+#[test]
+fn kept_light_that_is_damaged_is_made_anew() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = scene(folder.path());
+    let light = keeping(folder.path(), 1 << 22);
+    let first = opened::open(&file, &light, &()).expect("a scene");
+    let early = early_of(&first);
+    // A thread beside writes it.
+    let until = std::time::Instant::now() + Duration::from_secs(60);
+    while !early.exists() {
+        assert!(std::time::Instant::now() < until, "nothing is kept");
+        std::thread::yield_now();
+    }
+    let digest = |opened: &opened::Opened| opened.world.illumination.stored().map(|map| map.digest());
+    let again = opened::open(&file, &light, &()).expect("a scene");
+    assert_eq!(digest(&again), digest(&first));
+    let mut bytes = std::fs::read(&early).expect("read");
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(&early, bytes).expect("written");
+    let anew = opened::open(&file, &light, &()).expect("a scene");
+    assert_eq!((digest(&anew), begun_in(&anew)), (digest(&first), 0));
 }

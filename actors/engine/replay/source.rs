@@ -196,7 +196,7 @@ impl Source {
             let (beside, triangles) = (light_beside(path), refinement.world.scene.mesh.triangles.len());
             let beside: &[&Path] = if beside.exists() { &[&beside] } else { &[] };
             let book = LightBook::open(
-                light_key(refinement, &recorded.illumination_hash),
+                light_key(&refinement.world.scene, &refinement.settings, &recorded.illumination_hash),
                 triangles,
                 beside,
                 index.light(),

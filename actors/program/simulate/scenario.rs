@@ -90,8 +90,14 @@ impl Scenario {
         };
         let cameras: Vec<Camera> = (0..a.frames).map(at).collect();
         let last = cameras.last().copied().unwrap_or(still).frame(settings.width, settings.height);
-        opened.refinement =
-            a.grow.then(|| Refinement { world: world.clone(), settings: SMALL_BAKE, keep: None, book: None });
+        opened.refinement = a.grow.then(|| Refinement {
+            world: world.clone(),
+            settings: SMALL_BAKE,
+            begun: 0,
+            keep: None,
+            early: None,
+            book: None,
+        });
         let lit = opened.refinement.as_ref().map_or_else(|| world.clone(), fully_lit);
         let reference = traced_picture(&lit, &last, settings.seed, 1, &|| true).picture;
         let probes = Arc::new(Probes::of_world(&world));

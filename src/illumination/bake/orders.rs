@@ -60,6 +60,11 @@ pub trait Gatherers: Sync {
     fn worth(&self) -> u64 {
         1
     }
+
+    /// Whether the bake is wanted still. Where not, a step that takes long ends early, and the bake is of no use any more.
+    fn is_wanted(&self) -> bool {
+        true
+    }
 }
 
 /// The threads of this machine.
@@ -69,6 +74,21 @@ pub struct Here;
 impl Gatherers for Here {
     fn gather(&self, baker: &Baker, indexed: Indexed<'_>, orders: &[Order]) -> Vec<Answer> {
         orders.par_iter().map(|order| baker.answer(indexed, (baker.map(), baker.bright()), order)).collect()
+    }
+}
+
+/// The threads of this machine, as long as this says so.
+pub struct WhileWanted<'a>(pub &'a (dyn Fn() -> bool + Sync));
+
+impl Gatherers for WhileWanted<'_> {
+    fn gather(&self, baker: &Baker, indexed: Indexed<'_>, orders: &[Order]) -> Vec<Answer> {
+        let of =
+            |order| self.is_wanted().then(|| baker.answer(indexed, (baker.map(), baker.bright()), order));
+        orders.par_iter().map(of).collect::<Option<_>>().unwrap_or_default()
+    }
+
+    fn is_wanted(&self) -> bool {
+        (self.0)()
     }
 }
 
@@ -102,6 +122,9 @@ impl Baker {
             }
         }
         let answers = gatherers.gather(self, indexed, &orders);
+        if !gatherers.is_wanted() {
+            return;
+        }
         for ((site, before), sums) in orders.iter().flat_map(|o| &o.sites).zip(answers.into_iter().flatten())
         {
             self.gathered[*site as usize] = sums;

@@ -1,14 +1,11 @@
 // How the walk stands: facts and tables, as often as the server tells.
 
-const cell = (text) => Object.assign(document.createElement("td"), { textContent: text });
+import { make } from "./panel.js";
 
 function fill(table, rows) {
   table.hidden = !rows.length;
-  table.tBodies[0].replaceChildren(...rows.map((cells) => {
-    const row = document.createElement("tr");
-    row.append(...cells.map(cell));
-    return row;
-  }));
+  table.tBodies[0].replaceChildren(...rows.map((cells) =>
+    make("tr", {}, ...cells.map((textContent) => make("td", { textContent })))));
 }
 
 export function insight(root, state, { latency, rate }) {
@@ -28,10 +25,10 @@ export function insight(root, state, { latency, rate }) {
     ["environment maps", state.maps && `${state.maps[0]} of ${state.maps[1]} MiB`],
     ["textures", state.textures && `${state.textures[0]} of ${state.textures[1]} MiB`],
     ["walking speed", `${state.speed} a second`],
-  ].filter(([, value]) => value !== null && value !== undefined);
+  ].filter(([, value]) => value != null);
   root.querySelector("#facts").replaceChildren(...facts.flatMap(([name, value]) => [
-    Object.assign(document.createElement("dt"), { textContent: name }),
-    Object.assign(document.createElement("dd"), { textContent: value }),
+    make("dt", { textContent: name }),
+    make("dd", { textContent: value }),
   ]));
   fill(root.querySelector("#objects"), state.objects.map(([name, , attention, error, level]) => [
     name || "(no name)", attention, error ?? "–", level || "done"]));

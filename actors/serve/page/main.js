@@ -3,7 +3,7 @@
 import { Connection } from "./connection.js";
 import { Input, KEYS } from "./input.js";
 import { insight } from "./insight.js";
-import { Panel } from "./panel.js";
+import { Panel, make } from "./panel.js";
 import { Picture } from "./picture.js";
 import { Scene } from "./scene.js";
 import { Timeline } from "./timeline.js";
@@ -108,24 +108,20 @@ const connection = new Connection({
     world.show(message);
     $("picture").parentElement.style.setProperty("--ratio", message.size[0] / message.size[1]);
     $("veil-text").textContent = "Waiting for the first picture …";
-    const places = message.bookmarks.slice(0, 9).map((name, number) => {
-      const button = Object.assign(document.createElement("button"), { type: "button", textContent: name });
-      button.addEventListener("click", () => deed({ name: "bookmark", number, set: false }));
+    const place = (textContent, what) => {
+      const button = make("button", { type: "button", textContent });
+      button.addEventListener("click", () => deed(what));
       return button;
-    });
-    if (message.paths.length) {
-      const button = Object.assign(document.createElement("button"), { type: "button", textContent: "▶ path" });
-      button.addEventListener("click", () => deed({ name: "play" }));
-      places.push(button);
-    }
+    };
+    const places = message.bookmarks.slice(0, 9).map((name, number) => place(name, { name: "bookmark", number, set: false }));
+    if (message.paths.length) places.push(place("▶ path", { name: "play" }));
     $("places").replaceChildren(...places);
     this.role({ role: message.role, asked: false, viewers: 1 });
   },
   frame: (frame) => picture.take(frame),
   file(bytes) {
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(new Blob([bytes], { type: "image/png" }));
-    link.download = `${title.replace(/[^\w-]+/g, "-")}-view-${state?.view ?? 0}.png`;
+    const href = URL.createObjectURL(new Blob([bytes], { type: "image/png" }));
+    const link = make("a", { href, download: `${title.replace(/[^\w-]+/g, "-")}-view-${state?.view ?? 0}.png` });
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
     tell(`${link.download} saved`);
@@ -168,16 +164,8 @@ const connection = new Connection({
   },
 });
 
-$("again").addEventListener("click", () => connection.again());
-$("take").addEventListener("click", () => deed({ name: "take" }));
-$("give").addEventListener("click", () => deed({ name: "give" }));
-$("keep").addEventListener("click", keep);
-$("help").addEventListener("click", help);
+const on = { again: () => connection.again(), take: () => deed({ name: "take" }), give: () => deed({ name: "give" }), keep, help };
+for (const [id, act] of Object.entries(on)) $(id).addEventListener("click", act);
 $("insight").addEventListener("toggle", () => state && insight($("insight"), state, picture.measured()));
-$("keys").querySelector("tbody").append(...KEYS.map(([keys, what]) => {
-  const row = document.createElement("tr");
-  const key = document.createElement("td");
-  key.append(Object.assign(document.createElement("kbd"), { textContent: keys }));
-  row.append(key, Object.assign(document.createElement("td"), { textContent: what }));
-  return row;
-}));
+$("keys").querySelector("tbody").append(...KEYS.map(([keys, what]) =>
+  make("tr", {}, make("td", {}, make("kbd", { textContent: keys })), make("td", { textContent: what }))));

@@ -20,7 +20,7 @@ export class Panel {
     form.addEventListener("submit", (e) => e.preventDefault());
   }
 
-  // One row for each control, in its group.
+  // A row for each control, by group.
   build(controls) {
     this.rows.clear();
     const groups = Map.groupBy?.(controls, (c) => c.group) ?? controls.reduce(
@@ -97,7 +97,7 @@ export class Panel {
     return row;
   }
 
-  // At most thirty times a second, the newest.
+  // At most thirty a second, the newest.
   send(key, value) {
     this.values[key] = value;
     this.show();

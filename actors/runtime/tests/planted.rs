@@ -173,8 +173,18 @@ fn what_an_actor_must_not_do_is_found_where_it_did() {
             let same = matches!(was, Leak::Nothing);
             // With the state's own hash, and without.
             let digests = number % 4 == 0 && !same;
-            let trace = if same { Arc::clone(&clean) } else { recorded((was, at), digests) };
-            let [one, two] = [0, 2].map(|threads| parted(&trace, (now, at), digests, threads));
+            let attempt = || {
+                let trace = if same { Arc::clone(&clean) } else { recorded((was, at), digests) };
+                let parted = [0, 2].map(|threads| parted(&trace, (now, at), digests, threads));
+                (trace, parted)
+            };
+            let is_named = |d: &Divergence| (d.actor, d.index) == (culprit, at);
+            // A recording keeps 16 bits of each hash, so of 65,536 values of chance one passes as another, which shows only
+            // in what follows from it. Not twice.
+            let (trace, [one, two]) = match attempt() {
+                again if !same && !again.1.iter().all(is_named) => attempt(),
+                found => found,
+            };
             for divergence in [&one, &two] {
                 assert_eq!((divergence.actor, divergence.index), (culprit, at), "{now:?}: {divergence}");
                 assert_eq!((divergence.kind, divergence.turns[0].index), ("Token", at));

@@ -81,7 +81,8 @@ impl World {
     /// comes from.
     pub fn gather_beyond_map(&self) -> Gather<'_> {
         let look = || BrightSurfaces::new(&self.scene, &*self.illumination);
-        self.gather(Trust::EndValue(&*self.illumination)).looking_for(self.bright.get_or_init(look))
+        let gather = self.gather(Trust::EndValue(&*self.illumination)).looking_out();
+        gather.looking_for(self.bright.get_or_init(look))
     }
 
     /// Particles of the light that [`Self::gather`] does not find.

@@ -14,7 +14,7 @@ use super::Irradiance;
 use crate::geometry::{Accel, Ray};
 use crate::image::luminance;
 use crate::rng::Stream;
-use crate::scene::{Camera, Scene};
+use crate::scene::Scene;
 use crate::transport::Indexed;
 use crate::transport::bsdf::Bsdf;
 use crate::transport::gather::{Trust, shown};
@@ -37,8 +37,6 @@ const DOUBTFUL: f64 = 0.3;
 const BRIGHT: f64 = 4.0;
 /// Share of the mean irradiance of the scene below which a view is dark.
 const DARK: f64 = 1e-2;
-/// Poses along each path.
-const POSES: usize = 16;
 /// Surfaces that a look passes at most.
 const PASSED_MAX: u32 = 16;
 /// Standard errors for certain: one side, 5 %.
@@ -65,16 +63,6 @@ impl Statement {
     pub fn at_most(&self) -> f32 {
         (self.squared + CERTAIN * self.doubt).max(0.0).sqrt() as f32
     }
-}
-
-/// Where a walk may stand.
-fn cameras(scene: &Scene) -> Vec<Camera> {
-    let fov_y = scene.cameras.first().map_or(1.0, |c| c.camera.fov_y);
-    let along = scene.paths.iter().flat_map(|path| {
-        let pose = |i| path.at((i as f32 + 0.5) / POSES as f32 * path.duration(), scene.up, fov_y);
-        (0..POSES).map(pose).collect::<Vec<Camera>>()
-    });
-    scene.cameras.iter().map(|c| c.camera).chain(along).collect()
 }
 
 /// The first diffuse surface behind anything that is transparent.
@@ -123,7 +111,7 @@ impl HeldBack {
     pub fn new(indexed: Indexed<'_>, seed: u64) -> Self {
         /// The looks are square: only what they see counts.
         const SIDE: u32 = 1024;
-        let cameras = cameras(indexed.scene);
+        let cameras = indexed.scene.standpoints();
         let point = |i: u32| {
             let camera = cameras.get(i as usize % cameras.len().max(1))?;
             let [u, v] = Stream::new(seed ^ TEST, u64::from(i), 0).next_2d();

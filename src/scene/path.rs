@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 
+use super::Scene;
 use super::camera::{Camera, CameraPath, PathKey};
 
 /// Position and view target at a time.
@@ -57,6 +58,21 @@ impl CameraPath {
         let least = 1e-5 * (a.target - a.eye).length();
         let target = if view.length() > least { target } else { eye + (a.target - a.eye) };
         Camera { eye, target, up, fov_y }
+    }
+}
+
+/// Poses along each path that stand for it.
+const POSES: usize = 16;
+
+impl Scene {
+    /// Where a walk may stand: its cameras, and poses along its paths.
+    pub fn standpoints(&self) -> Vec<Camera> {
+        let fov_y = self.cameras.first().map_or(1.0, |c| c.camera.fov_y);
+        let along = self.paths.iter().flat_map(|path| {
+            let pose = |i| path.at((i as f32 + 0.5) / POSES as f32 * path.duration(), self.up, fov_y);
+            (0..POSES).map(pose).collect::<Vec<Camera>>()
+        });
+        self.cameras.iter().map(|c| c.camera).chain(along).collect()
     }
 }
 

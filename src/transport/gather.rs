@@ -37,7 +37,7 @@ use super::direct::{arriving, goes_straight, mis_weight, towards, visibilities};
 use super::interaction::Interaction;
 use super::light::bright::BrightSurfaces;
 use super::light::named::{NAMED_MAX, named_sample};
-use super::light::{Lights, Receiver};
+use super::light::{Lights, Receiver, VisibleSky};
 use super::medium::Media;
 use crate::geometry::packet::LANES;
 use crate::geometry::shadow::LastShadow;
@@ -122,6 +122,8 @@ pub struct Gather<'a> {
     trust: Trust<'a>,
     /// Where most of what is reflected comes from.
     bright: Option<&'a BrightSurfaces>,
+    /// What of the sky is seen from where.
+    sky: Option<&'a VisibleSky>,
     /// Whether light that reaches a D point over S alone is somebody else's.
     drops_caustics: bool,
     /// Whether the light of named lights that a sample begins with is somebody else's.
@@ -131,12 +133,26 @@ pub struct Gather<'a> {
 impl<'a> Gather<'a> {
     /// For a scene, with as much trust.
     pub fn new(scene: &'a Scene, accel: &'a Accel, lights: &'a Lights, trust: Trust<'a>) -> Self {
-        Self { scene, accel, lights, trust, bright: None, drops_caustics: false, drops_named: false }
+        Self {
+            scene,
+            accel,
+            lights,
+            trust,
+            bright: None,
+            sky: None,
+            drops_caustics: false,
+            drops_named: false,
+        }
     }
 
     /// Looks for such surfaces, too: less noise, and the same mean.
     pub fn looking_for(self, bright: &'a BrightSurfaces) -> Self {
         Self { bright: Some(bright).filter(|bright| bright.share() > 0.0), ..self }
+    }
+
+    /// Looks for the sky where it is seen: less noise in rooms, and the same mean.
+    pub fn looking_out(self) -> Self {
+        Self { sky: self.lights.visible_sky(self.scene, self.accel), ..self }
     }
 
     /// Leaves out class C over lobes that are not wide: particles bring it ([`super::caustic`]).
@@ -399,7 +415,7 @@ impl<'a> Gather<'a> {
             return;
         }
         let share = path.found.map_or(1.0, |Found { from, pdf }| {
-            let other = self.lights.pdf_unnamed(self.scene, &from, path.ray.direction, hit);
+            let other = self.lights.pdf_unnamed(self.scene, &from, (path.ray.direction, hit), self.sky);
             mis_weight(1, pdf, 1, other)
         });
         let sum = if path.straight { &mut sum.sharp } else { &mut sum.soft };
@@ -427,7 +443,7 @@ impl<'a> Gather<'a> {
         }
         let choice = path.numbers(stream, Dimension::LightChoice).next_f64();
         let point = path.numbers(stream, Dimension::Light).next_2d();
-        if let Some(light) = self.lights.sample_unnamed(self.scene, &at.into(), choice, point) {
+        if let Some(light) = self.lights.sample_unnamed(self.scene, &at.into(), (choice, point), self.sky) {
             let (value, pdf) = reflects(light.wi);
             if value.max_element() > 0.0
                 && let Some(radiance) = arriving(self.scene, self.accel, at, &path.media, &light)

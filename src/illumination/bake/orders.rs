@@ -170,7 +170,8 @@ impl Baker {
         order: &Order,
     ) -> Answer {
         let bright = bright.get_or_init(|| BrightSurfaces::new(indexed.scene, map));
-        let gather = indexed.gather(Trust::Map(map)).without_caustics().without_named().looking_for(bright);
+        let gather = indexed.gather(Trust::Map(map)).without_caustics().without_named();
+        let gather = gather.looking_for(bright).looking_out();
         let (atlas, points) = (&self.atlas, &self.points);
         let at = |&(site, mut sums): &(u32, Gathered)| {
             let i = site as usize;

@@ -7,7 +7,8 @@ use std::f32::consts::PI;
 
 use glam::Vec3;
 
-use super::{Emitter, LightSample, Lights, sample_analytic};
+use super::sky::VisibleSky;
+use super::{Emitter, LightSample, Lights, Receiver, sample_analytic};
 use crate::image::luminance;
 use crate::scene::Scene;
 use crate::transport::bsdf::cosine_hemisphere;
@@ -40,7 +41,7 @@ impl Lights {
         let candidates = || {
             self.emitters[self.near_count..].iter().filter_map(|emitter| match emitter {
                 Emitter::Analytic(i) => sample_analytic(&scene.lights[*i as usize], point),
-                Emitter::Environment => self.sample_environment(scene, normal, u),
+                Emitter::Environment => self.sample_environment(scene, &Receiver { point, normal }, u, None),
                 Emitter::Triangle(_) => None,
             })
         };
@@ -66,16 +67,20 @@ impl Lights {
     pub(super) fn sample_environment(
         &self,
         scene: &Scene,
-        normal: Vec3,
+        at: &Receiver,
         [u, v]: [f32; 2],
+        visible: Option<&VisibleSky>,
     ) -> Option<LightSample> {
         let (environment, distribution) = (scene.environment.as_ref()?, self.environment.as_ref()?);
+        let normal = at.normal;
         let by_cosine = |u: f32| {
             let (x, y) = normal.any_orthonormal_pair();
             let local = cosine_hemisphere([u, v]);
             x * local.x + y * local.y + normal * local.z
         };
-        let (wi, pdf) = if environment.map.is_none() {
+        let (wi, pdf) = if let Some(visible) = visible {
+            visible.sample((environment, distribution), at, [u, v])?
+        } else if environment.map.is_none() {
             let wi = by_cosine(u);
             (wi, normal.dot(wi).max(0.0) / PI)
         } else {

@@ -1,6 +1,7 @@
 //! Discrete choice by weight, and directions drawn from an environment's radiance.
 
 use std::f64::consts::{PI, TAU};
+use std::ops::Range;
 
 use glam::Vec3;
 
@@ -116,19 +117,46 @@ impl EnvironmentDistribution {
         Some(Self { width, height, columns, rows, integral })
     }
 
-    /// Density per solid angle of a direction.
-    pub fn pdf(&self, environment: &Environment, direction: Vec3) -> f32 {
+    /// Columns and rows of cells.
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// Column and row of a direction.
+    pub fn cell(&self, environment: &Environment, direction: Vec3) -> (usize, usize) {
         let [u, v] = environment.position(direction);
         let column = ((u * self.width as f32) as usize).min(self.width - 1);
         let row = ((v * self.height as f32) as usize).min(self.height - 1);
+        (column, row)
+    }
+
+    /// Density per solid angle of a direction.
+    pub fn pdf(&self, environment: &Environment, direction: Vec3) -> f32 {
+        let (column, row) = self.cell(environment, direction);
         self.density(column, row) as f32
     }
 
-    fn density(&self, column: usize, row: usize) -> f64 {
+    /// Density per solid angle in a cell.
+    pub fn density(&self, column: usize, row: usize) -> f64 {
+        self.weight(row, column..column + 1) * self.width as f64 / row_solid_angle(row, self.height)
+    }
+
+    /// Probability of some columns of a row.
+    pub fn weight(&self, row: usize, columns: Range<usize>) -> f64 {
         let shares = &self.columns[row * self.width..][..self.width];
-        let before = if column == 0 { 0.0 } else { shares[column - 1] };
-        let share = f64::from(shares[column] - before);
-        self.rows.probability(row) * share * self.width as f64 / row_solid_angle(row, self.height)
+        let before = if columns.start == 0 { 0.0 } else { shares[columns.start - 1] };
+        self.rows.probability(row) * f64::from(shares[columns.end - 1] - before)
+    }
+
+    /// Solid angle of a rectangle of cells, and whether it is wider than high.
+    pub fn extent(&self, columns: &Range<usize>, rows: &Range<usize>) -> (f64, bool) {
+        let share = columns.len() as f64 / self.width as f64;
+        let solid_angle =
+            TAU * share * (row_cosine(rows.start, self.height) - row_cosine(rows.end, self.height));
+        let high = PI * rows.len() as f64 / self.height as f64;
+        // In both directions at least one cell is left.
+        let wide = solid_angle > high * high || rows.len() == 1;
+        (solid_angle, wide && columns.len() > 1)
     }
 
     /// A direction and its density per solid angle.
@@ -139,17 +167,29 @@ impl EnvironmentDistribution {
         let share = self.rows.probability(row);
         let before = (0..row).next_back().map_or(0.0, |r| self.rows.sums[r] / self.rows.total());
         let v = ((x - before) / share).clamp(0.0, 1.0);
-        let shares = &self.columns[row * self.width..][..self.width];
-        let last = shares[self.width - 1];
-        let x = (u[0] * last).min(last.next_down());
+        let (wi, column) = self.sample_row(environment, row, 0..self.width, [f64::from(u[0]), v])?;
+        Some((wi, self.density(column, row) as f32))
+    }
+
+    /// A direction in some columns of a row, and its column, as [`Self::sample`] draws them.
+    pub fn sample_row(
+        &self,
+        environment: &Environment,
+        row: usize,
+        columns: Range<usize>,
+        [u, v]: [f64; 2],
+    ) -> Option<(Vec3, usize)> {
+        let shares = &self.columns[row * self.width..][..columns.end];
+        let first = if columns.start == 0 { 0.0 } else { shares[columns.start - 1] };
+        let last = shares[columns.end - 1];
+        let x = (first + u as f32 * (last - first)).min(last.next_down());
         let column = shares.partition_point(|&s| s <= x);
         let before = if column == 0 { 0.0 } else { shares[column - 1] };
         let u = ((x - before) / (shares[column] - before)).clamp(0.0, 1.0);
         let (top, bottom) = (row_cosine(row, self.height), row_cosine(row + 1, self.height));
         let theta = math::acos((top + (bottom - top) * v).clamp(-1.0, 1.0));
         let position = [(column as f32 + u) / self.width as f32, (theta / PI) as f32];
-        let density = self.density(column, row);
-        (density > 0.0).then(|| (environment.direction(position), density as f32))
+        (self.density(column, row) > 0.0).then(|| (environment.direction(position), column))
     }
 }
 

@@ -12,15 +12,17 @@ mod distant;
 mod distribution;
 mod emission;
 pub(super) mod named;
+mod sky;
 mod spherical_triangle;
 mod towards;
 mod tree;
 
 use std::f32::consts::{PI, TAU};
+use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
 
-use crate::geometry::Hit;
+use crate::geometry::{Accel, Hit};
 use crate::image::luminance;
 use crate::math;
 use crate::scene::{Light, Scene, TriangleIndex};
@@ -28,6 +30,7 @@ use distribution::{Choice, EnvironmentDistribution};
 use spherical_triangle::{SAMPLED, SphericalTriangle, barycentrics};
 use tree::{Bounds, LightTree};
 
+pub use sky::VisibleSky;
 pub use towards::Receiver;
 
 /// Least and largest share of next-event samples that go to the surrounding and directional lights where there
@@ -85,6 +88,8 @@ pub struct Lights {
     tree: LightTree,
     /// Places and ranges of lamps whose light ends somewhere.
     ending: Vec<(Vec3, f32)>,
+    /// Found when it is first asked for.
+    sky: Arc<OnceLock<Option<VisibleSky>>>,
 }
 
 /// Front normal and area of a triangle.
@@ -128,6 +133,7 @@ impl Lights {
             centre,
             radius,
             tree: LightTree::default(),
+            sky: Arc::default(),
             ending: scene.lights.iter().filter_map(Light::lamp).filter(|l| l.1.is_finite()).collect(),
         };
         let mut weights: Vec<f64> = Vec::new();
@@ -217,6 +223,11 @@ impl Lights {
     /// The lamp at a point, with its range, if its light ends somewhere.
     pub(in crate::transport) fn ending_lamp(&self, origin: Vec3) -> Option<(Vec3, f32)> {
         self.ending.iter().find(|(position, _)| *position == origin).copied()
+    }
+
+    /// What of the sky is seen from where, if that is worth knowing: looked at once.
+    pub fn visible_sky(&self, scene: &Scene, accel: &Accel) -> Option<&VisibleSky> {
+        self.sky.get_or_init(|| VisibleSky::new(scene, accel, self.environment.as_ref())).as_ref()
     }
 
     /// Whether nothing emits.

@@ -3,6 +3,7 @@
 
 use glam::Vec3;
 
+use super::sky::VisibleSky;
 use super::{DISTANT_SHARE, Emitter, LightSample, Lights, Receiver, sample_analytic, sample_triangle};
 use crate::geometry::Hit;
 use crate::scene::Scene;
@@ -66,20 +67,21 @@ impl Lights {
     }
 
     /// A direction in which light that is not named arrives, as [`Self::sample_towards`]. Where lamps without area hang
-    /// among those with one, some samples choose what is named and count as zero.
+    /// among those with one, some samples choose what is named and count as zero. `visible`: what is known of how much of the
+    /// sky is seen.
     pub fn sample_unnamed(
         &self,
         scene: &Scene,
         at: &Receiver,
-        u_choice: f64,
-        u: [f32; 2],
+        (u_choice, u): (f64, [f32; 2]),
+        visible: Option<&VisibleSky>,
     ) -> Option<LightSample> {
         if !self.has_named() {
             return self.sample_towards(scene, at, u_choice, u);
         }
         let share = self.sky_share();
         let (sample, probability) = if u_choice < share {
-            (self.sample_environment(scene, at.normal, u)?, share)
+            (self.sample_environment(scene, at, u, visible)?, share)
         } else {
             let (i, of_tree) = self.tree.choose(at, (u_choice - share) / (1.0 - share))?;
             let Emitter::Triangle(t) = self.emitters[i] else { return None };
@@ -95,7 +97,13 @@ impl Lights {
 
     /// Density per solid angle with which [`Self::sample_unnamed`] draws the unit direction `wi`, where a ray along it
     /// ends at `hit`, or in the surrounding. 0 where that is no light.
-    pub fn pdf_unnamed(&self, scene: &Scene, at: &Receiver, wi: Vec3, hit: Option<&Hit>) -> f32 {
+    pub fn pdf_unnamed(
+        &self,
+        scene: &Scene,
+        at: &Receiver,
+        (wi, hit): (Vec3, Option<&Hit>),
+        visible: Option<&VisibleSky>,
+    ) -> f32 {
         if !self.has_named() {
             return self.pdf_towards(scene, at, wi, hit);
         }
@@ -108,7 +116,7 @@ impl Lights {
                 let density = self.triangle_density(scene, at, t, wi, end.distance(at.point));
                 (density, (1.0 - self.sky_share()) * self.tree.probability(place, at))
             }
-            _ => (f64::from(self.environment_pdf(scene, at.normal, wi)), self.sky_share()),
+            _ => (f64::from(self.environment_pdf(scene, at, wi, visible)), self.sky_share()),
         };
         let pdf = (density * probability) as f32;
         if pdf.is_finite() { pdf } else { 0.0 }

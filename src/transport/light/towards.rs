@@ -8,6 +8,7 @@ use std::f32::consts::PI;
 
 use glam::Vec3;
 
+use super::sky::VisibleSky;
 use super::{Emitter, LightSample, Lights, TriangleView, sample_analytic, sample_triangle};
 use crate::geometry::Hit;
 use crate::scene::{Scene, TriangleIndex};
@@ -75,7 +76,7 @@ impl Lights {
         let sample = match emitter {
             Emitter::Triangle(t) => sample_triangle(scene, t, at.point, u),
             Emitter::Analytic(i) => sample_analytic(&scene.lights[i as usize], at.point),
-            Emitter::Environment => self.sample_environment(scene, at.normal, u),
+            Emitter::Environment => self.sample_environment(scene, at, u, None),
         }?;
         let sample = LightSample { pdf: (f64::from(sample.pdf) * probability) as f32, ..sample };
         let usable = sample.pdf > 0.0
@@ -143,7 +144,7 @@ impl Lights {
         };
         let density = match emitter {
             Emitter::Analytic(_) => 1.0,
-            Emitter::Environment => f64::from(self.environment_pdf(scene, at.normal, wi)),
+            Emitter::Environment => f64::from(self.environment_pdf(scene, at, wi, None)),
             Emitter::Triangle(t) => self.triangle_density(scene, at, t, wi, distance),
         };
         let pdf = (density * probability) as f32;
@@ -169,9 +170,18 @@ impl Lights {
     }
 
     /// Density per solid angle of [`Self::sample_environment`], before the choice of the light.
-    pub(super) fn environment_pdf(&self, scene: &Scene, normal: Vec3, wi: Vec3) -> f32 {
+    pub(super) fn environment_pdf(
+        &self,
+        scene: &Scene,
+        at: &Receiver,
+        wi: Vec3,
+        visible: Option<&VisibleSky>,
+    ) -> f32 {
         let (Some(environment), Some(d)) = (&scene.environment, &self.environment) else { return 0.0 };
-        let cosine = normal.dot(wi).max(0.0) / PI;
+        if let Some(visible) = visible {
+            return visible.pdf((environment, d), at, wi);
+        }
+        let cosine = at.normal.dot(wi).max(0.0) / PI;
         if environment.map.is_none() { cosine } else { 0.5 * cosine + 0.5 * d.pdf(environment, wi) }
     }
 }

@@ -74,7 +74,8 @@ impl Page {
     fn read(&self) -> Option<Vec<u8>> {
         let mut file = File::open(&self.file).ok()?;
         file.seek(SeekFrom::Start(self.offset)).ok()?;
-        let mut packed = Vec::new();
+        // No longer than the file was.
+        let mut packed = Vec::with_capacity(self.length as usize);
         file.take(self.length).read_to_end(&mut packed).ok()?;
         (self.hash(&packed) == self.content).then_some(packed)
     }

@@ -11,6 +11,7 @@ mod bench;
 mod book;
 mod bundled;
 mod exits;
+mod export;
 mod faults;
 mod gltf;
 mod hostile;

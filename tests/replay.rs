@@ -354,48 +354,6 @@ fn a_walk_leaves_a_profile() {
 }
 
 #[test]
-fn an_export_has_arrows_from_input_to_pixel() {
-    let trace = recorded("");
-    let file = folder("profile").join("replay.json");
-    Foveal::new("replay --export chrome").arg(&file).arg(&trace).ok();
-    let d: Value = serde_json::from_slice(&fs::read(&file).expect("a profile")).expect("a JSON document");
-    let events = d["traceEvents"].as_array().expect("events");
-    let count = |phase: &str| events.iter().filter(|e| e["ph"] == phase).count();
-    let recorded = Foveal::new("log stat").arg(&trace).json()["deliveries"].as_u64().expect("a number");
-    assert_eq!((count("X") as u64, count("s")), (recorded, count("f")));
-    // Follow arrows from the first input: they come to a job, to samples, and to a frame.
-    let slice_at = |e: &Value| {
-        let within = |s: &&Value| {
-            let (from, time) = (s["ts"].as_f64().unwrap_or(0.0), e["ts"].as_f64().unwrap_or(-1.0));
-            let end = from + s["dur"].as_f64().unwrap_or(0.0);
-            s["ph"] == "X" && s["tid"] == e["tid"] && from <= time && time <= end
-        };
-        events.iter().position(|s| within(&s)).expect("an arrow ends at a slice")
-    };
-    let mut arrows = std::collections::BTreeMap::new();
-    for e in events.iter().filter(|e| e["ph"] == "s" || e["ph"] == "f") {
-        let ends: &mut [usize; 2] = arrows.entry(e["id"].as_u64()).or_default();
-        ends[usize::from(e["ph"] == "f")] = slice_at(e);
-    }
-    let mut reached = vec![events.iter().position(|e| e["name"] == "FrameBegan").expect("an input")];
-    for step in 0.. {
-        let Some(from) = reached.get(step).copied() else { break };
-        let next = arrows.values().filter(|a| a[0] == from).map(|a| a[1]);
-        let new: Vec<usize> = next.filter(|to| !reached.contains(to)).collect();
-        reached.extend(new);
-    }
-    let names: Vec<&str> = reached.iter().filter_map(|slice| events[*slice]["name"].as_str()).collect();
-    for name in ["FrameBegan", "ViewDrawn", "TraceJob", "SamplesTraced", "frame "] {
-        assert!(names.iter().any(|n| n.starts_with(name)), "no arrow leads to {name}: {names:?}");
-    }
-    let file = folder("profile").join("replay.pftrace");
-    Foveal::new("replay --export perfetto").arg(&file).arg(&trace).ok();
-    let bytes = fs::read(&file).expect("a profile");
-    assert!(bytes[0] == 0x0a && bytes.windows(9).any(|w| w == b"FrameBegan".get(..9).unwrap_or_default()));
-    Foveal::new("replay --export svg x").arg(&trace).fails(2, &["svg"]);
-}
-
-#[test]
 fn recordings_that_do_not_fit_are_refused_by_name() {
     let trace = recorded("");
     let bytes = fs::read(&trace).expect("a recording");
@@ -555,7 +513,8 @@ fn a_walk_whose_light_grows_is_sought_in() {
     let whole = fs::read(&light).expect("maps");
     let first: Vec<_> = (0..6).map(|frame| show(&kept, &cache("whole"), frame)).collect();
     assert!(first.iter().all(|(_, told)| !told.contains("baked again")), "{first:?}");
-    Foveal::new("replay --index --cache").arg(cache("whole")).arg(&kept).ok();
+    let index = Foveal::new("replay --index --cache").arg(cache("whole")).arg(&kept).json();
+    assert!(index["snapshots"].is_u64() && index["frames"] == 6, "{index}");
     for frame in (0..6).rev() {
         assert_eq!(show(&kept, &cache("whole"), frame).0, first[frame as usize].0, "frame {frame}");
     }

@@ -260,7 +260,12 @@ pub struct Elsewhere {
 
 /// Reads a recording. What is missing at its end costs only that end; what is damaged is refused.
 pub fn open_trace(path: &Path) -> Result<Trace, Failure> {
-    let trace = Trace::open(path).map_err(|e| match e {
+    checked_trace(path, Trace::open(path))
+}
+
+/// What was read of a file, where it can be replayed.
+pub(crate) fn checked_trace(path: &Path, read: Result<Trace, TraceError>) -> Result<Trace, Failure> {
+    let trace = read.map_err(|e| match e {
         TraceError::Io(e) => Failure::file(path, e),
         other => Failure::file(path, other),
     })?;

@@ -13,7 +13,7 @@ use atomic_write_file::AtomicWriteFile;
 use foveal_runtime::{ActorId, Snapshot};
 
 use super::counters::{COUNTERS, Counts};
-use crate::opened::cache_folder;
+use super::plain::{PLAIN, kept_as};
 use crate::recording::{FIRST, program};
 
 /// First bytes of the file; the program's identity follows.
@@ -28,8 +28,8 @@ const WORTH: Duration = Duration::from_millis(50);
 const BYTES_MAX: u64 = 3 << 30;
 /// Bytes of snapshots and maps of all recordings.
 const ALL_BYTES_MAX: u64 = 6 << 30;
-/// What files of snapshots, maps and first estimates are called.
-const EXTENSIONS: [&str; 3] = ["fvsnaps", "fvlight", FIRST];
+/// What files of snapshots, maps, first estimates and logs are called.
+const EXTENSIONS: [&str; 4] = ["fvsnaps", "fvlight", FIRST, PLAIN];
 
 /// Where a snapshot lies in the file, and what was delivered and counted before it.
 struct Entry {
@@ -37,6 +37,17 @@ struct Entry {
     counts: Counts,
     offset: u64,
     length: u64,
+}
+
+/// Which snapshots of a recording are kept.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Kept {
+    /// Where.
+    pub file: PathBuf,
+    /// How many.
+    pub count: usize,
+    /// Bytes of the file.
+    pub bytes: u64,
 }
 
 /// The snapshots of one recording.
@@ -75,9 +86,8 @@ impl Index {
 
     /// The snapshots kept of a recording.
     pub fn open(trace: &Path, cache: Option<&Path>) -> Self {
-        let name = std::fs::read(trace).ok().map(|bytes| blake3::hash(&bytes).to_hex()[..32].to_owned());
-        let folder = name.and_then(|name| Some(cache_folder(cache)?.join(name)));
-        let [file, light, _] =
+        let folder = kept_as(trace, cache);
+        let [file, light, ..] =
             EXTENSIONS.map(|extension| folder.as_ref().map(|f| f.with_extension(extension)));
         let light = light.map(|light| {
             let program = blake3::hash(&identity()).to_hex();
@@ -186,6 +196,11 @@ impl Index {
         self.entries.iter().find(|entry| entry.positions == place).map(|entry| entry.counts)
     }
 
+    /// Which there are.
+    pub fn kept(&self) -> Option<Kept> {
+        self.file.clone().map(|file| Kept { file, count: self.entries.len(), bytes: self.end })
+    }
+
     /// Whether there is a place to keep snapshots.
     pub fn is_kept(&self) -> bool {
         self.file.is_some()
@@ -287,6 +302,11 @@ impl Index {
 /// Bytes of an entry before its snapshot: two lengths, the positions and the counts.
 fn entry_head(positions: usize) -> u64 {
     16 + (positions + COUNTERS.len()) as u64 * 8
+}
+
+/// Lets others go where a file that was just kept takes too much room.
+pub(super) fn make_room_beside(kept: &Path) -> std::io::Result<()> {
+    make_room(kept, ALL_BYTES_MAX)
 }
 
 /// Lets snapshots and maps of other recordings go, those that were used least lately first, until all fit into `most`

@@ -10,6 +10,7 @@ mod index;
 mod lanes;
 pub mod late;
 mod pair;
+mod plain;
 mod player;
 mod source;
 #[cfg(test)]
@@ -21,9 +22,10 @@ mod why_light;
 mod why_path;
 
 pub use beside::Beside;
+pub use index::Kept;
 pub use lanes::{Lanes, Timed, ring_turns};
 pub use pair::{Pair, first_other_frame};
 pub use player::Player;
-pub use source::{Ground, How, Indexing, Seen, Source, Telling, name, observe};
+pub use source::{Begun, Ground, How, Indexing, Seen, Source, Telling, name, observe};
 pub use stepper::Stepper;
 pub use why_path::{Segment, drawn_over};

@@ -6,25 +6,28 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crossbeam_queue::SegQueue;
+use foveal::scene::Camera;
 use foveal::world::World;
 use foveal_actors::light_book::LightBook;
+use foveal_actors::message::RendererInput;
 use foveal_actors::renderer::{MARK_FRAME, Unseen};
 use foveal_actors::stages::StageTimes;
 use foveal_actors::wiring::{Actors, wire};
 use foveal_runtime::{
-    ActorId, Config, Content, Delivery, Exit, Hashing, Limit, Mode, Observer, Runtime, Snapshot, Trace,
-    Until, calibrate,
+    ActorId, Config, Content, Delivery, Event, Exit, Hashing, Limit, Mode, Observer, Runtime, Snapshot,
+    Trace, Until, calibrate,
 };
 
 use serde_json::{Value, json};
 
 use super::counters::{Counts, counted};
-use super::index::Index;
+use super::index::{Index, Kept};
+use super::plain;
 use crate::bake_clock::Watch;
 use crate::failure::Failure;
 use crate::interrupt::interrupted;
 use crate::opened::Opened;
-use crate::recording::{Elsewhere, Parent, RecordedRun, light_beside, light_key, open_trace, program};
+use crate::recording::{Elsewhere, Parent, RecordedRun, light_beside, light_key, program};
 
 /// A delivery that was looked at.
 #[derive(Clone, Debug)]
@@ -99,6 +102,19 @@ pub struct How {
     pub ring_turns: Option<usize>,
 }
 
+/// A frame as it began.
+#[derive(Clone, Copy, Debug)]
+pub struct Begun {
+    /// The renderer's delivery.
+    pub index: u64,
+    /// Its number.
+    pub frame: u32,
+    /// Where the camera was.
+    pub camera: Camera,
+    /// How long it was meant to take, seconds.
+    pub time: f32,
+}
+
 /// A recording and its world: what replays on several threads are made of.
 pub struct Ground {
     /// The recording.
@@ -135,6 +151,19 @@ impl Ground {
     /// Its world.
     pub fn world(&self) -> &World {
         &self.opened.world
+    }
+
+    /// Where each frame began, as the recording says.
+    pub fn frames_begun(&self) -> impl Iterator<Item = Begun> {
+        self.trace.events(renderer(&self.trace)).filter_map(|event| {
+            let Event::Delivered { index, external: Some(bytes), .. } = event else { return None };
+            match postcard::from_bytes(&bytes).ok()? {
+                RendererInput::FrameBegan { frame, camera, time } => {
+                    Some(Begun { index, frame: frame.0, camera, time })
+                }
+                _ => None,
+            }
+        })
     }
 
     /// A system that replays it.
@@ -174,7 +203,7 @@ impl Source {
         let (trace, world) = rayon::join(
             || {
                 calibrate();
-                open_trace(path).map(Arc::new)
+                plain::open(path, elsewhere.cache.as_deref()).map(Arc::new)
             },
             || early.map(|recorded| recorded.open(path, elsewhere, watch)),
         );
@@ -306,6 +335,11 @@ impl Source {
     #[cfg(test)]
     pub(super) fn keep(&self, runtime: &mut Runtime) {
         self.index.borrow_mut().keep(|| counted(&self.trace, runtime));
+    }
+
+    /// The snapshots that are kept, where there is a folder for them.
+    pub fn snapshots(&self) -> Option<Kept> {
+        self.index.borrow().kept()
     }
 
     /// What had been delivered at each snapshot that is kept, from the first on.

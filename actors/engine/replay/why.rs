@@ -147,19 +147,11 @@ impl Notes {
 /// The last frame up to this one that began with another camera than the one before, or that was the first: where it began,
 /// and its number. What comes from outside stands in the recording.
 fn moved(source: &Source, frame: u32) -> Option<(At, u32)> {
-    let renderer = source.renderer();
     let (mut last, mut moved) = (None, None);
-    for event in source.trace.events(renderer) {
-        let Event::Delivered { index, external: Some(bytes), .. } = event else { continue };
-        let Ok(RendererInput::FrameBegan { frame: began, camera, .. }) = postcard::from_bytes(&bytes) else {
-            continue;
-        };
-        if began.0 > frame {
-            break;
-        }
-        let before = last.replace(camera);
-        if began.0 == 0 || before.is_some_and(|before: Camera| before != camera) {
-            moved = Some(((renderer, index), began.0));
+    for begun in source.frames_begun().take_while(|begun| begun.frame <= frame) {
+        let before = last.replace(begun.camera);
+        if begun.frame == 0 || before.is_some_and(|before: Camera| before != begun.camera) {
+            moved = Some(((source.renderer(), begun.index), begun.frame));
         }
     }
     moved

@@ -24,7 +24,7 @@ pub fn parse(export: &[String]) -> Result<(Format, PathBuf), Failure> {
         return Err(Failure::Usage("--export takes a format and a file".into()));
     };
     let format = Format::from_str(format, true)
-        .map_err(|_| Failure::Usage(format!("--export {format}: chrome or perfetto")))?;
+        .map_err(|_| Failure::Usage(format!("--export {format}: chrome, perfetto or rerun")))?;
     Ok((format, PathBuf::from(file)))
 }
 

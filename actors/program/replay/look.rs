@@ -71,6 +71,33 @@ pub fn state(
     Ok(())
 }
 
+/// Tells which snapshots are kept along a recording.
+pub fn index(source: &Source, as_json: bool) {
+    let Some(kept) = source.snapshots() else {
+        return match as_json {
+            true => print_json(&json!({"schema": "foveal.replay.index/1", "snapshots": 0})),
+            false => print_line("there is no folder to keep snapshots in"),
+        };
+    };
+    let frames = source.shown_in.len();
+    if as_json {
+        print_json(&json!({
+            "schema": "foveal.replay.index/1",
+            "file": kept.file,
+            "snapshots": kept.count,
+            "bytes": kept.bytes,
+            "frames": frames,
+        }));
+    } else {
+        print_line(&format!(
+            "{} snapshots along {frames} frames, {} bytes in {}",
+            kept.count,
+            kept.bytes,
+            kept.file.display()
+        ));
+    }
+}
+
 /// Tells what differs between the states at two places, of one actor or of all.
 pub fn difference(
     source: &Source,

@@ -5,6 +5,7 @@ mod diff;
 mod export;
 mod look;
 mod recorded;
+mod rerun;
 mod step;
 mod verify;
 #[cfg(feature = "window")]
@@ -129,8 +130,8 @@ pub struct ReplayArguments {
     #[arg(long, value_name = "WHICH", default_value = "all", requires = "when")]
     which: look::Which,
     /// Write every delivery of the replay, with arrows from input to job to pixel: for chrome://tracing, or Perfetto's
-    /// own format
-    #[arg(long, num_args = 2, value_names = ["chrome|perfetto", "FILE"])]
+    /// own format; or, by itself, pictures, cameras, object ids and actors' numbers for the viewer of rerun
+    #[arg(long, num_args = 2, value_names = ["chrome|perfetto|rerun", "FILE"])]
     export: Option<Vec<String>>,
     /// Where the replay diverges: the program that recorded it, which says what was recorded there
     #[arg(long, value_name = "PROGRAM")]
@@ -157,8 +158,18 @@ pub fn run(a: &ReplayArguments, progress: Progress) -> Result<(), Failure> {
     if let Some([left, right]) = a.diff.as_deref() {
         return diff::run(left, right, &a.elsewhere.files(), a.json, progress);
     }
-    let export = a.export.as_deref().map(export::parse).transpose()?;
     let Some(path) = &a.trace else { return Err(Failure::Usage("which recording?".into())) };
+    if let Some([format, out]) = a.export.as_deref()
+        && format.eq_ignore_ascii_case("rerun")
+    {
+        let others =
+            [a.verify, a.json, a.show.is_some(), a.until.is_some(), a.actor.is_some(), a.with.is_some()];
+        if others.contains(&true) {
+            return Err(Failure::Usage("--export rerun goes with nothing else".into()));
+        }
+        return rerun::write(path, out.as_ref(), &a.elsewhere);
+    }
+    let export = a.export.as_deref().map(export::parse).transpose()?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let workers = a.workers.map_or(cores, |w| w as usize).min(64);
     #[cfg(feature = "window")]
@@ -176,10 +187,11 @@ pub fn run(a: &ReplayArguments, progress: Progress) -> Result<(), Failure> {
     }
     let source = Source::open(path, &a.elsewhere.files(), a.verify, &progress.baking())?;
     if a.index {
-        return match source.indexing().go_on(&source, || false) {
-            true => Err(Failure::Interrupted("interrupted; snapshots so far are kept".into())),
-            false => Ok(()),
-        };
+        if source.indexing().go_on(&source, || false) {
+            return Err(Failure::Interrupted("interrupted; snapshots so far are kept".into()));
+        }
+        look::index(&source, a.json);
+        return Ok(());
     }
     if let Some(pixel) = a.why {
         let explained = why::explain(&source, pixel, a.frame, a.path, workers)?;

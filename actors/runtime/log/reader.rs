@@ -12,6 +12,7 @@ use super::format::{
     Payload, SEGMENT_BYTES_MAX, SEGMENT_HEAD, STREAMS, Symbol, VERSION, VERSION_OLDEST, lane, stream,
 };
 use super::walk::{ActorLog, Walk};
+use super::writer::segment;
 use crate::message::ActorId;
 
 /// Decompressed bytes a recording may hold.
@@ -116,12 +117,22 @@ impl Trace {
     /// Reads a file up to its first damage.
     pub fn open(path: &Path) -> Result<Self, TraceError> {
         let file = std::fs::File::open(path).map_err(TraceError::Io)?;
-        Self::read(&mut io::BufReader::new(file))
+        Self::read(&mut io::BufReader::new(file), None)
+    }
+
+    /// Reads a recording, and makes the same one that takes more room and is read in less time: nothing of it is coded,
+    /// only compressed.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_plain(path: &Path, plain: &mut Vec<u8>) -> Result<Self, TraceError> {
+        let file = std::fs::File::open(path).map_err(TraceError::Io)?;
+        Self::read(&mut io::BufReader::new(file), Some(plain))
     }
 
     /// Reads a recording from memory.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, TraceError> {
-        Self::read(&mut &*bytes)
+        Self::read(&mut &*bytes, None)
     }
 
     /// What a file says about itself; the rest of it is not read.
@@ -145,8 +156,11 @@ impl Trace {
         Ok(segments)
     }
 
-    fn read(source: &mut impl Read) -> Result<Self, TraceError> {
-        let (bytes, header) = begin(source)?;
+    fn read(source: &mut impl Read, mut plain: Option<&mut Vec<u8>>) -> Result<Self, TraceError> {
+        let (bytes, header) = match plain.as_deref_mut() {
+            Some(plain) => begin(&mut Passed { source, passed: plain })?,
+            None => begin(source)?,
+        };
         let mut model = None;
         let mut trace = Self {
             logs: Vec::new(),
@@ -184,6 +198,9 @@ impl Trace {
             if let Err(reason) = outcome {
                 trace.cut(reason);
                 break;
+            }
+            if let Some(plain) = plain.as_deref_mut() {
+                plain.extend_from_slice(&segment(&body));
             }
             trace.whole_bytes += bytes;
             trace.segments += 1;
@@ -407,6 +424,20 @@ fn append(
     log.deliveries = log.deliveries.checked_add(count).ok_or_else(|| "too many deliveries".to_owned())?;
     let valid = walk.validate(log, header, count);
     valid.ok_or_else(|| format!("the log of actor {actor} cannot be decoded"))
+}
+
+/// Keeps what is read.
+struct Passed<'a, R> {
+    source: &'a mut R,
+    passed: &'a mut Vec<u8>,
+}
+
+impl<R: Read> Read for Passed<'_, R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let read = self.source.read(buffer)?;
+        self.passed.extend_from_slice(&buffer[..read]);
+        Ok(read)
+    }
 }
 
 /// What a recording begins with: its header, and the bytes of that.

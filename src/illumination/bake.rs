@@ -276,7 +276,7 @@ impl Baker {
         })
     }
 
-    /// Begins with this light instead of a first picture of its own; with the one that [`first_picture`] makes of the
+    /// Begins with this light instead of a first picture of its own; with the one that `first_picture` makes of the
     /// same seed nothing changes.
     pub fn begin_with(&mut self, first: &dyn super::Irradiance) {
         if matches!(self.doing, Doing::Begin) {

@@ -4,8 +4,9 @@
 //! directions found otherwise ([`Lights::pdf_towards`]), and particles that leave the lights
 //! (`begin`). Radiance in W·sr⁻¹·m⁻² per band, power in W.
 //!
-//! Lights inside of the scene are chosen by what they may bring to the surface (`tree`). The tracer of corrections
-//! still chooses by power alone ([`Lights::sample_direct`]).
+//! Lights inside of the scene are chosen by what they may bring to the surface (`tree`); bake and refinement look for the sky
+//! where it is seen (`sky`), and for surfaces that reflect much light ([`bright`]). The tracer of corrections still chooses
+//! by power alone ([`Lights::sample_direct`]).
 
 pub mod bright;
 mod distant;

@@ -277,7 +277,12 @@ fn every_control_is_a_message_and_no_new_actors_start() {
     let (mut walk, start) = (walk(), Instant::now());
     settle(&mut walk, start);
     let plain = walk.picture().cloned();
-    let before = *walk.controls();
+    // More views than actors that start anew would have seen by the end.
+    for turn in [40.0, -80.0, 40.0, 40.0, -80.0, 40.0] {
+        walk.navigator.look(turn, 0.0, start.elapsed().as_secs_f64());
+        settle(&mut walk, start);
+    }
+    let (before, views) = (*walk.controls(), walk.status().view);
     let set = Adjustment {
         fps: 20.0,
         workers: 1,
@@ -291,7 +296,10 @@ fn every_control_is_a_message_and_no_new_actors_start() {
     settle(&mut walk, start);
     walk.navigator.look(40.0, 0.0, start.elapsed().as_secs_f64());
     settle(&mut walk, start);
-    assert_eq!((walk.controls().set, walk.status().view), (set, 2), "the same actors go on");
+    assert_eq!(walk.controls().set, set);
+    // One more, or two where the machine is so slow that the first is coarse.
+    let more = walk.status().view - views;
+    assert!((1..=2).contains(&more), "the same actors go on: {more}");
     let (insight, _) = walk.insight().expect("the allocator said something");
     assert_eq!(insight.map_bytes, [0, 0], "maps are given up");
     walk.set_controls(Controls { set: Adjustment { workers: 2, ..set }, ..before });

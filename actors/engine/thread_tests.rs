@@ -202,6 +202,8 @@ fn nothing_is_shown_while_nobody_looks() {
     let at = handle.now();
     handle.send(Command::Act { act: Act::Look(40.0, 0.0), at, mark: at }).expect("room");
     std::thread::sleep(Duration::from_millis(200));
+    // The walk may have said that it rests before it heard of the pause.
+    assert!(handle.shown().is_none_or(|s| s.mark != Some(at)));
     assert!(handle.shown().is_none());
     handle.send(Command::Resume).expect("room");
     wait(handle, |s| s.mark == Some(at));

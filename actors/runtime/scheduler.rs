@@ -23,7 +23,7 @@ use crossbeam_utils::{Backoff, CachePadded};
 use std::any::Any;
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread::Thread;
 
@@ -39,6 +39,10 @@ use main_gate::MainGate;
 pub(crate) use main_gate::Waker;
 pub(crate) use threads::Threads;
 
+/// The system stands, since it has come to where it was to stop, or diverged.
+const STANDS: u8 = 1;
+/// Somebody looks at all of it for a moment.
+const HELD: u8 = 2;
 /// Something that takes turns: an actor, whatever its messages are.
 pub(crate) trait Runnable: Send + Sync {
     /// Runs one turn; true if it must be queued again.
@@ -86,7 +90,7 @@ pub(crate) struct Scheduler {
     pub(crate) timers: Timers,
     pub(crate) budget: Budget,
     /// Nobody is to begin or go on with a turn.
-    halted: AtomicBool,
+    halted: AtomicU8,
     threads: usize,
     light: Injector<u32>,
     heavy: Injector<u32>,
@@ -123,7 +127,7 @@ impl Scheduler {
             clock,
             timers: Timers::new(),
             budget,
-            halted: AtomicBool::new(false),
+            halted: AtomicU8::new(0),
             threads,
             light: Injector::new(),
             heavy: Injector::new(),
@@ -262,17 +266,30 @@ impl Scheduler {
 
     #[inline]
     pub(crate) fn halted(&self) -> bool {
-        self.halted.load(Ordering::Relaxed)
+        self.halted.load(Ordering::Relaxed) != 0
     }
 
     /// Ends all turns at their next delivery, until [`Self::go_on`].
     pub(crate) fn halt(&self) {
-        self.halted.store(true, Ordering::SeqCst);
+        self.halted.fetch_or(STANDS, Ordering::SeqCst);
         self.notify_all();
     }
 
     pub(crate) fn go_on(&self) {
-        self.halted.store(false, Ordering::SeqCst);
+        self.halted.fetch_and(!STANDS, Ordering::SeqCst);
+        self.notify_all();
+    }
+
+    /// The same, until [`Self::let_go`], whether the system stands or comes to stand meanwhile. Returns whether nobody holds
+    /// it yet.
+    pub(crate) fn hold(&self) -> bool {
+        let is_first = self.halted.fetch_or(HELD, Ordering::SeqCst) & HELD == 0;
+        self.notify_all();
+        is_first
+    }
+
+    pub(crate) fn let_go(&self) {
+        self.halted.fetch_and(!HELD, Ordering::SeqCst);
         self.notify_all();
     }
 

@@ -42,7 +42,6 @@ impl Counts {
 }
 
 /// A snapshot of a replay, with its counts.
-pub(super) fn counted(trace: &Trace, runtime: &mut Runtime) -> Option<(Snapshot, Counts)> {
-    let snapshot = runtime.snapshot()?;
-    Some((snapshot, Counts::of(trace, runtime)))
+pub(super) fn counted(trace: &Trace, runtime: &Runtime) -> Option<(Snapshot, Counts)> {
+    runtime.held(|runtime| Some((runtime.snapshot()?, Counts::of(trace, runtime))))
 }

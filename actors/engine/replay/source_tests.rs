@@ -49,7 +49,7 @@ fn kept_snapshots_are_found_again_and_damage_is_seen() {
         let until = Some(source.frame_shown(frame).expect("a frame"));
         let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
         runtime.pump(Limit::IDLE);
-        index.keep(|| counted(&source.trace, &mut runtime));
+        index.keep(|| counted(&source.trace, &runtime));
     }
     let at = |index: &Index, frame: usize| {
         let snapshot = index.before(renderer, source.shown_in[frame])?;
@@ -81,7 +81,7 @@ fn where_one_looked_before_nothing_runs() {
     let until = Some(source.frame_shown(3).expect("a frame"));
     let (mut first, _) = source.system(How { until, ..How::default() }).expect("a system");
     first.pump(Limit::IDLE);
-    source.keep(&mut first);
+    source.keep(&first);
     let how = How { threads: 2, until, jump: true, ..How::default() };
     let (mut again, actors) = source.run(how, |_| ()).expect("a replay");
     let report = again.replay_report();
@@ -105,7 +105,7 @@ fn snapshots_have_a_bound() {
         let until = Some(source.frame_shown(frame).expect("a frame"));
         let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
         runtime.pump(Limit::IDLE);
-        index.keep(|| counted(&source.trace, &mut runtime));
+        index.keep(|| counted(&source.trace, &runtime));
     }
     let count = |index: &Index| {
         let found = source.shown_in.iter().filter(|at| index.right_after(renderer, **at).is_some());

@@ -34,9 +34,29 @@ impl Runtime {
         result
     }
 
-    /// What an actor tells of its state; `None` while it is in a turn, and of ports.
+    /// What an actor tells of its state; `None` of ports. No turn runs meanwhile: see [`Runtime::held`].
     pub fn content(&self, actor: ActorId) -> Option<Content> {
-        self.nodes.get(actor.0 as usize)?.content()
+        let node = self.nodes.get(actor.0 as usize)?;
+        self.held(|_| node.content())
+    }
+
+    /// Looks at a system in which no turn runs meanwhile: those of other threads end at their next delivery, and are gone on
+    /// with after it. Call it on the main thread, between turns. What takes long stays in its turn: a live system then goes on
+    /// after ten seconds.
+    pub fn held<R>(&self, look: impl FnOnce(&Self) -> R) -> R {
+        if self.threads.is_none() || self.threads() == 0 {
+            return look(self);
+        }
+        let is_first = self.env.scheduler.hold();
+        match self.env.replaying() {
+            true => self.settle(),
+            false => self.settle_within(LIVE_SETTLE_MAX),
+        }
+        let found = look(self);
+        if is_first {
+            self.env.scheduler.let_go();
+        }
+        found
     }
 
     /// Orders an actor to stop, pause or resume.
@@ -112,7 +132,7 @@ impl Runtime {
         } else {
             self.settle_within(LIVE_SETTLE_MAX);
         }
-        self.nodes.iter().map(|node| node.position().unwrap_or_default()).collect()
+        self.held(|_| self.nodes.iter().map(|node| node.position().unwrap_or_default()).collect())
     }
 
     /// One hash of all [`Runtime::positions`].

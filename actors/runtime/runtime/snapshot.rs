@@ -70,15 +70,14 @@ impl Snapshot {
 impl Runtime {
     /// Takes a snapshot of a replay, between two calls of [`Runtime::pump`]. None if an actor, or something on its way,
     /// cannot be saved as it is now: try again a little later.
-    pub fn snapshot(&mut self) -> Option<Snapshot> {
+    pub fn snapshot(&self) -> Option<Snapshot> {
         if !self.env.replaying() || self.diverged() {
             return None;
         }
-        let stands = self.env.scheduler.halted();
-        if !stands {
-            self.env.scheduler.halt();
-        }
-        self.settle();
+        self.held(Self::saved)
+    }
+
+    fn saved(&self) -> Option<Snapshot> {
         let mut saver = Saver::new(self.context.clone());
         let (kind, value) = self.env.last_mark().unwrap_or((u32::MAX, 0));
         saver.put(&(kind, value));
@@ -91,9 +90,6 @@ impl Runtime {
             }
         }
         let positions = self.positions().into_iter().map(|(deliveries, _)| deliveries).collect();
-        if !stands {
-            self.env.scheduler.go_on();
-        }
         saver.finish().map(|content| Snapshot { positions, content })
     }
 

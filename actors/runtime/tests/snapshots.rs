@@ -63,6 +63,33 @@ fn a_replay_begins_at_any_snapshot() {
     }
 }
 
+/// What is looked at while other threads work takes no state from under them, and does not let a replay run past where it is
+/// to stop.
+#[test]
+fn a_look_between_turns_of_others_disturbs_nothing() {
+    let options = Options::new(3);
+    let trace = read(&record_workshop(2, 60, options));
+    let office = trace.find("office").expect("the office");
+    let nodes = trace.header().nodes.len() as u32;
+    let end = trace.deliveries(office);
+    for round in 0..40 {
+        let index = end * (round % 8 + 1) / 9;
+        let mode =
+            Mode::Replay { trace: Arc::clone(&trace), until: Some(Until::Delivery { actor: office, index }) };
+        let config = Config { mode, ..Config::live(3) };
+        let (mut runtime, _) =
+            Runtime::build(config, |wiring| workshop::wire(wiring, options)).expect("builds");
+        while !matches!(runtime.pump_until(Limit::IDLE, |_| true), Exit::Halted | Exit::Idle) {
+            for actor in (0..nodes).map(ActorId) {
+                runtime.content(actor);
+            }
+            runtime.held(|runtime| runtime.snapshot());
+        }
+        assert!(runtime.incidents().is_empty() && !runtime.diverged(), "round {round}");
+        assert_eq!(made(&runtime)[office.0 as usize], index + 1, "round {round}");
+    }
+}
+
 #[test]
 fn a_snapshot_of_something_else_is_refused() {
     let options = Options::new(2);

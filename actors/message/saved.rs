@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use bytemuck::{AnyBitPattern, NoUninit};
 use foveal::display::FrameBuffers;
 use foveal::display::cpu_pass::{self, Passes};
 use foveal::display::environment_map::EnvironmentMap;
@@ -16,6 +17,7 @@ use foveal::splatting::tile_sums::TileSums;
 use foveal::splatting::{Guides, SampleBatch};
 use foveal::world::World;
 use foveal_runtime::{Content, Digest, Loader, Saver};
+use glam::Vec3;
 
 use super::{DrawnView, FrameIndex, FrameSnapshot, View};
 use crate::light_book::LightBook;
@@ -208,19 +210,28 @@ impl Hashed for Arc<FrameSnapshot> {
     }
 }
 
+/// Writes the numbers of a column as they lie in memory.
+fn put_column<T: NoUninit>(saver: &mut Saver, column: &[T]) {
+    saver.bytes(bytemuck::cast_slice(column));
+}
+
+/// Reads such a column.
+fn column<T: AnyBitPattern + NoUninit>(loader: &mut Loader<'_>) -> Option<Vec<T>> {
+    let bytes = loader.bytes()?;
+    let size = size_of::<T>();
+    let mut column = vec![T::zeroed(); bytes.len() / size];
+    bytes.len().is_multiple_of(size).then(|| bytemuck::cast_slice_mut(&mut column).copy_from_slice(bytes))?;
+    Some(column)
+}
+
+/// Most of a snapshot is samples: whoever looks at a moment waits for them to be read.
 impl Saved for Arc<SampleBatch> {
     fn save(&self, saver: &mut Saver) {
-        saver.shared(self, |batch, saver| saver.put(batch));
-    }
-
-    /// Its columns must be of one length.
-    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
-        loader.shared(|loader| {
-            let batch: SampleBatch = loader.take()?;
+        saver.shared(self, |batch, saver| {
             let SampleBatch {
-                view: _,
-                object: _,
-                k: _,
+                view,
+                object,
+                k,
                 pixels,
                 positions,
                 normals,
@@ -228,10 +239,38 @@ impl Saved for Arc<SampleBatch> {
                 colors,
                 pixel_widths,
                 guides,
-            } = &batch;
+            } = batch;
+            saver.put(&(view, object, k));
+            put_column(saver, pixels);
+            for column in [positions, normals, views, colors, guides] {
+                put_column(saver, column);
+            }
+            put_column(saver, pixel_widths);
+        });
+    }
+
+    /// Its columns must be of one length.
+    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
+        loader.shared(|loader| {
+            let (view, object, k) = loader.take()?;
+            let pixels: Vec<[u16; 2]> = column(loader)?;
+            let [positions, normals, views, colors, guides] =
+                [(); 5].map(|()| column::<Vec3>(loader).unwrap_or_default());
+            let pixel_widths: Vec<f32> = column(loader)?;
             let lengths = [positions.len(), normals.len(), views.len(), colors.len(), pixel_widths.len()];
             let is_guided = guides.is_empty() || guides.len() == pixels.len();
-            (is_guided && lengths.iter().all(|length| *length == pixels.len())).then_some(batch)
+            (is_guided && lengths.iter().all(|length| *length == pixels.len())).then_some(SampleBatch {
+                view,
+                object,
+                k,
+                pixels,
+                positions,
+                normals,
+                views,
+                colors,
+                pixel_widths,
+                guides,
+            })
         })
     }
 }

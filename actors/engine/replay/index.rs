@@ -13,6 +13,7 @@ use atomic_write_file::AtomicWriteFile;
 use foveal_runtime::{ActorId, Snapshot};
 
 use super::counters::{COUNTERS, Counts};
+use super::history::TOLD;
 use super::plain::{PLAIN, kept_as};
 use crate::recording::{FIRST, program};
 
@@ -28,8 +29,8 @@ const WORTH: Duration = Duration::from_millis(50);
 const BYTES_MAX: u64 = 3 << 30;
 /// Bytes of snapshots and maps of all recordings.
 const ALL_BYTES_MAX: u64 = 6 << 30;
-/// What files of snapshots, maps, first estimates and logs are called.
-const EXTENSIONS: [&str; 4] = ["fvsnaps", "fvlight", FIRST, PLAIN];
+/// What files of snapshots, maps, first estimates, logs and histories are called.
+const EXTENSIONS: [&str; 5] = ["fvsnaps", "fvlight", FIRST, PLAIN, TOLD];
 
 /// Where a snapshot lies in the file, and what was delivered and counted before it.
 struct Entry {
@@ -164,11 +165,6 @@ impl Index {
         file.take(entry.length).read_to_end(&mut bytes).ok()?;
         // Another process may have written its own there meanwhile.
         Snapshot::from_bytes(&bytes).filter(|found| found.positions() == entry.positions)
-    }
-
-    /// The snapshot with the most behind it.
-    pub fn last(&self) -> Option<Snapshot> {
-        self.read_at(|made| Some(made.iter().sum()))
     }
 
     /// What had been delivered at each, from the first on; none of which another has less and more.
@@ -335,7 +331,12 @@ pub(super) fn make_room(kept: &Path, most: u64) -> std::io::Result<()> {
 }
 
 fn head() -> Vec<u8> {
-    let mut head = MAGIC.to_vec();
+    head_of(MAGIC)
+}
+
+/// How a file begins that only the program reads which wrote it.
+pub(super) fn head_of(magic: &[u8; 8]) -> Vec<u8> {
+    let mut head = magic.to_vec();
     head.extend_from_slice(blake3::hash(&identity()).as_bytes());
     head
 }

@@ -1,6 +1,6 @@
 //! A recording with the world it was made in: systems that replay it are built from here.
 
-use std::cell::RefCell;
+use std::cell::{Ref, RefCell, RefMut};
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -20,8 +20,10 @@ use foveal_runtime::{
 
 use serde_json::{Value, json};
 
-use super::counters::{Counts, counted};
+use super::counters::counted;
+use super::history::History;
 use super::index::{Index, Kept};
+use super::indexing::Indexing;
 use super::plain;
 use crate::bake_clock::Watch;
 use crate::failure::Failure;
@@ -132,6 +134,7 @@ pub struct Ground {
 pub struct Source {
     ground: Ground,
     index: RefCell<Index>,
+    history: RefCell<History>,
 }
 
 impl Deref for Source {
@@ -151,6 +154,12 @@ impl Ground {
     /// Its world.
     pub fn world(&self) -> &World {
         &self.opened.world
+    }
+
+    /// All deliveries of the recording, by actor.
+    pub fn deliveries(&self) -> Vec<u64> {
+        let nodes = 0..self.trace.header().nodes.len() as u32;
+        nodes.map(|number| self.trace.deliveries(ActorId(number))).collect()
     }
 
     /// Where each frame began, as the recording says.
@@ -234,9 +243,10 @@ impl Source {
                 trace.find("illuminator").map_or(0, |from| trace.deliveries_from(renderer(&trace), from));
             refinement.book = Some(Arc::new(book.with_delivered(delivered)));
         }
+        let history = RefCell::new(History::beside(index.file.as_ref()));
         let index = RefCell::new(index);
         let ground = Ground { trace, path: path.to_owned(), recorded, shown_in, opened };
-        Ok(Self { ground, index })
+        Ok(Self { ground, index, history })
     }
 
     /// The world in which a walk left another recording: its light may have been on its way from one map to the next, which
@@ -305,12 +315,12 @@ impl Source {
                 return Err(Failure::Interrupted("interrupted while replaying".into()));
             }
             match exit {
-                Exit::Until => index.keep(|| counted(&self.trace, &mut runtime)),
+                Exit::Until => index.keep(|| counted(&self.trace, &runtime)),
                 _ => break,
             }
         }
         if stops && index.is_worth() && !runtime.diverged() {
-            index.keep(|| counted(&self.trace, &mut runtime));
+            index.keep(|| counted(&self.trace, &runtime));
         }
         look(&runtime);
         if jumped && runtime.diverged() {
@@ -321,9 +331,9 @@ impl Source {
         Ok((runtime, actors))
     }
 
-    /// A replay that leaves snapshots as far as there are none yet.
+    /// A replay that leaves snapshots, and what actors are told and know, as far as there are none yet.
     pub fn indexing(&self) -> Indexing {
-        Indexing { runtime: None, is_done: !self.index.borrow().is_kept() }
+        Indexing::new(!self.index.borrow().is_kept())
     }
 
     /// The last snapshot that is kept before a delivery and has nothing behind it that `cut` does not.
@@ -333,7 +343,7 @@ impl Source {
 
     /// Keeps a snapshot.
     #[cfg(test)]
-    pub(super) fn keep(&self, runtime: &mut Runtime) {
+    pub(super) fn keep(&self, runtime: &Runtime) {
         self.index.borrow_mut().keep(|| counted(&self.trace, runtime));
     }
 
@@ -347,14 +357,25 @@ impl Source {
         self.index.borrow().places()
     }
 
-    /// What had been counted by a place of which a snapshot is kept.
-    pub(super) fn counts_at(&self, place: &[u64]) -> Option<Counts> {
-        self.index.borrow().counts(place)
+    /// The snapshots that are kept, to read.
+    pub(super) fn index(&self) -> Ref<'_, Index> {
+        self.index.borrow()
     }
 
-    /// The snapshot that is kept of a place.
-    pub fn at_place(&self, place: &[u64]) -> Option<Arc<Snapshot>> {
-        self.index.borrow().at(place).map(Arc::new)
+    /// The same, to keep more.
+    pub(super) fn index_to_keep(&self) -> RefMut<'_, Index> {
+        self.index.borrow_mut()
+    }
+
+    /// What is kept of what actors were told and knew.
+    pub(super) fn history(&self) -> RefMut<'_, History> {
+        self.history.borrow_mut()
+    }
+
+    /// Whether it is known of all of the recording what actors were told and knew.
+    pub(super) fn is_told(&self) -> bool {
+        let mut history = self.history();
+        (0..).zip(self.deliveries()).all(|(actor, made)| made == 0 || history.known_to(ActorId(actor)) > made)
     }
 
     /// The renderer's number.
@@ -435,51 +456,6 @@ impl Source {
             None => self.name(s.from).to_owned(),
         };
         format!("{:<16} {:<16} from {from:<16} {:016x}", self.at((s.actor, s.index)), s.kind, s.chain)
-    }
-}
-
-/// A replay of which only its snapshots are wanted.
-pub struct Indexing {
-    /// `None` before it has begun.
-    runtime: Option<Runtime>,
-    is_done: bool,
-}
-
-impl Indexing {
-    /// Goes on until `enough`, from the last snapshot that is kept. Returns whether there is more to do.
-    pub fn go_on(&mut self, source: &Source, mut enough: impl FnMut() -> bool) -> bool {
-        if self.is_done {
-            return false;
-        }
-        let mut index = source.index.borrow_mut();
-        let runtime = match &mut self.runtime {
-            Some(runtime) => runtime,
-            None => {
-                let from = index.last().map(Arc::new);
-                let begun = source.system(How { from, ..How::default() });
-                let begun = begun.or_else(|_| source.system(How::default()));
-                match begun {
-                    Ok((runtime, _)) => self.runtime.insert(runtime),
-                    Err(_) => {
-                        self.is_done = true;
-                        return false;
-                    }
-                }
-            }
-        };
-        index.begin();
-        loop {
-            let exit = runtime.pump_until(Limit::IDLE, |_| enough() || interrupted() || index.is_due());
-            match exit {
-                Exit::Until if enough() || interrupted() => return true,
-                Exit::Until => index.keep(|| counted(&source.trace, runtime)),
-                // What diverges is found again by whoever looks there.
-                _ => {
-                    (self.runtime, self.is_done) = (None, true);
-                    return false;
-                }
-            }
-        }
     }
 }
 

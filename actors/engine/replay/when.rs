@@ -1,24 +1,19 @@
 //! When something came about in a recording.
 //!
-//! Deliveries are replayed and looked at on the way, each actor's on the thread that makes it: all of them, parts beside
-//! each other, or those alone in which a counter passes a bound.
+//! Answered from what is kept of what actors were told and knew ([`super::history`]), or searched for ([`super::search`]).
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
-use crossbeam_queue::SegQueue;
 use foveal_actors::cache_ager::CacheAger;
 use foveal_actors::renderer::Renderer;
-use foveal_actors::wiring::Actors;
-use foveal_runtime::{ActorId, Content, Delivery, Observer, Runtime, Snapshot};
+use foveal_runtime::{ActorId, Content, Delivery};
 
-use super::condition::{Comparison, Of, Test};
-use super::counters::COUNTERS;
-use super::source::{Ground, How, Source};
+use super::condition::{Of, Test};
+use super::search::{Look, Search};
+use super::source::{Ground, Source};
 use crate::failure::Failure;
-use crate::interrupt::interrupted;
 
 pub use super::condition::{Condition, GRAMMAR};
 
@@ -45,40 +40,25 @@ impl fmt::Display for Met {
     }
 }
 
-/// What is looked at, delivery by delivery.
-type Look = Box<dyn Fn(&Delivery<'_>) -> Option<Content> + Send + Sync>;
-
 /// The value at a path of a tree; `Untold` where nothing stands there.
-fn standing(content: &Content, path: &str) -> Content {
+pub(super) fn standing(content: &Content, path: &str) -> Content {
     content.at(path).cloned().unwrap_or_default()
-}
-
-/// Parts of a recording that are searched beside each other, for each thread: so that none waits long for another.
-const PARTS_PER_THREAD: usize = 4;
-
-/// A stretch of a recording: from a snapshot, or the start, up to a place, or the end.
-struct Part {
-    from: Option<Arc<Snapshot>>,
-    /// What has been delivered at its end.
-    end: Vec<u64>,
 }
 
 /// All places where a condition comes to hold, in the order of the actor's deliveries.
 ///
-/// Where snapshots are kept all along the recording, its parts are searched beside each other; where a number that never
-/// falls passes a bound, only the part is searched in which it does. Else all of it is replayed, and leaves snapshots.
+/// What a replay all along the recording has left tells it at once, but for pixels and for messages that are large and many.
+/// Else it is searched for: where snapshots are kept all along the recording, in its parts beside each other; where a number
+/// that never falls passes a bound, only in the part in which it does; where it is known when messages of that kind came,
+/// only in parts in which they did. Else all of it is replayed, and leaves snapshots.
 ///
 /// # Errors
 /// If the recording has no such actor, object or pixel, no state ever has such a path, or the replay diverges.
 pub fn when(source: &Source, condition: &Condition, workers: usize) -> Result<Vec<Met>, Failure> {
     let (actor, look) = looked_at(source, condition)?;
-    let look: Arc<Look> = Arc::new(look);
-    let values = match by_halves(source, condition, actor, &look) {
+    let values = match told(source, condition, actor) {
         Some(values) => values,
-        None => match parts(source, workers) {
-            Some(all) => beside(source, condition, actor, &look, &all, workers)?,
-            None => seen_in_whole(source, condition, actor, &look, workers)?,
-        },
+        None => Search { source, condition, actor, look: Arc::new(look), workers }.values()?,
     };
     if let Of::State(name, Test { path, .. }) | Of::Changes(name, path) = &condition.of
         && values.values().all(|value| *value == Content::Untold)
@@ -90,186 +70,30 @@ pub fn when(source: &Source, condition: &Condition, workers: usize) -> Result<Ve
     Ok(met(source, condition, actor, values))
 }
 
-/// All deliveries of a recording.
-fn whole(source: &Source) -> Vec<u64> {
-    let nodes = 0..source.trace.header().nodes.len() as u32;
-    nodes.map(|number| source.trace.deliveries(ActorId(number))).collect()
-}
-
-/// Puts what is looked at into a queue.
-fn observer(queue: &Arc<SegQueue<(u64, Content)>>, actor: ActorId, look: &Arc<Look>) -> Observer {
-    let (sink, look) = (Arc::clone(queue), Arc::clone(look));
-    Arc::new(move |d: &Delivery<'_>| {
-        if d.actor == actor
-            && let Some(value) = look(d)
-        {
-            sink.push((d.index, value));
-        }
-    })
-}
-
-/// What was seen, by the delivery that it came about in; and what the last one left.
-fn collect(
-    ground: &Ground,
-    condition: &Condition,
-    actor: ActorId,
-    queue: &SegQueue<(u64, Content)>,
-    (runtime, actors): (&Runtime, &Actors),
-    end: u64,
-) -> Result<BTreeMap<u64, Content>, Failure> {
-    let mut values: BTreeMap<u64, Content> = std::iter::from_fn(|| queue.pop()).collect();
-    if matches!(condition.of, Of::Hears(..)) {
-        return Ok(values);
-    }
-    // What was seen before a delivery is what the one before left; the last one's is still to be seen.
-    let last = match &condition.of {
+/// What is looked at, by the delivery that it came about in, from what is kept. `None` where that does not say.
+fn told(source: &Source, condition: &Condition, actor: ActorId) -> Option<BTreeMap<u64, Content>> {
+    let (mut history, deliveries) = (source.history(), source.trace.deliveries(actor));
+    match &condition.of {
         Of::State(_, Test { path, .. }) | Of::Changes(_, path) => {
-            runtime.content(actor).map(|content| standing(&content, path))
+            history.left(actor, deliveries, |state| standing(state, path))
         }
-        Of::Pixel(x, y) => runtime.inspect(actors.renderer, |r| pixel(r, *x, *y)).flatten(),
+        Of::Hears(_, kind, test) => {
+            let heard = history.heard(actor, deliveries, kind)?;
+            let holds = |told: &Content| holds_for(test.as_ref(), told);
+            Some(heard.into_iter().filter(|(_, told)| holds(told)).collect())
+        }
         Of::Loses(name) => {
-            let object = object(ground, name)?;
-            let ager = actors.correction.as_ref().map(|correction| correction.cache_ager);
-            ager.and_then(|ager| runtime.inspect(ager, |ager| samples_of(ager, object)))
+            let path = format!("by_object.{}", object(source, name).ok()?);
+            let samples = |state: &Content| state.at(&path).cloned().unwrap_or(Content::Count(0));
+            history.left(actor, deliveries, samples)
         }
-        Of::Hears(..) => None,
-    };
-    values.extend(last.map(|value| (end, value)));
-    Ok(values.into_iter().filter_map(|(index, value)| Some((index.checked_sub(1)?, value))).collect())
-}
-
-fn seen_in_whole(
-    source: &Source,
-    condition: &Condition,
-    actor: ActorId,
-    look: &Arc<Look>,
-    workers: usize,
-) -> Result<BTreeMap<u64, Content>, Failure> {
-    let queue = Arc::default();
-    let how = How { threads: workers, observer: Some(observer(&queue, actor, look)), ..How::default() };
-    let (mut runtime, actors) = source.run(how, |_| ())?;
-    if let Some(divergence) = runtime.replay_report().divergence {
-        return Err(Failure::Check(format!("the replay diverges: {divergence}")));
-    }
-    runtime.positions();
-    let end = source.trace.deliveries(actor);
-    collect(source, condition, actor, &queue, (&runtime, &actors), end)
-}
-
-/// What is seen in a part. `None` where it cannot be replayed from its snapshot.
-fn seen_in(
-    ground: &Ground,
-    condition: &Condition,
-    actor: ActorId,
-    look: &Arc<Look>,
-    part: &Part,
-) -> Option<BTreeMap<u64, Content>> {
-    let queue = Arc::default();
-    let how =
-        How { from: part.from.clone(), observer: Some(observer(&queue, actor, look)), ..How::default() };
-    let (mut runtime, actors) = ground.system(how).ok()?;
-    if !runtime.run_to(&part.end) || runtime.diverged() {
-        return None;
-    }
-    let end = part.end[actor.0 as usize];
-    collect(ground, condition, actor, &queue, (&runtime, &actors), end).ok()
-}
-
-/// The parts between the snapshots that are kept, about as many as keep all threads busy; none where there are too few.
-fn parts(source: &Source, workers: usize) -> Option<Vec<Part>> {
-    let (places, end) = (source.places(), whole(source));
-    let count = workers.max(1) * PARTS_PER_THREAD;
-    if workers < 2 || places.len() < count {
-        return None;
-    }
-    let progress = |place: &[u64]| place.iter().sum::<u64>();
-    let step = progress(&end) / count as u64;
-    let mut begins: Vec<Vec<u64>> = vec![vec![0; end.len()]];
-    for place in places {
-        let before = begins.last().map_or(0, |place| progress(place));
-        if progress(&place) >= before + step && progress(&place) < progress(&end) {
-            begins.push(place);
-        }
-    }
-    let ends = begins[1..].iter().cloned().chain([end]).collect::<Vec<_>>();
-    // The longest decides how long it takes.
-    let longest = begins.iter().zip(&ends).map(|(begin, end)| progress(end) - progress(begin)).max()?;
-    if longest > 4 * step.max(1) {
-        return None;
-    }
-    let part = |(begin, end): (Vec<u64>, Vec<u64>)| {
-        let from = if progress(&begin) == 0 { None } else { Some(source.at_place(&begin)?) };
-        Some(Part { from, end })
-    };
-    begins.into_iter().zip(ends).map(part).collect()
-}
-
-/// What is seen in all parts, each replayed on a thread of its own.
-fn beside(
-    source: &Source,
-    condition: &Condition,
-    actor: ActorId,
-    look: &Arc<Look>,
-    parts: &[Part],
-    workers: usize,
-) -> Result<BTreeMap<u64, Content>, Failure> {
-    let ground: &Ground = source;
-    let next = AtomicUsize::new(0);
-    let found = std::thread::scope(|scope| {
-        let work = || {
-            let mut found = Vec::new();
-            while let Some(part) = parts.get(next.fetch_add(1, Ordering::Relaxed)) {
-                if interrupted() {
-                    break;
-                }
-                found.push(seen_in(ground, condition, actor, look, part));
-            }
-            found
-        };
-        let threads: Vec<_> = (0..workers.min(parts.len())).map(|_| scope.spawn(work)).collect();
-        threads
-            .into_iter()
-            .flat_map(|thread| thread.join().unwrap_or_else(|_| vec![None]))
-            .collect::<Vec<_>>()
-    });
-    if interrupted() {
-        return Err(Failure::Interrupted("interrupted while replaying".into()));
-    }
-    match found.into_iter().collect::<Option<Vec<_>>>() {
-        Some(found) => Ok(found.into_iter().flatten().collect()),
-        // A snapshot may be at fault.
-        None => seen_in_whole(source, condition, actor, look, workers),
+        Of::Pixel(..) => None,
     }
 }
 
-/// What is seen in the part in which a number that never falls passes a bound, found by halves. `None` where the condition
-/// does not ask for that, or what is kept does not do.
-fn by_halves(
-    source: &Source,
-    condition: &Condition,
-    actor: ActorId,
-    look: &Arc<Look>,
-) -> Option<BTreeMap<u64, Content>> {
-    let Of::State(_, test) = &condition.of else { return None };
-    let grows = matches!(test.comparison, Comparison::More | Comparison::AtLeast);
-    let counts = COUNTERS.contains(&(source.name(actor), test.path.as_str()));
-    let places = source.places();
-    if !grows || !counts || places.is_empty() {
-        return None;
-    }
-    // Snapshots at which it does not hold yet.
-    let name = source.name(actor);
-    let holds = |place: &Vec<u64>| {
-        let number = source.counts_at(place).and_then(|counts| counts.at(name, &test.path));
-        number.is_some_and(|number| test.holds(&Content::Count(number)))
-    };
-    let below = places.partition_point(|place| !holds(place));
-    let from = match below.checked_sub(1) {
-        Some(last) => Some(source.at_place(&places[last])?),
-        None => None,
-    };
-    let end = places.get(below).cloned().unwrap_or_else(|| whole(source));
-    seen_in(source, condition, actor, look, &Part { from, end })
+/// Whether a test holds for a message, where there is one.
+fn holds_for(test: Option<&Test>, told: &Content) -> bool {
+    test.is_none_or(|test| told.at(&test.path).is_some_and(|value| test.holds(value)))
 }
 
 /// Where a condition comes to hold, of the values that were seen.
@@ -319,9 +143,7 @@ fn looked_at(source: &Source, condition: &Condition) -> Result<(ActorId, Look), 
                     return None;
                 }
                 let told = (d.told)();
-                let holds =
-                    test.as_ref().is_none_or(|test| told.at(&test.path).is_some_and(|v| test.holds(v)));
-                holds.then_some(told)
+                holds_for(test.as_ref(), &told).then_some(told)
             };
             (source.actor(name)?, Box::new(look))
         }
@@ -345,16 +167,16 @@ fn looked_at(source: &Source, condition: &Condition) -> Result<(ActorId, Look), 
 }
 
 /// What is shown at a pixel, sRGB bytes; nothing before the first frame.
-fn pixel(renderer: &Renderer, x: u32, y: u32) -> Option<Content> {
+pub(super) fn pixel(renderer: &Renderer, x: u32, y: u32) -> Option<Content> {
     renderer.shown().map(|shown| Content::of(&shown.rgb8.at(x as usize, y as usize)))
 }
 
-fn samples_of(ager: &CacheAger, object: u32) -> Content {
+pub(super) fn samples_of(ager: &CacheAger, object: u32) -> Content {
     Content::of(&ager.samples_of(object))
 }
 
 /// An object's number by its name.
-fn object(source: &Ground, name: &str) -> Result<u32, Failure> {
+pub(super) fn object(source: &Ground, name: &str) -> Result<u32, Failure> {
     let objects = &source.world().scene.objects;
     objects.iter().position(|object| object.name == name).map(|id| id as u32).ok_or_else(|| {
         let mut names: Vec<&str> =
@@ -368,6 +190,8 @@ fn object(source: &Ground, name: &str) -> Result<u32, Failure> {
 mod tests {
     use super::*;
     use crate::recording::Elsewhere;
+    use crate::replay::How;
+    use crate::replay::counters::COUNTERS;
     use foveal_runtime::{Limit, Until};
     use std::path::Path;
 
@@ -446,10 +270,31 @@ mod tests {
             let until = Some(Until::Delivery { actor: renderer, index });
             let (mut runtime, _) = source.system(How { until, ..How::default() }).expect("a system");
             runtime.pump(Limit::IDLE);
-            source.keep(&mut runtime);
+            source.keep(&runtime);
         }
         source
     }
+
+    const CONDITIONS: [&str; 18] = [
+        "renderer.view > 3",
+        "renderer.view >= 0",
+        "renderer.view >= 1",
+        "renderer.view > 1000",
+        "allocator.begun >= 2",
+        "renderer.view changes",
+        "renderer.drawn changes",
+        "renderer.counts.traced > 0",
+        "allocator.objects changes",
+        "allocator.in_flight < 2",
+        "cache ager.samples changes",
+        "tracer.outbox >= 0",
+        "analyzer.analyzed != 3",
+        "allocator hears JobDone",
+        "allocator hears JobDone samples > 10",
+        "renderer hears SamplesTraced tracer > 0",
+        "object \"Mirror\" loses samples",
+        "pixel 32,24 changes",
+    ];
 
     /// By halves, in parts and as a whole, the same is found.
     #[test]
@@ -457,28 +302,73 @@ mod tests {
         let folders = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
         let kept = with_snapshots("gallery.fvl", folders[0].path(), 3);
         let bare = with_snapshots("gallery.fvl", folders[1].path(), usize::MAX >> 1);
-        assert!(parts(&kept, 2).is_some_and(|parts| parts.len() >= 4), "{} places", kept.places().len());
-        assert!(parts(&bare, 2).is_none());
-        for text in [
-            "renderer.view > 3",
-            "renderer.view >= 1",
-            "renderer.view > 1000",
-            "allocator.begun >= 2",
-            "renderer.view changes",
-            "renderer.counts.traced > 0",
-            "cache ager.samples changes",
-            "allocator hears JobDone samples > 10",
-            "pixel 32,24 changes",
-        ] {
+        fn search<'a>(source: &'a Source, condition: &'a Condition) -> Search<'a> {
+            let (actor, look) = looked_at(source, condition).expect("a look");
+            Search { source, condition, actor, look: Arc::new(look), workers: 2 }
+        }
+        let any = Condition::parse("renderer.view changes").expect("a condition");
+        assert!(search(&kept, &any).parts().is_some_and(|parts| parts.len() >= 4));
+        assert!(search(&bare, &any).parts().is_none());
+        for text in CONDITIONS {
             let condition = Condition::parse(text).expect(text);
-            let [a, b] = [&kept, &bare].map(|source| when(source, &condition, 2).expect(text));
+            // Searched for each time, whatever was kept of the search before.
+            let [a, b] = [&kept, &bare].map(|source| {
+                let search = search(source, &condition);
+                met(source, &condition, search.actor, search.values().expect(text))
+            });
             assert_eq!(a, b, "{text}");
         }
         for text in ["renderer.view > 3", "renderer.view >= 1", "renderer.view > 1000"] {
             let condition = Condition::parse(text).expect(text);
-            let (actor, look) = looked_at(&kept, &condition).expect(text);
-            let seen = by_halves(&kept, &condition, actor, &Arc::new(look)).expect(text);
-            assert!((seen.len() as u64) < kept.trace.deliveries(actor) / 2, "{text}: {}", seen.len());
+            let search = search(&kept, &condition);
+            let seen = search.by_halves().expect(text);
+            assert!((seen.len() as u64) < kept.trace.deliveries(search.actor) / 2, "{text}: {}", seen.len());
+        }
+    }
+
+    /// What is kept of a replay says the same as a search, whoever left it: a replay for its sake, with or without
+    /// snapshots on its way, or a search.
+    #[test]
+    fn what_is_kept_says_what_a_search_finds() {
+        for name in ["gallery.fvl", "table.fvl"] {
+            let bare = kept(name);
+            let conditions: Vec<Condition> =
+                CONDITIONS.iter().map(|text| Condition::parse(text).expect(text)).collect();
+            let searched = |condition: &Condition| {
+                let (actor, look) = looked_at(&bare, condition).ok()?;
+                let search = Search { source: &bare, condition, actor, look: Arc::new(look), workers: 1 };
+                Some(met(&bare, condition, actor, search.values().expect("values")))
+            };
+            let found: Vec<_> = conditions.iter().map(searched).collect();
+            for way in 0..3 {
+                let folder = tempfile::tempdir().expect("a folder");
+                let source = with_snapshots(name, folder.path(), [usize::MAX >> 1, 3, 3][way]);
+                match way {
+                    0 => assert!(!source.indexing().go_on(&source, || false)),
+                    1 => drop(places(&source, "pixel 1,1 changes")),
+                    _ => {
+                        let condition = Condition::parse("pixel 1,1 changes").expect("a condition");
+                        when(&source, &condition, 2).expect("a search");
+                    }
+                }
+                let path = &source.path;
+                let elsewhere = Elsewhere { cache: Some(folder.path().to_owned()), ..Elsewhere::default() };
+                let again = Source::open(path, &elsewhere, true, &()).expect("a walk");
+                for source in [&source, &again] {
+                    assert!(source.is_told(), "{name}, way {way}");
+                    for (condition, found) in conditions.iter().zip(&found) {
+                        let Ok((actor, _)) = looked_at(source, condition) else { continue };
+                        let told = told(source, condition, actor);
+                        if way > 0 && matches!(condition.of, Of::Pixel(..)) {
+                            assert_eq!(told, None);
+                        }
+                        if let Some(values) = told {
+                            let met = met(source, condition, actor, values);
+                            assert_eq!(Some(met), *found, "{name}, way {way}: {condition:?}");
+                        }
+                    }
+                }
+            }
         }
     }
 

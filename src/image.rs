@@ -112,42 +112,65 @@ pub fn srgb_from_linear(v: f32) -> f32 {
 /// is the nearest, NaN is 0.
 #[inline]
 pub fn srgb_byte_from_linear(v: f32) -> u8 {
-    /// Relative distance to the edge of a step within which the formula decides.
-    const CLOSE: f32 = 1e-4;
-    let v = v.clamp(0.0, 1.0);
-    let table = &*SRGB_STEPS;
-    let low = table.of_cell[(v * CELLS as f32) as usize];
-    let (edge, next) = (table.edges[usize::from(low)], table.edges[usize::from(low) + 1]);
-    let close = |edge: f32| (v - edge).abs() <= CLOSE * edge;
-    if close(edge) || close(next) || v.is_nan() {
-        return exact_byte(v);
-    }
-    low + u8::from(v >= next)
+    SrgbSteps::shared().byte(v)
 }
 
-#[cold]
 fn exact_byte(v: f32) -> u8 {
     (srgb_from_linear(v).clamp(0.0, 1.0) * 255.0 + 0.5) as u8
 }
 
-/// Cells of [0, 1] that are narrower than any step of bytes.
-const CELLS: usize = 4096;
-
-struct SrgbSteps {
-    /// The byte of the least value of each cell.
-    of_cell: Vec<u8>,
-    /// About the least value of each byte, and one more that nothing reaches.
-    edges: Vec<f32>,
+/// Where bytes step, by the leading bits of a number: one look and one sum for each byte. For whole pictures, which ask for
+/// it once.
+#[derive(Debug)]
+pub struct SrgbSteps {
+    /// Of each cell of numbers whose bits differ in the lowest [`BELOW`] alone: the byte of its first number above these
+    /// bits, and in them how far its step, if it has one, lies before the next cell. So the sum of both carries at the step.
+    cells: Vec<u32>,
 }
 
+/// Bits within a cell: cells are narrower than any step (0.4 % beside 0.9 % below 1).
+const BELOW: u32 = 16;
+
+/// Bits of 2⁻¹³, below which all bytes are 0.
+const LEAST: u32 = (127 - 13) << 23;
+
 static SRGB_STEPS: LazyLock<SrgbSteps> = LazyLock::new(|| {
-    let of_cell = (0..=CELLS).map(|i| exact_byte(i as f32 / CELLS as f32)).collect();
-    let edge = |byte: u32| {
-        let display = (byte as f32 - 0.5) / 255.0;
-        if byte == 0 { 0.0 } else { linear_from_srgb(display) }
+    // Bits of the least number of each byte: near where the formula's inverse says, found by halving.
+    let edge = |byte: u8| {
+        let about = linear_from_srgb((f32::from(byte) - 0.5) / 255.0);
+        let (mut below, mut at) = ((about * 0.9999).to_bits(), (about * 1.0001).to_bits());
+        while at - below > 1 {
+            let middle = below + (at - below) / 2;
+            if exact_byte(f32::from_bits(middle)) >= byte { at = middle } else { below = middle }
+        }
+        at
     };
-    SrgbSteps { of_cell, edges: (0..=255).map(edge).chain([2.0]).collect() }
+    let edges: Vec<u32> = (1..=255).map(edge).collect();
+    let last = (1.0f32.to_bits() - LEAST) >> BELOW;
+    let cell = |i: u32| {
+        let first = LEAST + (i << BELOW);
+        let byte = edges.partition_point(|edge| *edge <= first);
+        let step = edges.get(byte).map(|edge| edge - first).filter(|step| *step < 1 << BELOW);
+        ((byte as u32) << BELOW) + step.map_or(0, |step| (1 << BELOW) - step)
+    };
+    SrgbSteps { cells: (0..=last).map(cell).collect() }
 });
+
+impl SrgbSteps {
+    /// The steps, found once.
+    pub fn shared() -> &'static Self {
+        &SRGB_STEPS
+    }
+
+    /// [`srgb_byte_from_linear`].
+    #[inline]
+    pub fn byte(&self, v: f32) -> u8 {
+        // In this order, which makes NaN the least.
+        let bits = v.max(f32::from_bits(LEAST)).min(1.0).to_bits();
+        let cell = self.cells[((bits - LEAST) >> BELOW) as usize];
+        ((cell + (bits & ((1 << BELOW) - 1))) >> BELOW) as u8
+    }
+}
 
 /// sRGB electro-optical transfer: display value [0, 1] to linear [0, 1].
 #[inline]
@@ -161,14 +184,25 @@ mod tests {
 
     #[test]
     fn bytes_by_steps_are_those_of_the_formula() {
-        let table = &*SRGB_STEPS;
-        let cells = (0..=CELLS).map(|i| i as f32 / CELLS as f32);
-        let mut some: Vec<f32> = cells.chain(table.edges.iter().copied()).collect();
+        let mut some: Vec<f32> = (0..=4096).map(|i| i as f32 / 4096.0).collect();
         some.extend((0..200_000).map(|i| crate::rng::Stream::new(7, i, 0).next_f32()));
         some.extend((0..2_000).map(|i| i as f32 * 1e-6));
+        some.extend((LEAST..1.0f32.to_bits()).step_by(1 << BELOW).map(f32::from_bits));
         some.extend([f32::NAN, f32::INFINITY, -1.0, -0.0, 2.0, 1e-30]);
         for v in some {
             for v in [v, v.next_down(), v.next_up(), v * 1.00009, v * 1.00011, v * 0.99989, v * 0.99991] {
+                assert_eq!(srgb_byte_from_linear(v), exact_byte(v), "{v}");
+            }
+        }
+    }
+
+    /// The formula is a step at each byte, and not two and one back: every number around it.
+    #[test]
+    fn every_number_around_a_step_has_the_byte_of_the_formula() {
+        for byte in 1..=255u8 {
+            let edge = linear_from_srgb((f32::from(byte) - 0.5) / 255.0);
+            let around = (edge * 0.9999).to_bits()..=(edge * 1.0001).to_bits();
+            for v in around.map(f32::from_bits) {
                 assert_eq!(srgb_byte_from_linear(v), exact_byte(v), "{v}");
             }
         }

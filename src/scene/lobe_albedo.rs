@@ -3,13 +3,14 @@
 //! A lobe of GGX microfacets with Schlick's Fresnel reflects f₀ A + f₉₀ B of the light (Karis 2013). Single scattering
 //! loses what meets a second facet; [`LobeAlbedo::gain`] gives it back as Turquin 2019 does, by a factor
 //! 1 + f₀ (1 / (A + B) − 1). The table is finer than [`super::SplitSum`], holds its ends, and is sampled by visible facets, so
-//! that a white furnace stays white to a hundredth.
+//! that a white furnace stays white to a hundredth. It lies in a file, since to make it takes as long as to load a small
+//! scene; a test makes it again.
 
 use std::sync::LazyLock;
 
-use rayon::prelude::*;
-
+#[cfg(test)]
 use super::Distribution;
+#[cfg(test)]
 use super::microfacet::Microfacet;
 
 /// Sides of the table: √⟨n, v⟩ and √α from 0 to 1.
@@ -20,13 +21,13 @@ const ROUGHNESSES: usize = 33;
 #[derive(Clone, Debug)]
 pub struct LobeAlbedo(Vec<[f32; 2]>);
 
+/// A and B of each entry, little endian.
+static STORED: &[u8; 8 * COSINES * ROUGHNESSES] = include_bytes!("lobe_albedo.bin");
+
 static TABLE: LazyLock<LobeAlbedo> = LazyLock::new(|| {
-    let entry = |i: usize| {
-        let x = (i % COSINES) as f32 / (COSINES - 1) as f32;
-        let r = (i / COSINES) as f32 / (ROUGHNESSES - 1) as f32;
-        integrate((x * x).max(1e-3), r * r)
-    };
-    LobeAlbedo((0..COSINES * ROUGHNESSES).into_par_iter().map(entry).collect())
+    let number = |bytes: &[u8; 4]| f32::from_le_bytes(*bytes);
+    let entry = |[a, b]: &[[u8; 4]; 2]| [number(a), number(b)];
+    LobeAlbedo(STORED.as_chunks::<4>().0.as_chunks::<2>().0.iter().map(entry).collect())
 });
 
 /// What a lobe of these A and B and reflectance 1 gains by scattering more than once, less 1: 1 / (A + B) − 1.
@@ -59,6 +60,7 @@ static MEANS: LazyLock<Vec<[f32; 4]>> = LazyLock::new(|| {
 });
 
 /// The parts of ∫ f cos dω that f₀ and f₉₀ scale, by samples of visible facets (Heitz 2018).
+#[cfg(test)]
 fn integrate(cosine: f32, alpha: f32) -> [f32; 2] {
     const SAMPLES: u32 = 256;
     let schlick = |vh: f32| {
@@ -141,6 +143,23 @@ impl LobeAlbedo {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The file holds what visible facets say, to the bit; where it does not, what belongs there is written elsewhere.
+    #[test]
+    fn the_table_is_what_facets_reflect() {
+        let entry = |i: usize| {
+            let x = (i % COSINES) as f32 / (COSINES - 1) as f32;
+            let r = (i / COSINES) as f32 / (ROUGHNESSES - 1) as f32;
+            integrate((x * x).max(1e-3), r * r)
+        };
+        let made = (0..COSINES * ROUGHNESSES).flat_map(entry);
+        let bytes: Vec<u8> = made.flat_map(f32::to_le_bytes).collect();
+        if bytes != STORED {
+            let file = std::env::temp_dir().join("lobe_albedo.bin");
+            std::fs::write(&file, bytes).unwrap();
+            panic!("src/scene/lobe_albedo.bin is to be {}", file.display());
+        }
+    }
 
     #[test]
     fn a_white_layer_reflects_all_and_a_dielectric_one_what_fresnel_says() {

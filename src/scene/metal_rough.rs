@@ -40,6 +40,8 @@ pub struct MetalRough {
     pub roughness: f32,
     /// Least and greatest r of all texels.
     pub roughness_range: [f32; 2],
+    /// Whether the maps of `diffuse` and `specular` lie on each other and have the same size, so that one look reads both.
+    pub maps_agree: bool,
     /// The layer over the base.
     pub layer: Layer,
     /// Mean of f₀ over the map, luminance.

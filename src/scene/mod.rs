@@ -4,6 +4,7 @@
 //! W·sr⁻¹·m⁻² per band. `load` turns files into a [`Scene`] and warnings, or an error that names
 //! file, line and remedy.
 
+mod box_filter;
 pub mod bulk;
 pub mod camera;
 pub mod coat;
@@ -30,6 +31,7 @@ pub mod sheen;
 pub mod split_sum;
 #[cfg(test)]
 pub mod test_scenes;
+mod texels;
 pub mod texture;
 pub mod thing;
 

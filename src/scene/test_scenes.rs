@@ -74,6 +74,7 @@ pub fn white_metal_rough(metal: f32, r: f32) -> MetalRough {
         metallic_in_alpha: false,
         roughness: r,
         roughness_range: [r; 2],
+        maps_agree: false,
         layer,
         specular_mean: 1.0,
         through: Reflectance::constant(Vec3::ZERO),

@@ -1,138 +1,16 @@
 //! Textures with their mip chains, kept in the file's own precision, and their filtered look-up.
 
+use std::collections::HashMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec2;
 use rayon::prelude::*;
 
 use super::bulk::BulkReader;
-use super::placement::Placement;
-use crate::image::{linear_from_srgb, srgb_byte_from_linear};
+use super::placement::{Placement, Wrap};
+use super::texels::{Decode, Pixels};
+pub use super::texels::{LevelTexels, forget_most_held, held_bytes};
 use crate::math;
-
-/// Bytes of texels that all chains of this process hold now, and the most they ever held.
-static HELD: AtomicU64 = AtomicU64::new(0);
-static HELD_MAX: AtomicU64 = AtomicU64::new(0);
-
-/// Bytes of texels held by this process: now, and at most since [`forget_most_held`].
-pub fn held_bytes() -> (u64, u64) {
-    (HELD.load(Ordering::SeqCst), HELD_MAX.load(Ordering::SeqCst))
-}
-
-/// Begins anew to look for the most.
-pub fn forget_most_held() {
-    HELD_MAX.store(HELD.load(Ordering::SeqCst), Ordering::SeqCst);
-}
-
-/// Texels that are counted while they exist.
-#[derive(Debug)]
-struct Counted<T>(Vec<T>);
-
-impl<T> Counted<T> {
-    fn new(texels: Vec<T>) -> Self {
-        let bytes = (texels.len() * size_of::<T>()) as u64;
-        let now = HELD.fetch_add(bytes, Ordering::SeqCst) + bytes;
-        HELD_MAX.fetch_max(now, Ordering::SeqCst);
-        Self(texels)
-    }
-}
-
-impl<T> Drop for Counted<T> {
-    fn drop(&mut self) {
-        HELD.fetch_sub((self.0.len() * size_of::<T>()) as u64, Ordering::SeqCst);
-    }
-}
-
-/// The texels of one level, shared by all chains that hold it.
-#[derive(Clone, Debug)]
-pub struct LevelTexels(Texels);
-
-/// How texels are stored.
-#[derive(Clone, Debug)]
-enum Texels {
-    /// 8 bits per channel. RGB is gamma-encoded where `decode` says so.
-    Byte(Arc<Counted<[u8; 4]>>),
-    /// 16 bits per channel, not gamma-encoded.
-    Word(Arc<Counted<[u16; 4]>>),
-    /// Linear values.
-    Float(Arc<Counted<[f32; 4]>>),
-}
-
-impl LevelTexels {
-    /// Number of texels.
-    fn len(&self) -> usize {
-        match &self.0 {
-            Texels::Byte(t) => t.0.len(),
-            Texels::Word(t) => t.0.len(),
-            Texels::Float(t) => t.0.len(),
-        }
-    }
-
-    /// Bytes of one texel.
-    pub fn size(&self) -> usize {
-        match &self.0 {
-            Texels::Byte(_) => 4,
-            Texels::Word(_) => 8,
-            Texels::Float(_) => 16,
-        }
-    }
-
-    /// The texels' memory, little endian.
-    pub fn as_bytes(&self) -> &[u8] {
-        match &self.0 {
-            Texels::Byte(t) => bytemuck::cast_slice(&t.0),
-            Texels::Word(t) => bytemuck::cast_slice(&t.0),
-            Texels::Float(t) => bytemuck::cast_slice(&t.0),
-        }
-    }
-
-    /// Texels like these from [`Self::as_bytes`] of another level; `None` where the length is not that of whole texels.
-    pub fn of_bytes(&self, bytes: &[u8]) -> Option<Self> {
-        Self::of_size(self.size(), bytes)
-    }
-
-    /// Texels of `size` bytes each from [`Self::as_bytes`]; `None` where there are none of that size, or the length is not
-    /// that of whole ones.
-    pub fn of_size(size: usize, bytes: &[u8]) -> Option<Self> {
-        if size == 0 || !bytes.len().is_multiple_of(size) {
-            return None;
-        }
-        Some(Self(match size {
-            4 => Texels::Byte(Arc::new(Counted::new(bytemuck::pod_collect_to_vec(bytes)))),
-            8 => Texels::Word(Arc::new(Counted::new(bytemuck::pod_collect_to_vec(bytes)))),
-            16 => Texels::Float(Arc::new(Counted::new(bytemuck::pod_collect_to_vec(bytes)))),
-            _ => return None,
-        }))
-    }
-
-    #[inline]
-    fn fetch(&self, at: usize, decode: &[f32; 256]) -> [f32; 4] {
-        match &self.0 {
-            Texels::Byte(t) => decoded(t.0[at], decode),
-            Texels::Word(t) => t.0[at].map(|v| f32::from(v) * (1.0 / 65535.0)),
-            Texels::Float(t) => t.0[at],
-        }
-    }
-
-    /// Texels of the same kind from linear values.
-    fn encode(&self, texels: Vec<[f32; 4]>, gamma: bool) -> Self {
-        let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
-        let color = |v: f32| if gamma { srgb_byte_from_linear(v) } else { byte(v) };
-        Self(match &self.0 {
-            Texels::Byte(_) => {
-                let of = |v: [f32; 4]| [color(v[0]), color(v[1]), color(v[2]), byte(v[3])];
-                let bytes = texels.into_par_iter().with_min_len(TEXELS_AT_ONCE).map(of).collect();
-                Texels::Byte(Arc::new(Counted::new(bytes)))
-            }
-            Texels::Word(_) => {
-                let of = |v: [f32; 4]| v.map(|v| (v.clamp(0.0, 1.0) * 65535.0 + 0.5) as u16);
-                Texels::Word(Arc::new(Counted::new(texels.into_iter().map(of).collect())))
-            }
-            Texels::Float(_) => Texels::Float(Arc::new(Counted::new(texels))),
-        })
-    }
-}
 
 /// One level of a chain.
 #[derive(Clone, Debug)]
@@ -153,23 +31,7 @@ pub struct MipChain {
     levels: Vec<Level>,
     /// The finest level in memory.
     finest: usize,
-    /// Linear value of each byte of a colour channel.
-    decode: Arc<[f32; 256]>,
-    gamma: bool,
-}
-
-/// The table from byte to linear value.
-fn decode_table(gamma: bool) -> Arc<[f32; 256]> {
-    Arc::new(std::array::from_fn(|b| {
-        let v = b as f32 / 255.0;
-        if gamma { linear_from_srgb(v) } else { v }
-    }))
-}
-
-/// The linear values of a texel of bytes.
-#[inline]
-fn decoded([r, g, b, a]: [u8; 4], decode: &[f32; 256]) -> [f32; 4] {
-    [decode[r as usize], decode[g as usize], decode[b as usize], f32::from(a) * (1.0 / 255.0)]
+    decode: &'static Decode,
 }
 
 /// Columns and rows of each level of a picture.
@@ -192,8 +54,7 @@ impl MipChain {
     /// # Panics
     /// If `texels.len() != width * height` or it is empty: a bug of the caller.
     pub fn from_rgba8(width: usize, height: usize, texels: Vec<[u8; 4]>, gamma: bool) -> Self {
-        assert!(!texels.is_empty() && texels.len() == width * height, "a picture of {width} × {height}");
-        Self::of(width, height, Texels::Byte(Arc::new(Counted::new(texels))), gamma)
+        Self::alone(width, height, Pixels::Byte { texels, gamma }).completed()
     }
 
     /// From 16-bit RGBA that is not gamma-encoded.
@@ -201,8 +62,7 @@ impl MipChain {
     /// # Panics
     /// As [`Self::from_rgba8`].
     pub fn from_rgba16(width: usize, height: usize, texels: Vec<[u16; 4]>) -> Self {
-        assert!(!texels.is_empty() && texels.len() == width * height, "a picture of {width} × {height}");
-        Self::of(width, height, Texels::Word(Arc::new(Counted::new(texels))), false)
+        Self::alone(width, height, Pixels::Word(texels)).completed()
     }
 
     /// From linear values.
@@ -210,23 +70,38 @@ impl MipChain {
     /// # Panics
     /// As [`Self::from_rgba8`].
     pub fn from_linear(width: usize, height: usize, texels: Vec<[f32; 4]>) -> Self {
-        assert!(!texels.is_empty() && texels.len() == width * height, "a picture of {width} × {height}");
-        Self::of(width, height, Texels::Float(Arc::new(Counted::new(texels))), false)
+        Self::alone(width, height, Pixels::Float(texels)).completed()
     }
 
-    /// Makes every level below the first: each texel is the mean of the area that it covers, which
+    /// The finest level without the others, for pictures that others are made of. It has no [mean](Texture::mean) and nothing
+    /// coarser to look up before it is [completed](Self::completed).
+    ///
+    /// # Panics
+    /// As [`Self::from_rgba8`].
+    pub(super) fn alone(width: usize, height: usize, pixels: Pixels) -> Self {
+        let (texels, gamma) = LevelTexels::of(pixels);
+        let fits = texels.len() > 0 && texels.len() == width * height;
+        assert!(fits, "a picture of {width} × {height}");
+        let finest = Level { width: width as u32, height: height as u32, texels: Some(texels) };
+        Self { levels: vec![finest], finest: 0, decode: Decode::shared(gamma) }
+    }
+
+    /// Whether all levels are there or have been.
+    pub(super) fn is_complete(&self) -> bool {
+        self.levels.last().is_some_and(|last| (last.width, last.height) == (1, 1))
+    }
+
+    /// With every level below the first: each texel is the mean of the area that it covers, which
     /// at odd sizes takes part of its neighbours' texels, so that every level has the same mean.
-    fn of(width: usize, height: usize, finest: Texels, gamma: bool) -> Self {
-        let decode = decode_table(gamma);
-        let mut levels: Vec<Level> = Vec::new();
-        let mut texels = LevelTexels(finest);
-        for [w, h] in sizes_of(width, height) {
-            if let Some(from) = levels.last() {
-                texels = halved(from, &texels, [w, h], &decode, gamma);
-            }
-            levels.push(Level { width: w, height: h, texels: Some(texels.clone()) });
+    pub(super) fn completed(mut self) -> Self {
+        while let Some(Level { width, height, texels: Some(texels) }) = self.levels.last()
+            && (*width, *height) != (1, 1)
+        {
+            let [w, h] = [*width, *height].map(|n| (n / 2).max(1));
+            let texels = texels.halved([*width, *height], [w, h], self.decode);
+            self.levels.push(Level { width: w, height: h, texels: Some(texels) });
         }
-        Self { levels, finest: 0, decode, gamma }
+        self
     }
 
     /// A chain of the next lists, of texels of `size` bytes each, the finest level first.
@@ -240,47 +115,33 @@ impl MipChain {
         let mut levels = Vec::new();
         for [w, h] in sizes_of(width, height) {
             let count = (w as usize).checked_mul(h as usize)?;
-            let texels = match size {
-                4 => Texels::Byte(Arc::new(Counted::new(bulk.take(count)?))),
-                8 => Texels::Word(Arc::new(Counted::new(bulk.take(count)?))),
-                16 => Texels::Float(Arc::new(Counted::new(bulk.take(count)?))),
-                _ => return None,
-            };
-            levels.push(Level { width: w, height: h, texels: Some(LevelTexels(texels)) });
+            let texels = LevelTexels::take(size, count, bulk)?;
+            levels.push(Level { width: w, height: h, texels: Some(texels) });
         }
-        Some(Self { levels, finest: 0, decode: decode_table(gamma), gamma })
+        Some(Self { levels, finest: 0, decode: Decode::shared(gamma) })
     }
 
     #[inline]
     fn fetch(&self, level: &Level, at: usize) -> [f32; 4] {
         // Look-ups go to levels that are there.
-        level.texels.as_ref().map_or([0.0; 4], |texels| texels.fetch(at, &self.decode))
+        level.texels.as_ref().map_or([0.0; 4], |texels| texels.fetch(at, self.decode))
     }
 
     /// [`Self::fetch`] of four places, asking once of what kind the texels are.
     #[inline]
     fn fetch_four(&self, level: &Level, at: [usize; 4]) -> [[f32; 4]; 4] {
-        let Some(texels) = &level.texels else { return [[0.0; 4]; 4] };
-        // Not by `map`, which is called for each and not written out.
-        let [a, b, c, d] = at;
-        match &texels.0 {
-            Texels::Byte(t) => {
-                let look = |i: usize| decoded(t.0[i], &self.decode);
-                [look(a), look(b), look(c), look(d)]
-            }
-            _ => {
-                let look = |i: usize| texels.fetch(i, &self.decode);
-                [look(a), look(b), look(c), look(d)]
-            }
-        }
+        level.texels.as_ref().map_or([[0.0; 4]; 4], |texels| texels.fetch_four(at, self.decode))
     }
 
-    /// A chain with these linear values at its finest level, texel by texel; `None` where one is not known.
-    pub fn with_texels(&self, value: impl Fn(usize) -> Option<[f32; 4]>) -> Option<Self> {
+    /// A chain with these linear values at its finest level, texel by texel, and as complete as this one; `None` where one is
+    /// not known.
+    pub fn with_texels(&self, value: impl Fn(usize) -> Option<[f32; 4]> + Send + Sync) -> Option<Self> {
         let level = self.levels.first()?;
-        let texels = (0..level.width as usize * level.height as usize).map(value).collect::<Option<_>>()?;
-        let finest = level.texels.as_ref()?.encode(texels, self.gamma);
-        Some(Self::of(level.width as usize, level.height as usize, finest.0, self.gamma))
+        let count = level.width as usize * level.height as usize;
+        let texels = (0..count).into_par_iter().map(value).collect::<Option<_>>()?;
+        let finest = level.texels.as_ref()?.encode(texels, self.decode.gamma);
+        let alone = Self { levels: vec![Level { texels: Some(finest), ..*level }], ..self.clone() };
+        Some(if self.is_complete() { alone.completed() } else { alone })
     }
 
     /// Number of levels, at least 1.
@@ -296,7 +157,7 @@ impl MipChain {
 
     /// Whether the bytes of colour channels are sRGB-encoded.
     pub fn is_gamma_encoded(&self) -> bool {
-        self.gamma
+        self.decode.gamma
     }
 
     /// Bytes of all texels, in memory or not.
@@ -344,7 +205,7 @@ impl MipChain {
     /// BLAKE3 of what its levels hold, as far as they are in memory, and of how they are read.
     pub fn content_hash(&self) -> [u8; 32] {
         let mut hasher = blake3::Hasher::new();
-        hasher.update(&[u8::from(self.gamma)]);
+        hasher.update(&[u8::from(self.decode.gamma)]);
         for level in &self.levels {
             hasher.update(&level.width.to_le_bytes());
             hasher.update(&level.height.to_le_bytes());
@@ -355,67 +216,6 @@ impl MipChain {
         }
         *hasher.finalize().as_bytes()
     }
-}
-
-/// The next coarser level. Rows are made in parallel.
-fn halved(
-    from: &Level,
-    texels: &LevelTexels,
-    [w, h]: [u32; 2],
-    decode: &[f32; 256],
-    gamma: bool,
-) -> LevelTexels {
-    let columns: Vec<_> = (0..w).map(|x| covered(x, w, from.width)).collect();
-    let width = from.width as usize;
-    let is_half = (from.width, from.height) == (2 * w, 2 * h);
-    let mut out = vec![[0.0f32; 4]; w as usize * h as usize];
-    out.par_chunks_mut(w as usize).enumerate().with_min_len(ROWS_AT_ONCE).for_each(|(y, row)| {
-        if let (true, Texels::Byte(t)) = (is_half, &texels.0) {
-            // The same sums in the same order, without looking for what is covered.
-            let rows = t.0[2 * y * width..].split_at(width);
-            for (x, sum) in row.iter_mut().enumerate() {
-                for t in [rows.0[2 * x], rows.0[2 * x + 1], rows.1[2 * x], rows.1[2 * x + 1]] {
-                    let t = decoded(t, decode);
-                    for c in 0..4 {
-                        sum[c] += 0.25 * t[c];
-                    }
-                }
-            }
-            return;
-        }
-        let (y0, row_weights) = covered(y as u32, h, from.height);
-        for ((x0, column_weights), sum) in columns.iter().zip(row) {
-            for (dy, wy) in row_weights.iter().enumerate().filter(|(_, w)| **w > 0.0) {
-                let row = (y0 + dy) * width;
-                for (dx, wx) in column_weights.iter().enumerate().filter(|(_, w)| **w > 0.0) {
-                    let t = texels.fetch(row + x0 + dx, decode);
-                    for c in 0..4 {
-                        sum[c] += wy * wx * t[c];
-                    }
-                }
-            }
-        }
-    });
-    texels.encode(out, gamma)
-}
-
-/// Fewer texels are not worth another thread.
-const TEXELS_AT_ONCE: usize = 1 << 14;
-
-/// Fewer rows of a level are not worth another thread.
-const ROWS_AT_ONCE: usize = 32;
-
-/// The first of `from` texels that texel `i` of `to` covers, and the shares of it and of the next two.
-fn covered(i: u32, to: u32, from: u32) -> (usize, [f32; 3]) {
-    // In units of 1 / to of a texel, so that whole numbers suffice.
-    let (start, end) = (u64::from(i) * u64::from(from), u64::from(i + 1) * u64::from(from));
-    let to = u64::from(to);
-    let first = start / to;
-    let share = |k: u64| {
-        let (a, b) = ((first + k) * to, (first + k + 1) * to);
-        b.min(end).saturating_sub(a.max(start)) as f32 / u64::from(from) as f32
-    };
-    (first as usize, [share(0), share(1), share(2)])
 }
 
 /// A texture with its mip chain. Level 0 is full size; row 0 of a level is the top of the picture.
@@ -476,19 +276,25 @@ impl Texture {
         self.mips.fetch(l, y * l.width as usize + x)
     }
 
+    /// Reads as many texels of row `y` (from the top) of the finest level as `row` has places, as [`Self::texel`] does.
+    ///
+    /// # Panics
+    /// If there are fewer: a bug of the caller.
+    pub(super) fn row(&self, y: usize, row: &mut [[f32; 4]]) {
+        let first = y * self.size(0)[0];
+        if let Some(texels) = self.mips.level(0) {
+            texels.read(first, row, self.mips.decode);
+        }
+    }
+
     /// Trilinear look-up at OBJ coordinates `uv` (origin at the lower left) and a mip level that
     /// need not be whole; below the finest in memory it is that one, beyond the last it is the last. Safe for any
     /// numbers: what is not finite reads as 0.
     #[inline]
     pub fn sample(&self, uv: Vec2, level: f32) -> [f32; 4] {
-        let last = (self.mips.levels.len() - 1) as f32;
-        // NaN is not above it either.
-        let finest = self.mips.finest as f32;
-        let level = if level > finest { level.min(last) } else { finest };
-        let low = level as usize;
-        let f = level - low as f32;
+        let (low, f) = self.levels_at(level);
         let p = self.placement.place(uv);
-        if self.placement.nearest && level <= finest {
+        if self.placement.nearest && low == self.mips.finest && f <= 0.0 {
             let [w, h] = self.size(low);
             let at = |v: f32, n: usize| ((v * n as f32) as usize).min(n - 1);
             return self.texel(low, at(p.x, w), at(p.y, h));
@@ -501,6 +307,43 @@ impl Texture {
         std::array::from_fn(|c| a[c] + (b[c] - a[c]) * f)
     }
 
+    /// [`Self::sample`] of this texture and of one of the same size that lies on it, in one look.
+    #[inline]
+    pub fn sample_with(&self, other: &Self, uv: Vec2, level: f32) -> [[f32; 4]; 2] {
+        let have_the_same_levels = self.size(0) == other.size(0) && self.mips.finest == other.mips.finest;
+        if !have_the_same_levels || self.placement.nearest {
+            return [self, other].map(|t| t.sample(uv, level));
+        }
+        let (low, f) = self.levels_at(level);
+        let p = self.placement.place(uv);
+        let look = |level: usize| {
+            let spot = self.spot(p, level);
+            let (Some(first), Some(second)) = (self.mips.level(level), other.mips.level(level)) else {
+                return [[0.0; 4]; 2];
+            };
+            let decode = [self.mips.decode, other.mips.decode];
+            let [first, second] = LevelTexels::fetch_both([first, second], spot.at, decode);
+            [spot.mean(first), spot.mean(second)]
+        };
+        let a = look(low);
+        if f <= 0.0 {
+            return a;
+        }
+        let b = look(low + 1);
+        std::array::from_fn(|t| std::array::from_fn(|c| a[t][c] + (b[t][c] - a[t][c]) * f))
+    }
+
+    /// The finer of the levels in memory that a level lies between, and how far it is on the way to the next.
+    #[inline]
+    fn levels_at(&self, level: f32) -> (usize, f32) {
+        let last = (self.mips.levels.len() - 1) as f32;
+        // NaN is not above it either.
+        let finest = self.mips.finest as f32;
+        let level = if level > finest { level.min(last) } else { finest };
+        let low = level as usize;
+        (low, level - low as f32)
+    }
+
     /// Opacity in [0, 1] of a cut-out mask: its alpha if it has one, else its grey.
     #[inline]
     pub fn mask(&self, uv: Vec2, level: f32) -> f32 {
@@ -510,28 +353,89 @@ impl Texture {
 
     /// The mean over the picture: the last level.
     pub fn mean(&self) -> [f32; 4] {
+        debug_assert!(self.mips.is_complete(), "a chain with all of its levels");
         self.texel(self.mips.levels.len() - 1, 0, 0)
     }
 
     #[inline]
     fn bilinear(&self, p: Vec2, level: usize) -> [f32; 4] {
+        let spot = self.spot(p, level);
+        spot.mean(self.mips.fetch_four(&self.mips.levels[level], spot.at))
+    }
+
+    /// Where a position in [0, 1]² lies in a level.
+    #[inline]
+    fn spot(&self, p: Vec2, level: usize) -> Spot {
         let l = &self.mips.levels[level];
-        let (w, h) = (l.width as i32, l.height as i32);
-        let x = p.x * w as f32 - 0.5;
-        let y = p.y * h as f32 - 0.5;
-        let (x0, y0) = (math::floor(x), math::floor(y));
-        let (fx, fy) = (x - x0, y - y0);
-        let (x0, y0) = (x0 as i32, y0 as i32);
-        // p is in [0, 1], so a position leaves the level by at most one texel.
         let [u, v] = self.placement.wrap;
-        let (xa, xb) = (u.texel(x0, w), u.texel(x0 + 1, w));
-        let (ya, yb) = (v.texel(y0, h) * w as usize, v.texel(y0 + 1, h) * w as usize);
-        let [a, b, c, d] = self.mips.fetch_four(l, [ya + xa, ya + xb, yb + xa, yb + xb]);
-        std::array::from_fn(|i| {
-            let top = a[i] + (b[i] - a[i]) * fx;
-            let bottom = c[i] + (d[i] - c[i]) * fx;
-            top + (bottom - top) * fy
-        })
+        let (x, y) = (Between::at(p.x, l.width as i32, u), Between::at(p.y, l.height as i32, v));
+        let (ya, yb) = (y.low * l.width as usize, y.high * l.width as usize);
+        Spot { at: [ya + x.low, ya + x.high, yb + x.low, yb + x.high], fx: x.share, fy: y.share }
+    }
+}
+
+/// A place between two columns, or two rows.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Between {
+    pub low: usize,
+    pub high: usize,
+    /// How far it is on the way from the one to the other.
+    pub share: f32,
+}
+
+impl Between {
+    /// Of a position in [0, 1] among `n` columns.
+    #[inline]
+    pub fn at(p: f32, n: i32, wrap: Wrap) -> Self {
+        let x = p * n as f32 - 0.5;
+        let low = math::floor(x);
+        let share = x - low;
+        let low = low as i32;
+        // p is in [0, 1], so a position leaves the level by at most one texel.
+        Self { low: wrap.texel(low, n), high: wrap.texel(low + 1, n), share }
+    }
+}
+
+/// A place between four texels of a level.
+struct Spot {
+    at: [usize; 4],
+    fx: f32,
+    fy: f32,
+}
+
+impl Spot {
+    /// What lies there between the four.
+    #[inline]
+    fn mean(&self, texels: [[f32; 4]; 4]) -> [f32; 4] {
+        mean(texels, self.fx, self.fy)
+    }
+}
+
+/// What lies between two texels above and two below, so far to the right and down.
+#[inline]
+pub(super) fn mean([a, b, c, d]: [[f32; 4]; 4], fx: f32, fy: f32) -> [f32; 4] {
+    std::array::from_fn(|i| {
+        let top = a[i] + (b[i] - a[i]) * fx;
+        let bottom = c[i] + (d[i] - c[i]) * fx;
+        top + (bottom - top) * fy
+    })
+}
+
+/// Gives those textures all levels that can be made of the finest; what shares its pixels goes on sharing them.
+pub(super) fn complete(textures: &mut [Texture], which: impl Fn(&Texture) -> bool) {
+    let mut chains: Vec<Arc<MipChain>> = Vec::new();
+    let mut places = Vec::new();
+    let mut known: HashMap<*const MipChain, usize> = HashMap::new();
+    for (i, t) in textures.iter().enumerate().filter(|(_, t)| which(t) && !t.mips.is_complete()) {
+        let place = *known.entry(Arc::as_ptr(&t.mips)).or_insert_with(|| {
+            chains.push(t.mips.clone());
+            chains.len() - 1
+        });
+        places.push((i, place));
+    }
+    let made: Vec<_> = chains.par_iter().map(|c| Arc::new(MipChain::clone(c).completed())).collect();
+    for (i, place) in places {
+        textures[i].mips = made[place].clone();
     }
 }
 
@@ -554,22 +458,16 @@ mod tests {
         assert_eq!(t.mean()[3], 1.0);
     }
 
-    /// What is halved on the short way has the bits of what shares of texels sum up to.
     #[test]
-    fn halves_of_even_sides_are_sums_of_shares() {
-        let texels: Vec<[u8; 4]> = (0..16 * 8)
-            .map(|i| crate::rng::hash(3, i, 0).to_le_bytes())
-            .map(|b| [b[0], b[1], b[2], b[3]])
-            .collect();
-        for gamma in [true, false] {
-            let chain = MipChain::from_rgba8(16, 8, texels.clone(), gamma);
-            let table = decode_table(gamma);
-            let linear = MipChain::from_linear(16, 8, texels.iter().map(|t| decoded(*t, &table)).collect());
-            let Some(LevelTexels(Texels::Float(sums))) = linear.level(1) else {
-                panic!("a level of numbers")
-            };
-            let sums = chain.level(0).unwrap().encode(sums.0.clone(), gamma);
-            assert_eq!(sums.as_bytes(), chain.level(1).unwrap().as_bytes());
+    fn a_level_alone_becomes_the_same_chain() {
+        let texels: Vec<[u8; 4]> = (0..35u8).map(|i| [i, 7 * i, 250 - i, 3 * i]).collect();
+        let full = MipChain::from_rgba8(5, 7, texels.clone(), true);
+        let alone = MipChain::alone(5, 7, Pixels::Byte { texels, gamma: true });
+        assert!((alone.level_count(), alone.is_complete()) == (1, false) && full.is_complete());
+        let again = alone.with_texels(|i| Some(alone.fetch(&alone.levels[0], i))).unwrap();
+        assert_eq!(again.level_count(), 1);
+        for chain in [alone, again] {
+            assert_eq!(chain.completed().content_hash(), full.content_hash());
         }
     }
 
@@ -648,6 +546,35 @@ mod tests {
                     }
                 }
                 assert!(t.sample(Vec2::splat(v), 77.0)[0].is_finite());
+            }
+        }
+    }
+
+    #[test]
+    fn two_looks_at_once_are_the_same_as_two() {
+        let of = |seed: u64, n: u64| -> Vec<[u8; 4]> {
+            (0..n).map(|i| (crate::rng::hash(seed, i, 0) as u32).to_le_bytes()).collect()
+        };
+        let words = of(3, 64).into_iter().map(|t| t.map(u16::from)).collect();
+        let a = Texture::new("a", MipChain::from_rgba8(16, 4, of(1, 64), true));
+        let b = Texture::new("b", MipChain::from_rgba8(16, 4, of(2, 64), false));
+        let coarse = Texture { mips: Arc::new(b.mips.without_finer(1)), ..b.clone() };
+        let nearest = Placement { nearest: true, ..Placement::default() };
+        let others = [
+            Texture::new("words", MipChain::from_rgba16(16, 4, words)),
+            Texture::new("of another size", MipChain::from_rgba8(4, 4, of(4, 16), true)),
+            coarse,
+            b,
+        ];
+        for placement in [Placement::default(), nearest, Placement::clamped(true)] {
+            for other in &others {
+                let [a, other] = [&a, other].map(|t| Texture { placement, ..t.clone() });
+                for i in 0..200u64 {
+                    let [u, v, level, _] = (crate::rng::hash(5, i, 0) as u32).to_le_bytes().map(f32::from);
+                    let (uv, level) = (Vec2::new(u / 99.0 - 1.0, v / 99.0 - 1.0), level / 50.0 - 1.0);
+                    let both = [a.sample(uv, level), other.sample(uv, level)];
+                    assert_eq!(a.sample_with(&other, uv, level), both, "{} {uv} {level}", other.name);
+                }
             }
         }
     }

@@ -1,5 +1,7 @@
 //! What of a surface does not depend on the view: the part that the display draws.
 
+use std::cell::Cell;
+
 use glam::{Vec2, Vec3};
 
 use super::interaction::mip_level;
@@ -104,6 +106,16 @@ impl SurfacePoint {
         texture.sample(self.uv, self.texture_level(texture))
     }
 
+    /// [`Self::texel`] of two textures that lie on each other, in one look.
+    #[inline]
+    pub fn texels(&self, scene: &Scene, maps: [TextureId; 2]) -> [[f32; 4]; 2] {
+        let [first, second] = maps.map(|map| &scene.textures[map.0 as usize]);
+        if first.placement.second {
+            return maps.map(|map| self.texel(scene, map));
+        }
+        first.sample_with(second, self.uv, self.texture_level(first))
+    }
+
     /// A reflectance here, in [0, 1].
     #[inline]
     pub fn reflectance(&self, scene: &Scene, r: &Reflectance) -> Vec3 {
@@ -117,9 +129,20 @@ impl SurfacePoint {
         color.clamp(Vec3::ZERO, Vec3::ONE)
     }
 
-    /// What a recipe makes here.
+    /// What a recipe makes here. Several of its numbers may lie in one map, which is read once.
     pub fn made(&self, scene: &Scene, recipe: &Recipe) -> Made {
-        recipe.at(|map| self.texel(scene, map))
+        type Look = Option<(TextureId, [f32; 4])>;
+        let last: Cell<[Look; 4]> = Cell::new([None; 4]);
+        recipe.at(|map| {
+            let known = last.get();
+            if let Some((_, texel)) = known.iter().flatten().find(|(id, _)| *id == map) {
+                return *texel;
+            }
+            let texel = self.texel(scene, map);
+            let [first, second, third, _] = known;
+            last.set([Some((map, texel)), first, second, third]);
+            texel
+        })
     }
 
     /// Albedo for light that falls on the other side and leaves on this one, per band: of leaves, paper, shades of lamps.

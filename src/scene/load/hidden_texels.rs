@@ -8,6 +8,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use glam::Vec2;
+use rayon::prelude::*;
 
 use crate::scene::recipe::Recipe;
 use crate::scene::{Material, Model, Placement, Reflectance, Texture, TextureId};
@@ -90,7 +91,7 @@ fn recolored(picture: &Texture, mask: &Texture) -> Option<Texture> {
             / Vec2::new(width as f32, height as f32);
         mask.mask(at, 0.0)
     };
-    let shown: Vec<f32> = (0..width * height).map(shown).collect();
+    let shown: Vec<f32> = (0..width * height).into_par_iter().map(shown).collect();
     let hidden = shown.iter().filter(|s| **s < VISIBLE).count();
     if hidden == 0 || hidden == shown.len() {
         return None;

@@ -34,6 +34,7 @@ pub use sidecar::FORMAT;
 use super::defaults;
 use super::hierarchy;
 use super::light_units;
+use super::texture::complete;
 use super::{Environment, Material, MaterialId, Model, Reflectance, Scene, SceneParts, TextureId};
 use assemble::Joined;
 pub use folder::Sources;
@@ -166,6 +167,8 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
         gltf::surfaces::finish(&mut materials, &mut textures, pending, &ids, &mut warnings);
     }
     hidden_texels::recolor(&mut materials, &mut textures);
+    // Pictures that others were made of are gone by now, and their coarser levels were never made.
+    complete(&mut textures, |_| true);
     let mut environment = environment(&sidecar, &mut folder, options, &mut warnings);
     let mut is_surrounded = false;
     if let (None, Some((surround, place))) = (&environment, own.surround) {

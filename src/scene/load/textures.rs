@@ -14,6 +14,7 @@ use super::error::{FileProblem, Place, Warning};
 use super::folder::{Contents, Folder, read_file};
 use super::mtl::MapStatement;
 use crate::image::Map2d;
+use crate::scene::texels::Pixels;
 use crate::scene::texture::MipChain;
 use crate::scene::{Placement, Texture, TextureId};
 
@@ -90,7 +91,8 @@ impl TextureRequests {
         TextureId(id)
     }
 
-    /// Reads and decodes all of them in parallel. Returns the textures, and for each id of
+    /// Reads and decodes all of them in parallel. Returns the textures, which have their finest levels only until they are
+    /// [completed](complete), and for each id of
     /// [`Self::ask`] the final one, or `None` where there is a warning instead.
     pub fn load(
         self,
@@ -291,7 +293,7 @@ fn pixels(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<DynamicIma
     DynamicImage::from_decoder(decoder).map_err(broken)
 }
 
-/// The mip chain of a picture, and whether it has an alpha channel.
+/// A picture, the finest level of its chain alone, and whether it has an alpha channel.
 fn decode(
     bytes: &[u8],
     path: &Path,
@@ -301,25 +303,23 @@ fn decode(
     let image = pixels(bytes, path, options)?;
     let (w, h) = (image.width() as usize, image.height() as usize);
     let alpha = image.color().has_alpha();
-    let mips = match image.color() {
+    let pixels = match image.color() {
         ColorType::L16 | ColorType::La16 | ColorType::Rgb16 | ColorType::Rgba16 if !is_color => {
-            MipChain::from_rgba16(w, h, image.into_rgba16().pixels().map(|p| p.0).collect())
+            Pixels::Word(image.into_rgba16().pixels().map(|p| p.0).collect())
         }
         ColorType::Rgb32F | ColorType::Rgba32F => {
             let clean = |v: f32| if v.is_finite() { v.max(0.0) } else { 0.0 };
-            MipChain::from_linear(w, h, image.into_rgba32f().pixels().map(|p| p.0.map(clean)).collect())
+            Pixels::Float(image.into_rgba32f().pixels().map(|p| p.0.map(clean)).collect())
         }
         _ => {
-            let texels = image.into_rgba8().into_raw();
-            MipChain::from_rgba8(
-                w,
-                h,
-                texels.chunks_exact(4).map(|p| [p[0], p[1], p[2], p[3]]).collect(),
-                is_color,
-            )
+            let bytes = image.into_rgba8().into_raw();
+            // Where the bytes lie already, unless there is room left behind them.
+            let texels =
+                bytemuck::try_cast_vec(bytes).unwrap_or_else(|(_, bytes)| bytes.as_chunks::<4>().0.to_vec());
+            Pixels::Byte { texels, gamma: is_color }
         }
     };
-    Ok((mips, alpha))
+    Ok((MipChain::alone(w, h, pixels), alpha))
 }
 
 /// Decodes a face of surroundings: with an alpha channel, colours are divided by it (RGBD), else they are as bright as they look.

@@ -78,8 +78,28 @@ fn regained([layer_f0, layer_f90]: [f32; 2], f0: Vec3, metallic: Option<f32>, ga
     }
 }
 
-/// Where a surface is met: the scene, the point, and the alpha of the diffuse map where that has been read.
-type Place<'a> = (&'a Scene, &'a SurfacePoint, Option<f32>);
+/// What the maps of a layer and of its base hold at a point, as far as they have been read.
+pub(super) struct Read {
+    pub diffuse: Option<[f32; 4]>,
+    specular: Option<[f32; 4]>,
+}
+
+impl Read {
+    /// Reads those that are wanted and that there are, and both in one look where they lie on each other.
+    #[inline]
+    pub fn of(m: &MetalRough, scene: &Scene, point: &SurfacePoint, base: bool, layer: bool) -> Self {
+        match (m.diffuse.map.filter(|_| base), m.specular.map.filter(|_| layer)) {
+            (Some(diffuse), Some(specular)) if m.maps_agree => {
+                let [diffuse, specular] = point.texels(scene, [diffuse, specular]);
+                Self { diffuse: Some(diffuse), specular: Some(specular) }
+            }
+            maps => {
+                let read = |map: TextureId| point.texel(scene, map);
+                Self { diffuse: maps.0.map(read), specular: maps.1.map(read) }
+            }
+        }
+    }
+}
 
 /// What the maps of a surface between metal and dielectric say at a point.
 struct Looks {
@@ -92,17 +112,15 @@ struct Looks {
 
 impl Looks {
     #[inline]
-    fn of(m: &MetalRough, (scene, point, alpha_of_diffuse): Place<'_>) -> Self {
-        let (f0, r) = match m.specular.map {
+    fn of(m: &MetalRough, read: &Read) -> Self {
+        let (f0, r) = match read.specular {
             None => (m.specular.color, m.roughness),
-            Some(map) => {
-                let [red, green, blue, alpha] = point.texel(scene, map);
+            Some([red, green, blue, alpha]) => {
                 let r = if m.roughness_in_alpha { alpha } else { m.roughness };
                 (m.specular.color * Vec3::new(red, green, blue), r)
             }
         };
-        let map = m.diffuse.map.filter(|_| m.coverage_in_alpha || m.metallic_in_alpha);
-        let said = map.map(|map| alpha_of_diffuse.unwrap_or_else(|| point.texel(scene, map)[3]));
+        let said = read.diffuse.filter(|_| m.coverage_in_alpha || m.metallic_in_alpha).map(|texel| texel[3]);
         let metallic = if m.metallic_in_alpha { said } else { m.metallic };
         Self { f0: f0.clamp(Vec3::ZERO, Vec3::ONE), r: r.clamp(0.0, 1.0), metallic, said }
     }
@@ -110,8 +128,8 @@ impl Looks {
 
 /// The lobe of a surface that has nothing but its layer, and what its base, if it has one, lies under.
 #[inline]
-pub(super) fn only_layer(m: &MetalRough, place: Place<'_>, cosine: f32, has_base: bool) -> (Lobe, Coat) {
-    let Looks { f0, r, metallic, .. } = Looks::of(m, place);
+pub(super) fn only_layer(m: &MetalRough, read: &Read, cosine: f32, has_base: bool) -> (Lobe, Coat) {
+    let Looks { f0, r, metallic, .. } = Looks::of(m, read);
     let alpha = MetalRough::alpha(r);
     let rough = isotropic(alpha);
     let gain = if rough.is_smooth() { 0.0 } else { LobeAlbedo::gain(cosine, r) };
@@ -129,23 +147,13 @@ pub(super) fn only_layer(m: &MetalRough, place: Place<'_>, cosine: f32, has_base
 impl Bsdf {
     /// Sets the lobes of a surface between metal and dielectric that has more than its layer.
     #[cold]
-    pub(super) fn set_metal_rough(
-        &mut self,
-        scene: &Scene,
-        m: &MetalRough,
-        at: &Interaction,
-        point: &SurfacePoint,
-        alpha_of_diffuse: Option<f32>,
-    ) {
-        if let Some(recipe) = &m.recipe {
-            return self.set_made(scene, recipe, &point.made(scene, recipe), at);
-        }
-        let Looks { f0, r, metallic, said } = Looks::of(m, (scene, point, alpha_of_diffuse));
+    pub(super) fn set_metal_rough(&mut self, scene: &Scene, m: &MetalRough, at: &Interaction, read: &Read) {
+        let Looks { f0, r, metallic, said } = Looks::of(m, read);
         let alpha = MetalRough::alpha(r);
         let cosine = at.wo.dot(self.normal).max(0.0);
         let there = m.coverage * said.filter(|_| m.coverage_in_alpha).unwrap_or(1.0);
         let through = match m.through.color.max_element() > 0.0 {
-            true => point.reflectance(scene, &m.through),
+            true => at.point().reflectance(scene, &m.through),
             false => Vec3::ZERO,
         };
         let layer = [m.layer.f0, m.layer.f90];
@@ -162,7 +170,7 @@ impl Bsdf {
 
     /// What a recipe made of the surface.
     #[cold]
-    fn set_made(&mut self, scene: &Scene, recipe: &Recipe, made: &Made, at: &Interaction) {
+    pub(super) fn set_made(&mut self, scene: &Scene, recipe: &Recipe, made: &Made, at: &Interaction) {
         let r = made.roughness;
         let alpha = MetalRough::alpha(r);
         let cosine = at.wo.dot(self.normal).max(0.0);

@@ -8,6 +8,7 @@
 //! Directions are world space, unit, and point away from the surface. Absent on purpose: subsurface
 //! scattering, layers beyond one coat.
 
+mod at;
 pub mod bands;
 mod layers;
 pub mod peaks;
@@ -16,15 +17,12 @@ use std::f32::consts::{FRAC_1_PI, PI};
 
 use glam::Vec3;
 
-use super::interaction::Interaction;
-#[cfg(doc)]
-use super::surface::SurfacePoint;
 use crate::image::luminance;
 use crate::math;
 pub use crate::scene::fresnel;
 use crate::scene::metal_rough::Over;
 use crate::scene::microfacet::Microfacet;
-use crate::scene::{Distribution, LobeAlbedo, Material, Model, Reflectance, Roughness, Scene, Sheen};
+use crate::scene::{Distribution, LobeAlbedo, Material, Model, Sheen};
 
 /// One sampled direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -164,122 +162,6 @@ pub struct Bsdf {
 }
 
 impl Bsdf {
-    /// The reflectance at an interaction, seen from its `wo`.
-    pub fn at(scene: &Scene, at: &Interaction) -> Self {
-        let point = at.point();
-        if let Model::MetalRough(m) = &at.material(scene).model
-            && m.has_alpha()
-            && let Some(map) = m.diffuse.map
-        {
-            // One look for both.
-            let [red, green, blue, alpha] = point.texel(scene, map);
-            let diffuse = (m.diffuse.color * Vec3::new(red, green, blue)).clamp(Vec3::ZERO, Vec3::ONE);
-            let diffuse = if at.back && !at.material(scene).two_sided { Vec3::ZERO } else { diffuse };
-            return Self::with(scene, at, diffuse, Some(alpha));
-        }
-        Self::with(scene, at, point.diffuse_albedo(scene), None)
-    }
-
-    /// The same where the [diffuse albedo](SurfacePoint::diffuse_albedo) of the point is known, so that its textures are
-    /// not read again.
-    pub fn over(scene: &Scene, at: &Interaction, diffuse: Vec3) -> Self {
-        Self::with(scene, at, diffuse, None)
-    }
-
-    /// The same where the alpha of the diffuse map may be known, too.
-    #[inline]
-    fn with(scene: &Scene, at: &Interaction, diffuse: Vec3, alpha_of_diffuse: Option<f32>) -> Self {
-        let m = at.material(scene);
-        let point = at.point();
-        let lookup = |r: &Reflectance| point.reflectance(scene, r);
-        let side = if at.back { -1.0 } else { 1.0 };
-        let with_one = |lobe: Lobe, coat: Coat| Self {
-            normal: at.facing_shading(),
-            tangent: at.tangent,
-            bitangent: at.bitangent * side,
-            geometric: at.facing_geometric(),
-            diffuse,
-            passed: Vec3::ZERO,
-            coat,
-            lobe,
-            apart: Vec3::ZERO,
-            is_apart: false,
-            more: [Lobe::None; layers::MORE],
-            layers: 0,
-        };
-        // The back of a one-sided surface is black.
-        if at.back && !m.two_sided {
-            return with_one(Lobe::None, Coat::None);
-        }
-        // Written where it is wanted, without a copy: most of what glTF shows.
-        if let Model::MetalRough(m) = &m.model
-            && !m.is_diffuse
-            && m.is_plain()
-        {
-            let point = (scene, &point, alpha_of_diffuse);
-            let cosine = at.wo.dot(at.facing_shading()).max(0.0);
-            let (lobe, coat) = layers::only_layer(m, point, cosine, diffuse != Vec3::ZERO);
-            return with_one(lobe, coat);
-        }
-        let mut bsdf = with_one(Lobe::None, Coat::None);
-        let facet_lobe = |facet: Facet, r: &Roughness, v_groove: bool| match Microfacet::of(r) {
-            None => Lobe::Smooth { facet },
-            Some(microfacet) => Lobe::Glossy { facet, microfacet: Microfacet { v_groove, ..microfacet } },
-        };
-        match &m.model {
-            Model::Lambert { .. } => {}
-            Model::Mirror { specular } => bsdf.lobe = Lobe::Mirror { reflectance: lookup(specular) },
-            Model::Conductor { eta, k, roughness } => {
-                bsdf.lobe = facet_lobe(Facet::Conductor { eta: *eta, k: *k }, roughness, false);
-            }
-            Model::Metal { specular, roughness } => {
-                bsdf.lobe =
-                    facet_lobe(Facet::Schlick { f0: lookup(specular), most: Vec3::ONE }, roughness, false);
-            }
-            Model::Dielectric { ior, transmittance, thin, roughness } => {
-                let ior = ior.clamp(1.0, 10.0);
-                bsdf.lobe = if *thin {
-                    Lobe::Pane { eta: ior, transmittance: *transmittance }
-                } else {
-                    let eta = if at.back { 1.0 / ior } else { ior };
-                    let spread = (ior - 1.0) * 0.025 * m.dispersion;
-                    Lobe::Glass { eta, microfacet: Microfacet::of(roughness), tint: lookup(&m.tint), spread }
-                };
-            }
-            Model::Plastic { coat, .. } => {
-                if !coat.is_none() {
-                    bsdf.coat = Coat::Dielectric(*coat);
-                    bsdf.lobe = facet_lobe(Facet::Dielectric { eta: coat.ior }, &coat.roughness, false);
-                }
-            }
-            Model::MetalRough(m) if m.is_diffuse => bsdf.passed = point.passed_albedo(scene),
-            Model::MetalRough(m) => bsdf.set_metal_rough(scene, m, at, &point, alpha_of_diffuse),
-            Model::CookTorrance { specular, roughness, .. } => {
-                let f0 = lookup(specular);
-                if f0.max_element() > 0.0 {
-                    let v_groove = roughness.distribution == Distribution::Beckmann;
-                    bsdf.lobe = facet_lobe(
-                        Facet::Schlick { f0, most: Vec3::ONE - bsdf.diffuse },
-                        roughness,
-                        v_groove,
-                    );
-                }
-            }
-            Model::Ward { specular, roughness, .. } => {
-                // Textures can ask for more than all of the light.
-                let specular = lookup(specular).min(Vec3::ONE - bsdf.diffuse);
-                if specular.max_element() > 0.0 {
-                    let beckmann = Roughness { distribution: Distribution::Beckmann, ..*roughness };
-                    bsdf.lobe = match Microfacet::of(&beckmann) {
-                        None => Lobe::Mirror { reflectance: specular },
-                        Some(microfacet) => Lobe::Ward { specular, microfacet },
-                    };
-                }
-            }
-        }
-        bsdf
-    }
-
     /// Albedo of the view-independent part, per band.
     pub fn diffuse_albedo(&self) -> Vec3 {
         self.diffuse

@@ -2,6 +2,8 @@ use super::*;
 use crate::math;
 use crate::rng::Stream;
 use crate::scene::test_scenes::white_metal_rough;
+use crate::scene::{Reflectance, Roughness};
+use crate::transport::interaction::Interaction;
 
 fn bsdf(diffuse: Vec3, coat: Coat, lobe: Lobe) -> Bsdf {
     Bsdf {

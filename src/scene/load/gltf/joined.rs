@@ -3,19 +3,18 @@
 //! ([`crate::scene::recipe`]).
 
 use std::collections::HashMap;
-use std::sync::Arc;
 
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 
+use super::joined_maps::{Joined, Key, Rule, join};
 use super::materials::MetalRoughSource;
 use super::surfaces::{Pending, Veil};
-use super::texels::encoded;
+use super::texels::mean_of;
 use crate::image::luminance;
 use crate::scene::metal_rough::{Coat, Layer, MetalRough, Over};
 use crate::scene::recipe::{Channel, FilmMaps, Recipe, Scalar};
-use crate::scene::texture::MipChain;
-use crate::scene::{Placement, Reflectance, Sheen, Texture, TextureId};
+use crate::scene::{Reflectance, Sheen, Texture, TextureId};
 
 /// Metalness below which what is rough counts as diffuse.
 const METAL_FLOOR: f32 = 0.02;
@@ -95,6 +94,7 @@ fn constant(rule: &Rule, source: &MetalRoughSource, around: &Around, diffuse: Re
         metallic_in_alpha: false,
         roughness: rule.roughness,
         roughness_range: [rule.roughness; 2],
+        maps_agree: false,
         specular_mean: luminance(rule.f0),
         through: Reflectance::constant(Vec3::ZERO),
         coverage: around.coverage,
@@ -125,7 +125,6 @@ fn flat(
         ..constant(rule, source, around, diffuse)
     };
     let base = |color| Reflectance { color, map: base_map };
-    let base_mean = base_map.map_or(Vec3::ONE, |map| rgb(textures[map.0 as usize].mean())) * rule.base;
     let mixed = base_map.is_some() && metallic > 0.0 && metallic < 1.0;
     let in_alpha = around.coverage_in_alpha;
     if rough.is_some() || through_map.is_some() || in_alpha || mixed {
@@ -135,7 +134,7 @@ fn flat(
         bits.iter_mut().zip(factors).for_each(|(b, f)| *b = f.to_bits());
         let key = (maps.map(|m| m.map(|t| t.0)), in_alpha, bits);
         let j = known.entry(key).or_insert_with(|| join(rule, maps, in_alpha, textures)).clone();
-        let mean = luminance(rgb(textures[j.specular.0 as usize].mean()));
+        let mean = luminance(rgb(mean_of(j.specular, textures)));
         let diffuse = if j.metal[0] >= 1.0 && !in_alpha {
             Reflectance::constant(Vec3::ZERO)
         } else {
@@ -152,12 +151,14 @@ fn flat(
             metallic_in_alpha: least < most && diffuse.map.is_some() && !in_alpha,
             roughness: j.mean,
             roughness_range: j.range,
+            maps_agree: diffuse.map.is_some(),
             is_diffuse: around.is_plain && j.metal[1] <= METAL_FLOOR && j.range[0] >= gloss_floor,
             through,
             ..constant(diffuse, Reflectance { color: Vec3::ONE, map: Some(j.specular) }, mean)
         }
     } else if metallic >= 1.0 {
-        constant(Reflectance::constant(Vec3::ZERO), base(rule.base), luminance(base_mean))
+        let mean = base_map.map_or(Vec3::ONE, |map| rgb(mean_of(map, textures))) * rule.base;
+        constant(Reflectance::constant(Vec3::ZERO), base(rule.base), luminance(mean))
     } else {
         let [diffuse, f0, passed] = rule.at(rule.base, metallic, roughness, through);
         let made = constant(base(diffuse), Reflectance::constant(f0), luminance(f0));
@@ -172,7 +173,7 @@ fn by_recipe(
     source: &MetalRoughSource,
     around: &Around,
     p: &Pending,
-    textures: &[Texture],
+    textures: &mut [Texture],
 ) -> MetalRough {
     let maps = &p.maps;
     let scalar =
@@ -212,6 +213,9 @@ fn by_recipe(
     let roughness_range = if source.is_gloss { [1.0 - most, 1.0 - least] } else { [least, most] };
     let [_, metal] = range(&recipe.metallic, textures);
     recipe.is_diffuse = around.is_plain && metal <= METAL_FLOOR && roughness_range[0] >= p.source.gloss_floor;
+    for map in recipe.maps() {
+        mean_of(map, textures);
+    }
     let mean = recipe.at(|map| textures[map.0 as usize].mean());
     let known = |v: Vec3, map: Option<TextureId>| {
         let of = map.map_or(Vec3::ONE, |map| rgb(textures[map.0 as usize].mean()));
@@ -245,106 +249,4 @@ fn range(of: &Scalar, textures: &[Texture]) -> [f32; 2] {
     let rows: Vec<[f32; 2]> = (0..h).into_par_iter().map(row).collect();
     let [low, high] = rows.into_iter().fold([1.0f32, 0.0], |[a, b], [c, d]| [a.min(c), b.max(d)]);
     [of.factor * low, of.factor * high]
-}
-
-/// How texels become those of a surface.
-struct Rule {
-    base: Vec3,
-    metallic: f32,
-    roughness: f32,
-    through: f32,
-    f0: Vec3,
-    layer: Layer,
-}
-
-impl Rule {
-    /// (1 − m) (1 − t) b (1 − Ē), f₀, and t (1 − m) b.
-    fn at(&self, base: Vec3, m: f32, r: f32, t: f32) -> [Vec3; 3] {
-        let below = base * (1.0 - m);
-        [below * ((1.0 - t) * (1.0 - self.layer.mean(r))), self.f0 * (1.0 - m) + base * m, below * t]
-    }
-}
-
-/// What makes two joined maps the same.
-pub(super) type Key = ([Option<u32>; 3], bool, [u32; 10]);
-
-/// Maps that were made of others, and what is known of them.
-#[derive(Clone)]
-pub(super) struct Joined {
-    diffuse: TextureId,
-    specular: TextureId,
-    through: Option<TextureId>,
-    metal: [f32; 2],
-    range: [f32; 2],
-    mean: f32,
-}
-
-/// Makes the maps of a surface from those of base colour, of roughness (green) and metalness (blue), and of transmission
-/// (red). Where the base colour's alpha says what is there, the diffuse map is multiplied by it and has it.
-fn join(
-    rule: &Rule,
-    maps: [Option<TextureId>; 3],
-    coverage_in_alpha: bool,
-    textures: &mut Vec<Texture>,
-) -> Joined {
-    let of = |id: Option<TextureId>| id.map(|id| &textures[id.0 as usize]);
-    let size = |t: Option<&Texture>| t.map_or([1, 1], |t| t.size(0));
-    let [w, h] = maps.map(|m| size(of(m))).into_iter().fold([1, 1], |[w, h], [a, b]| [w.max(a), h.max(b)]);
-    // Coordinates are those of all maps, so texels are read where they lie, without scale and offset.
-    let flat = |t: Option<&Texture>| {
-        t.map(|t| {
-            let wrap = t.placement.wrap;
-            Texture { placement: Placement { wrap, ..Placement::default() }, ..t.clone() }
-        })
-    };
-    let [flat_base, flat_rough, flat_through] = maps.map(|m| flat(of(m)));
-    let look = |t: &Option<Texture>, x: usize, y: usize| match t {
-        None => [1.0; 4],
-        Some(t) if t.size(0) == [w, h] => t.texel(0, x, y),
-        Some(t) => {
-            let uv = Vec2::new((x as f32 + 0.5) / w as f32, 1.0 - (y as f32 + 0.5) / h as f32);
-            t.sample(uv, 0.0)
-        }
-    };
-    let texels: Vec<([[u8; 4]; 3], u8)> = (0..w * h)
-        .into_par_iter()
-        .map(|i| {
-            let (x, y) = (i % w, i / w);
-            let [red, green, blue, alpha] = look(&flat_base, x, y);
-            let color = Vec3::new(red, green, blue) * rule.base;
-            let there = if coverage_in_alpha { alpha } else { 1.0 };
-            let [_, green, blue, _] = look(&flat_rough, x, y);
-            let (m, r) = ((rule.metallic * blue).clamp(0.0, 1.0), (rule.roughness * green).clamp(0.0, 1.0));
-            let t = (rule.through * look(&flat_through, x, y)[0]).clamp(0.0, 1.0);
-            let [diffuse, f0, passed] = rule.at(color, m, r, t);
-            // What is there, or else how much of it is metal.
-            let alpha = if coverage_in_alpha { there } else { m };
-            // What nothing passes has no map of it.
-            let passed = if rule.through > 0.0 { encoded(passed, 1.0) } else { [0; 4] };
-            let texels = [encoded(diffuse * there, alpha), encoded(f0, r), passed];
-            (texels, (m * 255.0 + 0.5) as u8)
-        })
-        .collect();
-    let bounds = |v: &mut dyn Iterator<Item = u8>| {
-        let (low, high) = v.fold((255, 0), |(low, high), v| (v.min(low), v.max(high)));
-        [f32::from(low) / 255.0, f32::from(high) / 255.0]
-    };
-    let metal = bounds(&mut texels.iter().map(|t| t.1));
-    let range = bounds(&mut texels.iter().map(|t| t.0[1][3]));
-    let like = maps.iter().find_map(|m| of(*m));
-    let (name, placement) =
-        like.map_or((String::new(), Placement::default()), |t| (t.name.clone(), t.placement));
-    let mut add = |what: &str, which: usize, has_alpha| {
-        let texels = texels.iter().map(|t| t.0[which]).collect();
-        let mips = Arc::new(MipChain::from_rgba8(w, h, texels, true));
-        let texture =
-            Texture { name: format!("{name} ({what})"), mips, has_alpha, is_color: true, placement };
-        textures.push(texture);
-        TextureId(textures.len() as u32 - 1)
-    };
-    let diffuse = add("diffuse", 0, coverage_in_alpha);
-    let specular = add("specular", 1, true);
-    let through = (rule.through > 0.0).then(|| add("through", 2, false));
-    let mean = textures[specular.0 as usize].mean()[3];
-    Joined { diffuse, specular, through, metal, range, mean }
 }

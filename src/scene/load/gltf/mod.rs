@@ -13,6 +13,7 @@ mod document;
 mod draco;
 mod extensions;
 mod joined;
+mod joined_maps;
 mod lights;
 mod materials;
 mod meshes;

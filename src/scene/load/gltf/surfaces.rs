@@ -9,10 +9,11 @@ use glam::Vec3;
 
 use super::super::error::{Place, Warning};
 use super::super::textures::TextureRequests;
-use super::joined::{self, Key};
+use super::joined;
+use super::joined_maps::{Joined, Key};
 use super::materials::{Alpha, Kind, Maps, Source};
 use super::pictures::{MapUse, Picture};
-use super::texels::{lean, premultiplied};
+use super::texels::{lean, mean_of, premultiplied};
 use crate::scene::metal_rough::{Layer, MetalRough};
 use crate::scene::{Distribution, Material, MaterialId, Model, Reflectance, Roughness, Texture, TextureId};
 
@@ -78,7 +79,7 @@ pub(in super::super) fn finish(
     ids: &[Option<TextureId>],
     warnings: &mut Vec<Warning>,
 ) {
-    let mut known: HashMap<Key, joined::Joined> = HashMap::new();
+    let mut known: HashMap<Key, Joined> = HashMap::new();
     let mut leaning: HashMap<(TextureId, u32), TextureId> = HashMap::new();
     for mut p in pending {
         p.base = resolved(p.base, ids);
@@ -107,7 +108,7 @@ fn finish_one(
     material: &mut Material,
     p: &Pending,
     textures: &mut Vec<Texture>,
-    known: &mut HashMap<Key, joined::Joined>,
+    known: &mut HashMap<Key, Joined>,
     said: &mut Vec<String>,
 ) {
     let s = &p.source;
@@ -136,6 +137,7 @@ fn finish_one(
                         metallic_in_alpha: false,
                         roughness: 0.0,
                         roughness_range: [0.0; 2],
+                        maps_agree: false,
                         layer: Layer::new(0.0, 0.0),
                         specular_mean: 0.0,
                         through: Reflectance::constant(Vec3::ZERO),
@@ -176,7 +178,7 @@ pub(super) struct Veil {
 fn coverage(
     material: &mut Material,
     p: &Pending,
-    textures: &[Texture],
+    textures: &mut [Texture],
     said: &mut Vec<String>,
 ) -> Option<Veil> {
     let s = &p.source;
@@ -191,13 +193,13 @@ fn coverage(
             None
         }
         Alpha::Blend => {
-            let mean = map.map_or(1.0, |map| textures[map.0 as usize].mean()[3]) * s.base_alpha;
-            if map.is_none() && mean > 1.0 - CLEAR {
-                return None;
-            }
             if map.is_some_and(|map| veiled(&textures[map.0 as usize], s.base_alpha) < VEILED_MIN) {
                 said.push("blends with what is behind it; cut out where its alpha is one half".to_owned());
                 (material.opacity, material.opacity_map) = (s.base_alpha, map);
+                return None;
+            }
+            let mean = map.map_or(1.0, |map| mean_of(map, textures)[3]) * s.base_alpha;
+            if map.is_none() && mean > 1.0 - CLEAR {
                 return None;
             }
             if mean < CLEAR && map.is_none() {

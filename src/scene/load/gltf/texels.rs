@@ -5,8 +5,9 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::image::srgb_byte_from_linear;
-use crate::scene::texture::MipChain;
+use crate::image::SrgbSteps;
+use crate::scene::texels::Pixels;
+use crate::scene::texture::{MipChain, complete};
 use crate::scene::{Texture, TextureId};
 
 /// A map of normals that lean `scale` times as far.
@@ -20,7 +21,7 @@ pub(super) fn lean(map: TextureId, scale: f32, textures: &mut Vec<Texture>) -> T
         [x, y, z, u16::MAX]
     };
     let texels = (0..w * h).into_par_iter().map(texel).collect();
-    let mips = Arc::new(MipChain::from_rgba16(w, h, texels));
+    let mips = Arc::new(MipChain::alone(w, h, Pixels::Word(texels)));
     let texture = Texture { name: format!("{} (leaning)", of.name), mips, ..of.clone() };
     textures.push(texture);
     TextureId(textures.len() as u32 - 1)
@@ -29,22 +30,30 @@ pub(super) fn lean(map: TextureId, scale: f32, textures: &mut Vec<Texture>) -> T
 /// A map whose colours are multiplied by its alpha.
 pub(super) fn premultiplied(map: TextureId, textures: &mut Vec<Texture>) -> TextureId {
     let of = &textures[map.0 as usize];
-    let [w, h] = of.size(0);
+    let ([w, h], steps) = (of.size(0), SrgbSteps::shared());
     let texel = |i: usize| {
         let [r, g, b, a] = of.texel(0, i % w, i / w);
-        encoded(Vec3::new(r, g, b) * a, a)
+        encoded(Vec3::new(r, g, b) * a, a, steps)
     };
     let texels = (0..w * h).into_par_iter().map(texel).collect();
-    let mips = Arc::new(MipChain::from_rgba8(w, h, texels, true));
+    let mips = Arc::new(MipChain::alone(w, h, Pixels::Byte { texels, gamma: true }));
     let texture = Texture { name: format!("{} (veil)", of.name), mips, is_color: true, ..of.clone() };
     textures.push(texture);
     TextureId(textures.len() as u32 - 1)
 }
 
 /// Linear colours and an alpha as they are stored.
-pub(super) fn encoded(c: Vec3, alpha: f32) -> [u8; 4] {
-    let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
-    // Not by `map`, which is called for each and not written out.
-    let color = srgb_byte_from_linear;
-    [color(c.x), color(c.y), color(c.z), byte(alpha)]
+#[inline]
+pub(super) fn encoded(c: Vec3, alpha: f32, steps: &SrgbSteps) -> [u8; 4] {
+    let alpha = (alpha.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
+    [steps.byte(c.x), steps.byte(c.y), steps.byte(c.z), alpha]
+}
+
+/// The mean of a map, for which it and those that share its picture get all of their levels.
+pub(super) fn mean_of(map: TextureId, textures: &mut [Texture]) -> [f32; 4] {
+    let mips = textures[map.0 as usize].mips.clone();
+    if !mips.is_complete() {
+        complete(textures, |t| Arc::ptr_eq(&t.mips, &mips));
+    }
+    textures[map.0 as usize].mean()
 }

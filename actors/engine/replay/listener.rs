@@ -15,13 +15,26 @@ use super::history::{Block, Heard, Record};
 /// Bytes of an actor's state at most, where it is noted: telling it takes about as long as a delivery does.
 const STATE_BYTES_MAX: usize = 16 << 10;
 /// Bytes that become others in a state at most, on average over the deliveries of a record.
-const CHANGE_BYTES_MAX: usize = 256;
+const CHANGE_BYTES_MAX: usize = 1 << 10;
+/// Items of lists in it: those of long lists are told by their hash alone, which takes time and no room.
+const STATE_ITEMS_MAX: usize = 4096;
 /// Bytes of a message above which it is large…
 const MESSAGE_BYTES_MAX: usize = 512;
+/// …or items of lists in it…
+const MESSAGE_ITEMS_MAX: usize = 256;
 /// …and so many of a kind are noted: few are light and textures, many are samples.
 const LARGE_MAX: usize = 64;
 /// Bytes of an actor's notes that make a record.
 const RECORD_BYTES: usize = 1 << 20;
+
+/// How many items all lists in a value have.
+fn items(content: &Content) -> usize {
+    match content {
+        Content::List(list) => list.length + list.items.iter().map(items).sum::<usize>(),
+        Content::Fields { fields, .. } => fields.iter().map(|(_, value)| items(value)).sum(),
+        _ => 0,
+    }
+}
 
 /// Messages of one kind to one actor.
 #[derive(Default)]
@@ -74,14 +87,16 @@ impl Notes {
         kind.places.comes(d.index, Content::Untold);
         let large = self.large.entry(d.kind).or_default();
         if *large < LARGE_MAX {
-            let before = kind.told.len();
-            kind.told.comes(d.index, (d.told)());
-            *large += usize::from(kind.told.len() - before > MESSAGE_BYTES_MAX);
+            let (before, told) = (kind.told.len(), (d.told)());
+            let has_many = items(&told) > MESSAGE_ITEMS_MAX;
+            kind.told.comes(d.index, told);
+            *large += usize::from(has_many || kind.told.len() - before > MESSAGE_BYTES_MAX);
         }
     }
 
     fn stands(&mut self, index: u64, state: Content) {
         let is_first = self.state.len() == 0;
+        self.is_silent |= is_first && items(&state) > STATE_ITEMS_MAX;
         self.state.stands(index, state);
         self.is_silent |= is_first && self.state.len() > STATE_BYTES_MAX;
     }

@@ -1,6 +1,6 @@
 //! When something came about in a recording.
 //!
-//! Answered from what is kept of what actors were told and knew ([`super::history`]), or searched for ([`super::search`]).
+//! Answered from what is kept of what actors were told and knew (`history`), or searched for (`search`).
 
 use std::collections::BTreeMap;
 use std::fmt;

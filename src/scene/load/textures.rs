@@ -92,7 +92,7 @@ impl TextureRequests {
     }
 
     /// Reads and decodes all of them in parallel. Returns the textures, which have their finest levels only until they are
-    /// [completed](complete), and for each id of
+    /// completed, and for each id of
     /// [`Self::ask`] the final one, or `None` where there is a warning instead.
     pub fn load(
         self,

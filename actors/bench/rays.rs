@@ -16,7 +16,7 @@ use foveal::geometry::shadow::{LastShadow, Shadows};
 use foveal::geometry::{Hit, Ray};
 use foveal::rng::Stream;
 use foveal::scene::{Material, MaterialId, Mesh, Model, Reflectance, Scene};
-use foveal::transport::light::Lights;
+use foveal::transport::light::{Lights, Receiver};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
@@ -410,7 +410,8 @@ fn from_hall() -> Result<Job, Failure> {
         let r = (1.0 - z * z).max(0.0).sqrt();
         let d = (n + Vec3::new(r * phi.cos(), r * phi.sin(), z)).try_normalize().unwrap_or(n);
         bounce.push(Ray::new(p, d));
-        if let Some(light) = lights.sample_direct(&scene, p, s.next_f32(), s.next_2d()) {
+        let at = Receiver { point: p, normal: n };
+        if let Some(light) = lights.sample_towards(&scene, &at, (s.next_f64(), s.next_2d()), None) {
             shadow.push(Ray { t_max: light.distance * 0.999, ..Ray::new(p, light.wi) });
         }
     }

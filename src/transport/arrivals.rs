@@ -44,7 +44,7 @@ pub fn arrivals(indexed: Indexed<'_>, at: &Interaction, samples: u32, seed: u64)
     for number in 0..samples {
         let mut stream = Stream::new(seed, u64::from(number), 0);
         let choice = f64::from((number as f32 + stream.next_f32()) / samples as f32);
-        let drawn = lights.draw_towards(scene, &Receiver::from(at), choice, stream.next_2d());
+        let drawn = lights.draw_towards(scene, &Receiver::from(at), (choice, stream.next_2d()), None);
         let Some((emitter, sample)) = drawn else { continue };
         let lamp = match emitter {
             Emitter::Triangle(t) => Lamp::Material(scene.mesh.materials[t as usize].0),

@@ -21,7 +21,7 @@ use super::bsdf::{Bsdf, BsdfSample};
 use super::direct::{Found, arriving, goes_straight, mis_weight};
 use super::gather::{Gather, LastShadows, Trust};
 use super::interaction::Interaction;
-use super::light::Lights;
+use super::light::{Lights, VisibleSky};
 use super::medium::Media;
 use super::surface::SurfacePoint;
 use crate::geometry::packet::LANES;
@@ -83,6 +83,8 @@ pub struct Tracer<'a, W = Nobody> {
     lights: &'a Lights,
     illumination: &'a dyn Irradiance,
     settings: Settings,
+    /// What of the sky is seen from where.
+    sky: Option<&'a VisibleSky>,
     /// Results that were not finite and became 0.
     broken: AtomicU64,
     /// Who is told of it.
@@ -135,13 +137,27 @@ impl<'a> Tracer<'a> {
         illumination: &'a dyn Irradiance,
         settings: Settings,
     ) -> Self {
-        Self { scene, accel, lights, illumination, settings, broken: AtomicU64::new(0), witness: Nobody }
+        Self {
+            scene,
+            accel,
+            lights,
+            illumination,
+            settings,
+            sky: None,
+            broken: AtomicU64::new(0),
+            witness: Nobody,
+        }
+    }
+
+    /// Looks for the sky where it is seen: less noise in rooms, and the same mean.
+    pub fn looking_out(self) -> Self {
+        Self { sky: self.lights.visible_sky(self.scene, self.accel), ..self }
     }
 
     /// The same tracer, which tells a witness what it does.
     pub fn told_to<W: Witness>(self, witness: W) -> Tracer<'a, W> {
-        let Self { scene, accel, lights, illumination, settings, broken, witness: Nobody } = self;
-        Tracer { scene, accel, lights, illumination, settings, broken, witness }
+        let Self { scene, accel, lights, illumination, settings, sky, broken, witness: Nobody } = self;
+        Tracer { scene, accel, lights, illumination, settings, sky, broken, witness }
     }
 }
 
@@ -328,7 +344,7 @@ impl<W: Witness> Tracer<'_, W> {
                 return self.bounded(light, branch.contribution);
             }
             let Some(found) = branch.found.filter(|_| light != Vec3::ZERO) else { return light };
-            light * found.weight(self.scene, self.lights, ray.direction, hit.as_ref())
+            light * found.weight(self.scene, self.lights, (ray.direction, hit.as_ref()), self.sky)
         };
         let Some(hit) = &hit else {
             let light = share(self.lights.escaped(self.scene, ray.direction));
@@ -513,7 +529,8 @@ impl<W: Witness> Tracer<'_, W> {
             let choice = s.next_f32();
             let choice = if s.is_shared_out() { choice } else { (i as f32 + choice) / m as f32 };
             let [u, v] = s.next_2d();
-            let Some(light) = self.lights.sample_direct(self.scene, at.position, choice, [u, v]) else {
+            let numbers = (f64::from(choice), [u, v]);
+            let Some(light) = self.lights.sample_towards(self.scene, &at.into(), numbers, self.sky) else {
                 continue;
             };
             let (f, pdf) = bsdf.evaluate_and_pdf(at.wo, light.wi);

@@ -140,8 +140,9 @@ mod tests {
         let normal = Vec3::new(0.1, 0.9, -0.2).normalize();
         let value = |l: LightSample| f64::from(luminance(l.radiance) * l.wi.dot(normal).max(0.0) / l.pdf);
         let is_distant = LightSample::is_distant;
+        let at = Receiver { point: Vec3::ZERO, normal };
         let (a, error_a) = mean(400_000, |r| {
-            let l = lights.sample_direct(&s, Vec3::ZERO, r.next_f32(), r.next_2d()).filter(is_distant);
+            let l = lights.sample_towards(&s, &at, (r.next_f64(), r.next_2d()), None).filter(is_distant);
             l.map_or(0.0, value)
         });
         let (b, error_b) = mean(100_000, |r| {

@@ -4,9 +4,8 @@
 //! directions found otherwise ([`Lights::pdf_towards`]), and particles that leave the lights
 //! (`begin`). Radiance in W·sr⁻¹·m⁻² per band, power in W.
 //!
-//! Lights inside of the scene are chosen by what they may bring to the surface (`tree`); bake and refinement look for the sky
-//! where it is seen (`sky`), and for surfaces that reflect much light ([`bright`]). The tracer of corrections still chooses
-//! by power alone ([`Lights::sample_direct`]).
+//! Lights inside of the scene are chosen by what they may bring to the surface (`tree`); the sky is looked for where it is
+//! seen (`sky`). Bake and refinement look for surfaces that reflect much light, too ([`bright`]).
 
 pub mod bright;
 mod distant;
@@ -23,7 +22,7 @@ use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
 
-use crate::geometry::{Accel, Hit};
+use crate::geometry::Accel;
 use crate::image::luminance;
 use crate::math;
 use crate::scene::{Light, Scene, TriangleIndex};
@@ -234,84 +233,6 @@ impl Lights {
     /// Whether nothing emits.
     pub fn is_empty(&self) -> bool {
         self.emitters.is_empty()
-    }
-
-    /// The light that `u` chooses for next-event estimation, and its probability.
-    fn choose(&self, u: f32) -> Option<(Emitter, f64)> {
-        let share = self.distant_share;
-        let u = u.clamp(0.0, 1.0);
-        if u < share {
-            let i = self.distant.sample(f64::from(u / share))?;
-            Some((self.emitters[self.near_count + i], f64::from(share) * self.distant.probability(i)))
-        } else {
-            let i = self.near.sample(f64::from((u - share) / (1.0 - share)))?;
-            Some((self.emitters[i], f64::from(1.0 - share) * self.near.probability(i)))
-        }
-    }
-
-    /// A direction from `point` to a light chosen by power. `u_choice`, `u` uniform in [0, 1).
-    ///
-    /// `None` where the chosen light sends nothing to the point: that counts as a sample of zero. Occlusion is the
-    /// caller's to test.
-    pub fn sample_direct(
-        &self,
-        scene: &Scene,
-        point: Vec3,
-        u_choice: f32,
-        u: [f32; 2],
-    ) -> Option<LightSample> {
-        let (emitter, probability) = self.choose(u_choice)?;
-        let sample = match emitter {
-            Emitter::Triangle(t) => sample_triangle(scene, t, point, u)?,
-            Emitter::Analytic(i) => sample_analytic(&scene.lights[i as usize], point)?,
-            Emitter::Environment => {
-                let environment = scene.environment.as_ref()?;
-                let (wi, pdf) = self.environment.as_ref()?.sample(environment, u)?;
-                let radiance = environment.radiance(wi);
-                LightSample { wi, distance: f32::INFINITY, radiance, pdf, delta: false }
-            }
-        };
-        let sample = LightSample { pdf: (f64::from(sample.pdf) * probability) as f32, ..sample };
-        let usable = sample.pdf > 0.0
-            && sample.pdf.is_finite()
-            && sample.radiance.is_finite()
-            && sample.radiance.max_element() > 0.0;
-        usable.then_some(sample)
-    }
-
-    /// Density per solid angle with which [`Self::sample_direct`] draws the unit direction `wi` from `point`, where
-    /// a ray along it ends at `hit`, or in the surrounding. 0 where that is no light.
-    pub fn pdf_direct(&self, scene: &Scene, point: Vec3, wi: Vec3, hit: Option<&Hit>) -> f32 {
-        let Some(hit) = hit else {
-            let (Some(d), Some(environment)) = (&self.environment, &scene.environment) else { return 0.0 };
-            // The surrounding is the last light.
-            let Some(last) = (self.emitters.len() - self.near_count).checked_sub(1) else { return 0.0 };
-            let probability = f64::from(self.distant_share) * self.distant.probability(last);
-            return (f64::from(d.pdf(environment, wi)) * probability) as f32;
-        };
-        let material = scene.mesh.materials[hit.triangle as usize].0 as usize;
-        if !scene.materials[material].is_emissive() {
-            return 0.0;
-        }
-        let triangles = &self.emitters[..self.triangle_count];
-        let found = triangles.binary_search_by_key(&hit.triangle, |e| match e {
-            Emitter::Triangle(t) => *t,
-            Emitter::Analytic(_) | Emitter::Environment => u32::MAX,
-        });
-        let Ok(i) = found else { return 0.0 };
-        let probability = f64::from(1.0 - self.distant_share) * self.near.probability(i);
-        let corners = scene.mesh.corners(hit.triangle);
-        let pdf = match TriangleView::new(corners, point) {
-            None => return 0.0,
-            Some(TriangleView::Spherical(s)) => 1.0 / s.solid_angle,
-            Some(TriangleView::Area { normal, area }) => {
-                let to =
-                    corners[0] * (1.0 - hit.b1 - hit.b2) + corners[1] * hit.b1 + corners[2] * hit.b2 - point;
-                f64::from(to.length_squared()) / f64::from(area * normal.dot(wi).abs())
-            }
-        };
-        let pdf = (pdf * probability) as f32;
-        if pdf.is_finite() { pdf } else { 0.0 }
     }
 
     /// Radiance that a ray along `direction` meets where it leaves the scene. Finite.

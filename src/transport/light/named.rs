@@ -77,7 +77,7 @@ impl Lights {
         visible: Option<&VisibleSky>,
     ) -> Option<LightSample> {
         if !self.has_named() {
-            return self.sample_towards(scene, at, u_choice, u);
+            return self.sample_towards(scene, at, (u_choice, u), visible);
         }
         let share = self.sky_share();
         let (sample, probability) = if u_choice < share {
@@ -105,7 +105,7 @@ impl Lights {
         visible: Option<&VisibleSky>,
     ) -> f32 {
         if !self.has_named() {
-            return self.pdf_towards(scene, at, wi, hit);
+            return self.pdf_towards(scene, at, (wi, hit), visible);
         }
         let Some(emitter) = self.met(scene, hit) else { return 0.0 };
         let (density, probability) = match (emitter, hit) {

@@ -19,11 +19,12 @@ fn square_light() -> Scene {
 fn irradiance(s: &Scene, point: Vec3, n: u64, both: bool) -> (f64, f64) {
     let lights = Lights::build(s);
     let accel = Accel::build(s);
+    let at = Receiver { point, normal: Vec3::Y };
     let (mut sum, mut square) = (0.0, 0.0);
     for i in 0..n {
         let mut stream = Stream::new(3, i, 0);
         let mut x = 0.0;
-        if let Some(l) = lights.sample_direct(s, point, stream.next_f32(), stream.next_2d()) {
+        if let Some(l) = lights.sample_towards(s, &at, (stream.next_f64(), stream.next_2d()), None) {
             let weight = if both && !l.delta { l.pdf / (l.pdf + 1.0 / TAU) } else { 1.0 };
             x += f64::from(luminance(l.radiance) * l.wi.y.max(0.0) / l.pdf * weight);
         }
@@ -33,7 +34,7 @@ fn irradiance(s: &Scene, point: Vec3, n: u64, both: bool) -> (f64, f64) {
             let wi = Vec3::new(r * cos, u, r * sin);
             let ray = Ray { t_min: 1e-4, ..Ray::new(point, wi) };
             let hit = accel.intersect(s, &ray);
-            let pdf = lights.pdf_direct(s, point, wi, hit.as_ref());
+            let pdf = lights.pdf_towards(s, &at, (wi, hit.as_ref()), None);
             let radiance = match hit {
                 None => lights.escaped(s, wi),
                 Some(h) => {
@@ -205,7 +206,9 @@ fn shadowed_irradiance(s: &Scene, lights: &Lights, accel: &Accel, point: Vec3) -
     for i in 0..n {
         let mut stream =
             Stream::new(13, i, u64::from(point.x.to_bits()) << 32 | u64::from(point.z.to_bits()));
-        let Some(l) = lights.sample_direct(s, point, stream.next_f32(), stream.next_2d()) else { continue };
+        let Some(l) = lights.sample_towards(s, &at, (stream.next_f64(), stream.next_2d()), None) else {
+            continue;
+        };
         let ray = Ray { t_min: 1e-4, t_max: l.distance * (1.0 - 1e-4), ..Ray::new(point, l.wi) };
         if l.wi.y > 0.0 && !accel.occluded(s, &ray) {
             sum += f64::from(luminance(l.radiance) * l.wi.y / l.pdf) / n as f64;
@@ -243,9 +246,10 @@ fn nothing_shines_in_the_dark() {
     s.materials[1].emission.color = Vec3::ZERO;
     let lights = Lights::build(&s);
     assert!(lights.is_empty());
-    assert_eq!(lights.sample_direct(&s, Vec3::ZERO, 0.5, [0.5, 0.5]), None);
+    let at = Receiver { point: Vec3::ZERO, normal: Vec3::Y };
+    assert_eq!(lights.sample_towards(&s, &at, (0.5, [0.5, 0.5]), None), None);
     assert!(lights.begin(&s, &mut Stream::new(0, 0, 0)).is_none());
-    assert_eq!(lights.pdf_direct(&s, Vec3::ZERO, Vec3::Y, None), 0.0);
+    assert_eq!(lights.pdf_towards(&s, &at, (Vec3::Y, None), None), 0.0);
     assert_eq!(lights.escaped(&s, Vec3::Y), Vec3::ZERO);
 }
 

@@ -34,26 +34,32 @@ impl Lights {
     /// A direction in which light arrives. `u_choice` chooses the light, `u` the direction; all uniform in [0, 1).
     ///
     /// `None` where the light that was chosen sends nothing there: that counts as a sample of zero. What stands in
-    /// between is the caller's to test.
+    /// between is the caller's to test. `visible`: what is known of how much of the sky is seen.
     pub fn sample_towards(
         &self,
         scene: &Scene,
         at: &Receiver,
-        u_choice: f64,
-        u: [f32; 2],
+        (u_choice, u): (f64, [f32; 2]),
+        visible: Option<&VisibleSky>,
     ) -> Option<LightSample> {
-        Some(self.draw_towards(scene, at, u_choice, u)?.1)
+        Some(self.draw_towards(scene, at, (u_choice, u), visible)?.1)
     }
 
     /// Density per solid angle with which [`Self::sample_towards`] draws the unit direction `wi` for `at`, where a ray
     /// along it ends at `hit`, or in the surrounding. 0 where that is no light.
-    pub fn pdf_towards(&self, scene: &Scene, at: &Receiver, wi: Vec3, hit: Option<&Hit>) -> f32 {
+    pub fn pdf_towards(
+        &self,
+        scene: &Scene,
+        at: &Receiver,
+        (wi, hit): (Vec3, Option<&Hit>),
+        visible: Option<&VisibleSky>,
+    ) -> f32 {
         let Some(emitter) = self.met(scene, hit) else { return 0.0 };
         let distance = hit.map_or(f32::INFINITY, |hit| {
             let [a, b, c] = scene.mesh.corners(hit.triangle);
             (a * (1.0 - hit.b1 - hit.b2) + b * hit.b1 + c * hit.b2).distance(at.point)
         });
-        self.density_towards(scene, at, emitter, wi, distance)
+        self.density_towards(scene, at, emitter, (wi, distance), visible)
     }
 
     /// [`Self::sample_towards`], with the light.
@@ -61,8 +67,8 @@ impl Lights {
         &self,
         scene: &Scene,
         at: &Receiver,
-        u_choice: f64,
-        u: [f32; 2],
+        (u_choice, u): (f64, [f32; 2]),
+        visible: Option<&VisibleSky>,
     ) -> Option<(Emitter, LightSample)> {
         let share = f64::from(self.distant_share);
         let u_choice = u_choice.clamp(0.0, 1.0);
@@ -76,7 +82,7 @@ impl Lights {
         let sample = match emitter {
             Emitter::Triangle(t) => sample_triangle(scene, t, at.point, u),
             Emitter::Analytic(i) => sample_analytic(&scene.lights[i as usize], at.point),
-            Emitter::Environment => self.sample_environment(scene, at, u, None),
+            Emitter::Environment => self.sample_environment(scene, at, u, visible),
         }?;
         let sample = LightSample { pdf: (f64::from(sample.pdf) * probability) as f32, ..sample };
         let usable = sample.pdf > 0.0
@@ -133,8 +139,8 @@ impl Lights {
         scene: &Scene,
         at: &Receiver,
         emitter: Emitter,
-        wi: Vec3,
-        distance: f32,
+        (wi, distance): (Vec3, f32),
+        visible: Option<&VisibleSky>,
     ) -> f32 {
         let Some(place) = self.place(emitter) else { return 0.0 };
         let share = f64::from(self.distant_share);
@@ -144,7 +150,7 @@ impl Lights {
         };
         let density = match emitter {
             Emitter::Analytic(_) => 1.0,
-            Emitter::Environment => f64::from(self.environment_pdf(scene, at, wi, None)),
+            Emitter::Environment => f64::from(self.environment_pdf(scene, at, wi, visible)),
             Emitter::Triangle(t) => self.triangle_density(scene, at, t, wi, distance),
         };
         let pdf = (density * probability) as f32;

@@ -203,7 +203,9 @@ fn the_mean_of_samples_is_the_sum_over_all_lights() {
         let (mut mean, mut square) = (0.0, 0.0);
         for i in 0..n {
             let mut s = Stream::new(9, i, 0);
-            let Some(l) = lights.sample_towards(&scene, &at, s.next_f64(), s.next_2d()) else { continue };
+            let Some(l) = lights.sample_towards(&scene, &at, (s.next_f64(), s.next_2d()), None) else {
+                continue;
+            };
             let e = f64::from(luminance(l.radiance)) * f64::from(l.wi.dot(at.normal).max(0.0) / l.pdf);
             mean += e / n as f64;
             square += e * e / n as f64;

@@ -8,6 +8,7 @@ use crate::scene::{Placement, Wrap};
 use crate::transport::bsdf::Bsdf;
 use crate::transport::bsdf::bands::Band;
 use crate::transport::interaction::Interaction;
+use crate::transport::light::Receiver;
 use crate::world::World;
 
 /// The quad with a second set of coordinates, which is the first one turned over: (y, x) from the lower left.
@@ -227,9 +228,10 @@ fn sheets_glow_on_both_sides_where_they_are_double_sided() {
     let power = |scene: &Scene, z: f32| {
         const SHARES: u32 = 4096;
         let lights = crate::transport::light::Lights::build(scene);
+        let at = Receiver { point: Vec3::new(0.5, 0.5, z), normal: Vec3::NEG_Z * z.signum() };
         let drawn = (0..SHARES).filter_map(|i| {
-            let u = (i as f32 + 0.5) / SHARES as f32;
-            lights.sample_direct(scene, Vec3::new(0.5, 0.5, z), u, [0.5, 0.5])
+            let u = (f64::from(i) + 0.5) / f64::from(SHARES);
+            lights.sample_towards(scene, &at, (u, [0.5, 0.5]), None)
         });
         // Without the sky that such a scene gets.
         let near = drawn.filter(|sample| sample.distance.is_finite());

@@ -60,7 +60,6 @@ impl World {
     /// The tracer of corrections in this world.
     pub fn tracer(&self) -> Tracer<'_> {
         Tracer::new(&self.scene, &self.accel, &self.lights, &*self.illumination, Settings::default())
-            .looking_out()
     }
 
     /// Unbiased radiance along a ray, without the illumination.

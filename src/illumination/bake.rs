@@ -168,7 +168,7 @@ pub struct Baker {
     /// Per element its front's and its back's site.
     site_of: Vec<[u32; 2]>,
     /// Where particles of caustics begin.
-    sources: Sources,
+    sources: Option<Sources>,
     /// Particles traced.
     particles: u64,
     /// Per block of sites whether no light reaches it; decided by the first round.
@@ -253,7 +253,7 @@ impl Baker {
         Some(Self {
             ahead: (first, is_ahead),
             site_of,
-            sources: Sources::new(scene, indexed.accel, indexed.lights, Class::All),
+            sources: None,
             particles: 0,
             settings: settings.clone(),
             seen: sites.all().iter().map(|s| is_seen(s.element)).collect(),
@@ -364,7 +364,7 @@ impl Baker {
                 Step::Going
             }
             // What a round shows has all parts of light, wherever it ends.
-            Doing::Gather if self.next == 0 && self.wants_particles() => {
+            Doing::Gather if self.next == 0 && self.wants_particles(indexed) => {
                 self.trace(indexed, gatherers);
                 Step::Going
             }
@@ -441,14 +441,18 @@ impl Baker {
     }
 
     /// Whether particles of caustics are still to be traced before the round that has begun.
-    fn wants_particles(&self) -> bool {
+    fn wants_particles(&mut self, indexed: Indexed<'_>) -> bool {
         let most = self.settings.particles.map_or(u64::MAX, |most| most / 2);
-        self.sources.is_possible() && self.particles < (PARTICLES << self.whole_rounds()).min(most)
+        // Not looked for before there is a first picture.
+        let look = || Sources::new(indexed.scene, indexed.accel, indexed.lights, Class::All);
+        self.sources.get_or_insert_with(look).is_possible()
+            && self.particles < (PARTICLES << self.whole_rounds()).min(most)
     }
 
     /// Traces a run of particles for each half.
     fn trace(&mut self, indexed: Indexed<'_>, gatherers: &dyn Gatherers) {
-        let caustics = Caustics::new(indexed.scene, indexed.accel, indexed.lights, &self.sources);
+        let Some(sources) = &self.sources else { return };
+        let caustics = Caustics::new(indexed.scene, indexed.accel, indexed.lights, sources);
         let (seed, begin, atlas, site_of) = (self.settings.seed, self.particles, &self.atlas, &self.site_of);
         let mesh = &indexed.scene.mesh;
         let traced: Vec<Vec<(u32, usize, Vec3, bool)>> = (0..2 * RUN / TOGETHER)

@@ -14,6 +14,8 @@ use crate::math;
 
 /// Parts of light that are smoothed apart, each with edges of its own: see [`super::gathered`].
 pub const PARTS: usize = 3;
+/// The one of them that particles bring: to a few sites much of it, to most sites nothing.
+const CAUSTIC: usize = 2;
 /// Passes that smooth; each has taps twice as far apart as the one before, the first a width.
 const LEVELS: usize = 6;
 /// The last pass.
@@ -68,6 +70,8 @@ pub struct Smoothing {
     known: Vec<bool>,
     /// Which sites have neighbours at the distance of the last pass: where there were none, there are none further away.
     reaching: Vec<bool>,
+    /// Whether particles brought anything.
+    has_caustics: bool,
     /// Passes done: pooling, the levels, peaks.
     pass: usize,
     /// Per site those at the distance of taps, of the pass that goes on.
@@ -81,6 +85,7 @@ struct Around<'a> {
     known: &'a [bool],
     from: &'a [Parts],
     hops: &'a [Links],
+    has_caustics: bool,
 }
 
 impl Smoothing {
@@ -89,6 +94,7 @@ impl Smoothing {
         Self {
             to: Vec::with_capacity(gathered.len()),
             reaching: vec![true; gathered.len()],
+            has_caustics: gathered.iter().any(|parts| parts[CAUSTIC].halves != [Vec3::ZERO; 2]),
             from: gathered,
             known,
             pass: 0,
@@ -108,7 +114,8 @@ impl Smoothing {
             };
         }
         let (from, pass) = (&self.from, self.pass);
-        let around = Around { sites, known: &self.known, from, hops: &self.hops };
+        let has_caustics = self.has_caustics;
+        let around = Around { sites, known: &self.known, from, hops: &self.hops, has_caustics };
         let reaching = &mut self.reaching[done..end];
         self.to.par_extend((done..end).into_par_iter().zip(reaching).map(|(i, reaches)| match pass {
             _ if !around.known[i] || !*reaches => from[i],
@@ -215,10 +222,16 @@ impl<'a> Around<'a> {
         out
     }
 
+    /// Whether a part is as sure as anybody sees. Where particles may come and none did is not: what comes to its neighbours by
+    /// chance is meant for it as well, and would be lost.
+    fn is_settled(self, part: usize, value: &Noisy) -> bool {
+        value.is_clean() && !(part == CAUSTIC && self.has_caustics && value.variance == 0.0)
+    }
+
     /// The mean of what is alike around a site, and whether there is anything at that distance.
     fn smoothed(self, i: usize) -> (Parts, bool) {
         let here = &self.from[i];
-        if here.iter().all(Noisy::is_clean) {
+        if here.iter().enumerate().all(|(k, part)| self.is_settled(k, part)) {
             return (*here, true);
         }
         let mut found = false;
@@ -232,8 +245,9 @@ impl<'a> Around<'a> {
         let mut out = *here;
         out.iter_mut()
             .zip(&sums)
-            .filter(|(part, _)| !part.is_clean())
-            .for_each(|(part, sum)| *part = sum.mean());
+            .enumerate()
+            .filter(|(k, (part, _))| !self.is_settled(*k, part))
+            .for_each(|(_, (part, sum))| *part = sum.mean());
         (out, found)
     }
 
@@ -407,6 +421,31 @@ mod tests {
         let out = smoothed(noisy(light, 0.0, 3), vec![true; SIDE * SIDE]);
         assert_eq!(out[10 * SIDE + 10], 1.0);
         assert!((0..16).all(|i| out[(40 + i / 4) * SIDE + 40 + i % 4] == 9.0));
+    }
+
+    /// One particle for a hundred sites in each half: they spread, and what they bring stays.
+    #[test]
+    fn what_few_particles_bring_is_not_lost() {
+        let parts = (0..SIDE * SIDE).map(|i| {
+            let brings = |half: u64| {
+                let found = Stream::new(7, i as u64, half).next_f32() < 0.01;
+                if found { Vec3::splat(100.0) } else { Vec3::ZERO }
+            };
+            [Noisy::default(), Noisy::new([Vec3::ONE; 2]), Noisy::new([brings(0), brings(1)])]
+        });
+        let parts: Vec<Parts> = parts.collect();
+        let mean = |parts: &[Parts]| {
+            parts.iter().map(|p| luminance(p[CAUSTIC].mean())).sum::<f32>() / parts.len() as f32
+        };
+        let before = mean(&parts);
+        let mut smoothing = Smoothing::new(parts.clone(), vec![true; parts.len()]);
+        let out = loop {
+            if let Some(out) = smoothing.step(&floor(), 1000) {
+                break out;
+            }
+        };
+        assert!((mean(&out) / before - 1.0).abs() < 0.1, "{} of {before}", mean(&out));
+        assert!(deviation(out.iter().map(|p| luminance(p[CAUSTIC].mean()) - before)) < 0.5 * before);
     }
 
     #[test]

@@ -16,7 +16,7 @@ use super::bsdf::Bsdf;
 use super::bsdf::bands::Band;
 use super::direct::{goes_straight, visibility};
 use super::interaction::Interaction;
-use super::light::Lights;
+use super::light::{Lights, Receiver, VisibleSky};
 use super::lit::{LitSurfaces, Start};
 use super::medium::Media;
 use crate::geometry::{Accel, Hit, Ray};
@@ -87,8 +87,9 @@ impl Sources {
             if of(t) { 0.5 * (b - a).cross(c - a).length() } else { 0.0 }
         });
         let pieces = if distant { PIECES } else { 0 };
+        let sky = if distant { seen_sky(scene, accel, lights, class) } else { None };
         let lit = LitSurfaces::new(areas, pieces, 1, near, &|_| 1.0, &|start, stream| {
-            distant_light(scene, accel, lights, class, start, stream)
+            distant_light(scene, accel, (lights, sky), class, start, stream)
                 .map_or(0.0, |light| luminance(light.irradiance))
         });
         let meets = |lamp: usize, u: [f32; 2]| {
@@ -109,6 +110,11 @@ impl Sources {
     }
 }
 
+/// What of the sky is seen from where, if it is wanted.
+fn seen_sky<'a>(scene: &Scene, accel: &Accel, lights: &'a Lights, class: Class) -> Option<&'a VisibleSky> {
+    if class == Class::All { lights.visible_sky(scene, accel) } else { None }
+}
+
 /// A place under a sample of distant light.
 struct Distant {
     /// As that light sees it.
@@ -123,7 +129,7 @@ struct Distant {
 fn distant_light(
     scene: &Scene,
     accel: &Accel,
-    lights: &Lights,
+    (lights, sky): (&Lights, Option<&VisibleSky>),
     class: Class,
     start: &Start,
     stream: &mut Stream,
@@ -134,7 +140,7 @@ fn distant_light(
     let normal = (b - a).cross(c - a).normalize_or_zero();
     let out = if start.back { -normal } else { normal };
     let point = a * (1.0 - hit.b1 - hit.b2) + b * hit.b1 + c * hit.b2;
-    let light = lights.sample_distant(scene, point, out, choice, u)?;
+    let light = lights.sample_distant(scene, &Receiver { point, normal: out }, (choice, u), sky)?;
     if class == Class::Unfound && !light.delta || !scene.is_opaque_at(hit.triangle, hit.b1, hit.b2) {
         return None;
     }
@@ -200,13 +206,15 @@ pub struct Caustics<'a> {
     scene: &'a Scene,
     accel: &'a Accel,
     lights: &'a Lights,
+    sky: Option<&'a VisibleSky>,
     sources: &'a Sources,
 }
 
 impl<'a> Caustics<'a> {
     /// Of a scene with what was found there.
     pub fn new(scene: &'a Scene, accel: &'a Accel, lights: &'a Lights, sources: &'a Sources) -> Self {
-        Self { scene, accel, lights, sources }
+        let sky = if sources.possible { seen_sky(scene, accel, lights, sources.class) } else { None };
+        Self { scene, accel, lights, sky, sources }
     }
 
     /// [`Sources::is_possible`].
@@ -244,7 +252,7 @@ impl<'a> Caustics<'a> {
         }
         let start = lit.start((choice - near) / (1.0 - near), stream.next_2d())?;
         let Distant { at, irradiance, is_dirac } =
-            distant_light(self.scene, self.accel, self.lights, *class, &start, stream)?;
+            distant_light(self.scene, self.accel, (self.lights, self.sky), *class, &start, stream)?;
         let mut flight = begun(at.spawn(at.wo), irradiance, start.density * (1.0 - near), is_dirac);
         let bsdf = Bsdf::at(self.scene, &at);
         // What only passes a pane falls on the surfaces behind it, and begins there.

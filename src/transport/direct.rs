@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use super::bsdf::{Bsdf, BsdfSample, fresnel};
 use super::interaction::Interaction;
-use super::light::{LightSample, Lights, Receiver, VisibleSky};
+use super::light::{LightSample, Lights, Receiver};
 use super::medium::Media;
 use crate::geometry::packet::LANES;
 use crate::geometry::shadow::{LastShadow, Shadows};
@@ -132,18 +132,12 @@ pub(super) struct Found {
 
 impl Found {
     /// Weight of the light seen along unit `wi`, at `hit` or in the surrounding, beside light samples, none of which goes
-    /// behind the surface. `sky`: what these know of it.
-    pub fn weight(
-        &self,
-        scene: &Scene,
-        lights: &Lights,
-        (wi, hit): (Vec3, Option<&Hit>),
-        sky: Option<&VisibleSky>,
-    ) -> f32 {
+    /// behind the surface.
+    pub fn weight(&self, scene: &Scene, lights: &Lights, (wi, hit): (Vec3, Option<&Hit>)) -> f32 {
         if self.m == 0 || self.from.normal.dot(wi) <= 0.0 {
             return 1.0;
         }
-        mis_weight(self.n, self.pdf, self.m, lights.pdf_towards(scene, &self.from, (wi, hit), sky))
+        mis_weight(self.n, self.pdf, self.m, lights.pdf_towards(scene, &self.from, (wi, hit), None))
     }
 }
 

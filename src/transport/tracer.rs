@@ -21,7 +21,7 @@ use super::bsdf::{Bsdf, BsdfSample};
 use super::direct::{Found, arriving, goes_straight, mis_weight};
 use super::gather::{Gather, LastShadows, Trust};
 use super::interaction::Interaction;
-use super::light::{Lights, VisibleSky};
+use super::light::Lights;
 use super::medium::Media;
 use super::surface::SurfacePoint;
 use crate::geometry::packet::LANES;
@@ -54,12 +54,6 @@ pub struct Settings {
     /// Most that one chain glossy → mirror or glass → light may add, in units of display white. No light sampling
     /// finds such chains, so that they come as fireflies; the bound makes them a little too dark instead.
     pub caustic_bound: f32,
-    /// Most times that a glossy lobe is estimated where one sample makes most of what was found: what is found rarely
-    /// and bright, a highlight seen in a rough surface, shows as noise finer than `outlier` instead of as lone bright
-    /// pixels. Where the others confirm it, nothing is repeated. 1: never.
-    pub repeats_max: u32,
-    /// The share of display white that one sample may add unconfirmed.
-    pub outlier: f32,
 }
 
 impl Default for Settings {
@@ -70,8 +64,6 @@ impl Default for Settings {
             max_depth: 64,
             min_contribution: 1.0 / 200.0,
             caustic_bound: 0.1,
-            repeats_max: 16,
-            outlier: 0.02,
         }
     }
 }
@@ -83,8 +75,6 @@ pub struct Tracer<'a, W = Nobody> {
     lights: &'a Lights,
     illumination: &'a dyn Irradiance,
     settings: Settings,
-    /// What of the sky is seen from where.
-    sky: Option<&'a VisibleSky>,
     /// Results that were not finite and became 0.
     broken: AtomicU64,
     /// Who is told of it.
@@ -105,8 +95,6 @@ struct Branch {
     found: Option<Found>,
     /// Whether a glossy lobe lies on its way.
     blurred: bool,
-    /// Whether a surface on its way is sampled again where it must be; one on the way is enough.
-    repeats: bool,
     /// Width of its cone where it starts, scene units.
     width: f32,
     /// What a unit of length adds to that (ray cones, Akenine-Möller et al. 2019). Surfaces count as flat.
@@ -122,7 +110,6 @@ impl Branch {
         entering: None,
         found: None,
         blurred: false,
-        repeats: false,
         width: 0.0,
         spread: 0.0,
     };
@@ -137,27 +124,13 @@ impl<'a> Tracer<'a> {
         illumination: &'a dyn Irradiance,
         settings: Settings,
     ) -> Self {
-        Self {
-            scene,
-            accel,
-            lights,
-            illumination,
-            settings,
-            sky: None,
-            broken: AtomicU64::new(0),
-            witness: Nobody,
-        }
-    }
-
-    /// Looks for the sky where it is seen: less noise in rooms, and the same mean.
-    pub fn looking_out(self) -> Self {
-        Self { sky: self.lights.visible_sky(self.scene, self.accel), ..self }
+        Self { scene, accel, lights, illumination, settings, broken: AtomicU64::new(0), witness: Nobody }
     }
 
     /// The same tracer, which tells a witness what it does.
     pub fn told_to<W: Witness>(self, witness: W) -> Tracer<'a, W> {
-        let Self { scene, accel, lights, illumination, settings, sky, broken, witness: Nobody } = self;
-        Tracer { scene, accel, lights, illumination, settings, sky, broken, witness }
+        let Self { scene, accel, lights, illumination, settings, broken, witness: Nobody } = self;
+        Tracer { scene, accel, lights, illumination, settings, broken, witness }
     }
 }
 
@@ -344,7 +317,7 @@ impl<W: Witness> Tracer<'_, W> {
                 return self.bounded(light, branch.contribution);
             }
             let Some(found) = branch.found.filter(|_| light != Vec3::ZERO) else { return light };
-            light * found.weight(self.scene, self.lights, (ray.direction, hit.as_ref()), self.sky)
+            light * found.weight(self.scene, self.lights, (ray.direction, hit.as_ref()))
         };
         let Some(hit) = &hit else {
             let light = share(self.lights.escaped(self.scene, ray.direction));
@@ -411,40 +384,13 @@ impl<W: Witness> Tracer<'_, W> {
             }
             return sum;
         }
-        let next = Branch { repeats: true, ..branch };
         self.witness.open(|| {
             let (rays, lights) = self.sample_counts(at, bsdf, branch.depth == 0);
             Event::Glossy { rays, lights }
         });
-        let (mut sum, mut largest) = self.glossy(at, bsdf, next, stream);
-        // Whether to look again depends on what was found, so the mean is shifted: what is found rarely comes out too
-        // dark, as under any bound, but what a second look finds again is let through.
-        let added = branch.contribution * self.scene.display.exposure;
-        let mut estimates = 1.0;
-        let most = self.estimates_max(at, bsdf, branch.depth);
-        let is_unconfirmed = |largest: f32, sum: Vec3, estimates: f32| {
-            largest * added > self.settings.outlier * estimates && 2.0 * largest > sum.max_element()
-        };
-        let repeats = !branch.repeats && self.settings.repeats_max > 1;
-        while repeats && estimates < most && is_unconfirmed(largest, sum, estimates) {
-            let again = stream.split(u64::MAX - estimates as u64).independent();
-            self.witness.note(|| Event::Again, Vec3::ZERO);
-            let (more, brightest) = self.glossy(at, bsdf, next, again);
-            sum += more;
-            largest = largest.max(brightest);
-            estimates += 1.0;
-        }
-        if repeats && is_unconfirmed(largest, sum, estimates) {
-            // Nothing found it again: it counts no more than all else, or than what needs no confirmation.
-            let others = sum.max_element() - largest;
-            let bound = others.max(self.settings.outlier * estimates / added);
-            let share = (others + bound) / (others + largest);
-            sum *= share;
-            self.witness.scale(|| Vec3::splat(share));
-        }
-        self.witness.scale(|| Vec3::splat(1.0 / estimates));
+        let sum = self.glossy(at, bsdf, branch, stream);
         self.witness.close();
-        sum / estimates
+        sum
     }
 
     /// The lobes of a surface that has several, all of them or, where little is seen of them, one by chance.
@@ -501,14 +447,9 @@ impl<W: Witness> Tracer<'_, W> {
         sum
     }
 
-    /// One estimate of lobes that are not of Dirac's kind, by samples of the lobes and of the lights; with it the most
-    /// that one sample added.
-    fn glossy(&self, at: &Interaction, bsdf: &Bsdf, branch: Branch, mut stream: Stream) -> (Vec3, f32) {
-        let (mut sum, mut largest) = (Vec3::ZERO, 0.0_f32);
-        let mut add = |light: Vec3| {
-            sum += light;
-            largest = largest.max(light.max_element());
-        };
+    /// Lobes that are not of Dirac's kind, by samples of the lobes and of the lights.
+    fn glossy(&self, at: &Interaction, bsdf: &Bsdf, branch: Branch, mut stream: Stream) -> Vec3 {
+        let mut sum = Vec3::ZERO;
         let (n, m) = self.sample_counts(at, bsdf, branch.depth == 0);
         for i in 0..n {
             let mut s = stream.sample_of(i, n);
@@ -521,7 +462,7 @@ impl<W: Witness> Tracer<'_, W> {
             let share = 1.0 / n as f32;
             let sample = BsdfSample { weight: sample.weight * share, ..sample };
             self.witness.drew(|| vec![u, v, u_lobe]);
-            add(self.follow_sample(at, &sample, branch, found, s));
+            sum += self.follow_sample(at, &sample, branch, found, s);
         }
         let mut lights = stream.split(u64::from(n));
         for i in 0..m {
@@ -530,7 +471,7 @@ impl<W: Witness> Tracer<'_, W> {
             let choice = if s.is_shared_out() { choice } else { (i as f32 + choice) / m as f32 };
             let [u, v] = s.next_2d();
             let numbers = (f64::from(choice), [u, v]);
-            let Some(light) = self.lights.sample_towards(self.scene, &at.into(), numbers, self.sky) else {
+            let Some(light) = self.lights.sample_towards(self.scene, &at.into(), numbers, None) else {
                 continue;
             };
             let (f, pdf) = bsdf.evaluate_and_pdf(at.wo, light.wi);
@@ -549,9 +490,9 @@ impl<W: Witness> Tracer<'_, W> {
             };
             let found = f * arriving * (weight / (light.pdf * m as f32));
             self.witness.note(event, found);
-            add(found);
+            sum += found;
         }
-        (sum, largest)
+        sum
     }
 
     /// Distributed rays and light samples of a glossy lobe, on the surface that is looked at (`first`) or beyond.
@@ -566,13 +507,6 @@ impl<W: Witness> Tracer<'_, W> {
         let share = bsdf.view_dependent_albedo(at.wo).max_element() / ALL;
         let some = (lights as f32 * share).ceil() as u32;
         (self.settings.glossy_samples.max(1), some.max(1).min(lights))
-    }
-
-    /// How often a lobe is estimated at most: the more often, the fewer samples an estimate has.
-    fn estimates_max(&self, at: &Interaction, bsdf: &Bsdf, depth: u32) -> f32 {
-        let (n, m) = self.sample_counts(at, bsdf, depth == 0);
-        let all = self.settings.glossy_samples + self.settings.light_samples;
-        self.settings.repeats_max as f32 * (all as f32 / (n + m) as f32).max(1.0)
     }
 
     /// Radiance that arrives along a sampled direction, times its weight.

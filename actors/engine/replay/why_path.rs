@@ -103,7 +103,6 @@ impl Traced {
                 "pdf": pdf,
             }),
             Event::Glossy { rays, lights } => json!({"is": "glossy", "rays": rays, "light_samples": lights}),
-            Event::Again => json!({"is": "again"}),
             Event::Layer { number } => json!({"is": "layer", "number": number}),
             Event::Band { color } => json!({"is": "band", "color": color.to_array()}),
             Event::Roulette { survival, drawn } => {
@@ -220,7 +219,6 @@ pub(super) fn told(path: &Value) -> Vec<String> {
             "glossy" => {
                 format!("a lobe by {} rays and {} light samples", step["rays"], step["light_samples"])
             }
-            "again" => "once more: one sample made most of it".to_owned(),
             "layer" => "one layer".to_owned(),
             "band" => format!("the band {}", band(&step["color"])),
             "roulette" => format!(

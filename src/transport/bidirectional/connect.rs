@@ -29,8 +29,9 @@ impl Bidirectional<'_> {
         let Some(emitter) = self.lights.met(self.scene, hit.map(|h| h.0)) else { return 1.0 };
         let leaving = self.lights.leaving(self.scene, emitter, -wi);
         let distance = hit.map_or(f32::INFINITY, |h| h.1);
-        let asked = from
-            .map_or(0.0, |at| self.lights.density_towards(self.scene, &at, emitter, (wi, distance), None));
+        let asked = from.map_or(0.0, |at| {
+            self.lights.density_towards(self.scene, &at, emitter, (wi, distance), self.sky)
+        });
         // Per area where the light has one.
         let per =
             if distance.is_finite() { f64::from(leaving.cosine) / squared(f64::from(distance)) } else { 1.0 };
@@ -41,7 +42,8 @@ impl Bidirectional<'_> {
     /// A light sample at a vertex from the eye.
     pub(super) fn sampled(&self, z: &Vertex, choice: f64, u: [f32; 2]) -> Vec3 {
         let (scene, lights) = (self.scene, self.lights);
-        let Some((emitter, light)) = lights.draw_towards(scene, &receiver(&z.at), (choice, u), None) else {
+        let Some((emitter, light)) = lights.draw_towards(scene, &receiver(&z.at), (choice, u), self.sky)
+        else {
             return Vec3::ZERO;
         };
         let Some(s) = z.towards(scene, End::Eye, light.wi) else { return Vec3::ZERO };

@@ -30,7 +30,7 @@ use crate::rng::{Stream, hash};
 use crate::scene::camera::CameraFrame;
 use crate::scene::{Model, Scene};
 
-use super::light::Lights;
+use super::light::{Lights, VisibleSky};
 use super::medium::Media;
 use photons::Photon;
 pub use photons::Photons;
@@ -51,6 +51,8 @@ pub struct Bidirectional<'a> {
     scene: &'a Scene,
     accel: &'a Accel,
     lights: &'a Lights,
+    /// What of the sky is seen from where.
+    sky: Option<&'a VisibleSky>,
     frame: &'a CameraFrame,
     around_eye: Media,
     /// Whether what lies around a lamp matters.
@@ -95,7 +97,8 @@ impl<'a> Bidirectional<'a> {
         } else {
             Media::EMPTY
         };
-        Self { scene, accel, lights, frame, around_eye, absorbs, merges: lights.has_dirac() }
+        let sky = lights.visible_sky(scene, accel);
+        Self { scene, accel, lights, sky, frame, around_eye, absorbs, merges: lights.has_dirac() }
     }
 
     /// Subpaths from lights in one pass.

@@ -232,7 +232,8 @@ impl Bidirectional<'_> {
     /// Odds where a subpath from a light meets its first surface: light samples depend on who asks for them.
     fn odds_of_first(&self, emitter: Emitter, at: &Interaction, distance: f32) -> Odds {
         let leaving = self.lights.leaving(self.scene, emitter, -at.wo);
-        let asked = self.lights.density_towards(self.scene, &receiver(at), emitter, (at.wo, distance), None);
+        let asked =
+            self.lights.density_towards(self.scene, &receiver(at), emitter, (at.wo, distance), self.sky);
         let found = leaving.density * f64::from(geometric_cosine(at, at.wo));
         let is_dirac = self.lights.is_dirac(emitter);
         // Of an area light the density per solid angle makes up for the distance; the choice of a point does not.

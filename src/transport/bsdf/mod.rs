@@ -208,7 +208,7 @@ impl Bsdf {
     }
 
     /// α beyond which a lobe counts as diffuse where paths are told apart (Heckbert's D and S).
-    pub const WIDE: f32 = 0.25;
+    pub const WIDE: f32 = 0.08;
 
     /// Whether the view-dependent lobes are as good as diffuse. Never those that have single directions only.
     pub fn is_wide(&self) -> bool {

@@ -1,9 +1,10 @@
 //! Closed forms.
 
 use super::*;
-use crate::scene::{Light, Reflectance};
+use crate::scene::{Coat, Light, Reflectance};
 use crate::transport::bsdf::fresnel;
-use crate::transport::test_boxes::{Builder, glass, lambert, rough};
+use crate::transport::gather::{Gather, Trust};
+use crate::transport::test_boxes::{Builder, glass, lambert, mean, rough};
 
 const BOTH: [Class; 2] = [Class::All, Class::Unfound];
 
@@ -171,7 +172,7 @@ fn the_sun_on_mirrors_and_panes() {
 /// What a glossy floor sends up is for paths to find, but for those who hold nothing else.
 #[test]
 fn gloss_belongs_to_one_class_only() {
-    for (alpha, all) in [(0.1, true), (0.4, false)] {
+    for (alpha, all) in [(0.05, true), (0.4, false)] {
         let mut b = Builder::default();
         let specular = Reflectance::constant(Vec3::ONE);
         let floor = b.material(Model::Metal { specular, roughness: rough(alpha) });
@@ -223,5 +224,41 @@ fn without_lamps_or_mirrors_there_is_nothing_to_trace() {
         assert!(possible(mirror(0.5), Some(lamp.clone()), class));
         assert!(!possible(mirror(0.5), None, class));
         assert!(!possible(lambert(0.5), Some(lamp.clone()), class));
+    }
+}
+
+/// What gloss sends on under a sky is the same by particles and by paths.
+#[test]
+fn gloss_under_a_sky_is_what_paths_leave_out() {
+    for (model, name) in [
+        (Model::Metal { specular: Reflectance::constant(Vec3::ONE), roughness: rough(0.07) }, "metal"),
+        (
+            Model::Plastic {
+                albedo: Reflectance::constant(Vec3::splat(DARK)),
+                coat: Coat::new(1.5, rough(0.07)),
+            },
+            "plastic",
+        ),
+    ] {
+        let mut b = Builder::default();
+        let floor = b.material(model);
+        b.rectangle(Vec3::ZERO, Vec3::X * 3.0, Vec3::Y * 3.0, floor);
+        ceiling(&mut b, 2.0, 1.0);
+        let scene = b.under_sky(Vec3::ONE);
+        let by_particles = irradiance(&scene, Class::All, 16, |p| if p.z > 1.9 { 0.25 } else { 0.0 });
+        let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
+        let gather = Gather::new(&scene, &accel, &lights, Trust::Nobody);
+        let n = 1 << 16;
+        let (by_paths, _) = mean(n, |i| {
+            let mut stream = Stream::new(5, i, 0);
+            let [u, v] = stream.next_2d();
+            let from = Vec3::new(2.0 * u - 1.0, 2.0 * v - 1.0, 1.0);
+            let ray = Ray::new(from, Vec3::Z);
+            let at = Interaction::at(&scene, &ray, &accel.intersect(&scene, &ray).expect("the ceiling"));
+            let all = gather.arriving(&at, Media::EMPTY, stream).total();
+            let rest = gather.without_caustics().arriving(&at, Media::EMPTY, stream).total();
+            all - rest
+        });
+        assert_near(by_particles, by_paths, 0.03, name);
     }
 }

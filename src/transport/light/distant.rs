@@ -5,8 +5,6 @@
 
 use std::f32::consts::PI;
 
-use glam::Vec3;
-
 use super::sky::VisibleSky;
 use super::{Emitter, LightSample, Lights, Receiver, sample_analytic};
 use crate::image::luminance;
@@ -25,14 +23,13 @@ impl Lights {
     }
 
     /// A direction in which light of directional lights or of the surrounding arrives, chosen by what it would bring
-    /// if nothing hid it.
+    /// if nothing hid it. `visible`: what is known of how much of the sky is seen.
     pub fn sample_distant(
         &self,
         scene: &Scene,
-        point: Vec3,
-        normal: Vec3,
-        u_choice: f32,
-        u: [f32; 2],
+        &Receiver { point, normal }: &Receiver,
+        (u_choice, u): (f32, [f32; 2]),
+        visible: Option<&VisibleSky>,
     ) -> Option<LightSample> {
         let brings = |l: &LightSample| {
             let e = luminance(l.radiance) * normal.dot(l.wi).max(0.0) / l.pdf;
@@ -41,7 +38,9 @@ impl Lights {
         let candidates = || {
             self.emitters[self.near_count..].iter().filter_map(|emitter| match emitter {
                 Emitter::Analytic(i) => sample_analytic(&scene.lights[*i as usize], point),
-                Emitter::Environment => self.sample_environment(scene, &Receiver { point, normal }, u, None),
+                Emitter::Environment => {
+                    self.sample_environment(scene, &Receiver { point, normal }, u, visible)
+                }
                 Emitter::Triangle(_) => None,
             })
         };
@@ -99,6 +98,8 @@ impl Lights {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::Vec3;
+
     use crate::illumination::test_scenes::{lambert, quad, scene};
     use crate::image::{Map2d, luminance};
     use crate::math;
@@ -146,7 +147,7 @@ mod tests {
             l.map_or(0.0, value)
         });
         let (b, error_b) = mean(100_000, |r| {
-            lights.sample_distant(&s, Vec3::ZERO, normal, r.next_f32(), r.next_2d()).map_or(0.0, value)
+            lights.sample_distant(&s, &at, (r.next_f32(), r.next_2d()), None).map_or(0.0, value)
         });
         assert!((a - b).abs() < 4.0 * math::hypot(error_a, error_b), "{a} ± {error_a}, {b} ± {error_b}");
         // From a quarter of the samples.

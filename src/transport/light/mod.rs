@@ -4,8 +4,9 @@
 //! directions found otherwise ([`Lights::pdf_towards`]), and particles that leave the lights
 //! (`begin`). Radiance in W·sr⁻¹·m⁻² per band, power in W.
 //!
-//! Lights inside of the scene are chosen by what they may bring to the surface (`tree`); the sky is looked for where it is
-//! seen (`sky`). Bake and refinement look for surfaces that reflect much light, too ([`bright`]).
+//! Lights inside of the scene are chosen by what they may bring to the surface (`tree`). Bake, refinement and truth look
+//! for the sky where it is seen (`sky`); the tracer of corrections does not, since to know that takes most of a second.
+//! Bake and refinement look for surfaces that reflect much light, too ([`bright`]).
 
 pub mod bright;
 mod distant;

@@ -72,8 +72,6 @@ pub enum Event {
         /// Samples of lights.
         lights: u32,
     },
-    /// It is estimated again, since one sample made most of what was found.
-    Again,
     /// One layer of a surface of several.
     Layer {
         /// Its number, where all are followed and none is chosen.

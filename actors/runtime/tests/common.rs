@@ -12,9 +12,20 @@ pub const WAIT: Duration = Duration::from_secs(60);
 
 /// Records a ring of 8 players and 64 tokens; returns the file's bytes.
 pub fn record_ring(threads: usize, seed: u64, hops: u32, hashing: Hashing) -> Vec<u8> {
+    record_ring_in_turns(threads, seed, hops, hashing, Budget::default())
+}
+
+/// The same, with turns of so much.
+pub fn record_ring_in_turns(
+    threads: usize,
+    seed: u64,
+    hops: u32,
+    hashing: Hashing,
+    budget: Budget,
+) -> Vec<u8> {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("ring.fvlog");
-    let config = Config { seed, hashing, ..Config::live(threads).record(&path) };
+    let config = Config { seed, hashing, budget, ..Config::live(threads).record(&path) };
     let (mut runtime, _) = Runtime::build(config, |wiring| ring::wire(wiring, 8, 64, hops)).expect("builds");
     assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
     let shutdown = runtime.shutdown(WAIT);

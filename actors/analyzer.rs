@@ -49,11 +49,11 @@ impl Analyzer {
 
     fn on_frame_shown(&mut self, snapshot: &FrameSnapshot, cx: &mut Cx<'_, AnalyzerMessage>) {
         let drawn = &snapshot.drawn;
-        let (width, height) = (drawn.buffers.width(), drawn.buffers.height());
+        let (width, height) = (drawn.buffers().width(), drawn.buffers().height());
         self.stages.clone().time(Stage::Attention, || {
             let bytes = snapshot.rgb8.data().as_flattened();
             let map = &self.model.compute_rgb8(bytes, width, height).map;
-            self.scan.gather(&drawn.buffers.object, Some(map), drawn.object_count, &mut self.statistics);
+            self.scan.gather(&drawn.buffers().object, Some(map), drawn.object_count, &mut self.statistics);
         });
         self.analyzed += 1;
         let saliency: Arc<Vec<f32>> = Arc::new(self.statistics.iter().map(|s| s.saliency).collect());

@@ -23,7 +23,7 @@ use foveal_runtime::{Actor, Address, Class, Content, Cx, Loader, Saver};
 use serde::{Deserialize, Serialize};
 
 use crate::light_book::{Known, LightBook};
-use crate::message::{IlluminatorMessage, RendererMessage};
+use crate::message::{IlluminatorMessage, PublishedLight, RendererMessage};
 use crate::outbox::Outbox;
 
 /// What an illuminator works towards.
@@ -138,6 +138,7 @@ impl Illuminator {
             if during.effects {
                 self.keep(&map, last);
             }
+            let map = Arc::new(PublishedLight::new(map));
             let hash = map.digest();
             let message = RendererMessage::Illuminated { map, last, hash };
             self.outbox.tell(cx, &self.renderer, message);

@@ -110,8 +110,10 @@ pub struct LightBook {
     pages: Pages,
     /// Maps that were delivered before the recording ends, where that is known.
     delivered: Option<u64>,
-    /// Plain bytes of the map of turn 0, which the others are packed against.
-    first: OnceLock<Vec<u8>>,
+    /// Plain bytes of the map of turn 0, which the others are packed against, as it was found…
+    first: OnceLock<Option<Vec<u8>>>,
+    /// …or made here.
+    made: OnceLock<Vec<u8>>,
     /// Where maps are kept that are not known yet.
     file: Option<Arc<Path>>,
     /// What is wrong with the files, to be said if it costs time.
@@ -133,6 +135,7 @@ impl LightBook {
             pages: Pages::default(),
             delivered: None,
             first: OnceLock::new(),
+            made: OnceLock::new(),
             file: file.map(Arc::from),
             troubles: Vec::new(),
         };
@@ -234,30 +237,29 @@ impl LightBook {
         self.pages.iter().any(|page| page.digest == digest)
     }
 
+    /// Whether the map of this hash can be read, as far as its bytes are those that were written.
+    pub fn is_whole(&self, digest: u64) -> bool {
+        self.pages.iter().any(|page| page.digest == digest && page.read().is_some())
+    }
+
     /// The map of this hash.
     pub fn with_digest(&self, digest: u64) -> Option<Illumination> {
         self.pages.iter().filter(|page| page.digest == digest).find_map(|page| self.map(page))
     }
 
     fn map(&self, page: &Page) -> Option<Illumination> {
-        let map = packed::map(&self.plain(page)?, self.triangles)?;
-        (map.digest() == page.digest).then_some(map)
-    }
-
-    fn plain(&self, page: &Page) -> Option<Vec<u8>> {
-        match page.turn {
-            0 => packed::unpack(&page.read()?, &[]),
-            _ => packed::unpack(&page.read()?, self.first()?),
-        }
+        let map = match page.turn {
+            0 => packed::map(self.first()?, self.triangles),
+            _ => packed::map(&packed::unpack(&page.read()?, self.first()?)?, self.triangles),
+        };
+        map.filter(|map| map.digest() == page.digest)
     }
 
     /// Plain bytes of the first map, if it is at hand.
     fn first(&self) -> Option<&[u8]> {
-        if self.first.get().is_none() {
-            let plain = self.pages.iter().filter(|page| page.turn == 0).find_map(|page| self.plain(page))?;
-            let _ = self.first.set(plain);
-        }
-        self.first.get().map(Vec::as_slice)
+        let plain = |page: &Page| packed::unpack(&page.read()?, &[]);
+        let found = || self.pages.iter().filter(|page| page.turn == 0).find_map(plain);
+        self.first.get_or_init(found).as_deref().or_else(|| self.made.get().map(Vec::as_slice))
     }
 
     /// A map that need not be in the book as bytes, and whether they are told against the first one.
@@ -311,7 +313,7 @@ impl LightBook {
         file.write_all(&[head, packed].concat())?;
         self.pages.push(page);
         if turn == 0 {
-            let _ = self.first.set(plain);
+            let _ = self.made.set(plain);
         }
         Ok(())
     }

@@ -63,9 +63,9 @@ impl Tracer {
         let drawn = &job.drawn;
         let owner =
             Owner { view: drawn.view.0, object: job.order.object, k: self.lattice.k_of(job.order.level) };
-        let pixels = job_pixels(&self.lattice, &job.order, &drawn.buffers.object);
+        let pixels = job_pixels(&self.lattice, &job.order, &drawn.buffers().object);
         let (batch, duration) = cx.measure(|| {
-            let DrawnView { world, frame, buffers, .. } = &**drawn;
+            let (DrawnView { world, frame, .. }, buffers) = (&**drawn, drawn.buffers());
             let mut batch = trace_samples(world, frame, buffers, owner, pixels, job.seed);
             if job.order.guided {
                 let pixels = batch.pixels.iter().map(|&[x, y]| (i32::from(x), i32::from(y)));
@@ -86,7 +86,7 @@ impl Tracer {
     }
 
     fn trace_guides(&mut self, job: &SampleOrder, cx: &mut Cx<'_, TracerMessage>) {
-        let DrawnView { view, world, frame, buffers, .. } = &*job.drawn;
+        let (DrawnView { view, world, frame, .. }, buffers) = (&*job.drawn, job.drawn.buffers());
         let pixels = || guide_pixels(&job.order, &buffers.object);
         let (colors, duration) = cx.measure(|| trace_guides(world, frame, buffers, pixels()));
         if !cx.claim() {
@@ -117,7 +117,7 @@ impl Tracer {
         let SettleWork { drawn, tiles, traced } = work;
         // It takes longer than a view that has begun can wait for the cores.
         let settled = cx.while_wanted(|is_wanted| {
-            settled(&drawn.world, &drawn.frame, &drawn.buffers, tiles, traced.as_deref(), is_wanted)
+            settled(&drawn.world, &drawn.frame, drawn.buffers(), tiles, traced.as_deref(), is_wanted)
         });
         if !cx.claim() {
             return;

@@ -237,7 +237,7 @@ impl<W: Write> File<W> {
     }
 
     fn of_view(&mut self, now: &Now, shown: &FrameSnapshot) -> Result<(), Failure> {
-        let ids = &shown.drawn.buffers.object;
+        let ids = &shown.drawn.buffers().object;
         let size = [ids.width() as u32, ids.height() as u32];
         // Classes have 16 bits.
         let bytes: Vec<u8> =

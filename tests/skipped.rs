@@ -94,7 +94,7 @@ fn a_diffuse_scene_traces_no_ray_but_the_display_s() {
     assert!(actors.correction.is_none() && actors.pool.is_none());
     assert!(actors.tracers.is_empty() && actors.illuminator.is_none());
     let shown = system.frame(|_| true);
-    let hit = shown.snapshot.drawn.buffers.hit.data().iter().filter(|h| h.hit().is_some()).count();
+    let hit = shown.snapshot.drawn.buffers().hit.data().iter().filter(|h| h.hit().is_some()).count();
     assert_eq!(rays.count(), hit as u64);
     let drained: Vec<Stage> = shown.stages.iter().map(|s| s.0).collect();
     for stage in [Stage::Age, Stage::WarpSplat, Stage::Attention, Stage::Allocate] {
@@ -236,7 +236,7 @@ fn small_objects_get_no_environment_map() {
         let (world, _) = counted(&room_with("model = \"mirror\"", half));
         let mut system = System::start(&world, Settings::new(80, 60, 2));
         let first = system.converge();
-        let shown = first.snapshot.drawn.buffers.object.data().iter().filter(|o| **o != 0).count();
+        let shown = first.snapshot.drawn.buffers().object.data().iter().filter(|o| **o != 0).count();
         assert!(shown > 0 && (shown as f32 / 4800.0 >= 1e-3) == maps, "{shown} pixels");
         // New views, so that maps that are wanted have time to be captured.
         for _ in 0..30 {

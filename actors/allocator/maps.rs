@@ -202,10 +202,10 @@ impl Environments {
     pub fn on_view(&mut self, drawn: &DrawnView, statistics: &[ObjectStatistics], attention: &[f32]) {
         let display = self.world.scene.display;
         let to_cd = display.exposure * display.white_cd_m2;
-        let pixels = drawn.buffers.object.data().len().max(1) as f32;
+        let pixels = drawn.buffers().object.data().len().max(1) as f32;
         self.shown.clear();
         self.shown.resize(self.states.len(), 0.0);
-        for (&id, &color) in drawn.buffers.object.data().iter().zip(drawn.buffers.color.data()) {
+        for (&id, &color) in drawn.buffers().object.data().iter().zip(drawn.buffers().color.data()) {
             if let Some(sum) = self.shown.get_mut(id as usize).filter(|_| id != 0) {
                 *sum += f64::from(luminance(color));
             }

@@ -237,7 +237,7 @@ impl Allocator {
         }
         let stages = self.stages.clone();
         stages.time(Stage::Allocate, || {
-            self.scan.gather(&drawn.buffers.object, None, drawn.object_count, &mut self.statistics);
+            self.scan.gather(&drawn.buffers().object, None, drawn.object_count, &mut self.statistics);
             self.order.set_guided(self.guided_objects(&drawn));
             self.drawn = Some(drawn);
             self.told_converged = false;

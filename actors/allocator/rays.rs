@@ -48,7 +48,7 @@ impl Allocator {
         let stages = self.stages.clone();
         stages.time(Stage::Allocate, || {
             while self.in_flight < self.jobs_in_flight() {
-                let Some((order, priority)) = self.order.next(&drawn.buffers.object) else { break };
+                let Some((order, priority)) = self.order.next(&drawn.buffers().object) else { break };
                 let attention = self.attention.get(order.object as usize).copied().unwrap_or(0.0);
                 let seed = self.settings.seed;
                 let order = SampleOrder { drawn: drawn.clone(), order, seed, priority, attention };

@@ -67,7 +67,7 @@ impl Allocator {
     pub(super) fn refine(&mut self, drawn: &Arc<DrawnView>, cx: &mut Cx<'_, AllocatorMessage>) {
         let Some(supersampler) = &mut self.supersampler else { return };
         if !supersampler.has_begun() {
-            let (world, data) = (&drawn.world, drawn.buffers.color.data());
+            let (world, data) = (&drawn.world, drawn.buffers().color.data());
             let is_possible = world.caustics().is_possible();
             supersampler.begin(is_possible.then(|| LightSums::new(world, data.len())));
         }

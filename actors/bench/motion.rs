@@ -67,7 +67,7 @@ fn walk(made: &MadeScene, converges: bool) -> Result<Vec<Shown>, Failure> {
 
 fn shown(renderer: &Renderer) -> Option<Shown> {
     let (snapshot, drawn, layer) = (renderer.shown()?, renderer.drawn()?, renderer.layer());
-    let object = &drawn.buffers.object;
+    let object = &drawn.buffers().object;
     let (width, height) = (object.width(), object.height());
     let of = |x: usize, y: usize| (layer.shown_level(x, y), layer.shown_age(x, y));
     let places = Map2d::from_fn(width, height, |x, y| {
@@ -82,7 +82,7 @@ fn shown(renderer: &Renderer) -> Option<Shown> {
         }
     });
     let rgb8 = (*snapshot.rgb8).clone();
-    Some(Shown { frame: drawn.frame, rgb8, depth: drawn.buffers.depth.clone(), places })
+    Some(Shown { frame: drawn.frame, rgb8, depth: drawn.buffers().depth.clone(), places })
 }
 
 /// Mean FLIP of carried and shown frames, over pixels of a kind that were in sight before.

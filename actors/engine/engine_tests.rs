@@ -406,7 +406,7 @@ fn what_is_drawn_coarsely_in_motion_is_whole_when_the_camera_stands() {
     let mut made = made(size);
     made.options.fps = Some(1e5);
     let mut engine = made.start();
-    let cell = |engine: &Engine| engine.look(|r| r.drawn().map(|d| d.buffers.cell)).flatten();
+    let cell = |engine: &Engine| engine.look(|r| r.drawn().map(|d| d.buffers().cell)).flatten();
     for step in 0..=5 {
         engine.frame(&aside(&start, step), Duration::from_millis(5)).expect("a frame");
         assert_eq!(cell(&engine), Some(if step == 0 { 1 } else { 2 }), "{step}");
@@ -426,7 +426,7 @@ fn a_walk_that_is_left_ends_without_its_jobs() {
     let camera = engine.place().cameras[0].camera;
     engine.frame(&camera, Duration::from_millis(1)).expect("a frame");
     let pixels =
-        engine.look(|r| r.drawn().map(|d| d.buffers.object.data().iter().filter(|id| **id != 0).count()));
+        engine.look(|r| r.drawn().map(|d| d.buffers().object.data().iter().filter(|id| **id != 0).count()));
     let end = engine.finish(Duration::from_secs(60));
     assert!(end.drained && end.jobs_left == 0, "{end:?}");
     let late = engine.look(|r| (0..512 * 512).filter(|i| r.layer().is_covered(i % 512, i / 512)).count());

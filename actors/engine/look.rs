@@ -60,7 +60,7 @@ pub fn picture(
         return Some(rgb8);
     }
     let values = values(controls.overlay, renderer, insight);
-    let buffers = &renderer.drawn()?.buffers;
+    let buffers = renderer.drawn()?.buffers();
     let k_max = renderer.k_max();
     let tile_errors = tile_errors(renderer, &controls.set.tone);
     let sources =

@@ -4,12 +4,15 @@ pub mod allocator;
 pub mod analyzer;
 pub mod cache_ager;
 pub mod illuminator;
+pub mod later_light;
+pub mod published;
 pub mod renderer;
 pub mod saved;
 mod saved_world;
 pub mod tracer;
 
-use std::sync::Arc;
+use std::fmt;
+use std::sync::{Arc, OnceLock};
 
 use foveal::display::FrameBuffers;
 use foveal::image::Map2d;
@@ -20,6 +23,7 @@ pub use allocator::AllocatorMessage;
 pub use analyzer::AnalyzerMessage;
 pub use cache_ager::CacheAgerMessage;
 pub use illuminator::IlluminatorMessage;
+pub use published::PublishedLight;
 pub use renderer::{RendererInput, RendererMessage};
 pub use tracer::{
     EnvironmentOrder, LevelOrder, PredictionOrder, RunWork, SampleOrder, SettleWork, TileWork, TraceJob,
@@ -52,14 +56,63 @@ pub struct DrawnView {
     pub view: View,
     /// Its camera.
     pub frame: CameraFrame,
-    /// Its buffers.
-    pub buffers: FrameBuffers,
+    /// What was drawn.
+    pub drawn: DrawnBuffers,
     /// Scene and illumination it shows, which its samples must be traced in.
     pub world: World,
     /// Number of object ids, id 0 included.
     pub object_count: usize,
     /// Hash of the camera and the ids, made once.
     pub hash: u64,
+}
+
+impl DrawnView {
+    /// Its buffers. In a replay that began at a snapshot they are drawn when they are first asked for, on several threads, so
+    /// ask outside of loops that run on these.
+    pub fn buffers(&self) -> &FrameBuffers {
+        self.drawn.get()
+    }
+}
+
+/// The buffers of a view, drawn or to be drawn again.
+pub struct DrawnBuffers {
+    drawn: OnceLock<FrameBuffers>,
+    cell: u32,
+    draw: Option<Box<dyn Fn() -> FrameBuffers + Send + Sync>>,
+}
+
+impl DrawnBuffers {
+    /// To be drawn when they are asked for, in squares of `cell` by `cell` pixels.
+    pub fn later(cell: u32, draw: impl Fn() -> FrameBuffers + Send + Sync + 'static) -> Self {
+        Self { drawn: OnceLock::new(), cell, draw: Some(Box::new(draw)) }
+    }
+
+    /// Pixels along an edge of the squares that they are drawn in.
+    pub fn cell(&self) -> u32 {
+        self.cell
+    }
+
+    fn get(&self) -> &FrameBuffers {
+        let draw = || self.draw.as_ref().map_or_else(|| FrameBuffers::new(0, 0), |draw| draw());
+        self.drawn.get_or_init(draw)
+    }
+
+    /// The buffers, if they were ever drawn.
+    pub fn into_inner(self) -> Option<FrameBuffers> {
+        self.drawn.into_inner()
+    }
+}
+
+impl From<FrameBuffers> for DrawnBuffers {
+    fn from(buffers: FrameBuffers) -> Self {
+        Self { cell: buffers.cell, drawn: OnceLock::from(buffers), draw: None }
+    }
+}
+
+impl fmt::Debug for DrawnBuffers {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("DrawnBuffers").field("drawn", &self.drawn.get()).field("cell", &self.cell).finish()
+    }
 }
 
 /// A frame as it was shown.

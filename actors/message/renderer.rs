@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use foveal::display::environment_map::EnvironmentMap;
-use foveal::illumination::stored::Illumination;
 use foveal::scene::Camera;
 use foveal::scene::texture::LevelTexels;
 use foveal::splatting::settled::Settled;
@@ -11,7 +10,7 @@ use foveal::splatting::tile_sums::TileSums;
 use foveal::splatting::{Guides, SampleBatch, WarpedSample};
 use foveal_runtime::Message;
 
-use super::{FrameIndex, View, saved};
+use super::{FrameIndex, PublishedLight, View, saved};
 use crate::settings::Adjustment;
 
 /// What reaches the renderer from outside: the clock and the user. Recorded with its payload.
@@ -136,7 +135,7 @@ pub enum RendererMessage {
     Illuminated {
         /// The light.
         #[message(skip = "`hash` tells it", with = saved)]
-        map: Arc<Illumination>,
+        map: Arc<PublishedLight>,
         /// Whether it is the last.
         last: bool,
         /// Hash of the values.

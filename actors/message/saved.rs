@@ -19,7 +19,7 @@ use foveal::world::World;
 use foveal_runtime::{Content, Digest, Loader, Saver};
 use glam::Vec3;
 
-use super::{DrawnView, FrameIndex, FrameSnapshot, View};
+use super::{DrawnBuffers, DrawnView, FrameIndex, FrameSnapshot, View};
 use crate::light_book::LightBook;
 use crate::textures::TextureStore;
 
@@ -87,11 +87,11 @@ impl<T: Told> Told for Option<T> {
 
 impl Told for Arc<DrawnView> {
     fn content(&self) -> Content {
-        let DrawnView { view, frame, buffers, world: _, object_count, hash } = &**self;
+        let DrawnView { view, frame, drawn, world: _, object_count, hash } = &**self;
         Content::fields([
             ("view", Content::of(view)),
             ("camera", Content::of(frame)),
-            ("cell", Content::of(&buffers.cell)),
+            ("cell", Content::of(&drawn.cell())),
             ("objects", Content::of(object_count)),
             ("hash", Content::of(hash)),
         ])
@@ -139,12 +139,12 @@ impl<T: Saved> Saved for Option<T> {
     }
 }
 
-/// A view is saved without its buffers, and drawn again.
+/// A view is saved without its buffers, and drawn again when they are asked for.
 impl Saved for Arc<DrawnView> {
     fn save(&self, saver: &mut Saver) {
         saver.shared(self, |drawn, saver| {
-            let DrawnView { view, frame, buffers, world, object_count: _, hash } = drawn;
-            saver.put(&(view, frame, buffers.cell, hash));
+            let DrawnView { view, frame, drawn, world, object_count: _, hash } = drawn;
+            saver.put(&(view, frame, drawn.cell(), hash));
             world.save(saver);
         });
     }
@@ -157,19 +157,29 @@ impl Saved for Arc<DrawnView> {
             }
             let world = World::restore(loader)?;
             let passes = loader.context::<Surroundings>()?.passes;
-            let [width, height] = frame.size.map(|s| s as usize);
-            let mut buffers = FrameBuffers::new(width, height);
-            cpu_pass::draw_in_cells(&world, &frame, passes, cell, &mut buffers);
             let object_count = world.scene.objects.len().max(1);
-            let same = hash_view(&buffers, view) == hash;
-            same.then_some(DrawnView { view, frame, hash, buffers, world, object_count })
+            let shown_in = world.clone();
+            let draw = move || {
+                let [width, height] = frame.size.map(|s| s as usize);
+                let mut buffers = FrameBuffers::new(width, height);
+                // Read before rows are drawn beside each other.
+                let _ = shown_in.illumination.stored();
+                cpu_pass::draw_in_cells(&shown_in, &frame, passes, cell, &mut buffers);
+                if hash_view(&buffers, view) != hash {
+                    let View(view) = view;
+                    tracing::warn!("view {view} is drawn otherwise than it was when its snapshot was taken");
+                }
+                buffers
+            };
+            let drawn = DrawnBuffers::later(cell, draw);
+            Some(DrawnView { view, frame, hash, drawn, world, object_count })
         })
     }
 }
 
 impl Hashed for Arc<DrawnView> {
     fn digest(&self, digest: &mut Digest) {
-        let DrawnView { view, frame, buffers: _, world: _, object_count: _, hash } = &**self;
+        let DrawnView { view, frame, drawn: _, world: _, object_count: _, hash } = &**self;
         digest.value(&(view, frame, hash));
     }
 }

@@ -10,47 +10,13 @@ use foveal::scene::{Scene, Texture};
 use foveal::world::World;
 use foveal_runtime::{Loader, Saver};
 
+use super::later_light::LaterLight;
 use super::saved::{Saved, Surroundings};
 
 /// The light that the walk began with.
 const AS_IT_BEGAN: u8 = 0;
 /// Another one.
 const GROWN: u8 = 1;
-
-/// Where a map is found again.
-#[derive(serde::Serialize, serde::Deserialize)]
-enum Light {
-    /// In the book, by this hash.
-    Published(u64),
-    /// Here: against the book's first map, or by itself.
-    Held { against_first: bool },
-}
-
-impl Saved for Arc<Illumination> {
-    fn save(&self, saver: &mut Saver) {
-        let book = saver.context::<Surroundings>().and_then(|surroundings| surroundings.book.clone());
-        saver.shared(self, |map, saver| {
-            let digest = map.digest();
-            let Some(book) = book else { return saver.refuse() };
-            if book.has(digest) {
-                return saver.put(&Light::Published(digest));
-            }
-            let Some((against_first, bytes)) = book.pack(map) else { return saver.refuse() };
-            saver.put(&Light::Held { against_first });
-            saver.bytes(&bytes);
-        });
-    }
-
-    fn restore(loader: &mut Loader<'_>) -> Option<Self> {
-        loader.shared(|loader| {
-            let book = loader.context::<Surroundings>()?.book.clone()?;
-            match loader.take()? {
-                Light::Published(digest) => book.with_digest(digest),
-                Light::Held { against_first } => book.unpack(against_first, loader.bytes()?),
-            }
-        })
-    }
-}
 
 impl Saved for World {
     /// Geometry, lights and materials are those of the surroundings.
@@ -62,9 +28,14 @@ impl Saved for World {
             saver.put(&AS_IT_BEGAN);
         } else {
             let light: Arc<dyn Any + Send + Sync> = Arc::clone(illumination) as _;
-            let Ok(map) = light.downcast::<Illumination>() else { return saver.refuse() };
             saver.put(&GROWN);
-            map.save(saver);
+            match light.downcast::<Illumination>() {
+                Ok(map) => map.save(saver),
+                Err(light) => match light.downcast::<LaterLight>() {
+                    Ok(light) => light.save(saver),
+                    Err(_) => return saver.refuse(),
+                },
+            }
         }
         saver.put(&Arc::ptr_eq(scene, &began.scene));
         if !Arc::ptr_eq(scene, &began.scene) {
@@ -83,7 +54,7 @@ impl Saved for World {
         let surroundings = loader.context::<Surroundings>()?;
         let mut world = surroundings.world.clone();
         if loader.take::<u8>()? == GROWN {
-            world = world.with_illumination(Arc::<Illumination>::restore(loader)?);
+            world = world.with_illumination(Arc::<LaterLight>::restore(loader)?);
         }
         let is_as_it_began: bool = loader.take()?;
         if !is_as_it_began {

@@ -96,7 +96,7 @@ fn sampling_pattern(renderer: &Renderer, lattice: &Lattice, levels: u32) -> Opti
     for level in (1..=levels.min(lattice.levels())).rev() {
         let radius = (levels - level) as i32;
         for (x, y) in lattice.all_samples(level, Rect::of_size(w as u32, h as u32)) {
-            if shown.drawn.buffers.object.at(x as usize, y as usize) == 0 {
+            if shown.drawn.buffers().object.at(x as usize, y as usize) == 0 {
                 continue;
             }
             for (dx, dy) in (-radius..=radius).flat_map(|dy| (-radius..=radius).map(move |dx| (dx, dy))) {

@@ -137,13 +137,13 @@ impl Frame {
     #[getter]
     fn depth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let (width, height) = self.size();
-        array2(py, width, height, self.snapshot.drawn.buffers.depth.data().to_vec())
+        array2(py, width, height, self.snapshot.drawn.buffers().depth.data().to_vec())
     }
 
     #[getter]
     fn ids<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
         let (width, height) = self.size();
-        array2(py, width, height, self.snapshot.drawn.buffers.object.data().to_vec())
+        array2(py, width, height, self.snapshot.drawn.buffers().object.data().to_vec())
     }
 
     #[getter]
@@ -153,7 +153,7 @@ impl Frame {
             (0, _) | (_, Standing::Converged | Standing::Refined) => 0.0,
             (id, _) => self.known.objects.get(*id as usize).copied().unwrap_or(f32::NAN),
         };
-        array2(py, width, height, self.snapshot.drawn.buffers.object.data().iter().map(of).collect())
+        array2(py, width, height, self.snapshot.drawn.buffers().object.data().iter().map(of).collect())
     }
 
     #[getter]

@@ -18,7 +18,6 @@ use foveal::display::FrameBuffers;
 use foveal::display::cpu_pass::{self, Passes};
 use foveal::display::first_approximation::FirstApproximation;
 use foveal::display::tone::{Encoder, ToneMap};
-use foveal::illumination::stored::Illumination;
 use foveal::image::Map2d;
 use foveal::perception::tvi::TviTable;
 use foveal::perception::viewing::Viewing;
@@ -34,8 +33,8 @@ use glam::Vec3;
 use crate::foresight::Foresight;
 use crate::message::saved::hash_view;
 use crate::message::{
-    AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameSnapshot, RendererInput,
-    RendererMessage, View,
+    AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameSnapshot, PublishedLight,
+    RendererInput, RendererMessage, View,
 };
 use crate::outbox::Outbox;
 use crate::settings::{Adjustment, Settings};
@@ -140,7 +139,7 @@ pub struct Renderer {
     /// Whether the current view is as good as it gets.
     refined: bool,
     /// Better light that the shown one moves towards, and whether it is the last.
-    target: Option<(Arc<Illumination>, bool)>,
+    target: Option<(Arc<PublishedLight>, bool)>,
     /// Whether the shown light is final.
     lit: bool,
     /// Whether anything changed since the last frame was shown.
@@ -235,7 +234,7 @@ impl Renderer {
 
     /// Whether the current view is drawn coarsely, until the camera stands still.
     pub fn is_coarse(&self) -> bool {
-        self.drawn.as_ref().is_some_and(|drawn| drawn.buffers.cell != 1)
+        self.drawn.as_ref().is_some_and(|drawn| drawn.drawn.cell() != 1)
     }
 
     /// Whether the current view has converged, and has been refined where that is wanted.
@@ -297,7 +296,7 @@ impl Renderer {
     /// the first frame.
     pub fn picture(&self) -> Option<Map2d<Vec3>> {
         let drawn = self.drawn.as_ref()?;
-        let base = &drawn.buffers.color;
+        let base = &drawn.buffers().color;
         let between = self.between(drawn);
         let first = |x, y| base.at(x, y) + between.pixel(x, y);
         Some(Map2d::from_fn(base.width(), base.height(), |x, y| match &self.settled {
@@ -308,7 +307,7 @@ impl Renderer {
 
     /// What the splat layer shows of a view, between samples too.
     fn between<'a>(&'a self, drawn: &'a DrawnView) -> Reconstruction<'a> {
-        Reconstruction::new(&self.layer, &drawn.buffers, &drawn.frame, self.tone.white())
+        Reconstruction::new(&self.layer, drawn.buffers(), &drawn.frame, self.tone.white())
     }
 
     /// What the converged view has been refined to, over its base layer and its first samples.
@@ -355,11 +354,12 @@ impl Renderer {
 
     /// Moves the shown light towards the newest; says whether it changed.
     fn approach_light(&mut self) -> bool {
-        let Some((target, last)) = self.target.take() else { return false };
+        let Some((light, last)) = self.target.take() else { return false };
+        let Some(target) = light.map() else { return false };
         let shown = self.world.illumination.stored();
         let [r, g, b] = target.summary.mean;
         let absolute = LIGHT_CHANGE * (r + g + b) / 3.0;
-        let (next, arrived) = match shown.and_then(|s| s.approached(&target, LIGHT_CHANGE, absolute)) {
+        let (next, arrived) = match shown.and_then(|s| s.approached(target, LIGHT_CHANGE, absolute)) {
             Some((next, arrived)) => (Arc::new(next), arrived),
             // Another storage of the same light, with which a refinement begins.
             None => (target.clone(), true),
@@ -367,7 +367,7 @@ impl Renderer {
         self.world = self.world.with_illumination(next);
         self.lit |= arrived && last;
         if !arrived {
-            self.target = Some((target, last));
+            self.target = Some((light, last));
         }
         true
     }
@@ -401,7 +401,7 @@ impl Renderer {
             view: self.view,
             frame,
             hash: hash_view(&buffers, self.view),
-            buffers,
+            drawn: buffers.into(),
             world: self.world.clone(),
             object_count: self.world.scene.objects.len().max(1),
         });
@@ -430,8 +430,9 @@ impl Renderer {
         }
         for i in 0..self.retired.len() {
             if Arc::strong_count(&self.retired[i]) == 1 {
-                if let Ok(free) = Arc::try_unwrap(self.retired.swap_remove(i)) {
-                    return free.buffers;
+                let free = Arc::try_unwrap(self.retired.swap_remove(i)).ok();
+                if let Some(buffers) = free.and_then(|free| free.drawn.into_inner()) {
+                    return buffers;
                 }
                 break;
             }

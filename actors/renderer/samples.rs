@@ -25,7 +25,7 @@ impl Renderer {
             return;
         }
         let Some(drawn) = self.drawn.clone() else { return };
-        let (layer, buffers) = (&mut self.layer, &drawn.buffers);
+        let (layer, buffers) = (&mut self.layer, drawn.buffers());
         let reused = self
             .stages
             .time(Stage::WarpSplat, || layer.splat_warped(&samples, &buffers.object, &buffers.depth));
@@ -54,7 +54,7 @@ impl Renderer {
         }
         let layer = &mut self.layer;
         let source = (tracer % 255) as u8 + 1;
-        self.stages.time(Stage::WarpSplat, || layer.splat_fresh(&batch, &drawn.buffers.object, source));
+        self.stages.time(Stage::WarpSplat, || layer.splat_fresh(&batch, &drawn.buffers().object, source));
         if !cx.replays() {
             self.sink.splatted(self.view, Splats::Fresh { batch, source });
         }
@@ -77,7 +77,7 @@ impl Renderer {
         let Some(approximation) = &mut self.approximation else { return };
         approximation.set(object, map);
         let (Some(drawn), false) = (&self.drawn, self.converged) else { return };
-        let objects = &drawn.buffers.object;
+        let objects = &drawn.buffers().object;
         self.layer.disapprove(|x, y| objects.at(x, y) == object);
         self.changed = true;
     }
@@ -85,11 +85,11 @@ impl Renderer {
     /// Tells the allocator how wrong what is shown was.
     fn measure_residuals(&self, batch: &SampleBatch, drawn: &DrawnView, cx: &mut Cx<'_, RendererMessage>) {
         let Some(neighbours) = &self.neighbours else { return };
-        let base = &drawn.buffers.color;
+        let base = &drawn.buffers().color;
         let between = self.between(drawn);
         let first = |x, y| match &self.approximation {
             Some(first) if self.layer.is_bare(x, y) => {
-                Some(first.pixel(&self.world, &drawn.frame, &drawn.buffers, x, y))
+                Some(first.pixel(&self.world, &drawn.frame, drawn.buffers(), x, y))
             }
             _ => None,
         };

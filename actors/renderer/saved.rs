@@ -77,8 +77,8 @@ impl Renderer {
         if let Some(shown) = shown {
             shown.save(saver);
         }
-        saver.put(&layer.maps());
-        saver.put(&layer.guides());
+        saver.put(&layer.is_guided());
+        layer.columns().into_iter().for_each(|column| saver.bytes(column));
         let maps = approximation.as_ref().map_or(&[][..], FirstApproximation::maps);
         saver.put(&(maps.len() as u64));
         for map in maps {
@@ -121,8 +121,10 @@ impl Renderer {
         }
         self.drawn = if is_drawn { Some(Saved::restore(loader)?) } else { None };
         self.shown = if is_shown { Some(Saved::restore(loader)?) } else { None };
-        let maps = loader.take()?;
-        self.layer.restore(maps, loader.take()?)?;
+        for column in self.layer.columns_mut(loader.take()?) {
+            let bytes = loader.bytes().filter(|bytes| bytes.len() == column.len())?;
+            column.copy_from_slice(bytes);
+        }
         let count: u64 = loader.take()?;
         for object in 0..u32::try_from(count).ok()? {
             let map = if loader.take()? { Some(loader.shared(|loader| loader.take())?) } else { None };

@@ -63,7 +63,7 @@ impl Renderer {
     /// few pixels are left; a pixel is looked up once in a view.
     fn approximate_the_rest(&mut self, drawn: &DrawnView) {
         let (Some(first), false) = (&self.approximation, self.converged) else { return };
-        let (layer, world, buffers) = (&mut self.layer, &self.world, &drawn.buffers);
+        let (layer, world, buffers) = (&mut self.layer, &self.world, drawn.buffers());
         let own = |x, y| first.pixel(world, &drawn.frame, buffers, x, y);
         self.counts.approximated += self.stages.time(Stage::Compose, || {
             let is_dear = |x: usize, y: usize| buffers.object.at(x, y) != 0 && layer.is_bare(x, y);
@@ -80,7 +80,7 @@ impl Renderer {
     }
 
     fn compose(&self, drawn: &DrawnView) -> Map2d<[u8; 3]> {
-        let buffers = &drawn.buffers;
+        let buffers = drawn.buffers();
         let (width, height) = (buffers.width(), buffers.height());
         let mut rgb8 = Map2d::new(width, height, [0u8; 3]);
         let (encoder, tone) = (&self.encoder, &self.tone);

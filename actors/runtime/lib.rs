@@ -227,7 +227,7 @@ pub use runtime::timeline::{Slice, Timeline};
 pub use runtime::wiring::{Declared, Wiring};
 pub use runtime::{Exit, Limit, Runtime};
 pub use scheduler::Budget;
-pub use scheduler::clock::{Time, calibrate};
+pub use scheduler::clock::Time;
 pub use scheduler::link::{Class, Control};
 pub use scheduler::priority::give_way;
 pub use scheduler::profile::{ActorCounters, TurnTime, ring_cost};

@@ -21,15 +21,15 @@ impl Answer {
     pub(super) fn of(order: &SampleOrder, lattice: &Lattice, traced: &Colors) -> Option<Self> {
         let SampleOrder { drawn, order: job, .. } = order;
         if job.level == GUIDES {
-            let pixels = guide_pixels(job, &drawn.buffers.object);
+            let pixels = guide_pixels(job, &drawn.buffers().object);
             let pixels: Vec<_> = pixels.map(|(x, y)| [x as u16, y as u16]).collect();
             let fits = pixels.len() == traced.colors.len() && traced.guides.is_empty();
             return fits
                 .then(|| Self::Guides(Guides { view: drawn.view.0, pixels, colors: traced.colors.clone() }));
         }
         let owner = Owner { view: drawn.view.0, object: job.object, k: lattice.k_of(job.level) };
-        let pixels = job_pixels(lattice, job, &drawn.buffers.object);
-        let (world, frame, buffers) = (&drawn.world, &drawn.frame, &drawn.buffers);
+        let pixels = job_pixels(lattice, job, &drawn.buffers().object);
+        let (world, frame, buffers) = (&drawn.world, &drawn.frame, drawn.buffers());
         let mut batch = samples_of_colors(world, frame, buffers, owner, pixels, &traced.colors)?;
         let guides = if job.guided { batch.len() } else { 0 };
         if traced.guides.len() != guides {
@@ -43,7 +43,7 @@ impl Answer {
 /// The colours of a job as they are, of all its pixels or of those that `only` names by their number.
 pub(super) fn colors_of(order: &SampleOrder, lattice: &Lattice, only: Option<&[usize]>) -> Colors {
     let SampleOrder { drawn, order: job, seed, .. } = order;
-    let (world, frame, buffers) = (&drawn.world, &drawn.frame, &drawn.buffers);
+    let (world, frame, buffers) = (&drawn.world, &drawn.frame, drawn.buffers());
     let all: Vec<(i32, i32)> = match job.level {
         GUIDES => guide_pixels(job, &buffers.object).collect(),
         _ => job_pixels(lattice, job, &buffers.object)

@@ -584,7 +584,7 @@ impl Worker for Station {
             if self.views.len() > VIEWS {
                 self.views.pop_front();
             }
-            let spec = ViewSpec { view, frame: drawn.frame, cell: drawn.buffers.cell };
+            let spec = ViewSpec { view, frame: drawn.frame, cell: drawn.drawn.cell() };
             self.post(ToGuest::View(spec), cx);
         }
         self.post(ToGuest::Jobs(vec![JobSpec { lease, view, order: *order, seed: *seed }]), cx);

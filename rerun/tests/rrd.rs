@@ -84,7 +84,7 @@ fn a_file_holds_each_frame_as_it_was_shown() {
             views += 1;
             let ids: Vec<u32> =
                 ids.0.as_chunks().0.iter().map(|id| u32::from(u16::from_le_bytes(*id))).collect();
-            assert_eq!(ids, shown.drawn.buffers.object.data());
+            assert_eq!(ids, shown.drawn.buffers().object.data());
         }
     }
     assert_eq!(views, written.views);

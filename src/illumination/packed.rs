@@ -15,19 +15,25 @@ const PLAIN_MAX: usize = 1 << 31;
 
 /// A map as plain bytes; `None` for one that is too large.
 pub fn plain(map: &Illumination) -> Option<Vec<u8>> {
-    postcard::to_stdvec(map).ok().filter(|plain| plain.len() <= PLAIN_MAX)
+    map.to_plain().filter(|plain| plain.len() <= PLAIN_MAX)
 }
 
 /// A map's plain bytes against those of the `first` one, which may be empty.
 pub fn pack(plain: &[u8], first: &[u8]) -> Vec<u8> {
     let mut sorted = vec![0; plain.len()];
+    let (words, last) = plain.as_chunks::<STRIDE>();
+    let (shared, _) = first.as_chunks::<STRIDE>();
     let mut rest = &mut sorted[..];
     for plane in 0..STRIDE {
         let (bytes, behind) = rest.split_at_mut(plane_of(plain.len(), plane));
-        let first = first.iter().skip(plane).step_by(STRIDE).chain(std::iter::repeat(&0));
-        let plain = plain.iter().skip(plane).step_by(STRIDE);
-        bytes.iter_mut().zip(plain).zip(first).for_each(|((byte, plain), first)| *byte = plain ^ first);
         rest = behind;
+        let (bytes, beyond) = bytes.split_at_mut(words.len());
+        bytes.iter_mut().zip(words).for_each(|(byte, word)| *byte = word[plane]);
+        bytes.iter_mut().zip(shared).for_each(|(byte, first)| *byte ^= first[plane]);
+        // What is behind the last word of either.
+        let at = |word: usize| first.get(word * STRIDE + plane).copied().unwrap_or_default();
+        bytes.get_mut(shared.len()).into_iter().for_each(|byte| *byte ^= at(shared.len()));
+        beyond.iter_mut().zip(last.get(plane)).for_each(|(byte, last)| *byte = last ^ at(words.len()));
     }
     lz4_flex::block::compress_prepend_size(&sorted)
 }
@@ -47,15 +53,25 @@ pub fn unpack(packed: &[u8], first: &[u8]) -> Option<Vec<u8>> {
         rest = behind;
         bytes
     });
-    // Word by word, of slices of one length, which the compiler joins by vectors: a seek waits for it.
+    // Words of slices of one length, which the compiler joins by vectors: a seek waits for it.
     let (words, last) = plain.as_chunks_mut::<STRIDE>();
     let count = words.len();
     let [a, b, c, d] = planes.map(|plane| &plane[..count]);
-    for (at, word) in words.iter_mut().enumerate() {
-        *word = [a[at], b[at], c[at], d[at]];
+    let word = |at: usize| {
+        u32::from(a[at]) | u32::from(b[at]) << 8 | u32::from(c[at]) << 16 | u32::from(d[at]) << 24
+    };
+    let (shared, _) = first.as_chunks::<STRIDE>();
+    let shared = &shared[..shared.len().min(count)];
+    let (against, alone) = words.split_at_mut(shared.len());
+    for (at, (into, first)) in against.iter_mut().zip(shared).enumerate() {
+        *into = (word(at) ^ u32::from_le_bytes(*first)).to_le_bytes();
     }
+    alone.iter_mut().zip(shared.len()..).for_each(|(into, at)| *into = word(at).to_le_bytes());
     last.iter_mut().zip(planes).for_each(|(byte, plane)| *byte = plane[count]);
-    plain.iter_mut().zip(first).for_each(|(byte, first)| *byte ^= first);
+    // What is behind the last word of either.
+    let behind = shared.len() * STRIDE;
+    let left = first.get(behind..).unwrap_or_default();
+    plain[behind..].iter_mut().zip(left).for_each(|(byte, first)| *byte ^= first);
     Some(plain)
 }
 
@@ -66,7 +82,7 @@ fn plane_of(size: usize, plane: usize) -> usize {
 
 /// The map of plain bytes, if it fits a scene of `triangles` triangles.
 pub fn map(plain: &[u8], triangles: usize) -> Option<Illumination> {
-    let map: Illumination = postcard::from_bytes(plain).ok()?;
+    let map = Illumination::from_plain(plain)?;
     (map.triangle_count() == triangles && map.is_sound()).then_some(map)
 }
 
@@ -124,6 +140,19 @@ mod tests {
             }
             // More than there is.
             assert_eq!(unpack(&[255, 255, 255, 127, 0], &first), None);
+        }
+    }
+
+    /// Whatever is longer, and by whatever few bytes.
+    #[test]
+    fn bytes_of_any_length_come_back() {
+        let bytes = |count: usize, by: usize| (0..count).map(|i| (i * by) as u8).collect::<Vec<_>>();
+        for length in 0..24 {
+            for shared in 0..24 {
+                let (plain, first) = (bytes(length, 7), bytes(shared, 5));
+                let packed = pack(&plain, &first);
+                assert_eq!(unpack(&packed, &first), Some(plain), "{length} against {shared}");
+            }
         }
     }
 }

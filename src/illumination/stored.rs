@@ -1,5 +1,7 @@
 //! Irradiance as it is read: one fetch from vertices or a bilinear lookup in the lightmap.
 
+mod plain;
+
 use glam::{Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -71,12 +73,18 @@ impl Part {
         let Self { front, back } = self;
         front.len() == elements
             && (back.is_empty() || back.len() == elements)
-            && front.iter().chain(back).flatten().all(|v| v.is_finite() && *v >= 0.0)
+            && [front, back].into_iter().all(|side| are_sound(side.as_flattened()))
     }
 
     fn bytes(&self) -> usize {
         (self.front.len() + self.back.len()) * size_of::<[f32; 3]>()
     }
+}
+
+/// Whether all values are finite and not negative. Many at a time, without a branch for each.
+fn are_sound(values: &[f32]) -> bool {
+    let is_sound = |v: &f32| *v >= 0.0 && *v < f32::INFINITY;
+    values.chunks(1024).all(|some| some.iter().fold(true, |all, v| all & is_sound(v)))
 }
 
 /// Irradiance on all surfaces, front and back, with its standard error.
@@ -261,7 +269,7 @@ impl Illumination {
         texels <= elements
             && self.back_blocks.len() == self.front.len().div_ceil(BLOCK)
             && self.back_blocks.iter().all(|&b| b == DARK || (b as usize + 1) * BLOCK <= self.back.len())
-            && self.front.iter().chain(&self.back).flatten().all(|v| v.is_finite() && *v >= 0.0)
+            && [&self.front, &self.back].into_iter().all(|side| are_sound(side.as_flattened()))
             && [&self.named, &self.unfound].into_iter().flatten().all(|part| part.is_sound(self.front.len()))
             && self.corners.iter().all(|c| match c {
                 Corners::Vertices(v) => v.iter().all(|&e| u64::from(e) < elements),

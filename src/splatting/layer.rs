@@ -1,5 +1,6 @@
 //! The splat layer: which sample each pixel shows (Haber 2001 §4.3; REFERENCE §3.5–3.6, §11).
 
+use bytemuck::{cast_slice, cast_slice_mut};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -154,21 +155,29 @@ impl SplatLayer {
         (&self.color, &self.rank, &self.source, &self.place)
     }
 
-    /// Puts back what [`SplatLayer::maps`] and [`SplatLayer::guides`] gave; `None` if it is of another size.
-    pub fn restore(
-        &mut self,
-        (color, rank, source, place): (Map2d<Vec3>, Map2d<u32>, Map2d<u8>, Map2d<u32>),
-        [carried, guide]: [Map2d<Vec3>; 2],
-    ) -> Option<()> {
-        let (width, height) = (self.color.width(), self.color.height());
-        let fits = |(w, h, len): (usize, usize, usize)| (w, h, len) == (width, height, width * height);
-        let fit = [&color, &carried, &guide].iter().all(|m| fits((m.width(), m.height(), m.data().len())))
-            && [&rank, &place].iter().all(|m| fits((m.width(), m.height(), m.data().len())))
-            && fits((source.width(), source.height(), source.data().len()));
-        (self.color, self.rank, self.source, self.place) = (color, rank, source, place);
-        (self.carried, self.guide) = (carried, guide);
-        self.is_guided = [true; 2];
-        fit.then_some(())
+    /// Whether any sample shown carries a guide's look, and any pixel has a guide of its own.
+    pub fn is_guided(&self) -> [bool; 2] {
+        self.is_guided
+    }
+
+    /// All of that as it lies in memory, map by map; guides where there are any.
+    pub fn columns(&self) -> Vec<&[u8]> {
+        let Self { color, rank, source, place, carried, guide, is_guided, .. } = self;
+        let guides = [carried, guide].into_iter().zip(is_guided).filter(|(_, is_there)| **is_there);
+        let maps =
+            [cast_slice(color.data()), cast_slice(rank.data()), source.data(), cast_slice(place.data())];
+        maps.into_iter().chain(guides.map(|(map, _)| cast_slice(map.data()))).collect()
+    }
+
+    /// Where what [`SplatLayer::columns`] gave is put back, of a layer with these guides.
+    pub fn columns_mut(&mut self, is_guided: [bool; 2]) -> Vec<&mut [u8]> {
+        self.forget_guides();
+        self.is_guided = is_guided;
+        let Self { color, rank, source, place, carried, guide, .. } = self;
+        let guides = [carried, guide].into_iter().zip(is_guided).filter(|(_, is_there)| *is_there);
+        let (color, rank) = (cast_slice_mut(color.data_mut()), cast_slice_mut(rank.data_mut()));
+        let maps = [color, rank, source.data_mut(), cast_slice_mut(place.data_mut())];
+        maps.into_iter().chain(guides.map(|(map, _)| cast_slice_mut(map.data_mut()))).collect()
     }
 
     /// What fresh samples paint, and what lies between them.

@@ -86,13 +86,13 @@ impl FrameSource for Engine {
     fn pick(&self, x: u32, y: u32) -> Option<Picked> {
         self.look(|renderer| {
             let drawn = renderer.drawn()?;
-            let hits = &drawn.buffers.hit;
+            let hits = &drawn.buffers().hit;
             if x as usize >= hits.width() || y as usize >= hits.height() {
                 return None;
             }
             let hit = hits.at(x as usize, y as usize).hit()?;
             // Where the view is drawn coarsely one ray speaks for a square.
-            let cell = drawn.buffers.cell.max(1);
+            let cell = drawn.drawn.cell().max(1);
             Some(Picked::at(&drawn.world.scene, &drawn.frame, (x / cell * cell, y / cell * cell), &hit))
         })?
     }

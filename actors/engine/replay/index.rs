@@ -24,7 +24,7 @@ const INTERVAL: Duration = Duration::from_millis(250);
 /// …but spends at most this share of its time on them.
 const SHARE: u32 = 5;
 /// A replay that ran for so long to where it was asked to leaves one there: who looks once looks again.
-const WORTH: Duration = Duration::from_millis(50);
+const WORTH: Duration = Duration::from_millis(2);
 /// Bytes of snapshots of one recording: beyond, about half of them go, those that have others close by.
 const BYTES_MAX: u64 = 3 << 30;
 /// Bytes of snapshots and maps of all recordings.

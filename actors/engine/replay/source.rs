@@ -15,7 +15,7 @@ use foveal_actors::stages::StageTimes;
 use foveal_actors::wiring::{Actors, wire};
 use foveal_runtime::{
     ActorId, Config, Content, Delivery, Event, Exit, Hashing, Limit, Mode, Observer, Runtime, Snapshot,
-    Trace, Until, calibrate,
+    Trace, Until,
 };
 
 use serde_json::{Value, json};
@@ -135,6 +135,26 @@ pub struct Source {
     ground: Ground,
     index: RefCell<Index>,
     history: RefCell<History>,
+    ahead: RefCell<Option<Ahead>>,
+}
+
+/// A snapshot that was read before anybody asked for it.
+struct Ahead {
+    /// For a replay to this delivery.
+    place: (ActorId, u64),
+    /// Whether that is its last one.
+    is_there: bool,
+    snapshot: Snapshot,
+}
+
+impl Ahead {
+    fn read(index: &Index, place: Until) -> Option<Self> {
+        let Until::Delivery { actor, index: at } = place else { return None };
+        let there = index.right_after(actor, at);
+        let is_there = there.is_some();
+        let snapshot = there.or_else(|| index.before(actor, at))?;
+        Some(Self { place: (actor, at), is_there, snapshot })
+    }
 }
 
 impl Deref for Source {
@@ -205,18 +225,32 @@ impl Source {
         verify: bool,
         watch: &dyn Watch,
     ) -> Result<Self, Failure> {
+        Self::open_at(path, elsewhere, verify, None, watch)
+    }
+
+    /// The same for whoever looks at a place first, as [`Source::place`] reads it: what is kept of it is read while the world
+    /// is made.
+    pub fn open_at(
+        path: &Path,
+        elsewhere: &Elsewhere,
+        verify: bool,
+        place: Option<&str>,
+        watch: &dyn Watch,
+    ) -> Result<Self, Failure> {
         // What a recording says of itself is enough to make its world, while the rest of it is read.
         let header = Trace::header_of(path).ok();
         let early = header.as_ref().and_then(|header| RecordedRun::in_header(header, path).ok());
         let early = early.filter(|recorded| recorded.parent.is_none());
-        let (trace, world) = rayon::join(
-            || {
-                calibrate();
-                plain::open(path, elsewhere.cache.as_deref()).map(Arc::new)
-            },
-            || early.map(|recorded| recorded.open(path, elsewhere, watch)),
-        );
-        let trace = trace?;
+        let read = || {
+            let trace = plain::open(path, elsewhere.cache.as_deref()).map(Arc::new)?;
+            let (shown_in, index) = (shown_in(&trace), Index::open(path, elsewhere.cache.as_deref()));
+            // What is no place is said when it is gone to.
+            let place = place.and_then(|text| place_in(&trace, &shown_in, text).ok());
+            let ahead = place.and_then(|place| Ahead::read(&index, place));
+            Ok::<_, Failure>((trace, shown_in, index, ahead))
+        };
+        let (read, world) = rayon::join(read, || early.map(|recorded| recorded.open(path, elsewhere, watch)));
+        let (trace, shown_in, index, ahead) = read?;
         let recorded = RecordedRun::of(&trace, path)?;
         if verify && trace.header().hashing == Hashing::Off {
             return Err(Failure::Input(format!(
@@ -228,8 +262,6 @@ impl Source {
             None => world.unwrap_or_else(|| recorded.open(path, elsewhere, watch))?,
             Some(parent) => Self::left(parent, path, &recorded, elsewhere, watch)?,
         };
-        let shown_in = shown_in(&trace);
-        let index = Index::open(path, elsewhere.cache.as_deref());
         if let Some(refinement) = &mut opened.refinement {
             let (beside, triangles) = (light_beside(path), refinement.world.scene.mesh.triangles.len());
             let beside: &[&Path] = if beside.exists() { &[&beside] } else { &[] };
@@ -246,7 +278,7 @@ impl Source {
         let history = RefCell::new(History::beside(index.file.as_ref()));
         let index = RefCell::new(index);
         let ground = Ground { trace, path: path.to_owned(), recorded, shown_in, opened };
-        Ok(Self { ground, index, history })
+        Ok(Self { ground, index, history, ahead: RefCell::new(ahead) })
     }
 
     /// The world in which a walk left another recording: its light may have been on its way from one map to the next, which
@@ -287,16 +319,23 @@ impl Source {
                     (self.renderer(), shown.checked_sub(frames).map_or(0, |frame| self.shown_in[frame]))
                 }
             };
+            let ahead = self.ahead.take().filter(|ahead| ahead.place == (actor, at));
+            let (there, before) = match ahead {
+                Some(Ahead { is_there: true, snapshot, .. }) => (Some(snapshot), None),
+                Some(Ahead { snapshot, .. }) => (None, Some(snapshot)),
+                None => (None, None),
+            };
             // Where one looked before.
             let only_there = how.frames_before == 0 && how.observer.is_none() && how.listen_to.is_none();
-            if let Some(from) = only_there.then(|| index.right_after(actor, at)).flatten() {
+            let right_after = || there.or_else(|| index.right_after(actor, at).filter(|_| before.is_none()));
+            if let Some(from) = only_there.then(right_after).flatten() {
                 let there = How { from: Some(Arc::new(from)), ..how.clone() };
                 if let Ok((runtime, actors)) = self.system(there) {
                     look(&runtime);
                     return Ok((runtime, actors));
                 }
             }
-            how.from = index.before(actor, at).map(Arc::new);
+            how.from = before.or_else(|| index.before(actor, at)).map(Arc::new);
         }
         let (jumped, stops) = (how.from.is_some(), how.until.is_some());
         let again = How { from: None, jump: false, ..how.clone() };
@@ -385,44 +424,17 @@ impl Source {
 
     /// Where `frame` was shown.
     pub fn frame_shown(&self, frame: u32) -> Result<Until, Failure> {
-        let shown = self.shown_in.get(frame as usize);
-        let index = shown.copied().ok_or_else(|| {
-            let frames = self.shown_in.len();
-            Failure::Usage(format!("no frame {frame}; the recording shows {frames}, counted from 0"))
-        })?;
-        Ok(Until::Delivery { actor: self.renderer(), index })
+        frame_in(&self.trace, &self.shown_in, frame)
     }
 
     /// `FRAME` or `ACTOR:INDEX`, the actor by name or number.
     pub fn place(&self, text: &str) -> Result<Until, Failure> {
-        if let Ok(frame) = text.parse::<u32>() {
-            return self.frame_shown(frame);
-        }
-        let wrong =
-            || Failure::Usage(format!("{text}: a frame number, or an actor and an index as renderer:12"));
-        let (name, index) = text.rsplit_once(':').ok_or_else(wrong)?;
-        let actor = self.actor(name)?;
-        let index: u64 = index.parse().map_err(|_| wrong())?;
-        match self.trace.deliveries(actor) {
-            deliveries if index < deliveries => Ok(Until::Delivery { actor, index }),
-            deliveries => {
-                Err(Failure::Usage(format!("no {text}; {deliveries} deliveries to it are recorded, from 0")))
-            }
-        }
+        place_in(&self.trace, &self.shown_in, text)
     }
 
     /// An actor by name or number.
     pub fn actor(&self, name: &str) -> Result<ActorId, Failure> {
-        let nodes = &self.trace.header().nodes;
-        let by_number = || {
-            let number = name.strip_prefix('#').unwrap_or(name).parse::<u32>().ok()?;
-            ((number as usize) < nodes.len()).then_some(ActorId(number))
-        };
-        self.trace.find(name).or_else(by_number).ok_or_else(|| {
-            let names: Vec<&str> =
-                nodes.iter().filter(|n| n.class.is_some()).map(|n| n.name.as_str()).collect();
-            Failure::Usage(format!("no actor \"{name}\"; the recording has {}", names.join(", ")))
-        })
+        actor_in(&self.trace, name)
     }
 
     /// An actor's or port's name.
@@ -457,6 +469,45 @@ impl Source {
         };
         format!("{:<16} {:<16} from {from:<16} {:016x}", self.at((s.actor, s.index)), s.kind, s.chain)
     }
+}
+
+/// Where a frame was shown.
+fn frame_in(trace: &Trace, shown_in: &[u64], frame: u32) -> Result<Until, Failure> {
+    let index = shown_in.get(frame as usize).copied().ok_or_else(|| {
+        let frames = shown_in.len();
+        Failure::Usage(format!("no frame {frame}; the recording shows {frames}, counted from 0"))
+    })?;
+    Ok(Until::Delivery { actor: renderer(trace), index })
+}
+
+/// `FRAME` or `ACTOR:INDEX`, the actor by name or number.
+fn place_in(trace: &Trace, shown_in: &[u64], text: &str) -> Result<Until, Failure> {
+    if let Ok(frame) = text.parse::<u32>() {
+        return frame_in(trace, shown_in, frame);
+    }
+    let wrong = || Failure::Usage(format!("{text}: a frame number, or an actor and an index as renderer:12"));
+    let (name, index) = text.rsplit_once(':').ok_or_else(wrong)?;
+    let actor = actor_in(trace, name)?;
+    let index: u64 = index.parse().map_err(|_| wrong())?;
+    match trace.deliveries(actor) {
+        deliveries if index < deliveries => Ok(Until::Delivery { actor, index }),
+        deliveries => {
+            Err(Failure::Usage(format!("no {text}; {deliveries} deliveries to it are recorded, from 0")))
+        }
+    }
+}
+
+/// An actor by name or number.
+fn actor_in(trace: &Trace, name: &str) -> Result<ActorId, Failure> {
+    let nodes = &trace.header().nodes;
+    let by_number = || {
+        let number = name.strip_prefix('#').unwrap_or(name).parse::<u32>().ok()?;
+        ((number as usize) < nodes.len()).then_some(ActorId(number))
+    };
+    trace.find(name).or_else(by_number).ok_or_else(|| {
+        let names: Vec<&str> = nodes.iter().filter(|n| n.class.is_some()).map(|n| n.name.as_str()).collect();
+        Failure::Usage(format!("no actor \"{name}\"; the recording has {}", names.join(", ")))
+    })
 }
 
 /// An actor's or port's name.

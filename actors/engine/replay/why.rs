@@ -173,7 +173,9 @@ fn note(d: &Delivery<'_>) -> Option<Note> {
                 Note::Aged { view: view.0, samples: samples.clone() }
             }
             RendererMessage::SamplesTraced { batch, .. } => Note::Traced { batch: batch.clone() },
-            RendererMessage::Illuminated { map, .. } => Note::Lit { rounds: map.summary.rounds },
+            RendererMessage::Illuminated { map, .. } => {
+                Note::Lit { rounds: map.map().map_or(0, |map| map.summary.rounds) }
+            }
             _ => return None,
         });
     }
@@ -284,14 +286,14 @@ pub fn explain(
         }
         let shown = runtime.inspect(actors.renderer, |r| {
             let (snapshot, drawn) = (r.shown()?.clone(), r.drawn()?.clone());
-            let base = drawn.buffers.color.at(px, py);
+            let base = drawn.buffers().color.at(px, py);
             Some(Shown { snapshot, drawn, base, splat: r.layer().color(px, py) })
         });
         let Some(shown) = shown.flatten() else {
             return Err(Failure::Check("nothing was shown".into()));
         };
         let found = find(source, &notes, &shown, px, py);
-        let is_diffuse = !source.recorded.corrects || shown.drawn.buffers.object.at(px, py) == 0;
+        let is_diffuse = !source.recorded.corrects || shown.drawn.buffers().object.at(px, py) == 0;
         if !how.jump || notes.tell_all(&shown, found.as_ref(), is_diffuse, moved) {
             break (runtime, actors, shown, found, notes);
         }
@@ -322,7 +324,7 @@ fn find(source: &Source, notes: &Notes, shown: &Shown, x: usize, y: usize) -> Op
     let settings = &source.recorded.settings;
     let (width, height) = (settings.width as usize, settings.height as usize);
     let mut layer = SplatLayer::new(width, height, settings.k_max, settings.footprint);
-    let buffers = &shown.drawn.buffers;
+    let buffers = shown.drawn.buffers();
     let view = shown.drawn.view.0;
     let mut painter: Option<At> = None;
     let mut last_source = 0;
@@ -409,7 +411,7 @@ fn document(
     moved: Option<(At, u32)>,
 ) -> Value {
     let drawn = &shown.drawn;
-    let object = drawn.buffers.object.at(x, y);
+    let object = drawn.buffers().object.at(x, y);
     let mut chain = Vec::new();
     let what = match found {
         None if object == 0 => "base layer: a diffuse surface, which needs no sample".to_owned(),

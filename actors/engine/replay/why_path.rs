@@ -40,7 +40,8 @@ pub(super) struct Traced {
 impl Traced {
     /// Traces the sample of a job through `pixel` again, of which the recording says that it is `sample`.
     pub(super) fn again(job: &SampleOrder, pixel: [u16; 2], sample: Vec3) -> Option<Self> {
-        let DrawnView { world, frame, buffers, view, .. } = &*job.drawn;
+        let DrawnView { world, frame, view, .. } = &*job.drawn;
+        let buffers = job.drawn.buffers();
         let (again, path) = retrace(world, frame, buffers, pixel, job.seed)?;
         let (objects, materials) = (&world.scene.objects, &world.scene.materials);
         Some(Self {

@@ -146,6 +146,15 @@ pub struct ReplayArguments {
     json: bool,
 }
 
+impl ReplayArguments {
+    /// Where all that is asked for is, if that can be gone to at once.
+    fn place(&self) -> Option<String> {
+        let from_start = self.verify || self.actor.is_some() || self.export.is_some();
+        let shown = self.show.map(|frame| frame.to_string());
+        shown.or_else(|| self.until.clone()).or_else(|| self.at.clone()).filter(|_| !from_start)
+    }
+}
+
 pub fn pixel(text: &str) -> Result<(u32, u32), String> {
     let wrong = || format!("`{text}` is no pixel; write it as 30,20");
     let (x, y) = text.split_once(',').ok_or_else(wrong)?;
@@ -185,7 +194,8 @@ pub fn run(a: &ReplayArguments, progress: Progress) -> Result<(), Failure> {
         };
         return super::serve::recording(listen, Arc::new(make), a.json);
     }
-    let source = Source::open(path, &a.elsewhere.files(), a.verify, &progress.baking())?;
+    let source =
+        Source::open_at(path, &a.elsewhere.files(), a.verify, a.place().as_deref(), &progress.baking())?;
     if a.index {
         if source.indexing().go_on(&source, || false) {
             return Err(Failure::Interrupted("interrupted; snapshots so far are kept".into()));

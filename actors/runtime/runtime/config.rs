@@ -150,7 +150,10 @@ impl Config {
             Mode::Simulate(Steering(driver)) => (Driven::Simulated, None, None, Some(driver)),
         };
         let (scheduler, locals) = match &driver {
-            None => Scheduler::new(threads, Clock::real(), budget, waker),
+            None => {
+                let clock = if trace.is_some() { Clock::of_replay() } else { Clock::real() };
+                Scheduler::new(threads, clock, budget, waker)
+            }
             // One message a turn: whose turn is next is the driver's to say.
             Some(driver) => {
                 let budget = Budget { messages: 1, nanoseconds: u64::MAX };

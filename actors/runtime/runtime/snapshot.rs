@@ -18,6 +18,23 @@ pub struct Snapshot {
     content: Vec<u8>,
 }
 
+/// Bytes that are compressed by themselves, so that several threads can.
+const BLOCK: usize = 1 << 20;
+
+/// Does something to each of many, on several threads where there are some.
+fn beside<T: Send>(all: &mut [T], work: impl Fn(&mut T) + Sync) {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from).min(all.len()).max(1);
+    let mut parts = all.chunks_mut(all.len().div_ceil(threads).max(1));
+    let own = parts.next();
+    std::thread::scope(|scope| {
+        let work = &work;
+        for part in parts {
+            scope.spawn(move || part.iter_mut().for_each(work));
+        }
+        own.into_iter().flatten().for_each(work);
+    });
+}
+
 impl Snapshot {
     /// Deliveries made to each actor by then, by identity; zeros for ports.
     pub fn positions(&self) -> &[u64] {
@@ -34,7 +51,14 @@ impl Snapshot {
         // A snapshot may be larger than a segment of a recording.
         let mut bytes = (self.positions.len() as u32).to_le_bytes().to_vec();
         self.positions.iter().for_each(|position| bytes.extend_from_slice(&position.to_le_bytes()));
-        bytes.extend_from_slice(&lz4_flex::block::compress_prepend_size(&self.content));
+        bytes.extend_from_slice(&(self.content.len() as u64).to_le_bytes());
+        let mut blocks: Vec<(&[u8], Vec<u8>)> =
+            self.content.chunks(BLOCK).map(|plain| (plain, Vec::new())).collect();
+        beside(&mut blocks, |(plain, block)| *block = lz4_flex::block::compress(plain));
+        for (_, block) in blocks {
+            bytes.extend_from_slice(&(block.len() as u32).to_le_bytes());
+            bytes.extend_from_slice(&block);
+        }
         bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
         bytes
     }
@@ -47,14 +71,25 @@ impl Snapshot {
         }
         let (count, content) = content.split_first_chunk::<4>()?;
         let (positions, content) = content.split_at_checked(u32::from_le_bytes(*count) as usize * 8)?;
-        let (size, block) = content.split_first_chunk::<4>()?;
+        let (size, mut left) = content.split_first_chunk::<8>()?;
         // A block is at most 255 times shorter than what it holds.
-        let size = u32::from_le_bytes(*size) as usize;
-        let content =
-            (size / 255 <= block.len()).then(|| lz4_flex::block::decompress(block, size).ok())??;
+        let size = usize::try_from(u64::from_le_bytes(*size)).ok().filter(|size| size / 255 <= left.len())?;
+        let mut content = vec![0; size];
+        let mut blocks = Vec::with_capacity(size.div_ceil(BLOCK));
+        for plain in content.chunks_mut(BLOCK) {
+            let (length, rest) = left.split_first_chunk::<4>()?;
+            let (block, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
+            blocks.push((block, plain, false));
+            left = rest;
+        }
+        beside(&mut blocks, |(block, plain, is_whole)| {
+            *is_whole =
+                lz4_flex::block::decompress_into(block, plain).is_ok_and(|length| length == plain.len());
+        });
+        let is_whole = left.is_empty() && blocks.iter().all(|(_, _, is_whole)| *is_whole);
         let positions =
             positions.as_chunks().0.iter().map(|position| u64::from_le_bytes(*position)).collect();
-        Some(Self { positions, content })
+        is_whole.then_some(Self { positions, content })
     }
 
     /// Whether a replay that begins here has everything still before it that `cut` has behind it at most.

@@ -39,10 +39,9 @@ pub(crate) fn nanoseconds(duration: Duration) -> u64 {
 pub(crate) enum Clock {
     Real {
         start: Instant,
-        /// The processor's counter, where it has one that runs evenly: a third of the cost of asking the system. A
-        /// machine that slept may set it back, so nothing waits by it.
-        counter: quanta::Clock,
-        counter_start: u64,
+        /// The processor's counter, where it has one that runs evenly, and where it stood: a third of the cost of asking the
+        /// system. A machine that slept may set it back, so nothing waits by it. `None` where the system is asked.
+        counter: Option<(quanta::Clock, u64)>,
     },
     /// Moved only by the simulator, and by what work is said to take.
     Virtual {
@@ -67,17 +66,17 @@ fn thread_ns() -> u64 {
     std::time::SystemTime::UNIX_EPOCH.elapsed().map_or(0, nanoseconds)
 }
 
-/// Measures the processor's counter against the system's clock, which takes some milliseconds: done early and beside other
-/// things, no [`crate::Runtime`] waits for it.
-pub fn calibrate() {
-    let _ = quanta::Clock::new();
-}
-
 impl Clock {
     pub(crate) fn real() -> Self {
         let counter = quanta::Clock::new();
-        let counter_start = counter.raw();
-        Self::Real { start: Instant::now(), counter, counter_start }
+        let counted = counter.raw();
+        Self::Real { start: Instant::now(), counter: Some((counter, counted)) }
+    }
+
+    /// For a replay: to measure the processor's counter takes some milliseconds, and up to 200 where other programs run,
+    /// longer than a look at one moment.
+    pub(crate) fn of_replay() -> Self {
+        Self::Real { start: Instant::now(), counter: None }
     }
 
     pub(crate) fn starting_at_zero(work: Work, seed: u64) -> Self {
@@ -96,10 +95,10 @@ impl Clock {
     #[inline]
     pub(crate) fn turn_time(&self) -> u64 {
         match self {
-            Self::Real { counter, counter_start, .. } => {
-                counter.delta_as_nanos(*counter_start, counter.raw())
+            Self::Real { counter: Some((counter, start)), .. } => {
+                counter.delta_as_nanos(*start, counter.raw())
             }
-            Self::Virtual { now, .. } => now.load(Ordering::Relaxed),
+            _ => self.now(),
         }
     }
 

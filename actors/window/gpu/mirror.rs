@@ -164,7 +164,7 @@ impl OfScene {
     /// Pixels without sample, where that is new or shows something else now.
     fn take_approximations(&mut self, drawn: &DrawnView, layer: &SplatLayer) {
         let (colors, ranks, ..) = layer.maps();
-        let (width, objects) = (colors.width().max(1), drawn.buffers.object.data());
+        let (width, objects) = (colors.width().max(1), drawn.buffers().object.data());
         let pixels = ranks.data().iter().zip(colors.data()).zip(objects).zip(&mut self.approximated);
         let new = pixels.enumerate().filter_map(|(i, (((rank, color), object), before))| {
             // Those that a better map will replace are shown until then.
@@ -189,7 +189,7 @@ impl OfScene {
         let Some(settled) = settled else { return self.display.unrefine() };
         let [width, height] = self.display.size();
         let grid = Tiles::of_size(width, height);
-        let (base, splats) = (&drawn.buffers.color, renderer.layer());
+        let (base, splats) = (&drawn.buffers().color, renderer.layer());
         for tile in renderer.tiles() {
             let pixel = |(x, y)| settled.pixel(x, y, base.at(x, y), base.at(x, y) + splats.color(x, y));
             let radiance: Vec<Vec3> = grid.pixels(tile.tile).map(pixel).collect();
@@ -225,10 +225,17 @@ mod tests {
         let frame = world.scene.cameras[0].camera.frame(80, 60);
         let mut buffers = FrameBuffers::new(80, 60);
         cpu_pass::draw(&world, &frame, cpu_pass::Passes { texture_ids: false }, &mut buffers);
-        let drawn = Arc::new(DrawnView { view: View(1), frame, buffers, world, object_count: 3, hash: 0 });
+        let drawn = Arc::new(DrawnView {
+            view: View(1),
+            frame,
+            drawn: buffers.into(),
+            world,
+            object_count: 3,
+            hash: 0,
+        });
         let mut layer = SplatLayer::new(80, 60, 2, Footprint::Tile);
         let without = shown(&drawn, &layer, &gpu);
-        layer.approximate(|x, y| Vec3::splat(if drawn.buffers.object.at(x, y) == 0 { 0.0 } else { 0.25 }));
+        layer.approximate(|x, y| Vec3::splat(if drawn.buffers().object.at(x, y) == 0 { 0.0 } else { 0.25 }));
         let with = shown(&drawn, &layer, &gpu);
         assert_ne!(with, without);
         layer.disapprove(|_, _| true);

@@ -111,7 +111,7 @@ impl<'a> Reader<'a> {
     }
 }
 
-fn length(bytes: &mut Vec<u8>, mut number: u64) {
+pub(super) fn length(bytes: &mut Vec<u8>, mut number: u64) {
     while number >= 0x80 {
         bytes.push(number as u8 | 0x80);
         number >>= 7;
@@ -215,7 +215,7 @@ fn array<const N: usize>(bytes: &mut &[u8]) -> Option<[u8; N]> {
     Some(*first)
 }
 
-fn read_length(bytes: &mut &[u8]) -> Option<u64> {
+pub(super) fn read_length(bytes: &mut &[u8]) -> Option<u64> {
     let mut number = 0;
     for shift in (0..64).step_by(7) {
         let part = byte(bytes)?;

@@ -13,11 +13,12 @@ use serde::{Deserialize, Serialize};
 
 use super::course::Reader;
 use super::index::{head_of, make_room_beside};
+use super::pictures::changes;
 
 /// What such a file is called.
 pub(super) const TOLD: &str = "fvtold";
 /// First bytes of the file; the program's identity follows.
-const MAGIC: &[u8; 8] = b"FVTOLD_1";
+const MAGIC: &[u8; 8] = b"FVTOLD_2";
 /// Bytes of one recording's history at most.
 const BYTES_MAX: u64 = 256 << 20;
 /// Bytes of a record's checksum.
@@ -73,11 +74,14 @@ pub(super) struct Record {
     pub(super) state: Option<Block>,
     /// By kind.
     pub(super) heard: Vec<(String, Heard)>,
+    /// Of the renderer: which tiles of its picture changed.
+    pub(super) pictures: Option<Block>,
 }
 
 impl Record {
     fn blocks(&mut self) -> impl Iterator<Item = &mut Block> {
-        self.state.iter_mut().chain(self.heard.iter_mut().map(|(_, heard)| heard.block()))
+        let heard = self.heard.iter_mut().map(|(_, heard)| heard.block());
+        self.state.iter_mut().chain(heard).chain(self.pictures.as_mut())
     }
 
     fn heard(&self, kind: &str) -> Option<&Heard> {
@@ -280,6 +284,24 @@ impl History {
             }
             end = record.end;
         }
+        (end >= deliveries).then_some(found)
+    }
+
+    /// In which deliveries of the renderer a tile of the shown picture may have changed; `None` if that is not known of all
+    /// `deliveries`.
+    pub(super) fn tile_changed(
+        &mut self,
+        renderer: ActorId,
+        deliveries: u64,
+        tile: usize,
+    ) -> Option<Vec<u64>> {
+        self.read();
+        let (mut found, mut end) = (Vec::new(), 0);
+        for (_, record) in self.following(renderer, |record| record.pictures.is_some()) {
+            found.extend(changes(&record.pictures.as_ref()?.raw()?, tile)?);
+            end = record.end;
+        }
+        found.sort_unstable();
         (end >= deliveries).then_some(found)
     }
 }

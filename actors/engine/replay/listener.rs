@@ -7,10 +7,12 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crossbeam_queue::{ArrayQueue, SegQueue};
+use foveal_actors::renderer::Renderer;
 use foveal_runtime::{ActorId, Content, Delivery, Observer, Runtime};
 
 use super::course::Writer;
 use super::history::{Block, Heard, Record};
+use super::pictures::Pictures;
 
 /// Bytes of an actor's state at most, where it is noted: telling it takes about as long as a delivery does.
 const STATE_BYTES_MAX: usize = 16 << 10;
@@ -53,6 +55,8 @@ struct Notes {
     is_silent: bool,
     /// Large messages so far, by kind.
     large: BTreeMap<&'static str, usize>,
+    /// What is shown, where it is the renderer's.
+    pictures: Option<Pictures>,
     /// A delivery went by.
     is_broken: bool,
 }
@@ -66,6 +70,7 @@ impl Notes {
             kinds: BTreeMap::new(),
             is_silent: false,
             large: BTreeMap::new(),
+            pictures: None,
             is_broken: false,
         }
     }
@@ -82,6 +87,10 @@ impl Notes {
                 Content::Untold => self.state.is_unseen(d.index),
                 state => self.stands(d.index, state),
             }
+        }
+        if let Some(renderer) = d.receiver.downcast_ref::<Renderer>() {
+            let pictures = self.pictures.get_or_insert_default();
+            renderer.shown().into_iter().for_each(|shown| pictures.stands(d.index, &shown.rgb8));
         }
         let kind = self.kinds.entry(d.kind).or_default();
         kind.places.comes(d.index, Content::Untold);
@@ -124,7 +133,8 @@ impl Notes {
             };
             (name.to_owned(), heard)
         });
-        let record = Record { actor: actor.0, begin, end: next, state, heard: heard.collect() };
+        let pictures = self.pictures.as_mut().map(|pictures| Block::of(&pictures.take()));
+        let record = Record { actor: actor.0, begin, end: next, state, heard: heard.collect(), pictures };
         self.begin = next;
         Some(record)
     }
@@ -180,6 +190,9 @@ impl Listener {
                 if !notes.is_silent {
                     notes.stands(*end, state);
                 }
+                // Nobody saw what the last one left.
+                let last = end.saturating_sub(1);
+                notes.pictures.iter_mut().for_each(|pictures| pictures.is_unknown(last));
                 notes.next += 1;
             }
             notes.record(actor).into_iter().for_each(|record| self.records.push(record));

@@ -14,6 +14,7 @@ mod lanes;
 pub mod late;
 mod listener;
 mod pair;
+mod pictures;
 mod plain;
 mod player;
 mod search;

@@ -16,6 +16,7 @@ use super::counters::COUNTERS;
 use super::history::Record;
 use super::index::Index;
 use super::listener::Listener;
+use super::pictures::tile_of;
 use super::source::{Ground, How, Source};
 use super::when::{object, pixel, samples_of, standing};
 use crate::failure::Failure;
@@ -60,7 +61,7 @@ impl Search<'_> {
         }
         // What all of it tells is left for the next question.
         let listens = !self.source.is_told();
-        let found = match self.parts_that_hear().or_else(|| self.parts()) {
+        let found = match self.parts_of_interest().or_else(|| self.parts()) {
             Some(parts) => self.beside(&parts, listens)?,
             None => None,
         };
@@ -95,18 +96,8 @@ impl Search<'_> {
     /// What is seen in the parts, each replayed on a thread of its own. `None` where one of them cannot be replayed from its
     /// snapshot.
     fn beside(&self, parts: &[Part], listens: bool) -> Result<Option<Values>, Failure> {
-        let (ground, condition, end): (&Ground, _, _) =
-            (self.source, self.condition, self.source.deliveries());
-        let index = self.source.index();
-        let one = One {
-            ground,
-            index: &index,
-            condition,
-            actor: self.actor,
-            look: &self.look,
-            listens,
-            deliveries: &end,
-        };
+        let (end, index) = (self.source.deliveries(), self.source.index());
+        let one = self.one(&index, listens, &end);
         let (next, workers) = (AtomicUsize::new(0), self.workers);
         let found = std::thread::scope(|scope| {
             let work = || {
@@ -134,6 +125,12 @@ impl Search<'_> {
         Ok(Some(values.into_iter().flatten().collect()))
     }
 
+    /// The search of one part.
+    fn one<'a>(&'a self, index: &'a Index, listens: bool, deliveries: &'a [u64]) -> One<'a> {
+        let Self { source, condition, actor, look, .. } = self;
+        One { ground: source, index, condition, actor: *actor, look, listens, deliveries }
+    }
+
     /// The parts between the snapshots that are kept, about as many as keep all threads busy; none where there are too few.
     pub(super) fn parts(&self) -> Option<Vec<Part>> {
         let (places, end) = (self.source.places(), self.source.deliveries());
@@ -158,21 +155,27 @@ impl Search<'_> {
         Some(begins.into_iter().zip(ends).map(|(begin, end)| Part { begin, end }).collect())
     }
 
-    /// The parts between snapshots in which messages of the kind that is looked for came. `None` where that is not known, or
-    /// they came nearly everywhere.
-    pub(super) fn parts_that_hear(&self) -> Option<Vec<Part>> {
-        let Of::Hears(_, kind, _) = &self.condition.of else { return None };
+    /// The parts between snapshots in which messages of the kind that is looked for came, or the tile of the pixel changed.
+    /// `None` where that is not known, or it was nearly everywhere.
+    pub(super) fn parts_of_interest(&self) -> Option<Vec<Part>> {
         let (actor, end) = (self.actor.0 as usize, self.source.deliveries());
-        let heard = self.source.history().heard_at(self.actor, end[actor], kind)?;
+        let at = match &self.condition.of {
+            Of::Hears(_, kind, _) => self.source.history().heard_at(self.actor, end[actor], kind)?,
+            Of::Pixel(x, y) => {
+                let tile = tile_of(*x, *y, self.source.recorded.settings.width);
+                self.source.history().tile_changed(self.actor, end[actor], tile)?
+            }
+            _ => return None,
+        };
         let places = self.source.places().into_iter().filter(|place| progress(place) < progress(&end));
         let begins: Vec<Vec<u64>> = [vec![0; end.len()]].into_iter().chain(places).collect();
         let ends = begins[1..].iter().cloned().chain([end.clone()]);
-        let hears = |part: &Part| {
-            let next = heard.partition_point(|index| *index < part.begin[actor]);
-            heard.get(next).is_some_and(|index| *index < part.end[actor])
+        let is_of_interest = |part: &Part| {
+            let next = at.partition_point(|index| *index < part.begin[actor]);
+            at.get(next).is_some_and(|index| *index < part.end[actor])
         };
         let parts = begins.iter().cloned().zip(ends).map(|(begin, end)| Part { begin, end });
-        let parts: Vec<Part> = parts.filter(hears).collect();
+        let parts: Vec<Part> = parts.filter(is_of_interest).collect();
         let replayed: u64 = parts.iter().map(|part| progress(&part.end) - progress(&part.begin)).sum();
         (replayed < progress(&end) / 2).then_some(parts)
     }
@@ -198,16 +201,7 @@ impl Search<'_> {
         let below = places.partition_point(|place| !holds(place));
         let begin = below.checked_sub(1).map_or_else(|| vec![0; end.len()], |last| places[last].clone());
         let part = Part { begin, end: places.get(below).cloned().unwrap_or_else(|| end.clone()) };
-        let (ground, condition): (&Ground, _) = (source, self.condition);
-        let one = One {
-            ground,
-            index: &index,
-            condition,
-            actor: self.actor,
-            look: &self.look,
-            listens: false,
-            deliveries: &end,
-        };
+        let one = self.one(&index, false, &end);
         one.seen_in(&part).map(|(values, _)| values)
     }
 }

@@ -27,6 +27,16 @@ fn a_thousand_frames_leave_nothing_behind() {
     assert!(messages["what"] == "messages" && messages["value"].as_f64() > Some(10_000.0), "{d}");
 }
 
+/// A short recording: made, looked at and asked, with all that is told of it.
+#[test]
+fn a_recording_is_looked_at_and_asked() {
+    let d = Foveal::new("bench seeks --frames 8 --size 48x32 --looks 2 --runs 1").json();
+    assert_eq!(d["schema"], "foveal.bench.seeks/1");
+    for what in ["the log", "order and hashes", "the first", "later", "stands open", "in_flight"] {
+        assert!(row(&d, what)["value"].is_number(), "{what}: {d}");
+    }
+}
+
 /// What glTF costs stands beside what cannot be done without.
 #[test]
 fn gltf_beside_its_pictures_and_plastic() {

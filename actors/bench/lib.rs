@@ -25,6 +25,7 @@ mod remote_batch;
 mod remote_soak;
 mod report;
 mod scaling;
+mod seeks;
 #[cfg(feature = "serve")]
 mod serve;
 mod simplify;
@@ -62,6 +63,8 @@ pub enum BenchCommand {
     Report(report::ReportArguments),
     /// How each stage grows with what it works on, and with tracers; memory beside it
     Scaling(scaling::ScalingArguments),
+    /// How soon a moment of a recording is there, and what the recording takes
+    Seeks(seeks::SeeksArguments),
     /// A radiosity mesh cut back by what is measured and by what is seen, views of it held against the whole mesh
     Simplify(simplify::SimplifyArguments),
     /// The browser's door: time from input to picture, bytes, and whether the walk notices its viewers
@@ -90,6 +93,7 @@ pub fn run(command: &BenchCommand, progress: Progress) -> Result<(), Failure> {
         BenchCommand::Rays(a) => rays::run(a, progress),
         BenchCommand::Report(a) => report::run(a, progress),
         BenchCommand::Scaling(a) => scaling::run(a, progress),
+        BenchCommand::Seeks(a) => seeks::run(a, progress),
         BenchCommand::Simplify(a) => simplify::run(a, progress),
         #[cfg(feature = "serve")]
         BenchCommand::Serve(a) => serve::run(a, progress),

@@ -308,6 +308,8 @@ impl Report<'_> {
             let file = out.join(format!("{view}-{}.png", stage.replace(' ', "-")));
             let size = (3 * picture.width() as u32, picture.height() as u32);
             write_atomic(&file, &png_bytes(size.0, size.1, &beside(world, picture, &judge.picture))?)?;
+            // For other judges.
+            write_atomic(&file.with_extension("exr"), &exr_bytes(picture)?)?;
         }
         Ok(())
     }

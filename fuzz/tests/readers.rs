@@ -15,7 +15,7 @@ use foveal::illumination::bake::{BakeSettings, bake, cache_key};
 use foveal::illumination::cache::{encode, load_illumination};
 use foveal::scene::load::{LoadOptions, load, load_with};
 use foveal::transport::Indexed;
-use foveal::transport::light::Lights;
+use foveal::transport::light::{Lights, Receiver};
 use foveal_runtime::{ActorId, Config, Exit, Hashing, Limit, Record, Runtime, Trace};
 use glam::Vec3;
 
@@ -184,7 +184,8 @@ fn scene_with(file: &str, bytes: &[u8], start: &str) {
             if let Some(hit) = accel.intersect(scene, &Ray::new(frame.eye, direction)) {
                 assert!(hit.t.is_finite() && (hit.triangle as usize) < mesh.triangles.len());
             }
-            let lit = Lights::build(scene).sample_direct(scene, scene.bounds[0], 0.5, [0.5, 0.5]);
+            let at = Receiver { point: scene.bounds[0], normal: Vec3::Y };
+            let lit = Lights::build(scene).sample_towards(scene, &at, (0.5, [0.5, 0.5]), None);
             assert!(lit.is_none_or(|light| light.radiance.is_finite() && light.pdf > 0.0));
             loaded.warnings.iter().for_each(|w| assert!(!w.to_string().is_empty()));
         }

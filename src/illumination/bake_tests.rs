@@ -9,6 +9,7 @@ use super::test_scenes::{cube, grid, join, lambert, quad, scene};
 use super::{Irradiance, cache};
 use crate::geometry::{Accel, Ray};
 use crate::math;
+use crate::rng::Stream;
 use crate::scene::texture::MipChain;
 use crate::scene::{Camera, Light, Material, Mesh, NamedCamera, Scene, Texture, TextureId};
 use crate::transport::Indexed;
@@ -261,10 +262,15 @@ fn error_falls_with_particles_as_the_theory_says() {
     let scene = furnace(0.5);
     let error = |particles: u64| {
         let map = baked(&scene, &settings(2_000, particles));
-        let values = map.front_values().iter().filter(|v| v[0] > 0.0);
-        let (sum, n) =
-            values.fold((0.0f64, 0u32), |(s, n), v| (s + f64::from(v[0] / 2.0 - 1.0).powi(2), n + 1));
-        ((sum / f64::from(n)).sqrt(), f64::from(map.summary.relative_error))
+        // Where it is looked at: between texels half of their noise is gone.
+        let mut places = Stream::new(3, 0, 0);
+        let value = |t: u32| {
+            let [u, v] = places.next_2d();
+            f64::from(map.lookup(t, u.sqrt() * (1.0 - v), u.sqrt() * v, false).x)
+        };
+        let triangles = (0..scene.mesh.triangles.len() as u32).cycle().take(12_000);
+        let sum = triangles.map(value).map(|v| (v / 2.0 - 1.0).powi(2)).sum::<f64>();
+        ((sum / 12_000.0).sqrt(), f64::from(map.summary.relative_error))
     };
     // Every wall alike: no bias, only noise remains, and neighbours share more of it the less there is.
     let (few, many) = (error(16_384), error(1 << 20));

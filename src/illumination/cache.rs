@@ -15,7 +15,7 @@ use super::stored::Illumination;
 /// First bytes of a file.
 const MAGIC: [u8; 8] = *b"FVBAKE\r\n";
 /// Raised with every change of what is stored or how it is computed.
-pub const VERSION: u32 = 20;
+pub const VERSION: u32 = 21;
 /// Magic, version, key, compressed and plain length, checksum.
 const HEADER: usize = 8 + 4 + 32 + 8 + 8 + 32;
 /// LZ4 cannot expand more than this.

@@ -68,7 +68,7 @@ pub fn first_picture_while(
                     return 0;
                 }
                 sums.begin_round();
-                sums.gather(scene, (&atlas, &points), &gather, site, (seed, SAMPLES, 0.0));
+                sums.gather(scene, (&atlas, &points), &gather, site, (seed, SAMPLES));
                 u64::from(SAMPLES)
             })
             .sum();

@@ -7,7 +7,6 @@ use super::atlas::Atlas;
 use super::filter::{Noisy, Parts};
 use super::points::{CANDIDATES, Points};
 use super::sites::Site;
-use crate::image::luminance;
 use crate::rng::{Stream, hash};
 use crate::scene::Scene;
 use crate::transport::bsdf::Bsdf;
@@ -16,9 +15,6 @@ use crate::transport::medium::Media;
 
 /// Weight of the indirect light of former rounds at the beginning of another one, which reads a better map.
 const KEPT: f32 = 0.5;
-
-/// Sample i of a half is cut at so many times √i times the light expected.
-const CUT: f32 = 64.0;
 
 /// Points of a site, at most, at which named lights are asked for.
 const NAMED: u32 = 8;
@@ -78,16 +74,14 @@ impl Gathered {
         self.soft_weight *= KEPT;
     }
 
-    /// Takes `count` samples, an even number, at the points found. Those far brighter than what is `expected` there, luminance,
-    /// are cut, the less the more there are: a lone one would be a bright spot, and in the limit nothing is lost (truncated means;
-    /// Bubeck et al. 2013).
+    /// Takes `count` samples, an even number, at the points found.
     pub fn gather(
         &mut self,
         scene: &Scene,
         (atlas, points): (&Atlas, &Points),
         gather: &Gather<'_>,
         site: &Site,
-        (seed, count, expected): (u64, u32, f32),
+        (seed, count): (u64, u32),
     ) {
         let usable = self.usable.unwrap_or(0);
         let found = usable.count_ones();
@@ -114,11 +108,8 @@ impl Gathered {
             let at = point.seen_from(scene, site.back).with_footprint(site.width);
             let stream = Stream::in_sequence(hash(seed, side, half as u64), 0, index);
             let light = gather.arriving(&at, Media::EMPTY, stream);
-            let most = CUT * expected * (index as f32 + 1.0).sqrt();
-            let found = luminance(light.total());
-            let kept = if expected > 0.0 && found > most { most / found } else { 1.0 };
-            add(&mut self.sharp[half], light.sharp * kept);
-            add(&mut self.soft[half], light.soft * kept);
+            add(&mut self.sharp[half], light.sharp);
+            add(&mut self.soft[half], light.soft + light.deep);
         }
         self.samples += count;
         self.soft_weight += 0.5 * count as f32;

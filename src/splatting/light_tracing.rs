@@ -14,7 +14,7 @@ use xxhash_rust::xxh3::Xxh3;
 
 use super::filter::GoesOn;
 use super::supersampling::displayed_difference;
-use super::tile_sums::{BATCHES, LOBES, PARTS, RESIDUAL};
+use super::tile_sums::BATCHES;
 use crate::display::tone::ToneMap;
 use crate::image::luminance;
 use crate::scene::camera::CameraFrame;
@@ -30,6 +30,10 @@ const QUANTA: f32 = (1 << 24) as f32;
 const BETWEEN: u64 = 256;
 /// Pixels along an edge of the blocks whose noise counts.
 const BLOCK: usize = 8;
+/// The D part and lobes of what is seen.
+const PARTS: usize = 2;
+const LOBES: usize = 0;
+const DIFFUSE: usize = 1;
 
 /// Runs of particles for so many samples of each pixel: about as many particles as samples, and as many runs in each batch.
 pub fn runs_for(samples: u32, pixels: usize) -> u32 {
@@ -195,12 +199,12 @@ impl LightSums {
 
     /// Mean by D parts over some batches. Radiance.
     pub fn diffuse(&self, pixel: usize, batches: &[usize]) -> Vec3 {
-        self.mean(pixel, RESIDUAL, batches)
+        self.mean(pixel, DIFFUSE, batches)
     }
 
     /// Variance of its luminance, for batches of one half.
     pub fn diffuse_variance(&self, pixel: usize, batches: &[usize]) -> f32 {
-        self.variance(pixel, RESIDUAL, batches)
+        self.variance(pixel, DIFFUSE, batches)
     }
 
     /// Mean by lobes over some batches. Radiance.
@@ -230,7 +234,7 @@ impl LightSums {
         for (i, _) in self.pixels.iter().enumerate() {
             let (sums, count) = &mut blocks[i / width / BLOCK * columns + i % width / BLOCK];
             for (batch, sum) in sums.iter_mut().enumerate() {
-                *sum += luminance(self.mean(i, LOBES, &[batch]) + self.mean(i, RESIDUAL, &[batch]));
+                *sum += luminance(self.mean(i, LOBES, &[batch]) + self.mean(i, DIFFUSE, &[batch]));
             }
             *count += 1;
         }

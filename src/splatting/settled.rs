@@ -8,6 +8,12 @@
 //! that is below 0 for certain. The same blocks tell the error of what is shown. Certain is what blocks agree on, or what the
 //! noise of R cannot be: where one block, under a caustic, say, holds nearly all of the error, blocks never agree.
 //!
+//! The difference has two reaches ([`Reach`]), which are filtered and decided apart. As far as the next D point, where the
+//! map is believed again, samples have little noise and see all edges, and what they show is off by what the map is off by
+//! elsewhere, all around and dimmed by a reflection. What is beyond is nearly all of the noise and, as a mean over all
+//! directions, smooth. So few samples show shadows and the map's blots, judged by their like alone; what they are off
+//! by then is shown once there are enough of them.
+//!
 //! What paths do not find, light that was traced to the eye (`splatting::light_tracing`), belongs to the samples: it is
 //! added to their means, half by half, before anything is filtered or compared.
 //!
@@ -21,7 +27,7 @@ use xxhash_rust::xxh3::Xxh3;
 use super::filter::{GoesOn, Halves, Surfaces};
 use super::light_tracing::LightSums;
 use super::supersampling::Tiles;
-use super::tile_sums::{BATCHES, PixelMeans, TileSums};
+use super::tile_sums::{BATCHES, PixelMeans, Reach, TileSums};
 use crate::display::FrameBuffers;
 use crate::image::{Map2d, luminance};
 use crate::scene::camera::CameraFrame;
@@ -59,8 +65,8 @@ pub struct Settled {
     /// Upper limit of the error of blocks of 8 × 8 pixels, relative to their mean: noise, the map and the filter's own
     /// faults, 95 % certain; infinite while nothing is known.
     pub stated: f32,
-    /// Whether samples know better than the map.
-    pub corrects: bool,
+    /// As far as what samples know better than the map: not at all, to the next D point, or all of it.
+    pub corrects: Option<Reach>,
 }
 
 impl Settled {
@@ -160,11 +166,11 @@ impl<'a> Pixels<'a> {
         }
     }
 
-    /// The residual, divided by the albedo, as far as both sets of batches show it.
+    /// The residual of a reach, as far as both sets of batches show it. Radiance.
     fn reconstructed(
         &self,
         surfaces: &Surfaces,
-        sets: [&[usize]; 2],
+        (reach, sets): (Reach, [&[usize]; 2]),
         goes_on: GoesOn<'_>,
     ) -> Option<Vec<Vec3>> {
         let count = self.at.len();
@@ -176,19 +182,20 @@ impl<'a> Pixels<'a> {
             halves.known[i] = albedo[i] != Vec3::ZERO;
             let divided_by = albedo[i].max(Vec3::splat(ALBEDO_MIN));
             for (half, set) in sets.into_iter().enumerate() {
-                let (mut residual, mut variance) = (means.residual(set), means.residual_variance(set));
-                if let Some(traced) = self.traced {
+                let (mut residual, mut variance) =
+                    (means.residual(reach, set), means.residual_variance(reach, set));
+                if let Some(traced) = self.traced.filter(|_| reach == Reach::Near) {
                     residual += traced.diffuse(i, set);
                     variance += traced.diffuse_variance(i, set);
                 }
                 halves.values[half][i] = residual / divided_by;
                 halves.variances[half][i] = variance / luminance(divided_by).powi(2);
-                excess[half][i] = means.excess(set);
+                excess[half][i] = means.excess(reach, set);
             }
         });
         let missing = surfaces.agreed_around(&excess, &albedo);
         let residual = halves.reconstructed(surfaces, goes_on)?;
-        Some(residual.into_iter().zip(missing).map(|(r, m)| r + m).collect())
+        Some(residual.into_iter().zip(missing).zip(albedo).map(|((r, m), albedo)| (r + m) * albedo).collect())
     }
 
     /// Variance of each block's luminance by what the halves of the diffuse part know nothing of: lobes, by their batches, and
@@ -272,14 +279,62 @@ fn blocks(width: usize, height: usize, value: impl Fn(usize) -> f32) -> Vec<f64>
         .collect()
 }
 
-/// How a picture from one half does beside the other one, block by block.
-struct Beside {
-    /// Its squared error less that of the map.
-    helps: Vec<f64>,
-    /// Variances of that by the noise of the other half.
+/// What adding something to a picture does to its squared error, block by block.
+struct Gain {
+    /// The error with it less the error without.
+    errors: Vec<f64>,
+    /// Variances of these by the noise of what tells them.
     doubts: Vec<f64>,
-    /// Its squared error, and that of the map.
-    errors: [Vec<f64>; 2],
+}
+
+impl Gain {
+    /// Of adding `z` to what is `base` away from the map, where the truth is `r` away, which has such variances.
+    fn of(z: &[f64], base: &[f64], (r, noise): (&[f64], &[f64])) -> Self {
+        let all = |value: &dyn Fn(usize) -> f64| (0..z.len()).map(value).collect::<Vec<f64>>();
+        Self {
+            errors: all(&|i| z[i] * (z[i] + 2.0 * (base[i] - r[i]))),
+            doubts: all(&|i| 4.0 * z[i] * z[i] * noise[i]),
+        }
+    }
+
+    fn mean(self, other: Self) -> Self {
+        Self { errors: mean(self.errors, other.errors), doubts: mean(self.doubts, other.doubts) }
+    }
+
+    /// How far its mean is from 0, and what it may be off by: as blocks go, or, where a few blocks hold nearly all of the error,
+    /// as the noise is known by two batches.
+    fn by_blocks(&self) -> (f64, f64) {
+        let (mean, apart) = mean_and_error(&self.errors);
+        let noise = self.doubts.iter().sum::<f64>().sqrt() / self.doubts.len().max(1) as f64;
+        (mean, (CERTAIN * apart).min(CERTAIN_BY_NOISE * noise))
+    }
+
+    /// Whether it certainly is one.
+    fn is_certain(&self) -> bool {
+        let (mean, doubt) = self.by_blocks();
+        mean + doubt < 0.0
+    }
+
+    /// Whether it certainly is none.
+    fn is_denied(&self) -> bool {
+        let (mean, doubt) = self.by_blocks();
+        mean - doubt > 0.0
+    }
+}
+
+/// The mean of values that belong together.
+fn mean(a: Vec<f64>, b: Vec<f64>) -> Vec<f64> {
+    a.into_iter().zip(b).map(|(a, b)| 0.5 * (a + b)).collect()
+}
+
+/// How pictures from one half do beside the other one.
+struct Beside {
+    /// What lies near beside the map, as samples of it tell, and as all samples do.
+    near: [Gain; 2],
+    /// All of it beside the map, and beside what lies near.
+    all: [Gain; 2],
+    /// Squared errors by block: of the map, with what lies near, with all of it.
+    errors: [Vec<f64>; 3],
 }
 
 impl Beside {
@@ -290,48 +345,70 @@ impl Beside {
         (width, height): (usize, usize),
         goes_on: GoesOn<'_>,
     ) -> Option<Self> {
-        let guess = pixels.reconstructed(surfaces, [&from[..1], &from[1..]], goes_on)?;
-        let albedo = pixels.of(PixelMeans::albedo);
-        let z = blocks(width, height, |i| luminance(guess[i] * albedo[i]));
-        let [a, b] = [0, 1].map(|i| {
-            // Uncut, or what is cut off both would seem right.
-            let with = &with[i..=i];
-            let residual = pixels.of(|means| means.residual(with) + means.excess(with));
-            let traced = |i: usize| match pixels.traced {
+        let guess = |reach: Reach| {
+            let guess = pixels.reconstructed(surfaces, (reach, [&from[..1], &from[1..]]), goes_on)?;
+            Some(blocks(width, height, |i| luminance(guess[i])))
+        };
+        let (near, deep) = (guess(Reach::Near)?, guess(Reach::Deep)?);
+        // Uncut, or what is cut off both would seem right.
+        let found = |reach: Reach, with: &[usize]| {
+            let residual = pixels.of(|means| means.residual(reach, with) + means.excess(reach, with));
+            let traced = |i: usize| match pixels.traced.filter(|_| reach == Reach::Near) {
                 Some(traced) if pixels.at[i].is_some() => luminance(traced.diffuse(i, with)),
                 _ => 0.0,
             };
             blocks(width, height, |i| luminance(residual[i]) + traced(i))
+        };
+        let parts = [&with[..1], &with[1..]].map(|with| [Reach::Near, Reach::Deep].map(|r| found(r, with)));
+        let [a, b] = parts.each_ref().map(|[near, deep]| -> Vec<f64> {
+            near.iter().zip(deep).map(|(near, deep)| near + deep).collect()
         });
-        let r = |i: usize| 0.5 * (a[i] + b[i]);
-        let noise = |i: usize| 0.25 * (a[i] - b[i]).powi(2);
-        let all = |value: &dyn Fn(usize) -> f64| (0..z.len()).map(value).collect::<Vec<f64>>();
+        let truth = |a: &[f64], b: &[f64]| -> (Vec<f64>, Vec<f64>) {
+            a.iter().zip(b).map(|(a, b)| (0.5 * (a + b), 0.25 * (a - b).powi(2))).unzip()
+        };
+        let (near_truth, near_noise) = truth(&parts[0][0], &parts[1][0]);
+        let (r, noise) = truth(&a, &b);
+        let all: Vec<f64> = near.iter().zip(&deep).map(|(near, deep)| near + deep).collect();
+        let map = vec![0.0; near.len()];
+        let error = |z: &[f64]| -> Vec<f64> {
+            z.iter().zip(&r).zip(&noise).map(|((z, r), noise)| (z - r).powi(2) - noise).collect()
+        };
         Some(Self {
-            helps: all(&|i| z[i] * (z[i] - 2.0 * r(i))),
-            doubts: all(&|i| 4.0 * z[i] * z[i] * noise(i)),
-            errors: [all(&|i| (z[i] - r(i)).powi(2) - noise(i)), all(&|i| r(i) * r(i) - noise(i))],
+            near: [Gain::of(&near, &map, (&near_truth, &near_noise)), Gain::of(&near, &map, (&r, &noise))],
+            all: [Gain::of(&all, &map, (&r, &noise)), Gain::of(&deep, &near, (&r, &noise))],
+            errors: [error(&map), error(&near), error(&all)],
         })
     }
 
     /// The same with roles changed, and the mean of both.
     fn mean(self, other: Self) -> Self {
-        let mean = |a: Vec<f64>, b: Vec<f64>| -> Vec<f64> {
-            a.into_iter().zip(b).map(|(a, b)| 0.5 * (a + b)).collect()
-        };
-        let ([a, b], [c, d]) = (self.errors, other.errors);
+        let both = |[a, b]: [Gain; 2], [c, d]: [Gain; 2]| [a.mean(c), b.mean(d)];
+        let ([a, b, c], [d, e, f]) = (self.errors, other.errors);
         Self {
-            helps: mean(self.helps, other.helps),
-            doubts: mean(self.doubts, other.doubts),
-            errors: [mean(a, c), mean(b, d)],
+            near: both(self.near, other.near),
+            all: both(self.all, other.all),
+            errors: [mean(a, d), mean(b, e), mean(c, f)],
         }
     }
 
-    /// Whether it is certainly better than the map: as blocks go, or, where a few blocks hold nearly all of the error, as far
-    /// beyond its noise as that is known by two batches.
-    fn is_better(&self) -> bool {
-        let (better, apart) = mean_and_error(&self.helps);
-        let noise = self.doubts.iter().sum::<f64>().sqrt() / self.doubts.len().max(1) as f64;
-        better + (CERTAIN * apart).min(CERTAIN_BY_NOISE * noise) < 0.0
+    /// As far as what samples certainly know better than the map.
+    fn corrects(&self) -> Option<Reach> {
+        let [by_near, by_all] = &self.near;
+        let [beside_map, beside_near] = &self.all;
+        if by_near.is_certain() && !by_all.is_denied() {
+            Some(if beside_near.is_certain() { Reach::Deep } else { Reach::Near })
+        } else {
+            beside_map.is_certain().then_some(Reach::Deep)
+        }
+    }
+
+    /// Squared errors of the blocks of a picture that corrects so far.
+    fn errors(&self, corrects: Option<Reach>) -> &[f64] {
+        &self.errors[match corrects {
+            None => 0,
+            Some(Reach::Near) => 1,
+            Some(Reach::Deep) => 2,
+        }]
     }
 }
 
@@ -349,20 +426,18 @@ pub fn settled(
     let pixels = Pixels::new(width, height, tiles, traced);
     let of_roles = |roles| Beside::new(&surfaces, &pixels, roles, (width, height), goes_on);
     let beside = of_roles(HALVES)?.mean(of_roles([HALVES[1], HALVES[0]])?);
-    let corrects = beside.is_better();
+    let corrects = beside.corrects();
     let mut diffuse = pixels.of(PixelMeans::shown);
-    if corrects {
-        let residual = pixels.reconstructed(&surfaces, [&HALVES[0], &HALVES[1]], goes_on)?;
-        let albedo = pixels.of(PixelMeans::albedo);
-        for ((pixel, residual), albedo) in diffuse.iter_mut().zip(residual).zip(albedo) {
-            *pixel += residual * albedo;
-        }
+    for reach in [Reach::Near, Reach::Deep].into_iter().filter(|reach| corrects.is_some_and(|c| *reach <= c))
+    {
+        let residual = pixels.reconstructed(&surfaces, (reach, [&HALVES[0], &HALVES[1]]), goes_on)?;
+        diffuse.iter_mut().zip(residual).for_each(|(pixel, residual)| *pixel += residual);
     }
     let variance = pixels.variance_around(&surfaces);
     let lobes = pixels.lobes().mean(&surfaces, goes_on)?;
     let bright = blocks(width, height, |i| luminance(diffuse[i] + lobes[i]));
     let mean = bright.iter().sum::<f64>() / bright.len().max(1) as f64;
-    let errors = beside.errors[usize::from(!corrects)].iter().zip(pixels.noise_beside(width, height));
+    let errors = beside.errors(corrects).iter().zip(pixels.noise_beside(width, height));
     let (squared, doubt) = mean_and_error(&errors.map(|(error, noise)| error + noise).collect::<Vec<f64>>());
     // A mean below zero is noise: it takes nothing from the doubt.
     let limit = (squared.max(0.0) + CERTAIN * doubt).sqrt();
@@ -403,7 +478,7 @@ pub fn intervals(
         let of = &[batch][..];
         let value = |i: usize| {
             let Some(p) = &pixels.at[i] else { return 0.0 };
-            let own = p.shown() + p.residual(of) + p.excess(of) + p.lobes(of) + p.lobes_excess(of);
+            let own = p.shown() + p.residual_uncut(of) + p.lobes(of) + p.lobes_excess(of);
             luminance(own + traced.map_or(Vec3::ZERO, |t| t.diffuse(i, of) + t.lobes(i, of)))
         };
         blocks(width, height, value)
@@ -441,6 +516,11 @@ mod tests {
 
     /// A map that says 1 everywhere, off by `residual`, with samples of this deviation.
     fn of(residual: f32, deviation: f32, samples: u32, seed: u64) -> Settled {
+        of_reaches([(residual, deviation), (0.0, 0.0)], samples, seed)
+    }
+
+    /// The same of what lies near and of what lies beyond.
+    fn of_reaches(reaches: [(f32, f32); 2], samples: u32, seed: u64) -> Settled {
         let (world, frame, buffers) = view();
         let grid = Tiles::of_size(SIZE.0, SIZE.1);
         let tile = |tile: u32| {
@@ -448,8 +528,10 @@ mod tests {
             let mut stream = Stream::new(seed, u64::from(tile), 0);
             for _ in 0..samples {
                 let mut sample = |_| {
-                    let noise = 12f32.sqrt() * (stream.next_f32() - 0.5) * deviation;
-                    let parts = [Vec3::ZERO, Vec3::splat(residual + noise)];
+                    let [near, deep] = reaches.map(|(residual, deviation)| {
+                        Vec3::splat(residual + 12f32.sqrt() * (stream.next_f32() - 0.5) * deviation)
+                    });
+                    let parts = [Vec3::ZERO, near, deep];
                     PixelSample { shown: Vec3::ONE, albedo: Vec3::splat(0.5), parts }
                 };
                 let all: Vec<PixelSample> = (0..sums.len()).map(&mut sample).collect();
@@ -472,9 +554,24 @@ mod tests {
     fn the_map_gives_way_only_where_samples_certainly_know_better() {
         for seed in 0..3 {
             let off = of(0.2, 3.0, 64, seed);
-            assert!(off.corrects && error(&off, 1.2) < 0.06, "{seed}: {}", error(&off, 1.2));
+            assert!(off.corrects.is_some() && error(&off, 1.2) < 0.06, "{seed}: {}", error(&off, 1.2));
             let right = of(0.0, 3.0, 16, seed);
-            assert!(!right.corrects && error(&right, 1.0) == 0.0, "{seed}");
+            assert!(right.corrects.is_none() && error(&right, 1.0) == 0.0, "{seed}");
+        }
+    }
+
+    /// Nearly all noise lies beyond the next D point: what lies near is shown long before that is known, and all of it then.
+    #[test]
+    fn what_is_near_does_not_wait_for_what_lies_beyond() {
+        for seed in 0..3 {
+            let few = of_reaches([(0.2, 0.5), (0.0, 8.0)], 16, seed);
+            assert_eq!(few.corrects, Some(Reach::Near), "{seed}");
+            assert!(error(&few, 1.2) < 0.05, "{seed}: {}", error(&few, 1.2));
+            let many = of_reaches([(0.2, 0.5), (0.1, 4.0)], 256, seed);
+            assert_eq!(many.corrects, Some(Reach::Deep), "{seed}");
+            assert!(error(&many, 1.3) < 0.05, "{seed}: {}", error(&many, 1.3));
+            let wrong = of_reaches([(0.0, 1.0), (0.0, 8.0)], 16, seed);
+            assert!(wrong.corrects.is_none() && error(&wrong, 1.0) == 0.0, "{seed}");
         }
     }
 
@@ -547,11 +644,10 @@ mod tests {
     /// A map that is off in one block only, as under a caustic, gives way too.
     #[test]
     fn one_block_is_enough_where_there_is_no_doubt() {
-        let beside = |noise: f64| Beside {
-            helps: (0..192).map(|i| if i == 77 { -2.0 } else { -1e-5 }).collect(),
+        let gain = |noise: f64| Gain {
+            errors: (0..192).map(|i| if i == 77 { -2.0 } else { -1e-5 }).collect(),
             doubts: vec![noise * noise; 192],
-            errors: [Vec::new(), Vec::new()],
         };
-        assert!(beside(0.01).is_better() && !beside(0.1).is_better());
+        assert!(gain(0.01).is_certain() && !gain(0.1).is_certain() && !gain(0.1).is_denied());
     }
 }

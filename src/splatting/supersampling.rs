@@ -268,7 +268,7 @@ pub(super) mod tests {
         let paths = Gather::new(&nobody.scene, &nobody.accel, &nobody.lights, Trust::Nobody);
         let truth = Map2d::from_fn(48, 32, |x, y| {
             let of = |n| sample(&paths, &frame, 77, [x as u32, y as u32], n);
-            (0..1024).map(of).map(|s| s.shown + s.parts[0] + s.parts[1]).sum::<Vec3>() / 1024.0
+            (0..1024).map(of).map(|s| s.shown + s.parts.into_iter().sum::<Vec3>()).sum::<Vec3>() / 1024.0
         });
         let truth = blocks(&truth);
         let mean = truth.iter().sum::<f64>() / 24.0;

@@ -10,6 +10,8 @@
 //! s is that of all samples but the largest, which may be the ones to cut, joined by these as far as most pixels have such:
 //! none counts more than fifteen in sixteen do.
 
+use std::f32::consts::FRAC_1_PI;
+
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -57,15 +59,35 @@ pub struct PixelSample {
     pub parts: [Vec3; PARTS],
 }
 
-/// Lobes and the residual of the D part.
-pub const PARTS: usize = 2;
+/// Lobes, and the residual of the D part: as far as the next D point, and beyond it.
+pub const PARTS: usize = 3;
 pub(super) const LOBES: usize = 0;
-pub(super) const RESIDUAL: usize = 1;
+const RESIDUAL: usize = 1;
+const DEEP: usize = 2;
 
 impl From<Seen> for PixelSample {
     fn from(seen: Seen) -> Self {
-        let shown = seen.shown();
-        Self { shown, albedo: seen.albedo, parts: [seen.lobes, seen.radiance() - shown - seen.lobes] }
+        let (shown, deep) = (seen.shown(), seen.albedo * (seen.light.deep * FRAC_1_PI));
+        let residual = seen.radiance() - shown - seen.lobes - deep;
+        Self { shown, albedo: seen.albedo, parts: [seen.lobes, residual, deep] }
+    }
+}
+
+/// How far the paths of a residual go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Reach {
+    /// To the next D point, where the map is believed.
+    Near,
+    /// Beyond it: what the map is off by there.
+    Deep,
+}
+
+impl Reach {
+    fn part(self) -> usize {
+        match self {
+            Self::Near => RESIDUAL,
+            Self::Deep => DEEP,
+        }
     }
 }
 
@@ -144,19 +166,25 @@ impl PixelMeans<'_> {
         self.deviation(part, half..half + 1) / self.count(batches)
     }
 
-    /// Mean of the residual of the D part over some batches. Radiance.
-    pub fn residual(&self, batches: &[usize]) -> Vec3 {
-        self.mean(RESIDUAL, batches)
+    /// Mean of a reach of the residual of the D part over some batches. Radiance.
+    pub fn residual(&self, reach: Reach, batches: &[usize]) -> Vec3 {
+        self.mean(reach.part(), batches)
     }
 
     /// Variance of its luminance, for batches of one half.
-    pub fn residual_variance(&self, batches: &[usize]) -> f32 {
-        self.variance(RESIDUAL, batches)
+    pub fn residual_variance(&self, reach: Reach, batches: &[usize]) -> f32 {
+        self.variance(reach.part(), batches)
     }
 
     /// What was cut off it. Radiance.
-    pub fn excess(&self, batches: &[usize]) -> Vec3 {
-        self.cut(RESIDUAL, batches)
+    pub fn excess(&self, reach: Reach, batches: &[usize]) -> Vec3 {
+        self.cut(reach.part(), batches)
+    }
+
+    /// Mean of all of it, with what was cut off. Radiance.
+    pub fn residual_uncut(&self, batches: &[usize]) -> Vec3 {
+        let of = |reach: Reach| self.residual(reach, batches) + self.excess(reach, batches);
+        of(Reach::Near) + of(Reach::Deep)
     }
 
     /// Mean by S lobes over some batches. Radiance.
@@ -203,16 +231,18 @@ impl PixelMeans<'_> {
     fn total(&self) -> [Vec3; 2] {
         const ALL: [usize; BATCHES] = [0, 1, 2, 3];
         [
-            self.shown() + self.mean(LOBES, &ALL) + self.mean(RESIDUAL, &ALL),
-            self.cut(LOBES, &ALL) + self.cut(RESIDUAL, &ALL),
+            self.shown()
+                + [LOBES, RESIDUAL, DEEP].map(|part| self.mean(part, &ALL)).into_iter().sum::<Vec3>(),
+            [LOBES, RESIDUAL, DEEP].map(|part| self.cut(part, &ALL)).into_iter().sum(),
         ]
     }
 
-    /// Variances of the means of all samples: of both parts, and of what is shown of the map.
+    /// Variances of the means of all samples: of the parts, and of what is shown of the map.
     fn variances(&self) -> [f32; PARTS + 1] {
         let (n, mean) = (self.samples.max(1) as f32, luminance(self.shown()));
         let shown = (self.sums.shown_squares / n - mean * mean).max(0.0) / (n - 1.0).max(1.0);
-        [self.deviation(LOBES, 0..HALVES) / n, self.deviation(RESIDUAL, 0..HALVES) / n, shown]
+        let [lobes, residual, deep] = [LOBES, RESIDUAL, DEEP].map(|part| self.deviation(part, 0..HALVES) / n);
+        [lobes, residual, deep, shown]
     }
 }
 
@@ -279,7 +309,7 @@ impl TileSums {
     /// Where the samples so far are cut.
     fn bounds(&self) -> Bounds {
         let mut sizes = Vec::with_capacity(PER_HALF * self.pixels.len());
-        [LOBES, RESIDUAL].map(|part| {
+        [LOBES, RESIDUAL, DEEP].map(|part| {
             [0, 1].map(|half| {
                 let of_half = |p: &PixelSums| [0, 1].map(|i| size(p.largest[part][half * PER_HALF + i]));
                 sizes.clear();
@@ -307,7 +337,8 @@ impl TileSums {
     }
 
     /// Error of what is shown of the pixels, as displayed values in [0, 1], root mean square and largest: noise of edges and
-    /// lobes in each pixel, of the diffuse part in blocks of 8 × 8, and what was cut off. Infinite before two samples.
+    /// lobes in each pixel, of the diffuse part in blocks of 8 × 8, of what lies beyond the next D point in all of the tile, and
+    /// what was cut off. Infinite before two samples.
     pub fn error(&self, tone: &ToneMap) -> [f32; 2] {
         /// Pixels that the filter joins at least, where nothing but noise is to be seen.
         const BLOCK: usize = 64;
@@ -315,12 +346,14 @@ impl TileSums {
             return [f32::INFINITY; 2];
         }
         let (pixels, count) = (self.pixels(), self.pixels.len().max(1));
-        let block =
-            pixels.clone().map(|p| p.variances()[RESIDUAL]).sum::<f32>() / (count * count.min(BLOCK)) as f32;
+        let over = |part: usize, joined: usize| {
+            pixels.clone().map(|p| p.variances()[part]).sum::<f32>() / (count * count.min(joined)) as f32
+        };
+        let block = over(RESIDUAL, BLOCK) + over(DEEP, usize::MAX);
         let (mut sum, mut largest) = (0.0, 0.0_f32);
-        for pixel in pixels {
+        for pixel in pixels.clone() {
             let [mean, cut] = pixel.total().map(luminance);
-            let [lobes, _, shown] = pixel.variances();
+            let [lobes, .., shown] = pixel.variances();
             let error = displayed_difference(tone, mean, (lobes + shown + block + cut * cut).sqrt());
             sum += error * error;
             largest = largest.max(error);
@@ -375,7 +408,7 @@ mod tests {
     use crate::rng::Stream;
 
     fn grey(lobes: f32, residual: f32) -> PixelSample {
-        PixelSample { parts: [lobes, residual].map(Vec3::splat), ..PixelSample::default() }
+        PixelSample { parts: [lobes, residual, 0.0].map(Vec3::splat), ..PixelSample::default() }
     }
 
     fn of(pixels: usize, samples: usize, value: impl Fn(usize, usize) -> PixelSample) -> TileSums {

@@ -68,14 +68,17 @@ pub enum Trust<'a> {
 pub struct Arriving {
     /// Straight from lights: classes N and A. It has edges.
     pub sharp: Vec3,
-    /// All else: C and I.
+    /// All else, C and I, as far as the next D point, where the map is believed.
     pub soft: Vec3,
+    /// What the map is off by there: what paths find beyond it, less the map. It is noise for the most part, and smooth, since it
+    /// comes from all around.
+    pub deep: Vec3,
 }
 
 impl Arriving {
-    /// Both.
+    /// All of it.
     pub fn total(&self) -> Vec3 {
-        self.sharp + self.soft
+        self.sharp + self.soft + self.deep
     }
 }
 
@@ -280,6 +283,7 @@ impl<'a> Gather<'a> {
         seen.map = mixed(seen.map, map);
         seen.light.sharp = mixed(seen.light.sharp, light.sharp);
         seen.light.soft = mixed(seen.light.soft, light.soft);
+        seen.light.deep = mixed(seen.light.deep, light.deep);
         seen.albedo = all;
     }
 
@@ -288,12 +292,16 @@ impl<'a> Gather<'a> {
         self.seen(ray, 0.0, stream).radiance()
     }
 
-    fn map_at(&self, at: &Interaction) -> Option<Vec3> {
+    /// The irradiance that is believed at a point, and how much of it named lights bring, where that is known. Their shadows
+    /// are sharp here as on the display: a texel that lies half in one would light what looks at its other half.
+    fn believed_at(&self, at: &Interaction, bsdf: &Bsdf, media: Media) -> (Vec3, Option<Vec3>) {
         match self.trust {
             Trust::Map(map) | Trust::EndValue(map) => {
-                Some(map.irradiance(at.triangle, at.b1, at.b2, at.back))
+                let Unnamed { rest, is_lit } = map.unnamed(at.triangle, at.b1, at.b2, at.back);
+                let named = is_lit.then(|| self.named(at, bsdf, media));
+                (rest + named.unwrap_or(Vec3::ZERO), named)
             }
-            Trust::Nobody => None,
+            Trust::Nobody => (Vec3::ZERO, None),
         }
     }
 
@@ -317,15 +325,18 @@ impl<'a> Gather<'a> {
 
     fn arriving_at(&self, at: &Interaction, bsdf: &Bsdf, media: Media, stream: Stream, v: u32) -> Arriving {
         let mut path = Path { media, vertices: v, diffuse: 1, ..Path::at(at, Vec3::ONE) };
-        let sharp = self.straight_light(at, bsdf, &path, stream);
+        let known = (self.drops_named && v == 0).then_some(Vec3::ZERO);
+        let sharp = self.straight_light(at, bsdf, &path, stream, known);
         self.reflect(at, bsdf, &mut path, stream);
         let beyond = self.follow(path, stream);
-        Arriving { sharp: finite(sharp + beyond.sharp), soft: finite(beyond.soft) }
+        Arriving { sharp: finite(sharp + beyond.sharp), soft: finite(beyond.soft), deep: finite(beyond.deep) }
     }
 
-    /// Follows a path to its end: what it finds straight from lights, and all else.
+    /// Follows a path to its end: what it finds straight from lights, and all else. One that begins at a D point tells apart
+    /// what lies beyond the next one.
     fn follow(&self, mut path: Path, stream: Stream) -> Arriving {
         let mut sum = Arriving::default();
+        let (begins_at_d, mut near) = (path.diffuse == 1, None);
         while path.vertices < VERTICES_MAX {
             let hit = self.accel.intersect(self.scene, &path.ray);
             if let Some(aimed) = path.aimed.take() {
@@ -371,38 +382,47 @@ impl<'a> Gather<'a> {
                 path.weigh(diffuse / (1.0 - lobes));
                 path.throughput *= FRAC_1_PI;
                 let lit = path.throughput.max_element() > 0.0;
-                if !lit || !self.goes_on(&at, &mut path, stream, &mut sum.soft) {
+                if !lit {
                     break;
                 }
-                let straight = self.straight_light(&at, &bsdf, &path, stream);
+                let (believed, named) = self.believed_at(&at, &bsdf, path.media);
+                if begins_at_d && near.is_none() {
+                    near = Some(sum.soft + path.throughput * believed * path.index_scale);
+                }
+                if !self.goes_on(believed, &mut path, stream, &mut sum.soft) {
+                    break;
+                }
+                let straight = self.straight_light(&at, &bsdf, &path, stream, named);
                 sum.soft += path.throughput * (straight + self.unfound_at(&at, &path)) * path.index_scale;
                 self.reflect(&at, &bsdf, &mut path, stream);
                 path.straight = false;
             }
         }
+        if let Some(near) = near {
+            (sum.soft, sum.deep) = (near, sum.soft - near);
+        }
         sum
     }
 
-    /// Whether a path that has come to a D point asks what arrives there. What the map says of it is added where it is
-    /// believed, so that the mean stays.
-    fn goes_on(&self, at: &Interaction, path: &mut Path, stream: Stream, sum: &mut Vec3) -> bool {
+    /// Whether a path that has come to a D point asks what arrives there. What is believed of it is added where that counts,
+    /// so that the mean stays.
+    fn goes_on(&self, believed: Vec3, path: &mut Path, stream: Stream, sum: &mut Vec3) -> bool {
         let scale = path.index_scale;
-        let counts = |throughput: Vec3, map: Vec3| throughput * map * scale;
-        let map = self.map_at(at).unwrap_or(Vec3::ZERO);
+        let counts = |throughput: Vec3| throughput * believed * scale;
         if let Trust::Map(_) = self.trust {
-            *sum += counts(path.throughput, map);
+            *sum += counts(path.throughput);
             return false;
         }
         // What is looked at, and the first D point that light comes from, are asked for certain.
         if path.diffuse >= 2 {
-            *sum += counts(path.throughput, map);
+            *sum += counts(path.throughput);
             // `since` is the albedo here times the weights on the way.
             let survival = path.since.max_element().min(SURVIVAL_MAX);
             if survival.is_nan() || path.numbers(stream, Dimension::Roulette).next_f32() >= survival {
                 return false;
             }
             path.throughput /= survival;
-            *sum -= counts(path.throughput, map);
+            *sum -= counts(path.throughput);
         }
         path.diffuse += 1;
         true
@@ -455,14 +475,21 @@ impl<'a> Gather<'a> {
         sum
     }
 
-    /// Irradiance straight from lights, by samples of them.
-    fn straight_light(&self, at: &Interaction, bsdf: &Bsdf, path: &Path, stream: Stream) -> Vec3 {
-        let has_named = !(self.drops_named && path.vertices == 0);
+    /// Irradiance straight from lights, by samples of them; what `named` ones bring where that is known.
+    fn straight_light(
+        &self,
+        at: &Interaction,
+        bsdf: &Bsdf,
+        path: &Path,
+        stream: Stream,
+        named: Option<Vec3>,
+    ) -> Vec3 {
         let by_cosine = 1.0 - self.aims(path).map_or(0.0, BrightSurfaces::share);
-        self.light_samples(at, path, stream, has_named, |wi| {
+        let sampled = self.light_samples(at, path, stream, named.is_none(), |wi| {
             let (value, cosine) = below_coat(at, bsdf, wi);
             (Vec3::splat(value), cosine * (by_cosine * FRAC_1_PI))
-        })
+        });
+        sampled + named.unwrap_or(Vec3::ZERO)
     }
 
     /// Sends the path on from a D point, by the cosine or to a bright surface. Directions below the surface see nothing.

@@ -11,7 +11,6 @@ use serde::{Deserialize, Serialize};
 use super::{AHEAD, BATCH, BLOCK, Baker, Doing, FIRST_LOOK, FIRST_ROUND, ROUNDS_MAX, UNSEEN};
 use crate::illumination::gathered::Gathered;
 use crate::illumination::stored::Illumination;
-use crate::image::luminance;
 use crate::transport::Indexed;
 use crate::transport::gather::Trust;
 use crate::transport::light::bright::BrightSurfaces;
@@ -181,9 +180,7 @@ impl Baker {
             }
             let count = self.samples_at(i, order.samples, order.first);
             sums.begin_round();
-            let e = &atlas.elements[site.element as usize];
-            let expected = luminance(map.lookup_unnamed(e.triangle, e.b1, e.b2, site.back).truncate());
-            sums.gather(indexed.scene, (atlas, points), &gather, site, (self.settings.seed, count, expected));
+            sums.gather(indexed.scene, (atlas, points), &gather, site, (self.settings.seed, count));
             sums
         };
         order.sites.iter().map(at).collect()

@@ -104,6 +104,63 @@ fn wrong_maps_leave_no_trace_among_all_kinds_of_surfaces() {
     }
 }
 
+/// As far as the next D point a sample says what it would with the map believed there, number by number; what lies beyond is
+/// what that is off by.
+#[test]
+fn samples_tell_apart_what_lies_beyond_the_next_diffuse_surface() {
+    let (rho, truth) = (0.7, 1.0 / 0.3);
+    let mut b = Builder::default();
+    let wall = b.emitter(lambert(rho), Vec3::splat(FRAC_1_PI));
+    let mirror = b.material(Model::Mirror { specular: Reflectance::constant(Vec3::splat(0.5)) });
+    b.cube(Vec3::ZERO, -1.0, wall);
+    b.rectangle(Vec3::new(-0.9, 0.0, 0.0), Vec3::Y * 0.2, Vec3::Z * 0.2, mirror);
+    let scene = b.scene();
+    let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
+    let at = hit_by(&scene, &accel, &into_the_corner());
+    let map = uniform(0.5 * truth);
+    let sample = |trust: Trust<'_>, i: u64| {
+        Gather::new(&scene, &accel, &lights, trust).arriving(&at, Media::EMPTY, Stream::new(7, i, 0))
+    };
+    let mut missing = 0.0;
+    for i in 0..4000 {
+        let (near, all) = (sample(Trust::Map(&map), i), sample(Trust::EndValue(&map), i));
+        assert_eq!((near.sharp, near.deep), (all.sharp, Vec3::ZERO));
+        assert!((near.soft - all.soft).abs().max_element() < 1e-5, "{near:?} {all:?}");
+        missing += f64::from(all.deep.x) / 4000.0;
+    }
+    // Half of the light of the walls times their albedo; a mirror is in the way now and then.
+    assert!((missing / f64::from(0.5 * rho * truth) - 1.0).abs() < 0.1, "{missing}");
+}
+
+/// Half of a floor lies in the shadow of a board. What looks at it sees the shadow's edge where it is, however coarse the map
+/// is that knows of it; a map that does not know what lamps bring is believed in all.
+#[test]
+fn maps_are_read_with_sharp_shadows() {
+    struct Coarse;
+    impl Irradiance for Coarse {
+        fn irradiance(&self, _: u32, _: f32, _: f32, _: bool) -> Vec3 {
+            Vec3::ONE
+        }
+
+        fn unnamed(&self, _: u32, _: f32, _: f32, _: bool) -> Unnamed {
+            Unnamed { rest: Vec3::ZERO, is_lit: true }
+        }
+    }
+    let mut b = Builder::default();
+    let [grey, black] = [0.5, 0.0].map(|albedo| b.material(lambert(albedo)));
+    b.rectangle(Vec3::ZERO, Vec3::X, Vec3::Y, grey);
+    b.rectangle(Vec3::new(-0.6, 0.0, 0.6), Vec3::X * 0.4, Vec3::Y, black);
+    b.rectangle(Vec3::new(0.0, 0.0, 0.5), Vec3::Y * 0.01, Vec3::X * 0.01, black);
+    let mut scene = b.scene();
+    scene.lights = vec![Light::Directional { direction: -Vec3::Z, irradiance: Vec3::splat(2.0) }];
+    let up = Ray::new(Vec3::new(0.0, 0.0, 0.1), Vec3::Z);
+    let (truth, e) = irradiance(&scene, Trust::Nobody, &up, 20_000);
+    let (found, f) = irradiance(&scene, Trust::Map(&Coarse), &up, 20_000);
+    assert!(truth > 0.1 && (truth - found).abs() < 4.0 * (e + f), "{truth} ± {e}, not {found} ± {f}");
+    let (wrong, _) = irradiance(&scene, Trust::Map(&uniform(1.0)), &up, 20_000);
+    assert!((truth - wrong).abs() > 8.0 * (e + f), "{wrong}");
+}
+
 /// A floor whose smooth normal is tilted sees the part of the sky above the floor: E = π (1 + cos θ) / 2.
 #[test]
 fn tilted_normals_see_what_is_above_the_surface() {

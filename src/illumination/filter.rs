@@ -172,8 +172,7 @@ impl Smoothing {
         let done = self.spread.len();
         let end = done.saturating_add(count).min(self.from.len());
         if done == 0 {
-            self.hops =
-                if self.pass == PEAKS + 1 { sites.links().to_vec() } else { doubled(&self.hops) };
+            self.hops = if self.pass == PEAKS + 1 { sites.links().to_vec() } else { doubled(&self.hops) };
         }
         let (from, excess) = (&self.from, &self.excess);
         let has_caustics = self.has_caustics;

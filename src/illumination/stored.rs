@@ -254,12 +254,6 @@ impl Illumination {
         &self.corners
     }
 
-    /// Values of the front, per element, without what is kept apart.
-    #[cfg(test)]
-    pub(crate) fn front_values(&self) -> &[[f32; 4]] {
-        &self.front
-    }
-
     /// Whether all indices are inside and all values finite and not negative: what a file must
     /// prove before it is read from.
     pub fn is_sound(&self) -> bool {

@@ -337,8 +337,7 @@ impl TileSums {
     }
 
     /// Error of what is shown of the pixels, as displayed values in [0, 1], root mean square and largest: noise of edges and
-    /// lobes in each pixel, of the diffuse part in blocks of 8 × 8, of what lies beyond the next D point in all of the tile, and
-    /// what was cut off. Infinite before two samples.
+    /// lobes in each pixel, of the diffuse part, near and deep, in blocks of 8 × 8, and what was cut off. Infinite before two samples.
     pub fn error(&self, tone: &ToneMap) -> [f32; 2] {
         /// Pixels that the filter joins at least, where nothing but noise is to be seen.
         const BLOCK: usize = 64;
@@ -346,12 +345,13 @@ impl TileSums {
             return [f32::INFINITY; 2];
         }
         let (pixels, count) = (self.pixels(), self.pixels.len().max(1));
-        let over = |part: usize, joined: usize| {
-            pixels.clone().map(|p| p.variances()[part]).sum::<f32>() / (count * count.min(joined)) as f32
+        let diffuse = |p: PixelMeans<'_>| {
+            let [_, near, deep, _] = p.variances();
+            near + deep
         };
-        let block = over(RESIDUAL, BLOCK) + over(DEEP, usize::MAX);
+        let block = pixels.clone().map(diffuse).sum::<f32>() / (count * count.min(BLOCK)) as f32;
         let (mut sum, mut largest) = (0.0, 0.0_f32);
-        for pixel in pixels.clone() {
+        for pixel in pixels {
             let [mean, cut] = pixel.total().map(luminance);
             let [lobes, .., shown] = pixel.variances();
             let error = displayed_difference(tone, mean, (lobes + shown + block + cut * cut).sqrt());
@@ -530,5 +530,26 @@ mod tests {
         assert!((error - expected).abs() < 1e-4, "{error} {expected}");
         // What is white anyway has no error that shows.
         assert_eq!(one(&[5.0, 9.0]).error(&tone)[0], 0.0);
+    }
+
+    /// The filter is the same for what lies near and beyond: noise of either counts alike, whole in a lone pixel, by its square in
+    /// 64 of them.
+    #[test]
+    fn noise_near_and_beyond_counts_alike() {
+        let tone = ToneMap::default();
+        let of_part = |part: usize, pixels: usize| {
+            let sums = of(pixels, 2, |n, _| {
+                let mut sample = grey(0.25, 0.0);
+                sample.parts[part] = Vec3::splat([-0.02, 0.02][n]);
+                sample
+            });
+            sums.error(&tone)[0]
+        };
+        let [near, deep] = [RESIDUAL, DEEP].map(|part| [1, 64, 1024].map(|pixels| of_part(part, pixels)));
+        assert_eq!(near, deep);
+        assert!(
+            (near[0] / near[1] / 8.0 - 1.0).abs() < 0.05 && (near[1] / near[2] - 1.0).abs() < 1e-3,
+            "{near:?}"
+        );
     }
 }

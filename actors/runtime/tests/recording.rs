@@ -279,16 +279,14 @@ fn an_observer_sees_every_delivery() {
 fn two_recordings_part_at_a_message() {
     // The time of a turn has a bound, too, which a busy machine reaches at another message each time.
     let untimed = Budget { nanoseconds: u64::MAX, ..Budget::default() };
-    let record = |hops, budget| record_ring_in_turns(0, 7, hops, Hashing::Exact, budget);
-    let bytes = record(50, untimed);
-    let left = read(&bytes);
-    let is_same = |right: &[u8]| {
-        let right = read(right);
-        (0..9).all(|actor| left.first_difference(&right, ActorId(actor)).is_none())
-    };
-    assert!(is_same(&bytes), "a recording does not part from itself");
+    let record = |hops, budget| read(&record_ring_in_turns(0, 7, hops, Hashing::Exact, budget));
+    let left = record(50, untimed);
+    let is_same = |right: &Trace| (0..9).all(|actor| left.first_difference(right, ActorId(actor)).is_none());
+    // The thread that writes the log wakes actors that have something for it, ten times a second: one in a dozen recordings
+    // has another order for that.
+    assert!((0..12).any(|_| is_same(&record(50, untimed))), "one thread, one order");
     assert!(!is_same(&record(50, Budget { nanoseconds: 0, ..untimed })), "shorter turns, another order");
-    let right = read(&record(49, untimed));
+    let right = record(49, untimed);
     assert_eq!(left.first_difference(&right, ActorId(0)), Some(1), "the first token has fewer hops");
 }
 

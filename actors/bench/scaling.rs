@@ -328,7 +328,9 @@ fn convergence(world: &World, tracers: u32, runs: u32) -> Result<[f64; 2], Failu
     let start = camera(&world.scene, None)?.camera;
     // Maps of the surroundings are work that is not repeated; without them every run has the same.
     let settings = Settings { environment_bytes: 0, ..Settings::new(384, 384, tracers) };
-    let mut walk = Engine::start(Opened::of_world(world.clone()), Options::new(settings))?;
+    // A frame a second has time to be drawn whole.
+    let options = Options { fps: Some(1.0), ..Options::new(settings) };
+    let mut walk = Engine::start(Opened::of_world(world.clone()), options)?;
     let (mut seconds, mut worked) = (Vec::new(), Vec::new());
     for run in 0..runs + 1 {
         // Far enough apart that nothing is carried along.
@@ -337,6 +339,9 @@ fn convergence(world: &World, tracers: u32, runs: u32) -> Result<[f64; 2], Failu
         let (began, before) = (Instant::now(), cpu_ns());
         walk.begin(&camera)?;
         walk.work_until(Duration::from_secs(120), Renderer::is_converged)?;
+        if walk.look(Renderer::is_converged) != Some(true) {
+            return Err(Failure::Check(format!("{tracers} tracers: no view had converged after 120 s")));
+        }
         seconds.push(began.elapsed().as_secs_f64());
         worked.push((cpu_ns() - before) * 1e-9);
         walk.end()?;

@@ -293,6 +293,9 @@ impl Engine {
 
     /// Works for at most `time`, or until `enough` holds of the renderer.
     ///
+    /// A base layer that was drawn coarsely, since the next frame was expected, is drawn whole once nothing else is
+    /// left to do and a frame's time is: whoever asks for one frame and waits sees it converge.
+    ///
     /// # Errors
     /// If the walk has ended.
     pub fn work_until(
@@ -300,8 +303,18 @@ impl Engine {
         time: Duration,
         mut enough: impl FnMut(&Renderer) -> bool,
     ) -> Result<(), Failure> {
-        let renderer = self.actors.renderer;
-        self.pump(Limit::time(time), |runtime| runtime.inspect(renderer, &mut enough) == Some(true)).map(drop)
+        let (renderer, began) = (self.actors.renderer, self.runtime().now());
+        let mut until = |runtime: &Runtime| runtime.inspect(renderer, &mut enough) == Some(true);
+        if self.pump(Limit::idle_within(time), &mut until)? != Exit::Idle {
+            return Ok(());
+        }
+        let left = |now: &Self| time.saturating_sub(now.runtime().now().since(began));
+        let period = 1.0 / self.controls.set.fps;
+        let coarse = self.look(|r| r.camera().filter(|_| r.is_coarse())).flatten();
+        if let Some(camera) = coarse.filter(|_| left(self).as_secs_f32() >= period) {
+            self.send(RendererInput::FrameBegan { frame: FrameIndex(self.frame), camera, time: period })?;
+        }
+        self.pump(Limit::time(left(self)), until).map(drop)
     }
 
     /// Works for at most `time`, or until the view is estimated to be as good as `least`, or `enough` holds.

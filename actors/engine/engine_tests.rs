@@ -178,7 +178,9 @@ fn where_quality_is_kept_every_frame_has_it() {
             std::thread::sleep(Duration::from_millis(1));
         }
     }
-    assert_eq!(walk.status().view, view + frames);
+    // One each, or two where the first is coarse for want of time: a frame that waits is shown whole.
+    let more = walk.status().view - view;
+    assert!((frames..=2 * frames).contains(&more), "{more} views for {frames} frames");
 }
 
 /// Walks to the right for ten frames, and fails unless each has the camera of the moment in which it began.
@@ -408,15 +410,26 @@ fn what_is_drawn_coarsely_in_motion_is_whole_when_the_camera_stands() {
     let mut engine = made.start();
     let cell = |engine: &Engine| engine.look(|r| r.drawn().map(|d| d.buffers().cell)).flatten();
     for step in 0..=5 {
-        engine.frame(&aside(&start, step), Duration::from_millis(5)).expect("a frame");
+        engine.begin(&aside(&start, step)).expect("a walk");
         assert_eq!(cell(&engine), Some(if step == 0 { 1 } else { 2 }), "{step}");
         let converged = engine.look(Renderer::is_converged);
         assert!(step == 0 || converged == Some(false), "there is more to be shown");
+        engine.end().expect("a frame");
     }
     engine.begin(&aside(&start, 5)).expect("a walk");
     engine.work_until(Duration::from_secs(60), Renderer::is_converged).expect("a walk");
     assert_eq!(cell(&engine), Some(1));
     assert!(*engine.end().expect("a frame").snapshot.rgb8 == *whole, "as if it had never moved");
+
+    // Whoever asks for one frame and waits for it gets a whole one.
+    for step in 0..=5 {
+        engine.begin(&aside(&start, step)).expect("a walk");
+        assert_eq!(cell(&engine), Some(2), "{step}");
+        engine.work_until(Duration::from_secs(60), Renderer::is_converged).expect("a walk");
+        assert_eq!((cell(&engine), engine.look(Renderer::is_converged)), (Some(1), Some(true)), "{step}");
+        engine.end().expect("a frame");
+    }
+    assert!(*engine.frame(&aside(&start, 5), Duration::ZERO).expect("a frame").snapshot.rgb8 == *whole);
 }
 
 /// What is left when nobody looks any more is not traced to its end.

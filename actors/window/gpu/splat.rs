@@ -3,6 +3,8 @@
 //! Only new samples travel: the layer keeps its picture between frames of one view. What a pixel shows is found by
 //! computing, not by rasterising: most splats are smaller than what it takes to set up their triangles.
 
+use std::ops::Range;
+
 use bytemuck::{Pod, Zeroable};
 use foveal::sampling::Lattice;
 use foveal::splatting::layer::{APPROXIMATED, rank};
@@ -60,8 +62,8 @@ pub struct SplatTargets {
     pub details: wgpu::Buffer,
     /// What the guides of pixels show: three halves, and 1 where there is one.
     pub guides: wgpu::Buffer,
-    /// The same as it is to be there after the next draw, and whether it is there already.
-    guides_by_pixel: (Vec<[u16; 4]>, bool),
+    /// The same as it is to be there after the next draw.
+    guides_by_pixel: GuidesByPixel,
     owners: wgpu::Buffer,
     size: [u32; 2],
     k_max: u32,
@@ -76,6 +78,51 @@ pub struct SplatTargets {
     /// Splats of the view so far.
     count: u32,
     clear: bool,
+}
+
+/// What guides show, pixel by pixel, and what of it the adapter has. Most views have few guides or none: only the
+/// pixels between the first and the last travel.
+#[derive(Debug)]
+struct GuidesByPixel {
+    guides: Vec<[u16; 4]>,
+    /// Pixels that may have one.
+    used: Range<usize>,
+    /// Pixels that may have one on the adapter.
+    sent: Range<usize>,
+    is_sent: bool,
+}
+
+impl GuidesByPixel {
+    fn clear(&mut self) {
+        self.guides[self.used.clone()].fill([0; 4]);
+        self.used = 0..0;
+        self.is_sent = self.sent.is_empty();
+    }
+
+    fn set(&mut self, i: usize, color: Vec3) {
+        if let Some(guide) = self.guides.get_mut(i) {
+            *guide = halves(color, 1);
+            self.used = enclosing(&self.used, &(i..i + 1));
+            self.is_sent = false;
+        }
+    }
+
+    /// The first pixel to be written and what, if the adapter's are others.
+    fn to_send(&mut self) -> Option<(usize, &[[u16; 4]])> {
+        let changed = enclosing(&self.used, &self.sent);
+        self.sent = self.used.clone();
+        let is_sent = std::mem::replace(&mut self.is_sent, true);
+        (!is_sent).then(|| (changed.start, &self.guides[changed]))
+    }
+}
+
+/// The smallest range around both.
+fn enclosing(a: &Range<usize>, b: &Range<usize>) -> Range<usize> {
+    match (a.is_empty(), b.is_empty()) {
+        (true, _) => b.clone(),
+        (_, true) => a.clone(),
+        _ => a.start.min(b.start)..a.end.max(b.end),
+    }
 }
 
 /// Most bytes of a buffer that [`SplatTargets`] binds, for pictures of `size`.
@@ -103,7 +150,12 @@ impl SplatTargets {
                 u64::from(size[0]) * u64::from(size[1]) * 8,
                 storage | wgpu::BufferUsages::COPY_DST,
             ),
-            guides_by_pixel: (vec![[0; 4]; size[0] as usize * size[1] as usize], false),
+            guides_by_pixel: GuidesByPixel {
+                guides: vec![[0; 4]; size[0] as usize * size[1] as usize],
+                used: 0..0,
+                sent: 0..0,
+                is_sent: true,
+            },
             owners: per_pixel("splat owners", 4),
             size,
             k_max,
@@ -131,29 +183,21 @@ impl SplatTargets {
         });
         self.count = 0;
         self.clear = true;
-        self.guides_by_pixel.0.fill([0; 4]);
-        self.guides_by_pixel.1 = false;
+        self.guides_by_pixel.clear();
     }
 
     /// Takes what guides show.
     pub fn guide(&mut self, guides: &Guides) {
         for ([x, y], color) in guides.iter() {
-            let i = usize::from(y) * self.size[0] as usize + usize::from(x);
-            if let Some(guide) = self.guides_by_pixel.0.get_mut(i) {
-                *guide = halves(color, 1);
-            }
+            self.guides_by_pixel.set(usize::from(y) * self.size[0] as usize + usize::from(x), color);
         }
-        self.guides_by_pixel.1 = false;
     }
 
     /// Brings the guides to the adapter where they changed. Whether they did.
     pub fn send_guides(&mut self, gpu: &Gpu) -> bool {
-        let (guides, are_there) = &mut self.guides_by_pixel;
-        let changed = !std::mem::replace(are_there, true);
-        if changed {
-            gpu.queue.write_buffer(&self.guides, 0, bytemuck::cast_slice(guides));
-        }
-        changed
+        let Some((first, guides)) = self.guides_by_pixel.to_send() else { return false };
+        gpu.queue.write_buffer(&self.guides, first as u64 * 8, bytemuck::cast_slice(guides));
+        true
     }
 
     fn push(&mut self, mut record: SplatRecord, area: u32) {
@@ -303,23 +347,27 @@ impl SplatPass {
         // Splats beyond what one binding can hold wait for the next frame; there are never so many at once.
         let record = size_of::<SplatRecord>() as u64;
         let most = (gpu.device.limits().max_storage_buffer_binding_size / record) as usize;
-        let mut records: Vec<SplatRecord> = Vec::new();
-        let (mut groups, mut dispatches) = ([[0u32; 64]; 3], [[0u32; 2]; 3]);
-        for (i, (new, chunks)) in splats.new.iter_mut().enumerate() {
-            let taken = new.len().min(most - records.len());
-            groups[i][..2].copy_from_slice(&[records.len() as u32, taken as u32]);
-            dispatches[i] = [(taken as u32).div_ceil(WORKGROUP), *chunks];
-            records.extend(new.drain(..taken));
-        }
-        if records.is_empty() {
+        let drawn = splats.new.iter().map(|(new, _)| new.len()).sum::<usize>().min(most);
+        if drawn == 0 {
             return 0;
         }
-        let needed = records.len() as u64 * record;
+        let needed = drawn as u64 * record;
         if splats.instances.size() < needed {
             splats.instances =
                 gpu.empty_buffer("splats", needed.next_power_of_two(), wgpu::BufferUsages::STORAGE);
         }
-        gpu.queue.write_buffer(&splats.instances, 0, bytemuck::cast_slice(&records));
+        let (mut groups, mut dispatches, mut first) = ([[0u32; 64]; 3], [[0u32; 2]; 3], 0);
+        for (i, (new, chunks)) in splats.new.iter_mut().enumerate() {
+            let taken = new.len().min(drawn - first);
+            groups[i][..2].copy_from_slice(&[first as u32, taken as u32]);
+            dispatches[i] = [(taken as u32).div_ceil(WORKGROUP), *chunks];
+            if taken > 0 {
+                let to = first as u64 * record;
+                gpu.queue.write_buffer(&splats.instances, to, bytemuck::cast_slice(&new[..taken]));
+            }
+            new.drain(..taken);
+            first += taken;
+        }
         gpu.queue.write_buffer(&splats.groups, 0, bytemuck::cast_slice(&groups));
         let [bind_group, group] = self.bind(gpu, splats, base);
         for pipeline in &self.steps {
@@ -334,7 +382,7 @@ impl SplatPass {
                 }
             }
         }
-        records.len()
+        drawn
     }
 
     fn bind(&self, gpu: &Gpu, splats: &SplatTargets, base: &BaseTargets) -> [wgpu::BindGroup; 2] {
@@ -413,5 +461,31 @@ mod tests {
             let ones: u32 = table[10..].iter().map(|w| w.count_ones()).sum();
             assert_eq!(ones, (0..=4).map(area).sum::<u32>());
         }
+    }
+
+    #[test]
+    fn only_guides_that_change_travel_and_old_ones_go() {
+        let mut guides = GuidesByPixel { guides: vec![[0; 4]; 100], used: 0..0, sent: 0..0, is_sent: true };
+        let mut adapter = guides.guides.clone();
+        let mut send = |guides: &mut GuidesByPixel| {
+            let Some((first, new)) = guides.to_send() else { return 0 };
+            adapter[first..first + new.len()].copy_from_slice(new);
+            let sent = new.len();
+            assert_eq!(adapter, guides.guides);
+            sent
+        };
+        assert_eq!(send(&mut guides), 0, "there are none");
+        guides.set(30, Vec3::ONE);
+        guides.set(10, Vec3::X);
+        guides.set(100, Vec3::ONE);
+        assert_eq!(send(&mut guides), 21, "from the first to the last inside of the picture");
+        assert_eq!(send(&mut guides), 0, "they are there");
+        guides.clear();
+        guides.set(50, Vec3::Y);
+        assert_eq!(send(&mut guides), 41, "old ones are taken away");
+        guides.clear();
+        assert_eq!(send(&mut guides), 1);
+        guides.clear();
+        assert_eq!(send(&mut guides), 0, "a view without guides after one without");
     }
 }

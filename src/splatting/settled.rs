@@ -1,6 +1,6 @@
 //! What a converged view shows once samples of all its tiles are there: the map, and what samples certainly know better.
 //!
-//! Lobes show the filtered mean of their samples. The diffuse part shows the map plus the filtered difference to it, with
+//! Lobes show the filtered mean of their samples, brighter by what was cut off bright ones around. The diffuse part shows the map plus the filtered difference to it, with
 //! the albedo multiplied afterwards so that textures stay sharp. What was cut off bright samples is light that is missing:
 //! its mean over wide surroundings is shown as far as both halves found it. Whether that difference is shown at all is decided by
 //! samples that it does not know: with Z from one half and R the raw mean of the other, the mean over blocks of
@@ -228,6 +228,13 @@ impl<'a> Pixels<'a> {
             .collect()
     }
 
+    /// What lobes show and, as a share of it, what was cut off samples of them around.
+    fn all_of_lobes(&self, surfaces: &Surfaces, shown: Vec<Vec3>) -> Vec<Vec3> {
+        let excess = HALVES.each_ref().map(|half| self.of(|means| means.lobes_excess(half)));
+        let shares = surfaces.agreed_around(&excess, &shown);
+        shown.into_iter().zip(shares).map(|(shown, share)| shown + shown * share).collect()
+    }
+
     /// What lobes show.
     fn lobes(&self) -> Halves {
         let mut halves = Halves::of_nothing(self.at.len());
@@ -434,7 +441,7 @@ pub fn settled(
         diffuse.iter_mut().zip(residual).for_each(|(pixel, residual)| *pixel += residual);
     }
     let variance = pixels.variance_around(&surfaces);
-    let lobes = pixels.lobes().mean(&surfaces, goes_on)?;
+    let lobes = pixels.all_of_lobes(&surfaces, pixels.lobes().mean(&surfaces, goes_on)?);
     let bright = blocks(width, height, |i| luminance(diffuse[i] + lobes[i]));
     let mean = bright.iter().sum::<f64>() / bright.len().max(1) as f64;
     let errors = beside.errors(corrects).iter().zip(pixels.noise_beside(width, height));
@@ -632,6 +639,37 @@ mod tests {
         let [good, bad] = errors.map(f32::sqrt);
         // Half of 0.25 where it counts as much as 16 paths; a ninth of 1 where as two of them.
         assert!((0.08..0.125).contains(&good) && bad < 0.12, "{good} {bad}");
+    }
+
+    /// What lobes find rarely and very bright is cut where it would be a firefly, and shown around: no light is lost.
+    #[test]
+    fn what_is_cut_off_lobes_is_shown_around() {
+        let (world, frame, buffers) = view();
+        let grid = Tiles::of_size(SIZE.0, SIZE.1);
+        let mut stream = Stream::new(5, 0, 0);
+        let tile = |tile: u32| {
+            let mut sums = TileSums::new(tile, grid.rect(tile).area() as usize);
+            for _ in 0..16 {
+                let mut sample = |_| {
+                    let found = if stream.next_f32() < 1.0 / 512.0 { 100.0 } else { 0.0 };
+                    let parts = [Vec3::splat(0.2 + found), Vec3::ZERO, Vec3::ZERO];
+                    PixelSample { shown: Vec3::ZERO, albedo: Vec3::splat(0.5), parts }
+                };
+                let all: Vec<PixelSample> = (0..sums.len()).map(&mut sample).collect();
+                sums.add(&all);
+            }
+            Some(Arc::new(sums))
+        };
+        let tiles: Vec<_> = (0..grid.len() as u32).map(tile).collect();
+        let pixels = Pixels::new(SIZE.0 as usize, SIZE.1 as usize, &tiles, None);
+        let mean = |values: &[Vec3]| values.iter().map(|v| v.x).sum::<f32>() / values.len() as f32;
+        let all = &[0, 1, 2, 3][..];
+        let kept = mean(&pixels.of(|p| p.lobes(all)));
+        let found = kept + mean(&pixels.of(|p| p.lobes_excess(all)));
+        assert!(kept < 0.8 * found, "something is cut: {kept} of {found}");
+        let shown = settled(&world, &frame, &buffers, &tiles, None, &|| true).expect("it goes on");
+        let shown = mean(shown.lobes.data());
+        assert!((shown / found - 1.0).abs() < 0.05, "{shown} of {found}, {kept} without");
     }
 
     #[test]

@@ -107,8 +107,8 @@ impl GuidesByPixel {
         }
     }
 
-    /// The first pixel to be written and what, if the adapter's are others.
-    fn to_send(&mut self) -> Option<(usize, &[[u16; 4]])> {
+    /// The first pixel to be written and what, if the adapter has others; it is taken to have them from then on.
+    fn take_changed(&mut self) -> Option<(usize, &[[u16; 4]])> {
         let changed = enclosing(&self.used, &self.sent);
         self.sent = self.used.clone();
         let is_sent = std::mem::replace(&mut self.is_sent, true);
@@ -195,7 +195,7 @@ impl SplatTargets {
 
     /// Brings the guides to the adapter where they changed. Whether they did.
     pub fn send_guides(&mut self, gpu: &Gpu) -> bool {
-        let Some((first, guides)) = self.guides_by_pixel.to_send() else { return false };
+        let Some((first, guides)) = self.guides_by_pixel.take_changed() else { return false };
         gpu.queue.write_buffer(&self.guides, first as u64 * 8, bytemuck::cast_slice(guides));
         true
     }
@@ -468,7 +468,7 @@ mod tests {
         let mut guides = GuidesByPixel { guides: vec![[0; 4]; 100], used: 0..0, sent: 0..0, is_sent: true };
         let mut adapter = guides.guides.clone();
         let mut send = |guides: &mut GuidesByPixel| {
-            let Some((first, new)) = guides.to_send() else { return 0 };
+            let Some((first, new)) = guides.take_changed() else { return 0 };
             adapter[first..first + new.len()].copy_from_slice(new);
             let sent = new.len();
             assert_eq!(adapter, guides.guides);

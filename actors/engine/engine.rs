@@ -308,7 +308,7 @@ impl Engine {
         if self.pump(Limit::idle_within(time), &mut until)? != Exit::Idle {
             return Ok(());
         }
-        let left = |now: &Self| time.saturating_sub(now.runtime().now().since(began));
+        let left = |engine: &Self| time.saturating_sub(engine.runtime().now().since(began));
         let period = 1.0 / self.controls.set.fps;
         let coarse = self.look(|r| r.camera().filter(|_| r.is_coarse())).flatten();
         if let Some(camera) = coarse.filter(|_| left(self).as_secs_f32() >= period) {

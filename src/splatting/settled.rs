@@ -1,12 +1,13 @@
 //! What a converged view shows once samples of all its tiles are there: the map, and what samples certainly know better.
 //!
-//! Lobes show the filtered mean of their samples, brighter by what was cut off bright ones around. The diffuse part shows the map plus the filtered difference to it, with
-//! the albedo multiplied afterwards so that textures stay sharp. What was cut off bright samples is light that is missing:
-//! its mean over wide surroundings is shown as far as both halves found it. Whether that difference is shown at all is decided by
-//! samples that it does not know: with Z from one half and R the raw mean of the other, the mean over blocks of
-//! `(Z − map)(Z + map − 2R)` is the squared error of Z less that of the map, without R's own noise. The map stays until
-//! that is below 0 for certain. The same blocks tell the error of what is shown. Certain is what blocks agree on, or what the
-//! noise of R cannot be: where one block, under a caustic, say, holds nearly all of the error, blocks never agree.
+//! Lobes show the filtered mean of their samples, brighter by what was cut off bright ones around. The diffuse part shows
+//! the map plus the filtered difference to it, with the albedo multiplied afterwards so that textures stay sharp. What was
+//! cut off bright samples is light that is missing: its mean over wide surroundings is shown as far as both halves found it.
+//! Whether that difference is shown at all is decided by samples that it does not know: with Z from one half and R the raw
+//! mean of the other, the mean over blocks of `(Z − map)(Z + map − 2R)` is the squared error of Z less that of the map,
+//! without R's own noise. The map stays until that is below 0 for certain. The same blocks tell the error of what is shown.
+//! Certain is what blocks agree on, or what the noise of R cannot be: where one block, under a caustic, say, holds nearly
+//! all of the error, blocks never agree.
 //!
 //! The difference has two reaches ([`Reach`]), which are filtered and decided apart. As far as the next D point, where the
 //! map is believed again, samples have little noise and see all edges, and what they show is off by what the map is off by

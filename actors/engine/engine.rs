@@ -285,7 +285,11 @@ impl Engine {
     /// # Errors
     /// If the walk has ended.
     pub fn begin(&mut self, camera: &Camera) -> Result<(), Failure> {
-        let time = 1.0 / self.controls.set.fps;
+        // A frame that waits for its quality has the time to be drawn whole.
+        let time = match self.controls.set.quality {
+            Some(_) => LONGEST_FRAME.as_secs_f32(),
+            None => 1.0 / self.controls.set.fps,
+        };
         self.send(RendererInput::FrameBegan { frame: FrameIndex(self.frame), camera: *camera, time })?;
         // Until the renderer has heard of it, "converged" is said of the view before.
         self.work_until(SHOWING, |renderer| renderer.camera() == Some(*camera))

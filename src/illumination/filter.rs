@@ -24,6 +24,8 @@ const PEAKS: usize = LEVELS + 1;
 const LAST: usize = PEAKS + LEVELS;
 /// Taps but for the middle one: a binomial kernel without its corners.
 const TAPS: usize = 12;
+/// Of these, those right beside it.
+const BESIDE: usize = 8;
 /// Weights of those straight ahead, of those between two ways, and of those twice as far.
 const WEIGHTS: [f32; 3] = [0.25, 0.167, 0.0625];
 /// Weight of the middle.
@@ -326,20 +328,14 @@ impl<'a> Around<'a> {
     }
 
     /// No brighter than the brightest around: where few samples found a light by chance in both halves, they agree on a spot.
+    /// Twice as far away, since a spot may be wider than a site; and right beside it, since of spots that lie so far from
+    /// each other each would excuse the other one.
     fn without_peak(self, i: usize) -> Parts {
+        let beside = self.taps(i, self.sites.links()).filter(|(_, weight)| *weight > WEIGHTS[2]);
+        let limits = [self.brightest(beside, BESIDE), self.brightest(self.taps(i, self.hops), TAPS)];
         let mut out = self.from[i];
-        let mut around = [0.0f32; PARTS];
-        let mut count = 0;
-        for (j, _) in self.taps(i, self.hops) {
-            around
-                .iter_mut()
-                .zip(&self.from[j])
-                .for_each(|(most, part)| *most = most.max(luminance(part.mean())));
-            count += 1;
-        }
-        // The edge of a narrow thing may be its brightest place.
-        if 2 * count >= TAPS {
-            for (part, most) in out.iter_mut().zip(around) {
+        for most in limits.into_iter().flatten() {
+            for (part, most) in out.iter_mut().zip(most) {
                 let light = luminance(part.mean());
                 if light > most {
                     part.halves = part.halves.map(|half| half * (most / light));
@@ -347,6 +343,19 @@ impl<'a> Around<'a> {
             }
         }
         out
+    }
+
+    /// The brightest of each part among taps, unless less than half of so many are there: the edge of a narrow thing may be
+    /// its brightest place.
+    fn brightest(self, taps: impl Iterator<Item = (usize, f32)>, of: usize) -> Option<[f32; PARTS]> {
+        let (mut most, mut count) = ([0.0f32; PARTS], 0);
+        for (j, _) in taps {
+            most.iter_mut()
+                .zip(&self.from[j])
+                .for_each(|(most, part)| *most = most.max(luminance(part.mean())));
+            count += 1;
+        }
+        (2 * count >= of).then_some(most)
     }
 }
 
@@ -499,6 +508,26 @@ mod tests {
         let sum = out.iter().map(|v| v - 1.0).sum::<f32>();
         assert!((sum - 17.0 * 8.0).abs() < 0.1, "{sum}");
         assert!((0..16).all(|i| (out[(40 + i / 4) * SIDE + 40 + i % 4] - 9.0).abs() < 0.01));
+    }
+
+    /// Spots that lie as far from each other as is looked for brighter ones; lines as narrow stay.
+    #[test]
+    fn spots_do_not_excuse_each_other() {
+        let is_spot =
+            |x: usize, y: usize| [(10, 10), (12, 10), (10, 12), (14, 14), (18, 14)].contains(&(x, y));
+        let light = |x: usize, y: usize| match (x, y) {
+            _ if is_spot(x, y) => 3.0,
+            (40, 8..56) => 3.0,
+            (x, y) if x < 40 && y >= 30 && x + 25 == y => 3.0,
+            _ => 1.0,
+        };
+        let out = smoothed(noisy(light, 0.0, 4), vec![true; SIDE * SIDE]);
+        let spots = (0..SIDE * SIDE).filter(|i| is_spot(i % SIDE, i / SIDE)).map(|i| out[i]);
+        assert!(spots.fold(0.0, f32::max) < 1.05);
+        assert!((9..55).all(|y| out[y * SIDE + 40] > 2.95));
+        assert!((33..60).all(|y| out[y * SIDE + y - 25] > 2.95));
+        let all = (0..SIDE * SIDE).map(|i| light(i % SIDE, i / SIDE)).sum::<f32>();
+        assert!((out.iter().sum::<f32>() / all - 1.0).abs() < 1e-4);
     }
 
     /// One particle for a hundred sites in each half: they spread, and what they bring stays.

@@ -24,6 +24,8 @@ const TAPS: usize = KERNEL.len() * KERNEL.len();
 const POOLED: usize = 3;
 /// Pixels to each side over which halves must agree.
 const AGREED: usize = 24;
+/// Of each of two means, one over the other, which together reach about as far as that.
+const FADING: usize = 17;
 /// Cosine of the normals of one surface, at least.
 const FLAT: f32 = 0.9;
 /// Distance of a tap from the tangent plane, pixel widths, at most.
@@ -181,11 +183,15 @@ impl Surfaces {
     }
 
     /// What both of two positive estimates show of the mean of a quantity around each pixel, by `weight`: about the harmonic
-    /// mean of theirs, so that what only one of them found counts little.
+    /// mean of theirs, so that what only one of them found counts little. Pixels count less the farther they are away, or a
+    /// bright one among dark ones would be seen as a square.
     pub fn agreed_around(&self, halves: &[Vec<Vec3>; 2], weight: &[Vec3]) -> Vec<Vec3> {
         let mut all = vec![Vec3::ZERO; weight.len()];
         for band in 0..3 {
-            let sums = |values: &[Vec3]| self.sums_around(AGREED, |i| f64::from(values[i][band]));
+            let sums = |values: &[Vec3]| {
+                let once = self.sums_around(FADING, |i| f64::from(values[i][band]));
+                self.sums_around(FADING, |i| once[i])
+            };
             let (weight, [p, q]) = (sums(weight), halves.each_ref().map(|half| sums(half)));
             for (i, all) in all.iter_mut().enumerate() {
                 let (p, q) = (p[i].max(0.0), q[i].max(0.0));
@@ -275,11 +281,21 @@ impl Halves {
         Some(self)
     }
 
-    /// What both halves show: their mean, smoothed, as far as they agree.
-    pub fn reconstructed(self, surfaces: &Surfaces, goes_on: GoesOn<'_>) -> Option<Vec<Vec3>> {
+    /// What both halves show: their mean, smoothed, and what both are `missing`, as far as they agree on what is seen of it,
+    /// which is `seen` times the values. Where an edge of something else leaves nearly nothing of a pixel, its values are noise
+    /// that nobody sees.
+    pub fn reconstructed(
+        self,
+        surfaces: &Surfaces,
+        missing: &[Vec3],
+        seen: &[f32],
+        goes_on: GoesOn<'_>,
+    ) -> Option<Vec<Vec3>> {
         let smooth = self.smoothed(surfaces, goes_on)?;
-        let [p, q] = &smooth.values;
-        let both = |i: usize| [p[i], q[i]].map(|v| f64::from(luminance(v)));
+        let [p, q] = smooth.values.map(|values| -> Vec<Vec3> {
+            values.iter().zip(missing).map(|(value, missing)| *value + *missing).collect()
+        });
+        let both = |i: usize| [p[i], q[i]].map(|v| f64::from(luminance(v) * seen[i]));
         let agreed = surfaces.sums_around(AGREED, |i| both(i)[0] * both(i)[1]);
         let all = surfaces.sums_around(AGREED, |i| (0.5 * (both(i)[0] + both(i)[1])).powi(2));
         let share = |i: usize| if all[i] > 0.0 { (agreed[i] / all[i]).clamp(0.0, 1.0) as f32 } else { 0.0 };
@@ -513,7 +529,9 @@ mod tests {
     }
 
     fn reconstructed(halves: Halves) -> Vec<Vec3> {
-        halves.reconstructed(&wall(), &|| true).expect("it goes on")
+        halves
+            .reconstructed(&wall(), &[Vec3::ZERO; SIDE * SIDE], &[1.0; SIDE * SIDE], &|| true)
+            .expect("it goes on")
     }
 
     /// `signal` with noise of this deviation in each half.
@@ -583,6 +601,21 @@ mod tests {
         assert!(off < 0.04, "{off}");
     }
 
+    /// A hundredth of a pixel at an edge, of which one sample in each half tells, one so and one so.
+    #[test]
+    fn what_is_hardly_seen_decides_nothing() {
+        let lone = SIDE * SIDE / 2 + SIDE / 2;
+        let mut some = halves(|_, _| 0.1, 0.01, 6);
+        (some.values[0][lone], some.values[1][lone]) = (Vec3::splat(20.0), Vec3::splat(-20.0));
+        let (mut seen, surfaces) = ([1.0; SIDE * SIDE], wall());
+        seen[lone] = 0.01;
+        let shown =
+            some.reconstructed(&surfaces, &[Vec3::ZERO; SIDE * SIDE], &seen, &|| true).expect("it goes on");
+        let beside = shown.iter().enumerate().filter(|(i, _)| *i != lone);
+        let off = root_mean_square(beside.map(|(_, v)| v.x - 0.1));
+        assert!(off < 0.01, "{off}");
+    }
+
     #[test]
     fn halves_that_are_exchanged_give_the_same_bits() {
         let signal = |x: usize, y: usize| ((x / 16 + y / 16) % 2) as f32;
@@ -607,6 +640,20 @@ mod tests {
         assert!(alone.iter().all(|v| *v == Vec3::ZERO));
         let mixed = surfaces.agreed_around(&[lone(4700), one], &weight);
         assert!(mixed.iter().all(|v| v.x <= 4.0 + 1e-3), "twice what the other found at most");
+    }
+
+    /// As a square it would be seen.
+    #[test]
+    fn what_a_bright_pixel_lacks_is_shown_around_without_an_edge() {
+        let surfaces = wall();
+        let mut lone = vec![Vec3::ZERO; SIDE * SIDE];
+        lone[SIDE * SIDE / 2 + SIDE / 2] = Vec3::ONE;
+        let shown = surfaces.agreed_around(&[lone.clone(), lone], &vec![Vec3::ONE; SIDE * SIDE]);
+        let most = shown.iter().map(|v| v.x).fold(0.0, f32::max);
+        assert!(most > 0.0);
+        for i in (0..SIDE * SIDE).filter(|i| i % SIDE > 0) {
+            assert!((shown[i].x - shown[i - 1].x).abs() < 0.06 * most, "{i}");
+        }
     }
 
     #[test]

@@ -195,8 +195,9 @@ impl<'a> Pixels<'a> {
             }
         });
         let missing = surfaces.agreed_around(&excess, &albedo);
-        let residual = halves.reconstructed(surfaces, goes_on)?;
-        Some(residual.into_iter().zip(missing).zip(albedo).map(|((r, m), albedo)| (r + m) * albedo).collect())
+        let seen: Vec<f32> = albedo.iter().map(|albedo| luminance(*albedo)).collect();
+        let residual = halves.reconstructed(surfaces, &missing, &seen, goes_on)?;
+        Some(residual.into_iter().zip(albedo).map(|(residual, albedo)| residual * albedo).collect())
     }
 
     /// Variance of each block's luminance by what the halves of the diffuse part know nothing of: lobes, by their batches, and

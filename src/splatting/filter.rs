@@ -616,6 +616,20 @@ mod tests {
         assert!(off < 0.01, "{off}");
     }
 
+    /// Where the map is right, what cutting left and what was cut are nothing together but noise, of which little is shown.
+    #[test]
+    fn what_was_cut_counts_where_halves_agree() {
+        let (cut, surfaces, seen) = (halves(|_, _| -0.3, 1.0, 8), wall(), [1.0; SIDE * SIDE]);
+        let shown = |missing: f32| {
+            let missing = [Vec3::splat(missing); SIDE * SIDE];
+            cut.clone().reconstructed(&surfaces, &missing, &seen, &|| true).expect("it goes on")
+        };
+        let [apart, together] = [0.0, 0.3].map(|missing| {
+            root_mean_square(shown(missing).iter().map(|v| v.x + if missing == 0.0 { 0.3 } else { 0.0 }))
+        });
+        assert!(together < 0.6 * apart, "{together} {apart}");
+    }
+
     #[test]
     fn halves_that_are_exchanged_give_the_same_bits() {
         let signal = |x: usize, y: usize| ((x / 16 + y / 16) % 2) as f32;

@@ -16,9 +16,9 @@ use std::sync::Arc;
 
 use foveal::illumination::bake::orders::WhileWanted;
 use foveal::illumination::bake::{BakeSettings, Baker, Step, cache_key, early_key};
-use foveal::illumination::cache::save;
 use foveal::illumination::stored::{Illumination, Summary};
 use foveal::world::World;
+use foveal_files::bakes::save;
 use foveal_runtime::{Actor, Address, Class, Content, Cx, Loader, Saver};
 use serde::{Deserialize, Serialize};
 

@@ -7,7 +7,8 @@ use foveal::allocation::residency::{TextureFacts, smallest};
 use foveal::allocation::spatial_error::{SpatialErrors, SpatialSettings, TexelDifference};
 use foveal::perception::viewing::{pixels_per_degree_of_camera, pixels_per_degree_of_screen};
 use foveal::scene::texture::{LevelTexels, MipChain};
-use foveal::scene::{Model, Scene, Texture, Wrap, mip_cache};
+use foveal::scene::{Model, Scene, Texture, Wrap};
+use foveal_files::mips;
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -95,7 +96,7 @@ impl TextureStore {
             .enumerate()
             .map(|(i, texture)| {
                 let content = texture.mips.content_hash();
-                let problem = mip_cache::keep(folder, &content, &texture.mips).err().map(|e| {
+                let problem = mips::keep(folder, &content, &texture.mips).err().map(|e| {
                     format!("{}: its levels cannot be kept in {}: {e}", texture.name, folder.display())
                 });
                 let spatial = measured_before(folder, &content, texture, &settings);
@@ -132,7 +133,7 @@ impl TextureStore {
 
     /// Where a level is kept.
     pub fn file(&self, texture: usize, level: usize) -> PathBuf {
-        mip_cache::level_file(&self.folder, &self.contents[texture], level)
+        mips::level_file(&self.folder, &self.contents[texture], level)
     }
 
     /// A level, of texels like those of another one.
@@ -141,7 +142,7 @@ impl TextureStore {
     /// If its file cannot be read, or is not whole.
     pub fn level(&self, texture: usize, level: usize, like: &LevelTexels) -> std::io::Result<LevelTexels> {
         let bytes = self.facts.get(texture).and_then(|facts| facts.bytes.get(level)).copied().unwrap_or(0);
-        mip_cache::read(&self.file(texture, level), bytes as usize, like)
+        mips::read(&self.file(texture, level), bytes as usize, like)
     }
 
     /// A texture's chain with finer levels, as far as `finest`; `None` where one cannot be had.

@@ -11,11 +11,11 @@ use foveal::geometry::Accel;
 use foveal::illumination::first::first_picture;
 use foveal::image::{Map2d, luminance};
 use foveal::metrics::flip;
-use foveal::scene::load::load;
 use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
 use foveal::world::World;
 use foveal_engine::reference::traced_picture;
+use foveal_files::load::load;
 use glam::Vec3;
 
 use crate::support::scene;

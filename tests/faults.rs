@@ -8,11 +8,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use foveal::illumination::Irradiance;
-use foveal::scene::load::load;
 use foveal::world::World;
 use foveal_actors::renderer::Renderer;
 use foveal_actors::settings::Settings;
 use foveal_engine::reference::traced_picture;
+use foveal_files::load::load;
 use glam::Vec3;
 
 use crate::support::{CHEAP_BAKE, Foveal, assert_same_bits, folder, scene};

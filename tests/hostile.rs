@@ -54,7 +54,7 @@ fn hand_made_files() {
 
 /// What the program makes of 202 odd and broken glTF files of other people's tests: each ends within a second, as
 /// `verdicts.txt` says, without a panic, what is refused in one line that names the file. (What
-/// each verdict is and why, and what is drawn, is tested where files are read: `scene::load::gltf::verdict_tests`.)
+/// each verdict is and why, and what is drawn, is tested where files are read: `foveal_files::load::gltf::verdict_tests`.)
 #[test]
 fn odd_gltf_files_end_as_their_verdicts_say() {
     let archive = root().join("../shared/scenes/hostile-A.tar.xz");
@@ -68,7 +68,7 @@ fn odd_gltf_files_end_as_their_verdicts_say() {
         eprintln!("skipped: tar cannot unpack {}", archive.display());
         return;
     }
-    let verdicts = fs::read_to_string(root().join("src/scene/load/gltf/verdicts.txt")).expect("verdicts");
+    let verdicts = fs::read_to_string(root().join("actors/files/load/gltf/verdicts.txt")).expect("verdicts");
     let mut wrong = Vec::new();
     for line in verdicts.lines() {
         let (verdict, name) = line.split_once(' ').expect("an end and a name");

@@ -15,6 +15,7 @@ mod export;
 mod faults;
 mod gltf;
 mod hostile;
+mod irradiance;
 mod misfits;
 mod packages;
 #[cfg(unix)]

@@ -6,11 +6,11 @@ use foveal::display::cpu_pass::{Passes, draw};
 use foveal::display::{FrameBuffers, TextureLevel};
 use foveal::geometry::{Accel, Ray};
 use foveal::scene::Budget;
-use foveal::scene::load::load;
 use foveal::scene::plan::{Part, ScenePlan};
 use foveal::splatting::trace::{Owner, trace_samples};
 use foveal_actors::settings::Settings;
 use foveal_actors::stages::Stage;
+use foveal_files::load::load;
 use glam::Vec3;
 use serde_json::Value;
 

@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::Path;
 
-use foveal::scene::load::load;
+use foveal_files::load::load;
 
 use crate::support::{CHEAP_BAKE, Foveal, assert_same_bits, folder, picture, scene};
 

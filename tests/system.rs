@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use foveal::illumination::Irradiance;
 use foveal::scene::Camera;
-use foveal::scene::load::load;
+use foveal_files::load::load;
 
 use foveal::world::World;
 use foveal_actors::allocator::Allocator;

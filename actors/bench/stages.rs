@@ -13,17 +13,17 @@ use foveal::geometry::Accel;
 use foveal::illumination::bake::Baker;
 use foveal::illumination::first::first_picture;
 use foveal::image::Map2d;
-use foveal::kept;
 use foveal::perception::importance::ObjectScan;
 use foveal::perception::saliency::SaliencyModel;
 use foveal::sampling::{Lattice, Rect};
-use foveal::scene::{Camera, Scene, load};
+use foveal::scene::{Camera, Scene};
 use foveal::splatting::{
     AgeingRules, Footprint, Reconstruction, SampleBatch, SampleCache, SplatLayer, trace, warp,
 };
 use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
 use foveal::world::World;
+use foveal_files::{kept, load};
 use glam::Vec3;
 use rayon::prelude::*;
 

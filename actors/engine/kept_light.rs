@@ -11,11 +11,11 @@ use std::sync::Arc;
 use std::time::SystemTime;
 
 use foveal::illumination::bake::{BakeSettings, Baker, Step, early_key};
-use foveal::illumination::cache::{load_illumination, save};
 use foveal::illumination::stored::Illumination;
 use foveal::scene::Scene;
 use foveal::transport::Indexed;
 use foveal_actors::light_book::{Known, LightBook};
+use foveal_files::bakes::{load_illumination, save};
 
 use crate::kept_scene::make_room;
 use crate::opened::cache_folder;

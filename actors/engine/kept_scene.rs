@@ -1,4 +1,4 @@
-//! Scenes kept beside the bakes, so that a second start reads what the first one made ([`foveal::kept`]).
+//! Scenes kept beside the bakes, so that a second start reads what the first one made ([`foveal_files::kept`]).
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,9 +6,9 @@ use std::sync::{Arc, OnceLock};
 use std::time::SystemTime;
 
 use foveal::geometry::Accel;
-use foveal::kept::{self, Kept, KeptError};
 use foveal::scene::Scene;
-use foveal::scene::load::{self, LoadOptions, Sources};
+use foveal_files::kept::{self, Kept, KeptError};
+use foveal_files::load::{self, LoadOptions, Sources};
 
 use crate::failure::Failure;
 use crate::light::Light;

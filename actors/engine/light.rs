@@ -6,7 +6,7 @@ use std::time::Duration;
 use foveal::illumination::bake::BakeSettings;
 use foveal::scene::Scene;
 use foveal::scene::edit::SceneEdit;
-use foveal::scene::load::LoadOptions;
+use foveal_files::load::LoadOptions;
 use serde::{Deserialize, Serialize};
 
 /// Where illumination comes from.

@@ -8,13 +8,14 @@ use etcetera::base_strategy::{BaseStrategy, choose_native_strategy};
 use foveal::geometry::Accel;
 use foveal::illumination::Irradiance;
 use foveal::illumination::bake::{BakeSettings, Baked, Baker, cache_key};
-use foveal::illumination::cache::{load_illumination, save};
 use foveal::illumination::first::first_picture;
 use foveal::scene::edit::{AsRead, Lamp, SceneEdit};
-use foveal::scene::{NamedCamera, Scene, edit, load};
+use foveal::scene::{NamedCamera, Scene, edit};
 use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
 use foveal::world::{World, metered};
+use foveal_files::bakes::{load_illumination, save};
+use foveal_files::load;
 
 use glam::Vec3;
 

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use foveal::display::cpu_pass::Passes;
 use foveal::illumination::Irradiance;
 use foveal::illumination::bake::{BakeSettings, cache_key};
-use foveal::illumination::cache::{encode, save, under};
 use foveal::illumination::stored::Illumination;
 use foveal::scene::Scene;
 use foveal::scene::edit::AsRead;
+use foveal_files::bakes::{encode, save, under};
 use foveal_runtime::{Header, Trace, TraceError};
 use serde::{Deserialize, Serialize};
 

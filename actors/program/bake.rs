@@ -9,13 +9,13 @@ use serde_json::{Value, json};
 use foveal::allocation::mesh_elements::{ElementCriterion, simplify_mesh};
 use foveal::geometry::Accel;
 use foveal::illumination::bake::{BakeSettings, BakeState, Baker, cache_key};
-use foveal::illumination::cache::{CacheError, load, load_illumination, save};
 use foveal::illumination::statement::{Statement, statement};
 use foveal::illumination::stored::Illumination;
 use foveal::radiosity::of_scene::SceneRadiosity;
 use foveal::scene::Scene;
 use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
+use foveal_files::bakes::{CacheError, load, load_illumination, save};
 
 use foveal_engine::bake_clock::{BakeClock, Watch};
 use foveal_engine::batch::Handed;

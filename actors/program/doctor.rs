@@ -87,7 +87,7 @@ pub fn run(a: &DoctorArguments) -> Result<(), Failure> {
     let document = json!({
         "schema": "foveal.doctor/1",
         "version": env!("CARGO_PKG_VERSION"),
-        "scenes": foveal::scene::load::MESHES,
+        "scenes": foveal_files::load::MESHES,
         "processor": processor(),
         "cores": cores,
         "simd": simd(),
@@ -121,7 +121,7 @@ pub fn run(a: &DoctorArguments) -> Result<(), Failure> {
     print_line(&format!("bits      {bits}: machines that trace together have the same"));
     let cache = document["cache"].as_str().unwrap_or("none (set FOVEAL_CACHE)");
     print_line(&format!("bakes     {cache}"));
-    let endings = foveal::scene::load::MESHES.map(|e| format!(".{e}"));
+    let endings = foveal_files::load::MESHES.map(|e| format!(".{e}"));
     print_line(&format!("scenes    {}, and .toml for a sidecar", endings.join(", ")));
     Ok(())
 }

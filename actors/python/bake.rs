@@ -5,7 +5,6 @@ use std::time::{Duration, Instant};
 
 use foveal::geometry::Accel;
 use foveal::illumination::bake::{Baker, cache_key};
-use foveal::illumination::cache::{load_illumination, save};
 use foveal::illumination::statement::statement;
 use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
@@ -14,6 +13,7 @@ use foveal_engine::bake_clock::BakeClock;
 use foveal_engine::files::make_folder;
 use foveal_engine::light::BakeOptions;
 use foveal_engine::opened::{cache_file, load_scene};
+use foveal_files::bakes::{load_illumination, save};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use foveal::illumination::cache::decode;
 use foveal::illumination::stored::Illumination;
 use foveal::sampling::Lattice;
 use foveal::world::World;
@@ -17,6 +16,7 @@ use foveal_actors::station::{VIEWS, bits};
 use foveal_engine::batch::{Piece, Task};
 use foveal_engine::failure::Failure;
 use foveal_engine::process::memory_bytes;
+use foveal_files::bakes::decode;
 
 use crate::ground::{OwnGround, Pass};
 use crate::hands::MAP_KEY;

@@ -5,10 +5,10 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Duration;
 
 use crossbeam_queue::SegQueue;
-use foveal::illumination::cache::encode;
 use foveal_actors::station::STATIONS_MAX;
 use foveal_engine::batch::{Found, Ground, Hands, Piece};
 use foveal_engine::failure::Failure;
+use foveal_files::bakes::encode;
 use rayon::prelude::*;
 
 use crate::door::{self, Effect, Hall, Serving};

@@ -7,7 +7,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use foveal::illumination::bake::{BakeSettings, Baker};
-use foveal::illumination::cache::decode;
 use foveal::illumination::stored::Illumination;
 use foveal::rng::hash;
 use foveal::scene::camera::CameraFrame;
@@ -18,6 +17,7 @@ use foveal_engine::glam::Vec3;
 use foveal_engine::light::Reading;
 use foveal_engine::opened::Opened;
 use foveal_engine::reference::{Enough, sampled_paths_by, sampled_truth_by, traced_picture_by};
+use foveal_files::bakes::decode;
 
 use crate::ground::{OwnGround, Pass};
 use crate::hands::{Helped, MAP_KEY};

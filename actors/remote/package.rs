@@ -11,7 +11,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use foveal::illumination::Uniform;
 use foveal::illumination::bake::cache_key;
-use foveal::illumination::cache::encode;
 use foveal::world::World;
 use foveal_actors::station::wire::{Hash, PIECE_BYTES_MAX};
 use foveal_engine::Light;
@@ -20,6 +19,7 @@ use foveal_engine::glam::Vec3;
 use foveal_engine::light::Reading;
 use foveal_engine::opened::{self, Opened};
 use foveal_engine::recording::illumination_hash;
+use foveal_files::bakes::encode;
 use serde::{Deserialize, Serialize};
 
 /// Most bytes of a manifest.

@@ -12,10 +12,10 @@ use std::sync::{Arc, OnceLock};
 use bolero::{TypeGenerator, check};
 use foveal::geometry::{Accel, Ray};
 use foveal::illumination::bake::{BakeSettings, bake, cache_key};
-use foveal::illumination::cache::{encode, load_illumination};
-use foveal::scene::load::{LoadOptions, load, load_with};
 use foveal::transport::Indexed;
 use foveal::transport::light::{Lights, Receiver};
+use foveal_files::bakes::{encode, load_illumination};
+use foveal_files::load::{LoadOptions, load, load_with};
 use foveal_runtime::{ActorId, Config, Exit, Hashing, Limit, Record, Runtime, Trace};
 use glam::Vec3;
 

@@ -60,6 +60,9 @@ const PARTICLES: u64 = 1 << 16;
 /// Looks for what is in sight, at least and at most: one for each texel.
 const LOOKS: (u64, u64) = (1 << 14, 1 << 18);
 
+/// Raised with every change of how a map is computed, or of what of it is kept.
+pub const VERSION: u32 = 21;
+
 /// What to bake, and when it is good enough.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BakeSettings {
@@ -86,7 +89,7 @@ impl Default for BakeSettings {
 pub fn cache_key(scene: &Scene, settings: &BakeSettings) -> [u8; 32] {
     let mut hasher = blake3::Hasher::new();
     hasher.update(b"foveal illumination");
-    hasher.update(&super::cache::VERSION.to_le_bytes());
+    hasher.update(&VERSION.to_le_bytes());
     hasher.update(&scene.content_hash);
     hasher.update(&settings.texels.to_le_bytes());
     hasher.update(&settings.seed.to_le_bytes());

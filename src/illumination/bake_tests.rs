@@ -2,11 +2,11 @@
 
 use glam::{Vec2, Vec3};
 
+use super::Irradiance;
 use super::bake::{BakeSettings, Baked, Baker, Progress};
 use super::first::first_picture;
 use super::stored::Illumination;
 use super::test_scenes::{cube, grid, join, lambert, quad, scene};
-use super::{Irradiance, cache};
 use crate::geometry::{Accel, Ray};
 use crate::math;
 use crate::rng::Stream;
@@ -247,9 +247,9 @@ fn an_interrupted_bake_that_goes_on_equals_an_uninterrupted_one() {
             let cut = first.run(indexed, &|p| p.particles < most, &mut |_| {});
             assert!(!cut.complete && cut.illumination.is_sound());
             assert!(cut.illumination.summary.particles < most + 100_000);
-            let bytes = cache::encode(&[1; 32], &first.state()).unwrap();
+            let bytes = postcard::to_stdvec(&first.state()).unwrap();
             let mut second = Baker::new(indexed, &settings);
-            assert!(second.restore(&cache::decode(&[1; 32], &bytes).unwrap()));
+            assert!(second.restore(&postcard::from_bytes(&bytes).unwrap()));
             let resumed = second.run(indexed, &|_| true, &mut |_| {});
             assert!(resumed.complete);
             assert!(resumed.illumination == whole.illumination);

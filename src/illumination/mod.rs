@@ -5,7 +5,6 @@ pub mod atlas;
 pub mod bake;
 #[cfg(test)]
 mod bake_tests;
-pub mod cache;
 mod cut_outs;
 pub mod error_map;
 pub mod filter;

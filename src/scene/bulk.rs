@@ -4,8 +4,6 @@
 //! Each list has a checksum for each piece of it, so that whoever reads a piece looks at it while it is in its cache; the sum of all
 //! is one over these.
 
-use std::fs::File;
-
 use bytemuck::Pod;
 use rayon::prelude::*;
 use xxhash_rust::xxh3::{Xxh3, xxh3_128};
@@ -50,50 +48,22 @@ impl Bulk {
     }
 }
 
-/// Where bytes are read from.
-#[derive(Clone, Copy, Debug)]
-pub enum Source<'a> {
-    /// Memory.
-    Bytes(&'a [u8]),
-    /// A file, which stays as it is.
-    File(&'a File),
-}
-
-impl Source<'_> {
+/// Where bytes are read from, by several threads at once: memory, or what stays as it is while it is read.
+pub trait ReadAt: Sync {
     /// Reads all that `into` takes, from byte `at` on. False where there is not as much.
-    pub fn read(&self, at: u64, into: &mut [u8]) -> bool {
-        match self {
-            Self::Bytes(bytes) => {
-                let from = usize::try_from(at).ok().and_then(|at| bytes.get(at..at.checked_add(into.len())?));
-                from.inspect(|from| into.copy_from_slice(from)).is_some()
-            }
-            Self::File(file) => read_at(file, at, into).is_ok(),
-        }
-    }
+    fn read_at(&self, at: u64, into: &mut [u8]) -> bool;
 }
 
-#[cfg(unix)]
-fn read_at(file: &File, at: u64, into: &mut [u8]) -> std::io::Result<()> {
-    std::os::unix::fs::FileExt::read_exact_at(file, into, at)
-}
-
-#[cfg(windows)]
-fn read_at(file: &File, mut at: u64, mut into: &mut [u8]) -> std::io::Result<()> {
-    while !into.is_empty() {
-        let read = std::os::windows::fs::FileExt::seek_read(file, into, at)?;
-        if read == 0 {
-            return Err(std::io::ErrorKind::UnexpectedEof.into());
-        }
-        at += read as u64;
-        into = &mut std::mem::take(&mut into)[read..];
+impl ReadAt for &[u8] {
+    fn read_at(&self, at: u64, into: &mut [u8]) -> bool {
+        let from = usize::try_from(at).ok().and_then(|at| self.get(at..at.checked_add(into.len())?));
+        from.inspect(|from| into.copy_from_slice(from)).is_some()
     }
-    Ok(())
 }
 
 /// Takes lists out again.
-#[derive(Debug)]
 pub struct BulkReader<'a> {
-    source: Source<'a>,
+    source: &'a dyn ReadAt,
     /// Where the next list begins, and where the last one ends.
     at: u64,
     end: u64,
@@ -102,7 +72,7 @@ pub struct BulkReader<'a> {
 
 impl<'a> BulkReader<'a> {
     /// From the first on; they lie in these bytes of a source.
-    pub fn new(source: Source<'a>, within: std::ops::Range<u64>) -> Self {
+    pub fn new(source: &'a dyn ReadAt, within: std::ops::Range<u64>) -> Self {
         Self { source, at: within.start, end: within.end, sums: Sums::default() }
     }
 
@@ -115,13 +85,13 @@ impl<'a> BulkReader<'a> {
         let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut list);
         let (source, at) = (self.source, self.at);
         let read = |(i, piece): (usize, &mut [u8])| {
-            source.read(at + (i * PIECE) as u64, piece).then(|| xxh3_128(piece))
+            source.read_at(at + (i * PIECE) as u64, piece).then(|| xxh3_128(piece))
         };
         let sums: Option<Vec<u128>> = bytes.par_chunks_mut(PIECE).enumerate().map(read).collect();
         self.sums.0.extend(sums?);
         let mut rest = [0; ALIGNED];
         let rest = &mut rest[..padded - length];
-        if !source.read(at + length as u64, rest) || rest.iter().any(|byte| *byte != 0) {
+        if !source.read_at(at + length as u64, rest) || rest.iter().any(|byte| *byte != 0) {
             return None;
         }
         self.at = next;
@@ -139,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lists_come_back_from_memory_and_from_a_file() {
+    fn lists_come_back() {
         let long: Vec<u32> = (0..700_000).collect();
         let mut bulk = Bulk::default();
         bulk.put(&[1u8, 2, 3]);
@@ -148,23 +118,19 @@ mod tests {
         bulk.put(&[[0.5f32; 3]]);
         let mut behind = vec![9; 5];
         behind.extend(&bulk.bytes);
-        let path = std::env::temp_dir().join(format!("foveal-bulk-{}", std::process::id()));
-        std::fs::write(&path, &behind).expect("written");
-        let file = File::open(&path).expect("a file");
-        std::fs::remove_file(&path).expect("removed");
         let within = 5..5 + bulk.bytes.len() as u64;
-        for source in [Source::Bytes(&behind), Source::File(&file)] {
-            let mut reader = BulkReader::new(source, within.clone());
-            assert_eq!(reader.take::<u8>(3), Some(vec![1, 2, 3]));
-            assert_eq!(reader.take::<u32>(long.len()).as_ref(), Some(&long));
-            assert_eq!(reader.take::<[f32; 3]>(0), Some(Vec::new()));
-            assert_eq!(reader.take::<u32>(usize::MAX), None);
-            assert_eq!(reader.take::<u32>(1 << 40), None, "more than there is takes no memory");
-            assert_eq!(reader.take::<[f32; 3]>(1), Some(vec![[0.5; 3]]));
-            assert_eq!(reader.sum(), Some(bulk.sum()));
-            assert_eq!(BulkReader::new(source, within.clone()).sum(), None, "not all was taken");
-        }
-        let mut cut = BulkReader::new(Source::Bytes(&behind[..100]), within);
+        let source = behind.as_slice();
+        let mut reader = BulkReader::new(&source, within.clone());
+        assert_eq!(reader.take::<u8>(3), Some(vec![1, 2, 3]));
+        assert_eq!(reader.take::<u32>(long.len()).as_ref(), Some(&long));
+        assert_eq!(reader.take::<[f32; 3]>(0), Some(Vec::new()));
+        assert_eq!(reader.take::<u32>(usize::MAX), None);
+        assert_eq!(reader.take::<u32>(1 << 40), None, "more than there is takes no memory");
+        assert_eq!(reader.take::<[f32; 3]>(1), Some(vec![[0.5; 3]]));
+        assert_eq!(reader.sum(), Some(bulk.sum()));
+        assert_eq!(BulkReader::new(&source, within.clone()).sum(), None, "not all was taken");
+        let source = &behind[..100];
+        let mut cut = BulkReader::new(&source, within);
         assert_eq!(cut.take::<u8>(3), Some(vec![1, 2, 3]));
         assert_eq!(cut.take::<u32>(long.len()), None);
     }

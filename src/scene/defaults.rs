@@ -135,14 +135,14 @@ fn axes(up: Vec3) -> [Vec3; 3] {
 }
 
 /// Whether the start view stands in the open, so that light from outside is expected.
-pub(super) fn is_open(scene: &Scene) -> bool {
+pub fn is_open(scene: &Scene) -> bool {
     let eye = scene.cameras.first().map_or_else(|| default_camera(scene).0.eye, |c| c.camera.eye);
     let hits = nearest(&scene.mesh, eye, &feelers());
     hits.iter().flatten().count() * 20 < FEELERS * 19
 }
 
 /// Adds what is missing: light (`glows` says that what there is only glows), a camera, a path. Returns what to tell the user.
-pub(super) fn complete(scene: &mut Scene, glows: bool) -> Vec<String> {
+pub fn complete(scene: &mut Scene, glows: bool) -> Vec<String> {
     let mut said = Vec::new();
     if scene.cameras.is_empty() {
         let (camera, inside) = default_camera(scene);

@@ -16,7 +16,7 @@ const APART: f32 = 1e4;
 const LAMPS: usize = 4;
 
 /// What to say where lamps and what glows lie too far apart.
-pub(super) fn doubt(scene: &Scene) -> Option<String> {
+pub fn doubt(scene: &Scene) -> Option<String> {
     let glow = scene.materials.iter().filter(|m| m.is_emissive()).map(|m| luminance(m.emission.color));
     let glow = glow.fold(0.0, f32::max);
     let lamps = scene.lights.iter().take(LAMPS).filter_map(|l| brightness(scene, l)).fold(0.0, f32::max);

@@ -1,28 +1,25 @@
 //! The scene: geometry, materials, lights, cameras. Immutable once built.
 //!
 //! Lengths in scene units, angles in radians, colours linear RGB (Rec. 709), radiance in
-//! W·sr⁻¹·m⁻² per band. `load` turns files into a [`Scene`] and warnings, or an error that names
-//! file, line and remedy.
+//! W·sr⁻¹·m⁻² per band. Files become a [`Scene`] in a package of their own, `foveal-files`.
 
 mod box_filter;
 pub mod bulk;
 pub mod camera;
 pub mod coat;
 mod cutout;
-mod defaults;
+pub mod defaults;
 pub mod edit;
 pub mod environment;
 pub mod film;
 pub mod fresnel;
 pub mod hierarchy;
 pub mod kept;
-mod light_units;
-pub mod load;
+pub mod light_units;
 pub mod lobe_albedo;
 pub mod material;
 pub mod metal_rough;
 pub mod microfacet;
-pub mod mip_cache;
 pub mod path;
 pub mod placement;
 pub mod plan;

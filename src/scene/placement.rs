@@ -80,7 +80,7 @@ impl Placement {
 
     /// Position in [0, 1]² from the upper left, of coordinates from the lower left.
     #[inline]
-    pub(super) fn place(&self, uv: Vec2) -> Vec2 {
+    pub fn place(&self, uv: Vec2) -> Vec2 {
         let p = self.moved(uv);
         let p = Vec2::new(p.x, 1.0 - p.y);
         let p = match self.wrap {
@@ -115,7 +115,7 @@ impl Placement {
     }
 
     /// What tells it from others, as bits.
-    pub(in crate::scene) fn bits(&self) -> [u32; 7] {
+    pub fn bits(&self) -> [u32; 7] {
         let [a, b, c, d] = self.scale_offset.map(f32::to_bits);
         let [e, f] = self.shear.map(f32::to_bits);
         let [u, v] = self.wrap.map(|w| w as u32);

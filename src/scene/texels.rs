@@ -11,9 +11,14 @@ use super::bulk::BulkReader;
 use crate::image::{linear_from_srgb, srgb_byte_from_linear};
 
 /// The pixels of one picture, RGBA in rows from the top.
-pub(super) enum Pixels {
-    /// 8 bits per channel; RGB is sRGB-encoded, or not.
-    Byte { texels: Vec<[u8; 4]>, gamma: bool },
+pub enum Pixels {
+    /// 8 bits per channel.
+    Byte {
+        /// RGBA.
+        texels: Vec<[u8; 4]>,
+        /// Whether RGB is sRGB-encoded.
+        gamma: bool,
+    },
     /// 16 bits per channel, linear.
     Word(Vec<[u16; 4]>),
     /// Linear values.

@@ -8,8 +8,8 @@ use rayon::prelude::*;
 
 use super::bulk::BulkReader;
 use super::placement::{Placement, Wrap};
-use super::texels::{Decode, Pixels};
-pub use super::texels::{LevelTexels, forget_most_held, held_bytes};
+use super::texels::Decode;
+pub use super::texels::{LevelTexels, Pixels, forget_most_held, held_bytes};
 use crate::math;
 
 /// One level of a chain.
@@ -78,7 +78,7 @@ impl MipChain {
     ///
     /// # Panics
     /// As [`Self::from_rgba8`].
-    pub(super) fn alone(width: usize, height: usize, pixels: Pixels) -> Self {
+    pub fn alone(width: usize, height: usize, pixels: Pixels) -> Self {
         let (texels, gamma) = LevelTexels::of(pixels);
         let fits = texels.len() > 0 && texels.len() == width * height;
         assert!(fits, "a picture of {width} × {height}");
@@ -87,13 +87,13 @@ impl MipChain {
     }
 
     /// Whether all levels are there or have been.
-    pub(super) fn is_complete(&self) -> bool {
+    pub fn is_complete(&self) -> bool {
         self.levels.last().is_some_and(|last| (last.width, last.height) == (1, 1))
     }
 
     /// With every level below the first: each texel is the mean of the area that it covers, which
     /// at odd sizes takes part of its neighbours' texels, so that every level has the same mean.
-    pub(super) fn completed(mut self) -> Self {
+    pub fn completed(mut self) -> Self {
         while let Some(Level { width, height, texels: Some(texels) }) = self.levels.last()
             && (*width, *height) != (1, 1)
         {
@@ -280,7 +280,7 @@ impl Texture {
     ///
     /// # Panics
     /// If there are fewer: a bug of the caller.
-    pub(super) fn row(&self, y: usize, row: &mut [[f32; 4]]) {
+    pub fn row(&self, y: usize, row: &mut [[f32; 4]]) {
         let first = y * self.size(0)[0];
         if let Some(texels) = self.mips.level(0) {
             texels.read(first, row, self.mips.decode);
@@ -376,8 +376,10 @@ impl Texture {
 
 /// A place between two columns, or two rows.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Between {
+pub struct Between {
+    /// The one before, or the one that wrapping makes of it.
     pub low: usize,
+    /// The one behind.
     pub high: usize,
     /// How far it is on the way from the one to the other.
     pub share: f32,
@@ -413,7 +415,7 @@ impl Spot {
 
 /// What lies between two texels above and two below, so far to the right and down.
 #[inline]
-pub(super) fn mean([a, b, c, d]: [[f32; 4]; 4], fx: f32, fy: f32) -> [f32; 4] {
+pub fn mean([a, b, c, d]: [[f32; 4]; 4], fx: f32, fy: f32) -> [f32; 4] {
     std::array::from_fn(|i| {
         let top = a[i] + (b[i] - a[i]) * fx;
         let bottom = c[i] + (d[i] - c[i]) * fx;
@@ -422,7 +424,7 @@ pub(super) fn mean([a, b, c, d]: [[f32; 4]; 4], fx: f32, fy: f32) -> [f32; 4] {
 }
 
 /// Gives those textures all levels that can be made of the finest; what shares its pixels goes on sharing them.
-pub(super) fn complete(textures: &mut [Texture], which: impl Fn(&Texture) -> bool) {
+pub fn complete(textures: &mut [Texture], which: impl Fn(&Texture) -> bool) {
     let mut chains: Vec<Arc<MipChain>> = Vec::new();
     let mut places = Vec::new();
     let mut known: HashMap<*const MipChain, usize> = HashMap::new();

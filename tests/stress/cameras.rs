@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use foveal::scene::load::load;
 use foveal::world::World;
+use foveal_files::load::load;
 use glam::Vec3;
 
 use super::{Files, look, world};

@@ -1,6 +1,6 @@
 //! Faces that no modeller means to make.
 
-use foveal::scene::load::load;
+use foveal_files::load::load;
 use glam::Vec3;
 
 use super::{Files, Seen, check};

@@ -25,11 +25,11 @@ use foveal::image::Map2d;
 use foveal::perception::importance::{ObjectScan, SALIENCY_WEIGHT, priorities};
 use foveal::perception::saliency::SaliencyModel;
 use foveal::scene::Scene;
-use foveal::scene::load::load;
 use foveal::splatting::trace::pixel_stream;
 use foveal::transport::Indexed;
 use foveal::transport::light::Lights;
 use foveal::world::World;
+use foveal_files::load::load;
 use glam::Vec3;
 
 use crate::support::folder;

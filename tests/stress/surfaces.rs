@@ -1,6 +1,6 @@
 //! Materials and lights at the ends of their ranges.
 
-use foveal::scene::load::load;
+use foveal_files::load::load;
 use glam::Vec3;
 
 use super::{Files, Seen, baked, check, look};

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use foveal::geometry::{Accel, Ray};
 use foveal::rng::Stream;
 use foveal::scene::Scene;
-use foveal::scene::load::load;
+use foveal_files::load::load;
 use glam::Vec3;
 use rayon::prelude::*;
 

@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use foveal::illumination::bake::early_key;
-use foveal::illumination::cache::save;
 use foveal::scene::edit::{Lamp, SceneEdit};
 use foveal_actors::renderer::MARK_FRAME;
+use foveal_files::bakes::save;
 use foveal_runtime::{Limit, Snapshot};
 use glam::Vec3;
 

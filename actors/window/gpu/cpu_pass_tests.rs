@@ -9,11 +9,11 @@ use foveal::image::Map2d;
 use foveal::rng::Stream;
 use foveal::sampling::{Lattice, Rect};
 use foveal::scene::camera::CameraFrame;
-use foveal::scene::load::load;
 use foveal::scene::texture::MipChain;
 use foveal::scene::{Camera, Scene};
 use foveal::splatting::{Footprint, Guides, Reconstruction, Sample, SampleBatch, SplatLayer, WarpedSample};
 use foveal::world::World;
+use foveal_files::load::load;
 use glam::{Vec2, Vec3};
 
 use super::adapter::Gpu;

@@ -3,7 +3,7 @@
 use foveal_files::load::load;
 use glam::Vec3;
 
-use super::{Files, Seen, baked, check, look};
+use super::{Files, Seen, baked, check, look, world};
 
 fn with_model(lines: &str) -> Files {
     Files::room().model("thing", lines).ball("thing", Vec3::new(0.3, -0.3, 0.0), 0.4, 6).block(
@@ -14,32 +14,59 @@ fn with_model(lines: &str) -> Files {
     )
 }
 
+/// A ball and a block of each of up to six models, all of them in sight.
+fn with_models(models: &[String]) -> Files {
+    let mut files = Files::room();
+    for (i, lines) in models.iter().enumerate() {
+        let name = format!("thing{i}");
+        let (column, row) = ((i % 3) as f32 - 1.0, (i / 3) as f32);
+        let centre = Vec3::new(0.6 * column, 0.6 * row - 0.25, 0.1 - 0.6 * row);
+        let below = centre - Vec3::Y * 0.42;
+        let half = Vec3::new(0.2, 0.14, 0.14);
+        files = files.model(&name, lines).ball(&name, centre, 0.25, 6).block(
+            &name,
+            below - half,
+            below + half,
+            true,
+        );
+    }
+    files
+}
+
+/// Looks at all of these models in one room.
+fn check_all(models: &[String], what: &str) {
+    let world = world(&with_models(models).write(what));
+    let seen = look(&world, [96, 72], what).triangles();
+    let named = |t: u32| &world.scene.materials[world.scene.mesh.materials[t as usize].0 as usize].name;
+    for i in 0..models.len() {
+        let name = format!("thing{i}");
+        assert!(seen.iter().flatten().any(|&t| *named(t) == name), "{what}: {name} is out of sight");
+    }
+}
+
 #[test]
 fn roughness_from_0_to_1() {
     for alpha in [0.0, 1e-7, 1e-4, 1e-2, 0.5, 1.0] {
-        for model in [
+        let models = [
             "model = \"conductor\"\nspecular = [1.0, 1.0, 1.0]",
             "model = \"conductor\"\neta = [0.2, 0.9, 1.1]\nk = [3.9, 2.4, 2.1]\ndistribution = \"beckmann\"",
             "model = \"plastic\"\nalbedo = [1.0, 1.0, 1.0]\nior = 1.5",
             "model = \"dielectric\"\nior = 1.5",
             "model = \"cook_torrance\"\ndiffuse = [0.5, 0.5, 0.5]\nspecular = [0.5, 0.5, 0.5]",
             "model = \"ward\"\ndiffuse = [0.5, 0.5, 0.5]\nspecular = [0.5, 0.5, 0.5]",
-        ] {
-            let lines = format!("{model}\nalpha = {alpha:?}");
-            check(&with_model(&lines), &lines);
-        }
+        ];
+        check_all(&models.map(|m| format!("{m}\nalpha = {alpha:?}")), &format!("roughness {alpha:?}"));
     }
 }
 
 #[test]
 fn indices_from_1_to_3() {
     for ior in [1.0, 1.0 + f32::EPSILON, 1.33, 3.0] {
-        for rest in ["", "thin = true", "alpha = 0.3", "transmittance = [0.0, 1e-9, 1.0]"] {
-            let lines = format!("model = \"dielectric\"\nior = {ior:?}\n{rest}");
-            check(&with_model(&lines), &lines);
-        }
-        let lines = format!("model = \"plastic\"\nalbedo = [0.0, 0.5, 1.0]\nior = {ior:?}\nalpha = 0.05");
-        check(&with_model(&lines), &lines);
+        let kinds = ["", "thin = true", "alpha = 0.3", "transmittance = [0.0, 1e-9, 1.0]"];
+        let mut models: Vec<String> =
+            kinds.map(|rest| format!("model = \"dielectric\"\nior = {ior:?}\n{rest}")).to_vec();
+        models.push(format!("model = \"plastic\"\nalbedo = [0.0, 0.5, 1.0]\nior = {ior:?}\nalpha = 0.05"));
+        check_all(&models, &format!("index {ior:?}"));
     }
 }
 

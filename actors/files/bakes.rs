@@ -3,13 +3,13 @@
 //! a panic or a large allocation.
 
 use std::fs;
-use std::io::{Read, Write};
+use std::io::Read;
 use std::path::Path;
 
-use atomic_write_file::AtomicWriteFile;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+use crate::write_whole;
 use foveal::illumination::bake::VERSION;
 use foveal::illumination::stored::Illumination;
 
@@ -138,13 +138,7 @@ pub fn decode<T: DeserializeOwned>(key: &[u8; 32], bytes: &[u8]) -> Result<T, Ca
 /// # Errors
 /// If the file cannot be written.
 pub fn save<T: Serialize>(path: &Path, key: &[u8; 32], value: &T) -> Result<(), CacheError> {
-    // What cannot take the place of a folder would stay beside it.
-    if path.is_dir() {
-        return Err(std::io::Error::from(std::io::ErrorKind::IsADirectory).into());
-    }
-    let mut file = AtomicWriteFile::open(path)?;
-    file.write_all(&encode(key, value)?)?;
-    Ok(file.commit()?)
+    Ok(write_whole(path, &encode(key, value)?)?)
 }
 
 /// Reads what [`save`] wrote.

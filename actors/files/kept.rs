@@ -9,14 +9,13 @@
 //! [`scene::kept`]: foveal::scene::kept
 
 use std::fs;
-use std::io::Write;
 use std::path::Path;
 
-use atomic_write_file::AtomicWriteFile;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::load::Sources;
+use crate::write_whole;
 use foveal::geometry::Accel;
 use foveal::geometry::kept::AccelHead;
 use foveal::scene::Scene;
@@ -185,13 +184,7 @@ fn read(
 /// # Errors
 /// If the file cannot be written.
 pub fn save(file: &Path, bytes: &[u8]) -> Result<(), KeptError> {
-    // What cannot take the place of a folder would stay beside it.
-    if file.is_dir() {
-        return Err(std::io::Error::from(std::io::ErrorKind::IsADirectory).into());
-    }
-    let mut written = AtomicWriteFile::open(file)?;
-    written.write_all(bytes)?;
-    Ok(written.commit()?)
+    Ok(write_whole(file, bytes)?)
 }
 
 /// [`decode`] of what lies in a file.

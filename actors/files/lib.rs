@@ -9,3 +9,19 @@ pub mod bakes;
 pub mod kept;
 pub mod load;
 pub mod mips;
+
+use std::io::Write;
+use std::path::Path;
+
+use atomic_write_file::AtomicWriteFile;
+
+/// Writes a file whole: first beside it, then in one step over what was there, whoever else writes the same.
+fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    // What cannot take the place of a folder would stay beside it.
+    if path.is_dir() {
+        return Err(std::io::ErrorKind::IsADirectory.into());
+    }
+    let mut file = AtomicWriteFile::open(path)?;
+    file.write_all(bytes)?;
+    file.commit()
+}

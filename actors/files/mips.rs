@@ -4,12 +4,12 @@
 //! cut short, altered or of another chain is an error, never a panic or a large allocation.
 
 use std::fs;
-use std::io::{Error, ErrorKind, Result, Write};
+use std::io::{Error, ErrorKind, Result};
 use std::path::{Path, PathBuf};
 
-use atomic_write_file::AtomicWriteFile;
-
 use foveal::scene::texture::{LevelTexels, MipChain};
+
+use crate::write_whole;
 
 /// First bytes of a file; the digit is the version.
 const MAGIC: [u8; 8] = *b"FVMIP1\r\n";
@@ -29,12 +29,8 @@ pub fn keep(folder: &Path, content: &[u8; 32], chain: &MipChain) -> Result<()> {
         let file = level_file(folder, content, level);
         let Some(texels) = chain.level(level).filter(|_| !file.exists()) else { continue };
         let plain = texels.as_bytes();
-        // Whole or not there at all, whoever else writes the same.
-        let mut out = AtomicWriteFile::open(&file)?;
-        out.write_all(&MAGIC)?;
-        out.write_all(blake3::hash(plain).as_bytes())?;
-        out.write_all(&lz4_flex::block::compress_prepend_size(plain))?;
-        out.commit()?;
+        let body = lz4_flex::block::compress_prepend_size(plain);
+        write_whole(&file, &[MAGIC.as_slice(), blake3::hash(plain).as_bytes(), &body].concat())?;
     }
     Ok(())
 }

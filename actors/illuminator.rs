@@ -88,8 +88,8 @@ pub struct Illuminator {
     baked: u64,
     /// The turn that published the last map of the bake.
     baked_map: Option<u64>,
-    /// Threads of its own, so that the display never waits behind its work. Made by its first turn: they give way where the
-    /// thread of that does. `None` where there are none to be had.
+    /// Threads of its own, so that neither the display nor a tracer waits behind its work: they give way to the thread of its
+    /// first turn, which makes them. `None` where there are none to be had.
     pool: OnceCell<Option<rayon::ThreadPool>>,
     renderer: Address<RendererMessage>,
     outbox: Outbox<IlluminatorMessage>,
@@ -221,10 +221,10 @@ impl Illuminator {
             }
             Bake::Done => Some((Bake::Done, None)),
         };
-        let own_threads = || {
-            let cores = std::thread::available_parallelism().map_or(1, usize::from);
-            rayon::ThreadPoolBuilder::new().num_threads((cores / 2).max(1)).build().ok()
-        };
+        // As many as there are processors, which give way to the tracers: half of the machine where those have work, all of it
+        // where a view has converged.
+        let own_threads =
+            || rayon::ThreadPoolBuilder::new().start_handler(|_| foveal_runtime::give_way()).build().ok();
         let (bake, published) = match self.pool.get_or_init(own_threads) {
             Some(pool) => pool.install(work),
             None => work(),

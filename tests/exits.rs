@@ -102,3 +102,35 @@ fn interrupted_walks_keep_what_was_done() {
         assert!(out.join(file).exists(), "{file}");
     }
 }
+
+/// Ctrl-C ends a reference with the passes that are whole: a picture of fewer samples, with its batches.
+#[cfg(unix)]
+#[test]
+fn interrupted_references_are_pictures_of_fewer_samples() {
+    use std::time::Duration;
+
+    let out = folder("interrupted-reference").join("box.exr");
+    for tenths in [2, 5, 20, 80, 320, 1000] {
+        let reference = Foveal::new("reference --kind path --spp 100000000 --size 16x12 --json --out")
+            .arg(&out)
+            .arg(scene("box"))
+            .start();
+        std::thread::sleep(Duration::from_millis(100 * tenths));
+        let sent = std::process::Command::new("kill").arg("-INT").arg(reference.id().to_string()).status();
+        assert!(sent.is_ok_and(|s| s.success()));
+        let ended = reference.wait();
+        assert_eq!(ended.code, Some(130), "{}", ended.err);
+        if ended.err.contains("no picture was written") {
+            // No pass was whole by then.
+            assert!(!out.exists());
+            continue;
+        }
+        let told: serde_json::Value = serde_json::from_str(&ended.out).expect("a document");
+        let samples = told["spp"].as_u64().expect("a number");
+        assert!((1..100_000_000).contains(&samples), "{samples}");
+        assert!(ended.err.contains(&format!("has {samples} samples per pixel")), "{}", ended.err);
+        Foveal::new("compare").arg(&out).arg(&out).ok();
+        return;
+    }
+    panic!("no pass was whole after 100 s");
+}

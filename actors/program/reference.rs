@@ -126,7 +126,10 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
     }
     let seconds = start.elapsed().as_secs_f64();
     bar.finish_and_clear();
-    if interrupted() {
+    let was_interrupted = interrupted();
+    // Passes that are whole are a picture of fewer samples; a view that is half refined is none.
+    let kept = sampled.as_ref().map_or(0, |s| s.samples);
+    if was_interrupted && kept == 0 {
         return Err(Failure::Interrupted("interrupted; no picture was written".into()));
     }
     let bytes = if a.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
@@ -187,6 +190,10 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
                 100.0 * m.bias
             ));
         }
+    }
+    if was_interrupted {
+        let kept = format!("interrupted; {} has {kept} samples per pixel", a.out.display());
+        return Err(Failure::Interrupted(kept));
     }
     Ok(())
 }

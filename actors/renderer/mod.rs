@@ -18,6 +18,7 @@ use foveal::display::FrameBuffers;
 use foveal::display::cpu_pass::{self, Passes};
 use foveal::display::first_approximation::FirstApproximation;
 use foveal::display::tone::{Encoder, ToneMap};
+use foveal::illumination::stored::Illumination;
 use foveal::image::Map2d;
 use foveal::perception::tvi::TviTable;
 use foveal::perception::viewing::Viewing;
@@ -41,9 +42,11 @@ use crate::settings::{Adjustment, Settings};
 use crate::stages::{Begun, Stage, StageTimes};
 use textures::TextureChange;
 
-/// Most that irradiance anywhere changes from one frame to the next while light is refined: this share of itself
-/// and of the scene's mean.
+/// Better light is shown at once where it changes no irradiance by more than this share of itself and of the scene's mean.
 pub const LIGHT_CHANGE: f32 = 0.06;
+
+/// Else it is seen to grow for so many seconds, frame by frame by as much. Each frame of that is a view of its own.
+const LIGHT_GROWS: f32 = 0.4;
 
 /// Kind of the mark that each shown frame leaves in a recording; its value is the picture's hash.
 pub const MARK_FRAME: u32 = 0;
@@ -51,6 +54,15 @@ pub const MARK_FRAME: u32 = 0;
 /// Share of a frame's time that drawing the base layer may take while the camera moves; where it takes more, it is drawn
 /// coarsely, so that the frame is in time and samples come into it.
 const DRAWING_SHARE: f32 = 0.7;
+
+/// Light that the shown one becomes.
+struct Growth {
+    light: Arc<PublishedLight>,
+    /// Whether it is the last.
+    last: bool,
+    /// Seconds until it is shown; `None` before the first frame of them.
+    left: Option<f32>,
+}
 
 /// Counts of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -138,8 +150,8 @@ pub struct Renderer {
     settled: Option<Arc<Settled>>,
     /// Whether the current view is as good as it gets.
     refined: bool,
-    /// Better light that the shown one moves towards, and whether it is the last.
-    target: Option<(Arc<PublishedLight>, bool)>,
+    /// Better light that the shown one moves towards.
+    target: Option<Growth>,
     /// Whether the shown light is final.
     lit: bool,
     /// Whether anything changed since the last frame was shown.
@@ -342,7 +354,7 @@ impl Renderer {
 
     fn on_frame_began(&mut self, camera: Camera, time: f32, cx: &mut Cx<'_, RendererMessage>) {
         let retextured = self.change_textures();
-        let brighter = self.approach_light();
+        let brighter = self.approach_light(time);
         if brighter || retextured || self.is_coarse() || self.camera != Some(camera) {
             let moves = self.camera.replace(camera).is_some_and(|before| before != camera);
             let fits = self.drawing.expected().as_secs_f32() <= DRAWING_SHARE * time;
@@ -352,22 +364,33 @@ impl Renderer {
         self.drawn_at = Some(self.stages.begin());
     }
 
-    /// Moves the shown light towards the newest; says whether it changed.
-    fn approach_light(&mut self) -> bool {
-        let Some((light, last)) = self.target.take() else { return false };
+    /// Moves the shown light towards the newest, as far as in a frame of `time` seconds; says whether it changed.
+    fn approach_light(&mut self, time: f32) -> bool {
+        let Some(Growth { light, last, left }) = self.target.take() else { return false };
         let Some(target) = light.map() else { return false };
-        let shown = self.world.illumination.stored();
-        let [r, g, b] = target.summary.mean;
-        let absolute = LIGHT_CHANGE * (r + g + b) / 3.0;
-        let (next, arrived) = match shown.and_then(|s| s.approached(target, LIGHT_CHANGE, absolute)) {
-            Some((next, arrived)) => (Arc::new(next), arrived),
-            // Another storage of the same light, with which a refinement begins.
-            None => (target.clone(), true),
+        let near = |shown: &Illumination| {
+            let [r, g, b] = target.summary.mean;
+            shown.is_near(target, LIGHT_CHANGE, LIGHT_CHANGE * (r + g + b) / 3.0)
         };
-        self.world = self.world.with_illumination(next);
-        self.lit |= arrived && last;
-        if !arrived {
-            self.target = Some((light, last));
+        let shown = self.world.illumination.stored();
+        let left = left.or_else(|| match shown.and_then(near) {
+            Some(false) => Some(LIGHT_GROWS),
+            // Hardly different, or another storage of the same light, with which a refinement begins.
+            Some(true) | None => None,
+        });
+        // A frame without time is one, too.
+        let share = left.map_or(1.0, |left| time.max(1e-2) / left);
+        let next = shown.filter(|_| share < 0.99).and_then(|shown| shown.approached(target, share));
+        match next {
+            Some(next) => {
+                self.world = self.world.with_illumination(Arc::new(next));
+                let left = left.map(|left| left - time.max(1e-2));
+                self.target = Some(Growth { light, last, left });
+            }
+            None => {
+                self.world = self.world.with_illumination(target.clone());
+                self.lit |= last;
+            }
         }
         true
     }
@@ -505,7 +528,9 @@ impl Actor for Renderer {
             RendererMessage::TileSampled { view, sums, hash: _ } => self.on_tile_sampled(view, sums),
             RendererMessage::RefinedShown { view, settled, hash: _ } => self.on_refined_shown(view, settled),
             RendererMessage::ViewRefined { view } => self.refined |= view == self.view,
-            RendererMessage::Illuminated { map, last, hash: _ } => self.target = Some((map, last)),
+            RendererMessage::Illuminated { map: light, last, hash: _ } => {
+                self.target = Some(Growth { light, last, left: None });
+            }
             RendererMessage::SamplesForgotten => self.on_samples_forgotten(cx),
             RendererMessage::SendAgain => self.outbox.send(cx),
             RendererMessage::SamplesDoubted => self.on_samples_doubted(cx),

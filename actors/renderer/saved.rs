@@ -7,7 +7,7 @@ use foveal::splatting::supersampling::Tiles;
 use foveal::splatting::tile_sums::TileSums;
 use foveal_runtime::{Loader, Saver};
 
-use super::{FrameCounts, Renderer, TextureChange};
+use super::{FrameCounts, Growth, Renderer, TextureChange};
 use crate::message::saved::Saved;
 
 impl Renderer {
@@ -54,9 +54,10 @@ impl Renderer {
             return saver.refuse();
         }
         world.save(saver);
-        saver.put(&(lit, releasing, drops, target.as_ref().map(|(_, last)| last), waiting.len() as u64));
-        if let Some((map, _)) = target {
-            map.save(saver);
+        let growth = target.as_ref().map(|growth| (growth.last, growth.left));
+        saver.put(&(lit, releasing, drops, growth, waiting.len() as u64));
+        if let Some(Growth { light, .. }) = target {
+            light.save(saver);
         }
         for TextureChange { texture, finest, texels } in waiting {
             saver.put(&(texture, finest));
@@ -92,10 +93,10 @@ impl Renderer {
     /// Takes it up again; `None` if the snapshot holds something else.
     pub(super) fn restore_state(&mut self, loader: &mut Loader<'_>) -> Option<()> {
         self.world = Saved::restore(loader)?;
-        let (target, count): (Option<bool>, u64);
-        (self.lit, self.releasing, self.drops, target, count) = loader.take()?;
-        self.target = match target {
-            Some(last) => Some((Saved::restore(loader)?, last)),
+        let (growth, count): (Option<(bool, Option<f32>)>, u64);
+        (self.lit, self.releasing, self.drops, growth, count) = loader.take()?;
+        self.target = match growth {
+            Some((last, left)) => Some(Growth { light: Saved::restore(loader)?, last, left }),
             None => None,
         };
         for _ in 0..count {

@@ -2,8 +2,10 @@
 //!
 //! In a round each site takes samples of what arrives at points of it, and reads the map of the round before where a path
 //! meets the next diffuse surface: radiosity by gathering, with rounds as bounces. A round takes twice the samples of the
-//! one before, so that what it costs to smooth and to test them stays a share. The first round reads a first picture of coarse elements, in which light has
-//! bounced some times ([`super::first`]).
+//! one before, so that what it costs to smooth and to test them stays a share. The first round reads a first picture of
+//! coarse elements, in which light has bounced some times ([`super::first`]).
+//!
+//! What the start view shows comes first, in short rounds of its own ([`Rounds`]).
 //!
 //! No clock in here: the caller's `keep_going` decides when the time is over. The result depends on the number of paths
 //! only, not on threads or on where a bake was interrupted: sites do not depend on each other within a round.
@@ -25,7 +27,7 @@ use super::first::first_picture_while;
 use super::gathered::Gathered;
 use super::points::Points;
 use super::seen::seen;
-use super::sites::Sites;
+use super::sites::{Site, Sites};
 use super::statement::{HeldBack, HeldBackState, Statement};
 use super::stored::{Illumination, Summary, Value};
 use crate::image::luminance;
@@ -50,8 +52,10 @@ const TOGETHER: u64 = 1 << 10;
 const SMOOTHED: usize = 1 << 14;
 /// Sites that share the decision whether light can reach them.
 const BLOCK: usize = 64;
-/// Rounds at most; by then there is nothing left to see.
-const ROUNDS_MAX: u32 = 17;
+/// Rounds over all sites at most; by then there is nothing left to see.
+const ROUNDS_MAX: u32 = 16;
+/// Rounds before them over what the start view shows, of 2, 4 and 8 samples: each leaves half of the noise's square.
+const EARLY: u32 = 3;
 /// One in so many samples is taken where the map is tested; each follows its path to the end.
 const TESTED: u64 = 16;
 /// Particles of caustics before the first round, whole runs for each half; after the first one over all sites every later round
@@ -61,7 +65,7 @@ const PARTICLES: u64 = 1 << 16;
 const LOOKS: (u64, u64) = (1 << 14, 1 << 18);
 
 /// Raised with every change of how a map is computed, or of what of it is kept.
-pub const VERSION: u32 = 21;
+pub const VERSION: u32 = 22;
 
 /// What to bake, and when it is good enough.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -163,8 +167,10 @@ pub struct Baker {
     atlas: Atlas,
     points: Points,
     sites: Sites,
-    /// The sites that the start view shows, which have the first round for themselves, and per site whether it does.
-    ahead: (Vec<u32>, Vec<bool>),
+    /// Per site whether the start view shows it.
+    ahead: Vec<bool>,
+    /// In which order sites are come to.
+    rounds: Rounds,
     /// Per site whether a walk can see it.
     seen: Vec<bool>,
     gathered: Vec<Gathered>,
@@ -252,9 +258,9 @@ impl Baker {
             site_of[site.element as usize][usize::from(site.back)] = i as u32;
         }
         let is_ahead = ahead((scene, indexed.accel), &atlas, &sites, &site_of);
-        let first = (0..is_ahead.len() as u32).filter(|i| is_ahead[*i as usize]).collect();
         Some(Self {
-            ahead: (first, is_ahead),
+            rounds: Rounds::new(&is_ahead),
+            ahead: is_ahead,
             site_of,
             sources: None,
             particles: 0,
@@ -334,7 +340,7 @@ impl Baker {
         let fits = state.gathered.len() == self.gathered.len()
             && state.dark.len() == self.dark.len()
             && state.next <= state.gathered.len() as u64
-            && state.round <= ROUNDS_MAX
+            && state.round <= self.rounds.most()
             && state.map.is_sound()
             && state.map.element_count() == self.atlas.elements.len()
             && state.map.triangle_count() == self.atlas.corners.len();
@@ -376,7 +382,7 @@ impl Baker {
                 Step::Going
             }
             Doing::Smooth(mut smoothing) => {
-                self.doing = match smoothing.step(&self.sites, SMOOTHED) {
+                self.doing = match smoothing.step(SMOOTHED) {
                     None => Doing::Smooth(smoothing),
                     Some(parts) => Doing::Test(self.stored(&parts)),
                 };
@@ -407,40 +413,30 @@ impl Baker {
         let met = self.settings.error.is_some_and(|limit| error <= limit);
         let all = self.settings.particles.is_some_and(|most| self.paths >= most);
         let nothing = self.dark.iter().all(|d| *d);
-        if met || all || nothing || self.round >= ROUNDS_MAX { Step::Done(map) } else { Step::Better(map) }
-    }
-
-    /// The sites of the round that has begun, where they are not all.
-    fn chosen(&self) -> Option<&[u32]> {
-        Some(self.ahead.0.as_slice()).filter(|first| self.round == 0 && !first.is_empty())
-    }
-
-    /// How many sites the round that has begun comes to.
-    fn places(&self) -> usize {
-        self.chosen().map_or(self.gathered.len(), <[u32]>::len)
+        let is_last = self.round >= self.rounds.most();
+        if met || all || nothing || is_last { Step::Done(map) } else { Step::Better(map) }
     }
 
     /// Rounds over all sites before the one that has begun.
     fn whole_rounds(&self) -> u32 {
-        self.round.saturating_sub(u32::from(!self.ahead.0.is_empty()))
+        self.rounds.whole(self.round)
     }
 
     /// Samples of a site in the round that has begun: the last round is as long as what is left of the paths asked for.
     fn samples_of_round(&self) -> u32 {
-        let whole = FIRST_ROUND << self.whole_rounds();
+        let whole = self.rounds.samples(self.round);
         let Some(most) = self.settings.particles else { return whole };
-        let of = |i: usize| match (self.ahead.1[i], self.seen[i]) {
+        let of = |i: usize| match (self.ahead[i], self.seen[i]) {
             (true, _) => f64::from(AHEAD),
             (_, true) => 1.0,
             _ => 1.0 / f64::from(UNSEEN),
         };
         let open = |i: &usize| self.gathered[*i].is_open() && !self.dark[i / BLOCK];
-        let sites: f64 = match self.chosen() {
-            Some(chosen) => chosen.iter().map(|i| *i as usize).filter(open).map(of).sum(),
-            None => (0..self.seen.len()).filter(open).map(of).sum(),
-        };
+        let sites: f64 = self.rounds.sites(self.round).iter().map(|i| *i as usize).filter(open).map(of).sum();
         let left = most.saturating_sub(self.paths) as f64 / sites.max(1.0);
-        whole.min(2 * (0.5 * left).ceil().min(f64::from(whole)) as u32).max(2)
+        // An even number for each: half of them belong to either half.
+        let least = if self.round < self.rounds.early() { 1 } else { 2 };
+        whole.min(2 * (0.5 * left).ceil().min(f64::from(whole)) as u32).max(least)
     }
 
     /// Whether particles of caustics are still to be traced before the round that has begun.
@@ -498,7 +494,8 @@ impl Baker {
         // gathered nothing.
         let known = |(i, g): (usize, &Gathered)| g.is_open() && g.samples() > 0 && !self.dark[i / BLOCK];
         let each = || self.gathered.iter().enumerate();
-        Smoothing::new(each().map(own).collect(), each().map(known).collect())
+        let known: Vec<bool> = each().map(known).collect();
+        Smoothing::new(&self.sites, self.gathered.par_iter().enumerate().map(own).collect(), &known)
     }
 
     /// The light that the round began with at a site that nobody has come to.
@@ -521,21 +518,28 @@ impl Baker {
         let mut sides: [Vec<Value>; 2] = [vec![None; elements], vec![None; elements]];
         let (mut named, mut unfound) = (sides.clone(), sides.clone());
         let mut totals = Totals::default();
-        for (i, (site, parts)) in self.sites.all().iter().zip(parts).enumerate() {
-            if !self.gathered[i].is_open() {
-                continue;
+        let shown = |(i, (site, parts)): (usize, (&Site, &Parts))| {
+            let gathered = &self.gathered[i];
+            if !gathered.is_open() {
+                return None;
             }
             let light: Vec3 = parts.iter().map(Noisy::mean).sum();
             let variance = parts.iter().map(|p| 0.5 * p.variance).sum::<f32>();
-            let value = light.extend(variance.sqrt());
-            let (side, element) = (usize::from(site.back), site.element as usize);
-            let e = &self.atlas.elements[element];
+            let e = &self.atlas.elements[site.element as usize];
             // As smoothing: where nobody has come yet what there was stays.
             let begun = || self.map.lookup_named(e.triangle, e.b1, e.b2, site.back);
-            let straight = self.gathered[i].named().unwrap_or_else(begun).extend(0.0);
+            let straight = gathered.named().unwrap_or_else(begun).extend(0.0);
+            let unfound = (parts[2].mean() * gathered.unfound_share()).extend(0.0);
+            Some([light.extend(variance.sqrt()), straight, unfound])
+        };
+        let shown: Vec<_> = self.sites.all().par_iter().zip(parts).enumerate().map(shown).collect();
+        // In the order of sites: sums depend on it.
+        for (i, (site, parts)) in self.sites.all().iter().zip(parts).enumerate() {
+            let Some([value, straight, beyond]) = shown[i] else { continue };
+            let (side, element) = (usize::from(site.back), site.element as usize);
             (sides[side][element], named[side][element]) = (Some(value), Some(straight));
-            unfound[side][element] = Some((parts[2].mean() * self.gathered[i].unfound_share()).extend(0.0));
-            totals.add(e, value + straight, parts, self.seen[i]);
+            unfound[side][element] = Some(beyond);
+            totals.add(&self.atlas.elements[element], value + straight, parts, self.seen[i]);
         }
         let [front, back] = sides;
         let map = Illumination::new(&self.atlas, front, back, totals.summary(self));
@@ -553,7 +557,7 @@ impl Baker {
             Doing::Gather => self.smoothing(),
         };
         loop {
-            if let Some(parts) = smoothing.step(&self.sites, usize::MAX >> 1) {
+            if let Some(parts) = smoothing.step(usize::MAX >> 1) {
                 return self.stored(&parts);
             }
         }
@@ -617,9 +621,50 @@ impl Baker {
             stage,
             particles: self.paths,
             rounds: self.round,
-            round_share: self.next as f32 / self.places().max(1) as f32,
+            round_share: self.next as f32 / self.rounds.sites(self.round).len().max(1) as f32,
             relative_error: self.relative_error,
         }
+    }
+}
+
+/// In which order a bake comes to its sites: [`EARLY`] rounds are of those ahead alone, then each is over all.
+struct Rounds {
+    /// All sites, those ahead first.
+    order: Vec<u32>,
+    /// How many of them are ahead.
+    ahead: usize,
+}
+
+impl Rounds {
+    /// `ahead`: per site whether it comes first.
+    fn new(ahead: &[bool]) -> Self {
+        let of = |which: bool| (0..ahead.len() as u32).filter(move |i| ahead[*i as usize] == which);
+        Self { order: of(true).chain(of(false)).collect(), ahead: of(true).count() }
+    }
+
+    /// Rounds that are not over all sites.
+    fn early(&self) -> u32 {
+        if self.ahead == 0 { 0 } else { EARLY }
+    }
+
+    /// Rounds over all sites before this one.
+    fn whole(&self, round: u32) -> u32 {
+        round.saturating_sub(self.early())
+    }
+
+    /// The sites of a round.
+    fn sites(&self, round: u32) -> &[u32] {
+        if round < self.early() { &self.order[..self.ahead] } else { &self.order }
+    }
+
+    /// Samples of a site of a round at most; those ahead take [`AHEAD`] times as many.
+    fn samples(&self, round: u32) -> u32 {
+        if round < self.early() { 1 << round } else { FIRST_ROUND << self.whole(round) }
+    }
+
+    /// How many there are at most.
+    fn most(&self) -> u32 {
+        self.early() + ROUNDS_MAX
     }
 }
 
@@ -676,6 +721,38 @@ pub(super) fn sides_of(atlas: &Atlas) -> Vec<(u32, bool)> {
     let covered = |e: &u32| atlas.elements[*e as usize].area > 0.0;
     let side = |back: bool| (0..atlas.elements.len() as u32).filter(covered).map(move |e| (e, back));
     side(false).chain(side(true)).collect()
+}
+
+#[cfg(test)]
+mod rounds_tests {
+    use super::*;
+
+    /// Early rounds come to those ahead alone, all others to each site once; each takes twice the samples of the one before,
+    /// as many in each half.
+    #[test]
+    fn each_round_comes_to_its_sites_once() {
+        for ahead in [vec![false; 7], vec![true; 7], (0..7).map(|i| i % 3 == 1).collect::<Vec<_>>()] {
+            let rounds = Rounds::new(&ahead);
+            let is_any = ahead.contains(&true);
+            assert_eq!(rounds.early(), if is_any { EARLY } else { 0 });
+            for round in 0..rounds.most() {
+                let mut sites = rounds.sites(round).to_vec();
+                sites.sort_unstable();
+                let of = |i: &u32| round >= rounds.early() || ahead[*i as usize];
+                assert!(sites.into_iter().eq((0..7).filter(of)), "{round}");
+                assert!(
+                    round == rounds.early()
+                        || round == 0
+                        || rounds.samples(round) == 2 * rounds.samples(round - 1)
+                );
+                assert!(AHEAD * rounds.samples(round) % 2 == 0);
+            }
+            assert_eq!(
+                (rounds.samples(rounds.early()), rounds.whole(rounds.most())),
+                (FIRST_ROUND, ROUNDS_MAX)
+            );
+        }
+    }
 }
 
 /// Bakes a scene until the settings are met or `keep_going` says no.

@@ -158,7 +158,9 @@ fn a_bake_that_was_cut_short_has_indirect_light() {
     let scene = furnace(0.5);
     let cut = bake(&scene, &settings(40_000, 1 << 19), &|p| p.particles < 20_000);
     let summary = &cut.illumination.summary;
-    assert!(!cut.complete && summary.rounds < 2 && summary.has_indirect, "{summary:?}");
+    // Before the first round over all sites.
+    let is_short = summary.notes.iter().any(|note| note.contains("a coarse estimate shows"));
+    assert!(!cut.complete && is_short && summary.has_indirect, "{summary:?}");
     assert!((summary.mean[0] / 2.0 - 1.0).abs() < 0.03, "{summary:?}");
 }
 

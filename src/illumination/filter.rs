@@ -8,7 +8,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::sites::{Links, NONE, Sites};
+use super::sites::{Links, NONE, Site, Sites};
 use crate::image::luminance;
 use crate::math;
 
@@ -71,18 +71,28 @@ pub type Parts = [Noisy; PARTS];
 /// Of each part what a site has too much.
 type Excess = [Vec3; PARTS];
 
-/// A filter under way.
+/// A filter under way. It goes over those sites alone that anything is known of, by numbers of their own: of the first rounds of a
+/// bake these are few.
 #[derive(Clone, Debug)]
 pub struct Smoothing {
+    /// What is to come out, of all sites; so far what went in.
+    all: Vec<Parts>,
+    /// Which of them the known ones are.
+    known: Vec<u32>,
+    surface: Surface,
     from: Vec<Parts>,
+    /// What the pass that goes on makes of the active ones, in their order.
     to: Vec<Parts>,
-    /// Which sites anything is known of.
-    known: Vec<bool>,
-    /// Which sites have neighbours at the distance of the last pass: where there were none, there are none further away.
+    /// Which sites tell others anything: those with light.
+    telling: Vec<bool>,
+    /// The sites that a pass may change: those with neighbours at the distance of the last one; where there were none, there
+    /// are none further away.
+    active: Vec<u32>,
+    /// Which of them have some at that of the pass that goes on.
     reaching: Vec<bool>,
     /// Whether particles brought anything.
     has_caustics: bool,
-    /// What peaks held that were taken away, and where it comes to in the pass that goes on; empty before.
+    /// What peaks held that were taken away, and what the active ones have of it in the pass that goes on; empty before.
     excess: Vec<Excess>,
     spread: Vec<Excess>,
     /// Passes done: pooling, the levels, peaks, the levels again for what these held.
@@ -91,102 +101,128 @@ pub struct Smoothing {
     hops: Vec<Links>,
 }
 
+/// The known sites, and those of them that lie beside each.
+#[derive(Clone, Debug)]
+struct Surface {
+    sites: Vec<Site>,
+    links: Vec<Links>,
+}
+
+impl Surface {
+    fn new(sites: &Sites, known: &[u32]) -> Self {
+        let mut number = vec![NONE; sites.all().len()];
+        known.iter().zip(0..).for_each(|(&i, k)| number[i as usize] = k);
+        let linked =
+            |&i: &u32| sites.links_of(i).map(|other| number.get(other as usize).copied().unwrap_or(NONE));
+        Self {
+            sites: known.iter().map(|&i| sites.all()[i as usize]).collect(),
+            links: known.par_iter().map(linked).collect(),
+        }
+    }
+}
+
 /// What a pass looks at around a site.
 #[derive(Clone, Copy)]
 struct Around<'a> {
-    sites: &'a Sites,
-    known: &'a [bool],
+    surface: &'a Surface,
+    telling: &'a [bool],
     from: &'a [Parts],
     hops: &'a [Links],
     has_caustics: bool,
 }
 
 impl Smoothing {
-    /// Of what was gathered at each site; those not `known` tell the others nothing.
-    pub fn new(gathered: Vec<Parts>, known: Vec<bool>) -> Self {
+    /// Of what was `gathered` at each site; those not `known` tell the others nothing.
+    pub fn new(sites: &Sites, gathered: Vec<Parts>, known: &[bool]) -> Self {
+        let known: Vec<u32> = (0..known.len() as u32).filter(|i| known[*i as usize]).collect();
         Self {
-            to: Vec::with_capacity(gathered.len()),
-            reaching: vec![true; gathered.len()],
+            surface: Surface::new(sites, &known),
+            from: known.iter().map(|&i| gathered[i as usize]).collect(),
+            to: Vec::new(),
+            telling: vec![true; known.len()],
+            active: (0..known.len() as u32).collect(),
+            reaching: Vec::new(),
             has_caustics: gathered.iter().any(|parts| parts[CAUSTIC].halves != [Vec3::ZERO; 2]),
-            from: gathered,
-            known,
             excess: Vec::new(),
             spread: Vec::new(),
             pass: 0,
             hops: Vec::new(),
+            all: gathered,
+            known,
         }
     }
 
     /// Does some more of it, `count` sites about. What comes out once it is done.
-    pub fn step(&mut self, sites: &Sites, count: usize) -> Option<Vec<Parts>> {
+    pub fn step(&mut self, count: usize) -> Option<Vec<Parts>> {
         if self.pass > PEAKS {
-            return self.spread_excess(sites, count);
+            return self.spread_excess(count);
         }
         let done = self.to.len();
-        let end = done.saturating_add(count).min(self.from.len());
+        let end = done.saturating_add(count).min(self.active.len());
         if done == 0 {
             self.hops = match self.pass {
-                1 => sites.links().to_vec(),
-                0 | PEAKS => doubled(sites.links()),
+                1 => self.surface.links.clone(),
+                0 | PEAKS => doubled(&self.surface.links),
                 _ => doubled(&self.hops),
             };
         }
-        let (from, pass) = (&self.from, self.pass);
-        let has_caustics = self.has_caustics;
-        let around = Around { sites, known: &self.known, from, hops: &self.hops, has_caustics };
-        let reaching = &mut self.reaching[done..end];
-        self.to.par_extend((done..end).into_par_iter().zip(reaching).map(|(i, reaches)| match pass {
-            _ if !around.known[i] || !*reaches => from[i],
-            0 if around.is_dark(i) => {
-                *reaches = false;
-                from[i]
-            }
-            0 => around.pooled(i),
-            PEAKS => around.without_peak(i),
-            _ => {
-                let (parts, found) = around.smoothed(i);
-                *reaches = found;
-                parts
-            }
-        }));
-        if self.to.len() < self.from.len() {
+        let pass = self.pass;
+        let around = self.around();
+        let changed = self.active[done..end].par_iter().map(|&i| i as usize).map(|i| match pass {
+            0 if around.is_dark(i) => (around.from[i], false),
+            0 => (around.pooled(i), true),
+            PEAKS => (around.without_peak(i), true),
+            _ => around.smoothed(i),
+        });
+        let (parts, reaching): (Vec<Parts>, Vec<bool>) = changed.unzip();
+        self.to.extend(parts);
+        self.reaching.extend(reaching);
+        if self.to.len() < self.active.len() {
             return None;
+        }
+        if pass == PEAKS {
+            self.excess = vec![Excess::default(); self.from.len()];
+        }
+        for (&i, after) in self.active.iter().zip(&self.to) {
+            let before = std::mem::replace(&mut self.from[i as usize], *after);
+            if pass == PEAKS {
+                self.excess[i as usize] = std::array::from_fn(|k| before[k].mean() - after[k].mean());
+            }
         }
         if pass == 0 {
             // The dark tells the light beside it nothing.
-            self.known.iter_mut().zip(&self.reaching).for_each(|(known, reaches)| *known &= reaches);
+            self.telling.clone_from(&self.reaching);
         }
-        if pass == PEAKS {
-            let of = |(before, after): (&Parts, &Parts)| {
-                std::array::from_fn(|k| before[k].mean() - after[k].mean())
-            };
-            self.excess = self.from.par_iter().zip(&self.to).map(of).collect();
-        }
-        std::mem::swap(&mut self.from, &mut self.to);
+        let mut reaching = std::mem::take(&mut self.reaching).into_iter();
+        self.active.retain(|_| reaching.next() == Some(true));
         self.to.clear();
         self.pass += 1;
-        let is_done = self.pass > PEAKS && self.excess.iter().all(|excess| *excess == Excess::default());
-        is_done.then(|| std::mem::take(&mut self.from))
+        if self.pass > PEAKS {
+            self.active = (0..self.telling.len() as u32).filter(|i| self.telling[*i as usize]).collect();
+            if self.excess.iter().all(|excess| *excess == Excess::default()) {
+                return Some(self.done());
+            }
+        }
+        None
     }
 
     /// Spreads what peaks held over what is as bright around them: cut away, it would be missing everywhere.
-    fn spread_excess(&mut self, sites: &Sites, count: usize) -> Option<Vec<Parts>> {
+    fn spread_excess(&mut self, count: usize) -> Option<Vec<Parts>> {
         let done = self.spread.len();
-        let end = done.saturating_add(count).min(self.from.len());
+        let end = done.saturating_add(count).min(self.active.len());
         if done == 0 {
-            self.hops = if self.pass == PEAKS + 1 { sites.links().to_vec() } else { doubled(&self.hops) };
+            self.hops = if self.pass == PEAKS + 1 { self.surface.links.clone() } else { doubled(&self.hops) };
         }
-        let (from, excess) = (&self.from, &self.excess);
-        let has_caustics = self.has_caustics;
-        let around = Around { sites, known: &self.known, from, hops: &self.hops, has_caustics };
-        self.spread.par_extend((done..end).into_par_iter().map(|i| match around.known[i] {
-            true => around.spread(i, excess),
-            false => excess[i],
-        }));
-        if self.spread.len() < self.from.len() {
+        let (around, excess) = (self.around(), &self.excess);
+        let spread = self.active[done..end].par_iter().map(|&i| around.spread(i as usize, excess));
+        let spread: Vec<Excess> = spread.collect();
+        self.spread.extend(spread);
+        if self.spread.len() < self.active.len() {
             return None;
         }
-        std::mem::swap(&mut self.excess, &mut self.spread);
+        for (&i, spread) in self.active.iter().zip(&self.spread) {
+            self.excess[i as usize] = *spread;
+        }
         self.spread.clear();
         self.pass += 1;
         if self.pass <= LAST {
@@ -195,7 +231,20 @@ impl Smoothing {
         for (part, excess) in self.from.iter_mut().flatten().zip(self.excess.iter().flatten()) {
             part.halves = part.halves.map(|half| half + *excess);
         }
-        Some(std::mem::take(&mut self.from))
+        Some(self.done())
+    }
+
+    fn around(&self) -> Around<'_> {
+        let Self { surface, telling, from, hops, has_caustics, .. } = self;
+        Around { surface, telling, from, hops, has_caustics: *has_caustics }
+    }
+
+    /// What comes out.
+    fn done(&mut self) -> Vec<Parts> {
+        for (&i, parts) in self.known.iter().zip(&self.from) {
+            self.all[i as usize] = *parts;
+        }
+        std::mem::take(&mut self.all)
     }
 }
 
@@ -212,7 +261,7 @@ fn hop(links: &[Links], from: u32, way: usize) -> u32 {
 }
 
 impl<'a> Around<'a> {
-    /// The known sites around one with the weights of the kernel, at links of these.
+    /// The telling sites around one with the weights of the kernel, at links of these.
     #[inline]
     fn taps(self, i: usize, links: &'a [Links]) -> impl Iterator<Item = (usize, f32)> {
         let own = links[i];
@@ -229,13 +278,14 @@ impl<'a> Around<'a> {
             between(left, 3, down, 1),
         ];
         let far: Links = std::array::from_fn(|way| hop(links, own[way], way));
-        let site = &self.sites.all()[i];
+        let sites = &self.surface.sites;
+        let site = &sites[i];
         [own, diagonal, far]
             .into_iter()
             .zip(WEIGHTS)
             .flat_map(|(found, weight)| found.map(|j| (j, weight)))
             .filter(move |&(j, _)| {
-                j != NONE && self.known[j as usize] && self.sites.are_of_one_surface(site, j)
+                j != NONE && self.telling[j as usize] && site.goes_on_to(&sites[j as usize])
             })
             .map(|(j, weight)| (j as usize, weight))
     }
@@ -248,7 +298,7 @@ impl<'a> Around<'a> {
             return false;
         }
         let (mut all, mut none) = (0, 0);
-        for (j, _) in self.taps(i, self.sites.links()) {
+        for (j, _) in self.taps(i, &self.surface.links) {
             all += 1;
             none += usize::from(dark(j));
         }
@@ -331,7 +381,7 @@ impl<'a> Around<'a> {
     /// Twice as far away, since a spot may be wider than a site; and right beside it, since of spots that lie so far from
     /// each other each would excuse the other one.
     fn without_peak(self, i: usize) -> Parts {
-        let beside = self.taps(i, self.sites.links()).filter(|(_, weight)| *weight > WEIGHTS[2]);
+        let beside = self.taps(i, &self.surface.links).filter(|(_, weight)| *weight > WEIGHTS[2]);
         let limits = [self.brightest(beside, BESIDE), self.brightest(self.taps(i, self.hops), TAPS)];
         let mut out = self.from[i];
         for most in limits.into_iter().flatten() {
@@ -435,11 +485,10 @@ mod tests {
     }
 
     fn smoothed(parts: Vec<Parts>, known: Vec<bool>) -> Vec<f32> {
-        let mut smoothing = Smoothing::new(parts, known);
-        let sites = floor();
+        let mut smoothing = Smoothing::new(&floor(), parts, &known);
         loop {
             // In pieces, as a walk does it.
-            if let Some(parts) = smoothing.step(&sites, 1000) {
+            if let Some(parts) = smoothing.step(1000) {
                 return parts.iter().map(|p| p[0].mean().x).collect();
             }
         }
@@ -453,10 +502,9 @@ mod tests {
     #[test]
     fn noise_is_smoothed_away_and_told() {
         let parts = noisy(|_, _| 1.0, 0.5, 1);
-        let mut smoothing = Smoothing::new(parts.clone(), vec![true; parts.len()]);
-        let sites = floor();
+        let mut smoothing = Smoothing::new(&floor(), parts.clone(), &vec![true; parts.len()]);
         let out = loop {
-            if let Some(parts) = smoothing.step(&sites, SIDE * SIDE) {
+            if let Some(parts) = smoothing.step(SIDE * SIDE) {
                 break parts;
             }
         };
@@ -545,9 +593,9 @@ mod tests {
             parts.iter().map(|p| luminance(p[CAUSTIC].mean())).sum::<f32>() / parts.len() as f32
         };
         let before = mean(&parts);
-        let mut smoothing = Smoothing::new(parts.clone(), vec![true; parts.len()]);
+        let mut smoothing = Smoothing::new(&floor(), parts.clone(), &vec![true; parts.len()]);
         let out = loop {
-            if let Some(out) = smoothing.step(&floor(), 1000) {
+            if let Some(out) = smoothing.step(1000) {
                 break out;
             }
         };

@@ -95,10 +95,10 @@ pub fn first_picture_while(
 }
 
 fn smoothed(sites: &Sites, parts: Vec<Parts>, known: Vec<bool>) -> Vec<Parts> {
-    let mut smoothing = Smoothing::new(parts, known);
+    let mut smoothing = Smoothing::new(sites, parts, &known);
     let all = sites.all().len().max(1);
     loop {
-        if let Some(parts) = smoothing.step(sites, all) {
+        if let Some(parts) = smoothing.step(all) {
             return parts;
         }
     }

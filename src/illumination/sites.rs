@@ -6,7 +6,6 @@
 use std::sync::OnceLock;
 
 use glam::Vec3;
-use rayon::prelude::*;
 
 use super::atlas::Atlas;
 
@@ -40,6 +39,15 @@ pub struct Site {
     pub width: f32,
 }
 
+impl Site {
+    /// Whether what light does here says something about another site: whether one surface goes on from one to the other.
+    #[inline]
+    pub fn goes_on_to(&self, other: &Self) -> bool {
+        other.normal.dot(self.normal) > FLAT
+            && (other.position - self.position).dot(self.normal).abs() < BESIDE * self.width
+    }
+}
+
 /// What is asked of a neighbour.
 #[derive(Clone, Copy, Debug)]
 struct Near {
@@ -58,9 +66,9 @@ pub struct Sites {
     members: Vec<Near>,
     /// Which sizes of cells there are, as powers of two from [`FINEST`] on.
     sizes: Vec<bool>,
-    /// Per site the one a width to its right, left, above and below, or [`NONE`]; once somebody smooths, since finding them
+    /// Per site the one a width to its right, left, above and below, or [`NONE`]; once somebody asks, since to find all of them
     /// takes longer than a first picture should wait.
-    links: OnceLock<Vec<Links>>,
+    links: Vec<OnceLock<Links>>,
 }
 
 /// A site's neighbours in four directions, opposite ones beside each other.
@@ -132,28 +140,13 @@ impl Sites {
             next[b] += 1;
             sizes[(level(s.width) - FINEST) as usize] = true;
         }
-        Self { all, first, members, sizes, links: OnceLock::new() }
+        let links = vec![OnceLock::new(); all.len()];
+        Self { all, first, members, sizes, links }
     }
 
-    /// Per site those that lie a width away. The first who asks has them found.
-    pub fn links(&self) -> &[Links] {
-        self.links.get_or_init(|| (0..self.all.len()).into_par_iter().map(|i| self.linked(i)).collect())
-    }
-
-    /// Those that lie a width away from one site, for whoever asks of few.
+    /// Those that lie a width away from one site. The first who asks has them found.
     pub fn links_of(&self, site: u32) -> Links {
-        match self.links.get() {
-            Some(links) => links[site as usize],
-            None => self.linked(site as usize),
-        }
-    }
-
-    /// Whether what light does at a site says something about another one: whether one surface goes on from one to the other.
-    #[inline]
-    pub fn are_of_one_surface(&self, site: &Site, other: u32) -> bool {
-        let other = &self.all[other as usize];
-        other.normal.dot(site.normal) > FLAT
-            && (other.position - site.position).dot(site.normal).abs() < BESIDE * site.width
+        *self.links[site as usize].get_or_init(|| self.linked(site as usize))
     }
 
     fn linked(&self, i: usize) -> Links {

@@ -316,21 +316,25 @@ impl Illumination {
         bytes.as_bytes()[..8].iter().fold(0, |sum, &b| sum << 8 | u64::from(b))
     }
 
-    /// Moved towards `target`, each value by no more than `relative` of itself plus `absolute` W/m² in each band,
-    /// and whether it has arrived there. `None` if they are stored differently.
-    pub fn approached(&self, target: &Self, relative: f32, absolute: f32) -> Option<(Self, bool)> {
+    /// Whether each value of `target` is this one's but for `relative` of it plus `absolute` W/m² in each band. `None` if
+    /// they are stored differently.
+    pub fn is_near(&self, target: &Self, relative: f32, absolute: f32) -> Option<bool> {
+        let fits = self.corners == target.corners && self.front.len() == target.front.len();
+        let near = |from: Vec4, to: Vec4| {
+            let most = from * relative + absolute;
+            (to - from).abs().cmple(most).bitmask() & 0b111 == 0b111
+        };
+        let is_near =
+            |e: usize| [false, true].into_iter().all(|back| near(self.value(e, back), target.value(e, back)));
+        fits.then(|| (0..target.front.len()).into_par_iter().all(is_near))
+    }
+
+    /// Moved towards `target` by a `share` of what is missing, from 0 to 1. `None` if they are stored differently.
+    pub fn approached(&self, target: &Self, share: f32) -> Option<Self> {
         if self.corners != target.corners || self.front.len() != target.front.len() {
             return None;
         }
-        let arrived = std::sync::atomic::AtomicBool::new(true);
-        let step = |from: Vec4, to: Vec4| {
-            let most = from * relative + absolute;
-            let next = to.clamp(from - most, from + most);
-            if next.truncate() != to.truncate() {
-                arrived.store(false, std::sync::atomic::Ordering::Relaxed);
-            }
-            next.truncate().extend(to.w).to_array()
-        };
+        let step = |from: Vec4, to: Vec4| from.lerp(to, share).truncate().extend(to.w).to_array();
         let front = (0..target.front.len())
             .into_par_iter()
             .map(|e| step(self.value(e, false), target.value(e, false)))
@@ -346,8 +350,7 @@ impl Illumination {
             }
             back.resize(back.len().next_multiple_of(BLOCK), [0.0; 4]);
         }
-        let arrived = arrived.into_inner();
-        let next = Self {
+        Some(Self {
             width: target.width,
             height: target.height,
             corners: target.corners.clone(),
@@ -358,8 +361,7 @@ impl Illumination {
             named: target.named.clone(),
             unfound: target.unfound.clone(),
             summary: target.summary.clone(),
-        };
-        Some((if arrived { target.clone() } else { next }, arrived))
+        })
     }
 }
 
@@ -508,28 +510,26 @@ mod tests {
     }
 
     #[test]
-    fn an_approach_is_bounded_and_arrives() {
+    fn an_approach_goes_a_share_of_the_way() {
         let (_, atlas) = atlas();
         let n = atlas.elements.len();
         let constant = |v: f32, back: Option<Vec4>| {
             Illumination::new(&atlas, vec![Some(Vec4::splat(v)); n], vec![back; n], Summary::default())
         };
         let (mut shown, target) = (constant(1.0, None), constant(3.0, Some(Vec4::ONE)));
-        for frame in 1.. {
-            let (next, arrived) = shown.approached(&target, 0.1, 0.05).unwrap();
-            assert!(next.is_sound());
-            for back in [false, true] {
-                let (a, b) = (shown.irradiance(0, 0.2, 0.2, back), next.irradiance(0, 0.2, 0.2, back));
-                assert!((b - a).abs().max_element() <= 0.1 * a.x + 0.05 + 1e-6, "{a} {b}");
-            }
-            shown = next;
-            if arrived {
-                assert!(frame > 5 && shown == target && shown.digest() == target.digest());
-                break;
-            }
-            assert!(frame < 40 && shown != target && shown.digest() != target.digest());
+        assert_eq!(shown.is_near(&target, 0.1, 0.05), Some(false));
+        // What lies in the dark of one and not of the other is not near.
+        assert_eq!(constant(3.0, None).is_near(&target, 0.1, 0.05), Some(false));
+        assert_eq!(constant(2.8, Some(Vec4::splat(0.95))).is_near(&target, 0.1, 0.05), Some(true));
+        // A half of the way, and half of the rest of it.
+        for (front, back) in [(2.0, 0.5), (2.5, 0.75)] {
+            shown = shown.approached(&target, 0.5).unwrap();
+            assert!(shown.is_sound() && shown != target && shown.digest() != target.digest());
+            assert_eq!(shown.irradiance(0, 0.2, 0.2, false), Vec3::splat(front));
+            assert_eq!(shown.irradiance(0, 0.2, 0.2, true), Vec3::splat(back));
         }
-        assert!(constant(1.0, None).approached(&Illumination::default(), 0.1, 0.1).is_none());
+        let other = Illumination::default();
+        assert!(shown.approached(&other, 0.1).is_none() && shown.is_near(&other, 0.1, 0.1).is_none());
     }
 
     #[test]

@@ -132,6 +132,31 @@ fn a_picture_follows_its_window() {
     view.quit();
 }
 
+/// Where a point is two pixels wide and high the window is no larger than the display; the panel has twice its pixels, and the
+/// picture, shown pixel by pixel, the rest.
+#[test]
+fn a_dense_display_shows_all_of_the_window() {
+    let Some(display) = Display::open() else { return };
+    let line = format!("view --baked --workers 2 --refine 0 {CHEAP_BAKE}");
+    let dense = [("WINIT_X11_SCALE_FACTOR", "2")];
+    let mut view = View::of(&display, Foveal::new(&line).arg(scene("box")), "^foveal.-.Box", &dense);
+    let shot = view.converged();
+    let screen = display.screen();
+    let (width, height) = (screen[0].len(), screen.len());
+    let columns = shot.pixels.len() / (3 * height);
+    assert_eq!(shot.pixels.len(), 3 * columns * height);
+    assert!((620..=680).contains(&(width - columns)), "{columns} of {width}");
+    // What differs lies under the pointer, if anything does.
+    let is_shown = |left: usize| {
+        let of = |i: usize| screen[i / columns][left + i % columns];
+        let pixels = shot.pixels.chunks_exact(3).enumerate();
+        let other = pixels.filter(|(i, p)| of(*i).iter().zip(*p).any(|(a, b)| a.abs_diff(*b) > 1)).count();
+        other < 1000
+    };
+    assert!((0..=20).any(is_shown), "the picture is not on the screen");
+    view.quit();
+}
+
 #[test]
 fn the_walk_goes_on_while_a_scene_loads_and_light_is_baked() {
     let Some(display) = Display::open() else { return };

@@ -32,10 +32,16 @@ pub(super) struct Screen {
 impl App {
     pub(super) fn open_screen(&mut self, event_loop: &ActiveEventLoop) -> Result<Screen, WindowError> {
         let [width, height] = self.options.size;
-        let size = winit::dpi::LogicalSize::new(
-            f64::from(width) + f64::from(panel::WIDTH) + 20.0,
-            f64::from(height),
-        );
+        let wanted = [f64::from(width) + f64::from(panel::WIDTH) + 20.0, f64::from(height)];
+        // No larger than the display: of a panel that is cut off nobody sees the rest.
+        let monitor = event_loop.primary_monitor().or_else(|| event_loop.available_monitors().next());
+        let most = monitor.map(|monitor| monitor.size().to_logical::<f64>(monitor.scale_factor()));
+        let most = most.filter(|most| most.width > 0.0 && most.height > 0.0);
+        let [width, height] = match most {
+            Some(most) => [wanted[0].min(most.width), wanted[1].min(most.height)],
+            None => wanted,
+        };
+        let size = winit::dpi::LogicalSize::new(width, height);
         let attributes = Window::default_attributes()
             .with_title(format!("foveal - {}", self.options.name))
             .with_inner_size(size)

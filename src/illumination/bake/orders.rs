@@ -99,13 +99,12 @@ impl Baker {
         // Decided at the beginning of the round; later the paths that are left say something else.
         let samples = self.round_samples.unwrap_or_else(|| self.samples_of_round());
         self.round_samples = Some(samples);
-        let (chosen, count) = (self.chosen(), self.places());
-        let is_whole = chosen.is_none();
-        let place = |k: usize| chosen.map_or(k, |chosen| chosen[k] as usize);
+        let sites = self.rounds.sites(self.round);
+        let count = sites.len();
         let (mut end, mut batch, most) = (self.next, 0, BATCH * gatherers.worth());
         let (mut orders, mut in_order): (Vec<Order>, u64) = (Vec::new(), SAMPLES);
         while end < count && batch < most {
-            let i = place(end);
+            let i = sites[end] as usize;
             end += 1;
             if self.dark[i / BLOCK] {
                 continue;
@@ -133,7 +132,7 @@ impl Baker {
         if end < count {
             return;
         }
-        if first && is_whole {
+        if first && self.round >= self.rounds.early() {
             let blocks = self.gathered.chunks(BLOCK).map(|block| !block.iter().any(Gathered::is_lit));
             self.dark = blocks.collect();
         }
@@ -143,7 +142,7 @@ impl Baker {
 
     /// Samples that a site takes in a round.
     fn samples_at(&self, i: usize, samples: u32, first: bool) -> u32 {
-        match (self.ahead.1[i], self.seen[i], first && self.sites.all()[i].back) {
+        match (self.ahead[i], self.seen[i], first && self.sites.all()[i].back) {
             (true, ..) => AHEAD * samples,
             (.., true) => FIRST_LOOK,
             (_, true, _) => samples,

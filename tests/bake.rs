@@ -77,10 +77,13 @@ fn a_soup_of_triangles_is_baked_in_time() {
         let said = d["warnings"].to_string();
         let share = said.split("gathered at ").nth(1).and_then(|s| s.split(' ').next());
         let share: u32 = share.expect("what was done").parse().expect("a number");
-        (share, d["resumed"] == true)
+        (share, d["particles"].as_u64().expect("a number"), d["resumed"] == true)
     };
-    let ((first, anew), (second, resumed)) = (bake(), bake());
-    assert!(first > 0 && second > first && resumed && !anew, "{first} {second}");
+    // What the start view shows is come to more than once before all else is; smoothing a round may be all that one of them
+    // comes to, but not each.
+    let [(first, paths, anew), (second, _, resumed), (third, more, _)] = std::array::from_fn(|_| bake());
+    assert!(first > 0 && second >= first && third >= second && more > paths, "{first} {third}: {paths} {more}");
+    assert!(resumed && !anew);
     let walk =
         || Foveal::new("walk --frames 1 --size 32x24 --texels 4096 --bake").arg(&file).arg(&scene).ok();
     walk();

@@ -54,8 +54,8 @@ const SMOOTHED: usize = 1 << 14;
 const BLOCK: usize = 64;
 /// Rounds over all sites at most; by then there is nothing left to see.
 const ROUNDS_MAX: u32 = 16;
-/// Rounds before them over what the start view shows, of 2, 4 and 8 samples: each leaves half of the noise's square.
-const EARLY: u32 = 3;
+/// Samples of rounds before them over what the start view shows, [`AHEAD`] times as many of a site: few, for a map at once.
+const EARLY: [u32; 2] = [1, 3];
 /// One in so many samples is taken where the map is tested; each follows its path to the end.
 const TESTED: u64 = 16;
 /// Particles of caustics before the first round, whole runs for each half; after the first one over all sites every later round
@@ -581,6 +581,7 @@ impl Baker {
         keep_going: &(dyn Fn(&Progress) -> bool + Sync),
         on_round: &mut dyn FnMut(&Summary),
     ) -> Baked {
+        let (is_new, before) = (matches!(self.doing, Doing::Begin), (self.paths, self.round));
         let mut begun = false;
         loop {
             // Without any light there is nothing to show; and who goes on again and again must get somewhere.
@@ -598,7 +599,7 @@ impl Baker {
                 self.restore(&state);
                 return Baked { illumination, complete: false };
             }
-            begun = !matches!(self.doing, Doing::Begin);
+            let begins = matches!(self.doing, Doing::Begin);
             match self.step_by(indexed, gatherers) {
                 Step::Going => {}
                 Step::Better(map) => on_round(&map.summary),
@@ -607,6 +608,7 @@ impl Baker {
                     return Baked { illumination: Illumination::clone(&map), complete: true };
                 }
             }
+            begun = !begins && (is_new || (self.paths, self.round) != before);
         }
     }
 
@@ -644,7 +646,7 @@ impl Rounds {
 
     /// Rounds that are not over all sites.
     fn early(&self) -> u32 {
-        if self.ahead == 0 { 0 } else { EARLY }
+        if self.ahead == 0 { 0 } else { EARLY.len() as u32 }
     }
 
     /// Rounds over all sites before this one.
@@ -659,7 +661,10 @@ impl Rounds {
 
     /// Samples of a site of a round at most; those ahead take [`AHEAD`] times as many.
     fn samples(&self, round: u32) -> u32 {
-        if round < self.early() { 1 << round } else { FIRST_ROUND << self.whole(round) }
+        match EARLY.get(round as usize) {
+            Some(samples) if self.ahead > 0 => *samples,
+            _ => FIRST_ROUND << self.whole(round),
+        }
     }
 
     /// How many there are at most.
@@ -727,24 +732,20 @@ pub(super) fn sides_of(atlas: &Atlas) -> Vec<(u32, bool)> {
 mod rounds_tests {
     use super::*;
 
-    /// Early rounds come to those ahead alone, all others to each site once; each takes twice the samples of the one before,
-    /// as many in each half.
+    /// Early rounds come to those ahead alone, all others to each site once with twice the samples of the one before; all take
+    /// as many for each half.
     #[test]
     fn each_round_comes_to_its_sites_once() {
         for ahead in [vec![false; 7], vec![true; 7], (0..7).map(|i| i % 3 == 1).collect::<Vec<_>>()] {
             let rounds = Rounds::new(&ahead);
             let is_any = ahead.contains(&true);
-            assert_eq!(rounds.early(), if is_any { EARLY } else { 0 });
+            assert_eq!(rounds.early(), if is_any { 2 } else { 0 });
             for round in 0..rounds.most() {
                 let mut sites = rounds.sites(round).to_vec();
                 sites.sort_unstable();
                 let of = |i: &u32| round >= rounds.early() || ahead[*i as usize];
                 assert!(sites.into_iter().eq((0..7).filter(of)), "{round}");
-                assert!(
-                    round == rounds.early()
-                        || round == 0
-                        || rounds.samples(round) == 2 * rounds.samples(round - 1)
-                );
+                assert!(round <= rounds.early() || rounds.samples(round) == 2 * rounds.samples(round - 1));
                 assert!(AHEAD * rounds.samples(round) % 2 == 0);
             }
             assert_eq!(

@@ -140,12 +140,16 @@ fn a_dense_display_shows_all_of_the_window() {
     let line = format!("view --baked --workers 2 --refine 0 {CHEAP_BAKE}");
     let dense = [("WINIT_X11_SCALE_FACTOR", "2")];
     let mut view = View::of(&display, Foveal::new(&line).arg(scene("box")), "^foveal.-.Box", &dense);
+    let (width, height) = (display.screen()[0].len(), display.screen().len());
+    let columns_of = |shot: &Shot| shot.pixels.len() / (3 * height);
+    let fills = |shot: &Shot| {
+        let columns = columns_of(shot);
+        shot.pixels.len() == 3 * columns * height && (620..=680).contains(&width.saturating_sub(columns))
+    };
+    view.until("a picture of the window's size", fills);
     let shot = view.converged();
-    let screen = display.screen();
-    let (width, height) = (screen[0].len(), screen.len());
-    let columns = shot.pixels.len() / (3 * height);
-    assert_eq!(shot.pixels.len(), 3 * columns * height);
-    assert!((620..=680).contains(&(width - columns)), "{columns} of {width}");
+    let (columns, screen) = (columns_of(&shot), display.screen());
+    assert!(fills(&shot), "{columns} of {width}");
     // What differs lies under the pointer, if anything does.
     let is_shown = |left: usize| {
         let of = |i: usize| screen[i / columns][left + i % columns];

@@ -243,7 +243,8 @@ impl App {
     /// Has the picture follow the window's size, once that has come to rest. Tells when to look again.
     fn follow(&mut self, now: f64) -> Option<f64> {
         let rests = self.resized? + RESTS;
-        if now < rests || self.loading.is_some() {
+        let is_shown = self.screen.as_ref().is_some_and(|screen| screen.shown.is_some());
+        if now < rests || self.loading.is_some() || self.walk.is_some() && !is_shown {
             return Some(rests.max(now + 0.05));
         }
         self.resized = None;

@@ -49,6 +49,10 @@ impl App {
             .with_visible(!cfg!(feature = "accesskit"));
         let failed = |e: String| WindowError::Environment(no_display(&e));
         let window = Arc::new(event_loop.create_window(attributes).map_err(|e| failed(e.to_string()))?);
+        // Else the first size is the one that was asked for.
+        if self.options.follows.is_some() && (window.scale_factor() != 1.0 || [width, height] != wanted) {
+            self.resized = Some(self.now());
+        }
         let display = event_loop.owned_display_handle();
         let presenter = Presenter::new(&window, display, self.options.backend, self.options.drawn_by)
             .map_err(WindowError::Environment)?;

@@ -82,7 +82,10 @@ fn a_soup_of_triangles_is_baked_in_time() {
     // What the start view shows is come to more than once before all else is; smoothing a round may be all that one of them
     // comes to, but not each.
     let [(first, paths, anew), (second, _, resumed), (third, more, _)] = std::array::from_fn(|_| bake());
-    assert!(first > 0 && second >= first && third >= second && more > paths, "{first} {third}: {paths} {more}");
+    assert!(
+        first > 0 && second >= first && third >= second && more > paths,
+        "{first} {third}: {paths} {more}"
+    );
     assert!(resumed && !anew);
     let walk =
         || Foveal::new("walk --frames 1 --size 32x24 --texels 4096 --bake").arg(&file).arg(&scene).ok();

@@ -88,7 +88,7 @@ pub fn run(a: &RaysArguments, progress: Progress) -> Result<(), Failure> {
     if a.threads.iter().any(|t| !(1..=64).contains(t)) {
         return Err(Failure::Usage("--threads: 1 to 64".into()));
     }
-    let beside = a.beside.as_deref().map(read_beside).transpose()?;
+    let beside = a.beside.as_deref().map(|file| read_beside(file, &job.name)).transpose()?;
     let corners: Vec<[Vec3; 3]> =
         (0..job.scene.mesh.triangles.len() as u32).map(|t| job.scene.mesh.corners(t)).collect();
     let start = Instant::now();
@@ -358,26 +358,32 @@ fn read_rays(file: &Path) -> Result<Vec<Ray>, Failure> {
 /// Label, kind and number of threads, millions of rays per second of processor time.
 type Beside = (String, (String, usize), f64);
 
-fn read_beside(file: &Path) -> Result<Vec<Beside>, Failure> {
+fn read_beside(file: &Path, scene: &str) -> Result<Vec<Beside>, Failure> {
     let bytes = read(file)?;
-    let text = String::from_utf8_lossy(&bytes);
+    let beside = beside_of(&String::from_utf8_lossy(&bytes), scene);
+    if beside.is_empty() {
+        return Err(Failure::Input(format!(
+            "{}: no line that says what another program does in {scene}",
+            file.display()
+        )));
+    }
+    Ok(beside)
+}
+
+/// The medians of the lines that are of a scene.
+fn beside_of(lines: &str, scene: &str) -> Vec<Beside> {
     let mut by_key = std::collections::BTreeMap::<_, Vec<f64>>::new();
-    for line in text.lines() {
+    for line in lines.lines() {
         let cells: Vec<&str> = line.split(',').collect();
-        if let [program, label, _, kind, threads, _, _, _, _, rate, ..] = cells[..]
+        if let [program, label, of, kind, threads, _, _, _, _, rate, ..] = cells[..]
             && let (Ok(threads), Ok(rate)) = (threads.parse::<usize>(), rate.parse::<f64>())
+            && of == scene
         {
             let key = (format!("{program}, {label}"), (kind.to_owned(), threads));
             by_key.entry(key).or_default().push(rate);
         }
     }
-    if by_key.is_empty() {
-        return Err(Failure::Input(format!(
-            "{}: no line that says what another program does",
-            file.display()
-        )));
-    }
-    Ok(by_key.into_iter().filter_map(|((label, of), rates)| Some((label, of, median(&rates)?))).collect())
+    by_key.into_iter().filter_map(|((label, of), rates)| Some((label, of, median(&rates)?))).collect()
 }
 
 /// The hall and its rays.
@@ -419,4 +425,27 @@ fn from_hall() -> Result<Job, Failure> {
     let sets = sets.into_iter().filter(|s| !s.1.is_empty()).collect();
     let scene = plain_scene(scene.mesh.positions.clone(), scene.mesh.triangles.clone());
     Ok(Job { name: "hall".into(), scene, sets })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file may hold the figures of several scenes, several rounds of each, and lines that say something else.
+    #[test]
+    fn figures_beside_are_those_of_the_scene() {
+        let line = |scene: &str, rate: f64| {
+            format!("embree,packets,{scene},shadow,1,100,0.1,0.1,9,{rate},7,1,1,1\n")
+        };
+        let lines = [
+            "program,label,scene\n".into(),
+            line("room", 3.0),
+            line("hair", 90.0),
+            line("room", 1.0),
+            line("room", 2.0),
+        ];
+        let told = beside_of(&lines.concat(), "room");
+        assert_eq!(told, [("embree, packets".to_owned(), ("shadow".to_owned(), 1), 2.0)]);
+        assert!(beside_of(&lines.concat(), "kitchen").is_empty());
+    }
 }

@@ -728,6 +728,15 @@ pub(super) fn sides_of(atlas: &Atlas) -> Vec<(u32, bool)> {
     side(false).chain(side(true)).collect()
 }
 
+/// Bakes a scene until the settings are met or `keep_going` says no.
+pub fn bake(
+    indexed: Indexed<'_>,
+    settings: &BakeSettings,
+    keep_going: &(dyn Fn(&Progress) -> bool + Sync),
+) -> Baked {
+    Baker::new(indexed, settings).run(indexed, keep_going, &mut |_| {})
+}
+
 #[cfg(test)]
 mod rounds_tests {
     use super::*;
@@ -746,7 +755,7 @@ mod rounds_tests {
                 let of = |i: &u32| round >= rounds.early() || ahead[*i as usize];
                 assert!(sites.into_iter().eq((0..7).filter(of)), "{round}");
                 assert!(round <= rounds.early() || rounds.samples(round) == 2 * rounds.samples(round - 1));
-                assert!(AHEAD * rounds.samples(round) % 2 == 0);
+                assert!((AHEAD * rounds.samples(round)).is_multiple_of(2));
             }
             assert_eq!(
                 (rounds.samples(rounds.early()), rounds.whole(rounds.most())),
@@ -754,13 +763,4 @@ mod rounds_tests {
             );
         }
     }
-}
-
-/// Bakes a scene until the settings are met or `keep_going` says no.
-pub fn bake(
-    indexed: Indexed<'_>,
-    settings: &BakeSettings,
-    keep_going: &(dyn Fn(&Progress) -> bool + Sync),
-) -> Baked {
-    Baker::new(indexed, settings).run(indexed, keep_going, &mut |_| {})
 }

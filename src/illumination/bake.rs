@@ -5,7 +5,7 @@
 //! one before, so that what it costs to smooth and to test them stays a share. The first round reads a first picture of
 //! coarse elements, in which light has bounced some times ([`super::first`]).
 //!
-//! What the start view shows comes first, in short rounds of its own ([`Rounds`]).
+//! What the start view shows comes first, in short rounds of its own (`Rounds`).
 //!
 //! No clock in here: the caller's `keep_going` decides when the time is over. The result depends on the number of paths
 //! only, not on threads or on where a bake was interrupted: sites do not depend on each other within a round.

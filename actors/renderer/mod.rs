@@ -4,6 +4,7 @@
 //! samples, traced samples, environment maps, convergence. Says: to the cache ager and the allocator, that there is a new
 //! view; to the analyzer, what was shown.
 
+mod growth;
 pub mod overlay;
 mod samples;
 mod saved;
@@ -18,7 +19,6 @@ use foveal::display::FrameBuffers;
 use foveal::display::cpu_pass::{self, Passes};
 use foveal::display::first_approximation::FirstApproximation;
 use foveal::display::tone::{Encoder, ToneMap};
-use foveal::illumination::stored::Illumination;
 use foveal::image::Map2d;
 use foveal::perception::tvi::TviTable;
 use foveal::perception::viewing::Viewing;
@@ -34,19 +34,14 @@ use glam::Vec3;
 use crate::foresight::Foresight;
 use crate::message::saved::hash_view;
 use crate::message::{
-    AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameSnapshot, PublishedLight,
-    RendererInput, RendererMessage, View,
+    AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameSnapshot, RendererInput,
+    RendererMessage, View,
 };
 use crate::outbox::Outbox;
 use crate::settings::{Adjustment, Settings};
 use crate::stages::{Begun, Stage, StageTimes};
+use growth::Growth;
 use textures::TextureChange;
-
-/// Better light is shown at once where it changes no irradiance by more than this share of itself and of the scene's mean.
-pub const LIGHT_CHANGE: f32 = 0.06;
-
-/// Else it is seen to grow for so many seconds, frame by frame by as much. Each frame of that is a view of its own.
-const LIGHT_GROWS: f32 = 0.4;
 
 /// Kind of the mark that each shown frame leaves in a recording; its value is the picture's hash.
 pub const MARK_FRAME: u32 = 0;
@@ -54,15 +49,6 @@ pub const MARK_FRAME: u32 = 0;
 /// Share of a frame's time that drawing the base layer may take while the camera moves; where it takes more, it is drawn
 /// coarsely, so that the frame is in time and samples come into it.
 const DRAWING_SHARE: f32 = 0.7;
-
-/// Light that the shown one becomes.
-struct Growth {
-    light: Arc<PublishedLight>,
-    /// Whether it is the last.
-    last: bool,
-    /// Seconds until it is shown; `None` before the first frame of them.
-    left: Option<f32>,
-}
 
 /// Counts of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -366,30 +352,17 @@ impl Renderer {
 
     /// Moves the shown light towards the newest, as far as in a frame of `time` seconds; says whether it changed.
     fn approach_light(&mut self, time: f32) -> bool {
-        let Some(Growth { light, last, left }) = self.target.take() else { return false };
-        let Some(target) = light.map() else { return false };
-        let near = |shown: &Illumination| {
-            let [r, g, b] = target.summary.mean;
-            shown.is_near(target, LIGHT_CHANGE, LIGHT_CHANGE * (r + g + b) / 3.0)
-        };
-        let shown = self.world.illumination.stored();
-        let left = left.or_else(|| match shown.and_then(near) {
-            Some(false) => Some(LIGHT_GROWS),
-            // Hardly different, or another storage of the same light, with which a refinement begins.
-            Some(true) | None => None,
-        });
-        // A frame without time is one, too.
-        let share = left.map_or(1.0, |left| time.max(1e-2) / left);
-        let next = shown.filter(|_| share < 0.99).and_then(|shown| shown.approached(target, share));
-        match next {
-            Some(next) => {
+        let Some(growth) = self.target.take() else { return false };
+        let Some(target) = growth.light.map() else { return false };
+        let grown = self.world.illumination.stored().and_then(|shown| growth.step(shown, target, time));
+        match grown {
+            Some((next, left)) => {
                 self.world = self.world.with_illumination(Arc::new(next));
-                let left = left.map(|left| left - time.max(1e-2));
-                self.target = Some(Growth { light, last, left });
+                self.target = Some(Growth { left: Some(left), ..growth });
             }
             None => {
                 self.world = self.world.with_illumination(target.clone());
-                self.lit |= last;
+                self.lit |= growth.last;
             }
         }
         true

@@ -7,7 +7,8 @@ use foveal::splatting::supersampling::Tiles;
 use foveal::splatting::tile_sums::TileSums;
 use foveal_runtime::{Loader, Saver};
 
-use super::{FrameCounts, Growth, Renderer, TextureChange};
+use super::growth::Growth;
+use super::{FrameCounts, Renderer, TextureChange};
 use crate::message::saved::Saved;
 
 impl Renderer {

@@ -17,8 +17,10 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 pub mod orders;
+mod rounds;
 
 use orders::{Gatherers, Here};
+use rounds::Rounds;
 
 use super::ahead::ahead;
 use super::atlas::{Atlas, ConformalCharts, Element};
@@ -36,8 +38,6 @@ use crate::transport::Indexed;
 use crate::transport::caustic::{Caustics, Class, RUN, Sources};
 use crate::transport::light::bright::BrightSurfaces;
 
-/// Samples of a site in the first round over all of them; every later round doubles them.
-const FIRST_ROUND: u32 = 4;
 /// As many times more take those that the start view shows, in a round before and in all of them.
 const AHEAD: u32 = 2;
 /// Samples of the back of an element in the first round over all, which tell whether there is any light.
@@ -52,10 +52,6 @@ const TOGETHER: u64 = 1 << 10;
 const SMOOTHED: usize = 1 << 14;
 /// Sites that share the decision whether light can reach them.
 const BLOCK: usize = 64;
-/// Rounds over all sites at most; by then there is nothing left to see.
-const ROUNDS_MAX: u32 = 16;
-/// Samples of rounds before them over what the start view shows, [`AHEAD`] times as many of a site: few, for a map at once.
-const EARLY: [u32; 2] = [1, 3];
 /// One in so many samples is taken where the map is tested; each follows its path to the end.
 const TESTED: u64 = 16;
 /// Particles of caustics before the first round, whole runs for each half; after the first one over all sites every later round
@@ -629,50 +625,6 @@ impl Baker {
     }
 }
 
-/// In which order a bake comes to its sites: [`EARLY`] rounds are of those ahead alone, then each is over all.
-struct Rounds {
-    /// All sites, those ahead first.
-    order: Vec<u32>,
-    /// How many of them are ahead.
-    ahead: usize,
-}
-
-impl Rounds {
-    /// `ahead`: per site whether it comes first.
-    fn new(ahead: &[bool]) -> Self {
-        let of = |which: bool| (0..ahead.len() as u32).filter(move |i| ahead[*i as usize] == which);
-        Self { order: of(true).chain(of(false)).collect(), ahead: of(true).count() }
-    }
-
-    /// Rounds that are not over all sites.
-    fn early(&self) -> u32 {
-        if self.ahead == 0 { 0 } else { EARLY.len() as u32 }
-    }
-
-    /// Rounds over all sites before this one.
-    fn whole(&self, round: u32) -> u32 {
-        round.saturating_sub(self.early())
-    }
-
-    /// The sites of a round.
-    fn sites(&self, round: u32) -> &[u32] {
-        if round < self.early() { &self.order[..self.ahead] } else { &self.order }
-    }
-
-    /// Samples of a site of a round at most; those ahead take [`AHEAD`] times as many.
-    fn samples(&self, round: u32) -> u32 {
-        match EARLY.get(round as usize) {
-            Some(samples) if self.ahead > 0 => *samples,
-            _ => FIRST_ROUND << self.whole(round),
-        }
-    }
-
-    /// How many there are at most.
-    fn most(&self) -> u32 {
-        self.early() + ROUNDS_MAX
-    }
-}
-
 /// Sums over all sites.
 #[derive(Default)]
 struct Totals {
@@ -735,32 +687,4 @@ pub fn bake(
     keep_going: &(dyn Fn(&Progress) -> bool + Sync),
 ) -> Baked {
     Baker::new(indexed, settings).run(indexed, keep_going, &mut |_| {})
-}
-
-#[cfg(test)]
-mod rounds_tests {
-    use super::*;
-
-    /// Early rounds come to those ahead alone, all others to each site once with twice the samples of the one before; all take
-    /// as many for each half.
-    #[test]
-    fn each_round_comes_to_its_sites_once() {
-        for ahead in [vec![false; 7], vec![true; 7], (0..7).map(|i| i % 3 == 1).collect::<Vec<_>>()] {
-            let rounds = Rounds::new(&ahead);
-            let is_any = ahead.contains(&true);
-            assert_eq!(rounds.early(), if is_any { 2 } else { 0 });
-            for round in 0..rounds.most() {
-                let mut sites = rounds.sites(round).to_vec();
-                sites.sort_unstable();
-                let of = |i: &u32| round >= rounds.early() || ahead[*i as usize];
-                assert!(sites.into_iter().eq((0..7).filter(of)), "{round}");
-                assert!(round <= rounds.early() || rounds.samples(round) == 2 * rounds.samples(round - 1));
-                assert!((AHEAD * rounds.samples(round)).is_multiple_of(2));
-            }
-            assert_eq!(
-                (rounds.samples(rounds.early()), rounds.whole(rounds.most())),
-                (FIRST_ROUND, ROUNDS_MAX)
-            );
-        }
-    }
 }

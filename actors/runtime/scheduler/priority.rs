@@ -1,7 +1,8 @@
 //! Threads that give way: what works ahead must not make those wait that show something now.
 
-/// How much less of a processor a thread gets than one that does not give way, in steps of the system's scale: about a
-/// tenth where both want the same one, and all of it where it is alone.
+/// How much less of a processor a thread gets than one that does not give way, in steps of the system's scale: about half as
+/// much where both want the same one, and all of it where it is alone. More steps would leave tracers little beside other
+/// programs.
 #[cfg(target_os = "linux")]
 const STEPS: i32 = 3;
 

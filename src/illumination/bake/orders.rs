@@ -8,7 +8,8 @@ use std::sync::OnceLock;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{AHEAD, BATCH, BLOCK, Baker, Doing, FIRST_LOOK, FIRST_ROUND, ROUNDS_MAX, UNSEEN};
+use super::rounds::{FIRST_ROUND, ROUNDS_MAX};
+use super::{AHEAD, BATCH, BLOCK, Baker, Doing, FIRST_LOOK, UNSEEN};
 use crate::illumination::gathered::Gathered;
 use crate::illumination::stored::Illumination;
 use crate::transport::Indexed;

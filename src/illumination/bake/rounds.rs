@@ -4,8 +4,9 @@
 pub(super) const FIRST_ROUND: u32 = 4;
 /// Rounds over all sites at most; by then there is nothing left to see.
 pub(super) const ROUNDS_MAX: u32 = 16;
-/// Samples of rounds before them over what the start view shows, [`super::AHEAD`] times as many of a site: few, for a map at once.
-pub(super) const EARLY: [u32; 2] = [1, 3];
+/// Samples of rounds before them over what the start view shows, [`super::AHEAD`] times as many of a site: few,
+/// for a map soon, but not so few that chance alone leaves a site without light.
+pub(super) const EARLY: [u32; 2] = [2, 2];
 
 /// In which order a bake comes to its sites: [`EARLY`] rounds are of those ahead alone, then each is over all.
 pub(super) struct Rounds {

@@ -49,7 +49,7 @@ fn share(left: f32, time: f32) -> Option<(f32, f32)> {
     let time = time.max(FRAME_MIN);
     let share = time / left;
     // Roundings of a frame's time make no frame.
-    (share < 0.99).then(|| (share, left - time))
+    (share < 0.99).then_some((share, left - time))
 }
 
 #[cfg(test)]

@@ -47,7 +47,7 @@ impl Irradiance for LaterLight {
     fn unnamed(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Unnamed {
         match self.map() {
             Some(map) => map.unnamed(triangle, b1, b2, back),
-            None => Unnamed { rest: Vec3::ZERO, is_lit: false },
+            None => Unnamed { rest: Vec3::ZERO, named: None },
         }
     }
 

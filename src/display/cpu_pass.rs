@@ -387,7 +387,7 @@ mod tests {
         }
 
         fn unnamed(&self, _: u32, _: f32, _: f32, _: bool) -> Unnamed {
-            Unnamed { rest: Vec3::ZERO, is_lit: true }
+            Unnamed { rest: Vec3::ZERO, named: Some(Vec3::ZERO) }
         }
     }
 

@@ -373,8 +373,8 @@ fn shadows_of_named_lights_are_sharp_whatever_the_texels() {
             // Next to no light comes back to it.
             assert!(rest.rest.x < 0.2, "{x}: {rest:?}");
             // Deep in the shadow nobody needs to ask; out of it everybody does.
-            assert!(x.abs() > 0.15 || !rest.is_lit, "{x}");
-            assert!(x.abs() < 0.85 || rest.is_lit, "{x}");
+            assert!(x.abs() > 0.15 || rest.named.is_none(), "{x}");
+            assert!(x.abs() < 0.85 || rest.named.is_some(), "{x}");
         }
         // The texel at the edge holds a part of it.
         let stored = on_floor(&map, &yard.mesh, 0.5, 0.1).x;

@@ -37,7 +37,7 @@ pub trait Irradiance: Any + Sync + Send {
     /// ([`Lights::named`](crate::transport::light::Lights::named)), where the two are known apart: then shadow rays say
     /// exactly what these bring, and shadows are sharp. All of it elsewhere.
     fn unnamed(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Unnamed {
-        Unnamed { rest: self.irradiance(triangle, b1, b2, back), is_lit: false }
+        Unnamed { rest: self.irradiance(triangle, b1, b2, back), named: None }
     }
 
     /// What of it no path from a surface finds ([`Class::Unfound`](crate::transport::caustic::Class)): light of lamps
@@ -57,8 +57,9 @@ pub trait Irradiance: Any + Sync + Send {
 pub struct Unnamed {
     /// W/m² per band.
     pub rest: Vec3,
-    /// Whether named lights are to be asked: any of them was seen from the elements around, and is not in `rest`.
-    pub is_lit: bool,
+    /// What is stored of named lights, W/m² per band, where they are to be asked: any of them was seen from the elements
+    /// around, and is not in `rest`.
+    pub named: Option<Vec3>,
 }
 
 /// The same irradiance everywhere.

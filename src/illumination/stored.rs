@@ -372,11 +372,8 @@ impl Irradiance for Illumination {
 
     fn unnamed(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Unnamed {
         let rest = self.lookup_unnamed(triangle, b1, b2, back).truncate();
-        if self.named.is_none() {
-            return Unnamed { rest, is_lit: false };
-        }
-        let is_lit = |e| Vec4::splat(f32::from(u8::from(self.named_value(e, back) != Vec4::ZERO)));
-        Unnamed { rest, is_lit: self.interpolated(triangle, b1, b2, &is_lit).x > 0.0 }
+        let named = self.named.is_some().then(|| self.lookup_named(triangle, b1, b2, back));
+        Unnamed { rest, named: named.filter(|&named| named != Vec3::ZERO) }
     }
 
     fn unfound(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Vec3 {

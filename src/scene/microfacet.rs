@@ -135,8 +135,8 @@ impl Microfacet {
                 let t1 = if length2 > 0.0 { Vec3::new(-v.y, v.x, 0.0) / length2.sqrt() } else { Vec3::X };
                 let t2 = v.cross(t1);
                 let r = u[0].sqrt();
-                let phi = std::f32::consts::TAU * u[1];
-                let p = Vec2::new(r * math::cos(phi), r * math::sin(phi));
+                let (sine, cosine) = math::sin_cos(std::f32::consts::TAU * u[1]);
+                let p = Vec2::new(r * cosine, r * sine);
                 let s = 0.5 * (1.0 + v.z);
                 let y = (1.0 - s) * (1.0 - p.x * p.x).max(0.0).sqrt() + s * p.y;
                 let n = t1 * p.x + t2 * y + v * (1.0 - p.x * p.x - y * y).max(0.0).sqrt();

@@ -127,24 +127,30 @@ impl<'a> Reconstruction<'a> {
                 (sx + vx, sy + vy, (1.0 - along) * across),
                 (sx + ux + vx, sy + uy + vy, along * across),
             ];
-            let (sum, weight, is_whole) = self.sum([x, y], k, guide, corners);
-            if is_whole || k == own {
+            if let Some((sum, weight)) = self.sum([x, y], k, guide, corners, k < own) {
                 return (weight > 0.0).then(|| sum / weight);
             }
         }
         None
     }
 
-    /// Weighted sum over the corners that count for a pixel, the sum of their weights, and whether none is missing that
-    /// is on the pixel's surface.
+    /// Weighted sum over the corners that count for a pixel, and the sum of their weights. None, as soon as that is known,
+    /// where `all` are asked for and one is missing that is on the pixel's surface.
     #[inline]
-    fn sum(&self, [x, y]: [i32; 2], k: u32, guide: Vec3, corners: [(i32, i32, f32); 4]) -> (Vec3, f32, bool) {
+    fn sum(
+        &self,
+        [x, y]: [i32; 2],
+        k: u32,
+        guide: Vec3,
+        corners: [(i32, i32, f32); 4],
+        all: bool,
+    ) -> Option<(Vec3, f32)> {
         let (colors, ranks, _, places) = self.layer.maps();
         let [carried, _] = self.layer.guides();
         let (width, height) = (colors.width() as i32, colors.height() as i32);
         let at = |x: i32, y: i32| (y * width + x) as usize;
         let (object, depth) = (self.objects.data()[at(x, y)], self.depths.data()[at(x, y)]);
-        let (mut sum, mut weights, mut is_whole) = (Vec3::ZERO, 0.0, true);
+        let (mut sum, mut weights) = (Vec3::ZERO, 0.0);
         for (cx, cy, weight) in corners {
             if weight <= 0.0 || cx < 0 || cy < 0 || cx >= width || cy >= height {
                 continue;
@@ -163,10 +169,11 @@ impl<'a> Reconstruction<'a> {
                     sum += value * weight;
                     weights += weight;
                 }
-                None => is_whole = false,
+                None if all => return None,
+                None => {}
             }
         }
-        (sum, weights, is_whole)
+        Some((sum, weights))
     }
 }
 

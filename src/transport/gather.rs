@@ -37,7 +37,7 @@ use super::direct::{arriving, goes_straight, mis_weight, towards, visibilities};
 use super::interaction::Interaction;
 use super::light::bright::BrightSurfaces;
 use super::light::named::{NAMED_MAX, named_sample};
-use super::light::{Lights, Receiver, VisibleSky};
+use super::light::{LightSample, Lights, Receiver, VisibleSky};
 use super::medium::Media;
 use crate::geometry::packet::LANES;
 use crate::geometry::shadow::LastShadow;
@@ -170,16 +170,31 @@ impl<'a> Gather<'a> {
 
     /// Class N: the irradiance straight from named lights, exactly, a shadow ray each. Finite.
     pub fn named(&self, at: &Interaction, bsdf: &Bsdf, media: Media) -> Vec3 {
-        let mut sum = Vec3::ZERO;
+        self.named_if(at, bsdf, media, |_| true).unwrap_or(Vec3::ZERO)
+    }
+
+    /// The same where that is asked for, knowing the irradiance if nothing is in the way; not a number where that is.
+    pub fn named_if(
+        &self,
+        at: &Interaction,
+        bsdf: &Bsdf,
+        media: Media,
+        is_asked: impl FnOnce(Vec3) -> bool,
+    ) -> Option<Vec3> {
+        let mut open = Vec3::ZERO;
+        let mut lights: ArrayVec<(f32, LightSample), NAMED_MAX> = ArrayVec::new();
         for light in self.lights.named(self.scene, at.position) {
             let (value, _) = below_coat(at, bsdf, light.wi);
-            if value > 0.0
-                && let Some(light) = arriving(self.scene, self.accel, at, &media, &light)
-            {
-                sum += value * light;
+            if value > 0.0 {
+                open += value * light.radiance;
+                lights.push((value, light));
             }
         }
-        finite(sum)
+        is_asked(open).then(|| {
+            let arriving = |light| arriving(self.scene, self.accel, at, &media, light);
+            let lit = lights.iter().filter_map(|(value, light)| Some(*value * arriving(light)?));
+            finite(lit.fold(Vec3::ZERO, |sum, light| sum + light))
+        })
     }
 
     /// [`Self::named`] of up to sixteen neighbouring points in the open, those that `lanes` has a bit for and `point` tells
@@ -297,8 +312,8 @@ impl<'a> Gather<'a> {
     fn believed_at(&self, at: &Interaction, bsdf: &Bsdf, media: Media) -> (Vec3, Option<Vec3>) {
         match self.trust {
             Trust::Map(map) | Trust::EndValue(map) => {
-                let Unnamed { rest, is_lit } = map.unnamed(at.triangle, at.b1, at.b2, at.back);
-                let named = is_lit.then(|| self.named(at, bsdf, media));
+                let Unnamed { rest, named } = map.unnamed(at.triangle, at.b1, at.b2, at.back);
+                let named = named.map(|_| self.named(at, bsdf, media));
                 (rest + named.unwrap_or(Vec3::ZERO), named)
             }
             Trust::Nobody => (Vec3::ZERO, None),
@@ -597,8 +612,10 @@ fn cosine_above(at: &Interaction, wi: Vec3) -> f32 {
 /// The irradiance that a display shows at a point that named lights light so much: what else a map says, where it knows that
 /// apart, else all that it says.
 pub(crate) fn shown(map: &dyn Irradiance, at: &Interaction, named: Vec3) -> Vec3 {
-    let Unnamed { rest, is_lit } = map.unnamed(at.triangle, at.b1, at.b2, at.back);
-    if is_lit { rest + named } else { rest }
+    match map.unnamed(at.triangle, at.b1, at.b2, at.back) {
+        Unnamed { rest, named: None } => rest,
+        Unnamed { rest, named: Some(_) } => rest + named,
+    }
 }
 
 fn finite(value: Vec3) -> Vec3 {

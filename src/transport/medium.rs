@@ -32,6 +32,9 @@ fn after(scene: &Scene, material: MaterialId, distance: f32) -> Vec3 {
     match scene.materials[material.0 as usize].model {
         Model::Dielectric { transmittance, thin: false, .. } => {
             let length = distance.max(0.0);
+            if transmittance == Vec3::ONE {
+                return Vec3::ONE;
+            }
             let t = transmittance.clamp(Vec3::ZERO, Vec3::ONE).map(|t| math::powf(t, length));
             if t.is_finite() { t } else { Vec3::ZERO }
         }

@@ -6,8 +6,9 @@
 //! [`Tracer::radiance`] adds the same two terms at every surface that a ray ends on.
 //!
 //! Mirrors and clear glass branch; glossy lobes send distributed rays and light samples, joined by multiple
-//! importance sampling. Below `Settings::min_contribution` of the pixel, Russian roulette decides, and chance chooses
-//! between reflection and refraction, so the expectation does not change. Random numbers come from the given stream
+//! importance sampling. Below `Settings::min_contribution` of the pixel, Russian roulette decides, also about shadow rays,
+//! and chance chooses between reflection and refraction, as it does behind a glossy lobe; the expectation does not change.
+//! Random numbers come from the given stream
 //! alone. Absent on purpose: diffuse bounces (the stored illumination has them) and light through refracting glass from
 //! lights without area.
 
@@ -28,7 +29,7 @@ use crate::geometry::packet::LANES;
 use crate::geometry::{Accel, Ray};
 use crate::illumination::Irradiance;
 use crate::illumination::Unnamed;
-use crate::rng::Stream;
+use crate::rng::{Stream, unit_f32};
 use crate::scene::Scene;
 
 pub mod guide;
@@ -49,7 +50,8 @@ pub struct Settings {
     pub max_depth: u32,
     /// Share of the sample's value below which a ray goes on with a probability only, carrying this share. Where a ray
     /// carries no more than that, either reflection or refraction is followed, else both: a bright light that is seen
-    /// over many surfaces shows as noise of this strength, not of its own.
+    /// over many surfaces shows as noise of this strength, not of its own. And the share of display white below which
+    /// light is worth a shadow ray with a probability only.
     pub min_contribution: f32,
     /// Most that one chain glossy → mirror or glass → light may add, in units of display white. No light sampling
     /// finds such chains, so that they come as fireflies; the bound makes them a little too dark instead.
@@ -62,7 +64,7 @@ impl Default for Settings {
             glossy_samples: 4,
             light_samples: 2,
             max_depth: 64,
-            min_contribution: 1.0 / 200.0,
+            min_contribution: 1.0 / 100.0,
             caustic_bound: 0.1,
         }
     }
@@ -150,8 +152,8 @@ impl<W: Witness> Tracer<'_, W> {
     /// `at`, the same point with its directions, is only asked for where light comes from lights with names.
     #[inline]
     pub fn base(&self, point: &SurfacePoint, at: impl FnOnce() -> Interaction) -> Vec3 {
-        let (diffuse, Unnamed { rest, is_lit }) = self.diffuse_and_light(point);
-        let irradiance = if is_lit {
+        let (diffuse, Unnamed { rest, named }) = self.diffuse_and_light(point);
+        let irradiance = if named.is_some() {
             let at = at();
             rest + self.named(&at, &Bsdf::over(self.scene, &at, diffuse), Media::EMPTY)
         } else {
@@ -172,9 +174,9 @@ impl<W: Witness> Tracer<'_, W> {
         let mut light = [(Vec3::ZERO, Vec3::ZERO); LANES];
         for (lane, point) in points.iter().enumerate() {
             let Some(point) = point else { continue };
-            let (diffuse, Unnamed { rest, is_lit }) = self.diffuse_and_light(point);
+            let (diffuse, Unnamed { rest, named }) = self.diffuse_and_light(point);
             light[lane] = (diffuse, rest);
-            lit |= u32::from(is_lit) << lane;
+            lit |= u32::from(named.is_some()) << lane;
         }
         let bsdf = |lane: usize| {
             let at = at(lane);
@@ -200,7 +202,7 @@ impl<W: Witness> Tracer<'_, W> {
     fn diffuse_and_light(&self, point: &SurfacePoint) -> (Vec3, Unnamed) {
         let diffuse = point.diffuse_albedo(self.scene);
         if diffuse == Vec3::ZERO {
-            return (diffuse, Unnamed { rest: Vec3::ZERO, is_lit: false });
+            return (diffuse, Unnamed { rest: Vec3::ZERO, named: None });
         }
         let &SurfacePoint { triangle, b1, b2, back, .. } = point;
         (diffuse, self.illumination.unnamed(triangle, b1, b2, back))
@@ -216,7 +218,7 @@ impl<W: Witness> Tracer<'_, W> {
         }
         let behind = Interaction::turned_to(self.scene, point);
         let bsdf = Bsdf::at(self.scene, &behind);
-        self.finite(shown + passed * self.light_on(&behind, &bsdf, Media::EMPTY))
+        self.finite(shown + passed * self.light_on(&behind, &bsdf, Media::EMPTY, None))
     }
 
     fn named(&self, at: &Interaction, bsdf: &Bsdf, media: Media) -> Vec3 {
@@ -269,26 +271,58 @@ impl<W: Witness> Tracer<'_, W> {
         Vec3::ZERO
     }
 
-    /// Irradiance / π, where there is something to reflect it: that of named lights by shadow rays, all else as stored.
-    fn diffuse_light(&self, at: &Interaction, bsdf: &Bsdf, media: Media) -> Vec3 {
+    /// [`Self::light_on`] where there is something to reflect it.
+    fn diffuse_light(&self, at: &Interaction, bsdf: &Bsdf, media: Media, seen: Option<(f32, f32)>) -> Vec3 {
         if bsdf.diffuse_albedo() == Vec3::ZERO {
             return Vec3::ZERO;
         }
-        self.light_on(at, bsdf, media)
+        self.light_on(at, bsdf, media, seen)
     }
 
-    /// Irradiance / π on the side that `at` shows.
-    fn light_on(&self, at: &Interaction, bsdf: &Bsdf, media: Media) -> Vec3 {
+    /// Irradiance / π on the side that `at` shows: that of named lights by shadow rays, all else as stored.
+    ///
+    /// `seen`: the share of it that the sample's value holds, and the random number that decides whether shadow rays are
+    /// worth it; else what is stored of these lights stands for them, so that the mean is as with the rays. Without it they
+    /// are always traced.
+    fn light_on(&self, at: &Interaction, bsdf: &Bsdf, media: Media, seen: Option<(f32, f32)>) -> Vec3 {
         let &Interaction { triangle, b1, b2, back, .. } = at;
         let irradiance = match self.illumination.unnamed(triangle, b1, b2, back) {
-            Unnamed { rest, is_lit: false } => rest,
-            Unnamed { rest, is_lit: true } => rest + self.named(at, bsdf, media),
+            Unnamed { rest, named: None } => rest,
+            Unnamed { rest, named: Some(stored) } => {
+                let gather = Gather::new(self.scene, self.accel, self.lights, Trust::Nobody);
+                let mut survival = 1.0;
+                let traced = gather.named_if(at, bsdf, media, |open| {
+                    let Some((share, drawn)) = seen else { return true };
+                    survival = self.survival(open * (share * FRAC_1_PI));
+                    if survival < 1.0 {
+                        self.witness.note(|| Event::Roulette { survival, drawn }, Vec3::ZERO);
+                    }
+                    drawn < survival
+                });
+                match traced {
+                    None => rest + stored,
+                    Some(named) if survival == 1.0 => rest + named,
+                    Some(named) => rest + stored + (named - stored) / survival,
+                }
+            }
         };
         irradiance * FRAC_1_PI
     }
 
+    /// Probability that light is worth a shadow ray which adds so much to the sample's value at most, so that what chance
+    /// adds to it is never less than [`Settings::min_contribution`] of display white.
+    #[inline]
+    fn survival(&self, most: Vec3) -> f32 {
+        let whites = most.max_element() * self.scene.display.exposure;
+        let survival = whites / self.settings.min_contribution;
+        // Also what is not a number is certain.
+        if survival < 1.0 { survival } else { 1.0 }
+    }
+
     /// Surfaces along a ray whose random numbers are shared out among pixels.
     const SHARED_DEPTH: u32 = 2;
+    /// The dimension of a ray's stream that decides about shadow rays.
+    const SHADOWS: u32 = 0x5ade;
 
     /// Radiance along a ray of unit direction.
     fn follow(&self, ray: &Ray, mut branch: Branch, mut stream: Stream) -> Vec3 {
@@ -325,19 +359,24 @@ impl<W: Witness> Tracer<'_, W> {
             return light * scale;
         };
         branch.width += branch.spread * hit.t;
-        let at = Interaction::at(self.scene, ray, hit).with_footprint(branch.width);
+        let mut at = Interaction::at(self.scene, ray, hit);
+        at.footprint = branch.width;
         let bsdf = branch.media.banded(Bsdf::at(self.scene, &at));
         self.witness.note(|| Event::surface(&at, branch.depth), Vec3::ZERO);
         let mut radiance = share(at.point().emission(self.scene));
         self.witness.note(|| Event::Emission, radiance);
+        let drawn = || unit_f32(stream.at(Self::SHADOWS).next_u64());
+        let seen = |albedo: Vec3| Some((branch.contribution * albedo.max_element(), drawn()));
+        let albedo = bsdf.diffuse_albedo();
         let diffuse =
-            bsdf.diffuse_albedo() * self.diffuse_light(&at, &bsdf, branch.media) * bsdf.coat_factor(at.wo);
+            albedo * self.diffuse_light(&at, &bsdf, branch.media, seen(albedo)) * bsdf.coat_factor(at.wo);
         self.witness.note(|| Event::Diffuse, diffuse);
         radiance += diffuse;
         if bsdf.passed_albedo() != Vec3::ZERO {
-            let behind = at.turned(self.scene);
-            let light = self.light_on(&behind, &Bsdf::at(self.scene, &behind), branch.media);
-            let through = bsdf.passed_albedo() * light * bsdf.coat_factor(at.wo);
+            let (behind, albedo) = (at.turned(self.scene), bsdf.passed_albedo());
+            let below = Bsdf::at(self.scene, &behind);
+            let light = self.light_on(&behind, &below, branch.media, seen(albedo));
+            let through = albedo * light * bsdf.coat_factor(at.wo);
             self.witness.note(|| Event::Through, through);
             radiance += through;
         }
@@ -368,10 +407,12 @@ impl<W: Witness> Tracer<'_, W> {
         }
         let mut sum = Vec3::ZERO;
         let lobes = bsdf.delta_lobes(at.wo);
-        if lobes.iter().all(Option::is_some) && branch.contribution <= self.settings.min_contribution {
-            let ([u, v], lobe) = (stream.next_2d(), stream.next_f32());
-            self.witness.drew(|| vec![u, v, lobe]);
-            return match bsdf.sample(at.wo, [u, v], lobe) {
+        // One of several rays of a lobe need not branch itself.
+        let follows_one = branch.blurred || branch.contribution <= self.settings.min_contribution;
+        if follows_one && lobes.iter().all(Option::is_some) {
+            let lobe = stream.next_f32();
+            self.witness.drew(|| vec![lobe]);
+            return match Bsdf::chosen_of(&lobes, lobe) {
                 Some(sample) => self.follow_sample(at, &sample, branch, None, stream),
                 None => Vec3::ZERO,
             };
@@ -480,6 +521,15 @@ impl<W: Witness> Tracer<'_, W> {
                 continue;
             }
             let weight = if light.delta { 1.0 } else { mis_weight(m, light.pdf, n, pdf) };
+            let scale = weight / (light.pdf * m as f32);
+            let survival = self.survival(f * light.radiance * (scale * branch.contribution));
+            if survival < 1.0 {
+                let drawn = unit_f32(s.next_u64());
+                self.witness.note(|| Event::Roulette { survival, drawn }, Vec3::ZERO);
+                if drawn >= survival {
+                    continue;
+                }
+            }
             let arriving = arriving(self.scene, self.accel, at, &branch.media, &light);
             let event =
                 || Event::Light { direction: light.wi, pdf: light.pdf, weight, blocked: arriving.is_none() };
@@ -488,7 +538,7 @@ impl<W: Witness> Tracer<'_, W> {
                 self.witness.note(event, Vec3::ZERO);
                 continue;
             };
-            let found = f * arriving * (weight / (light.pdf * m as f32));
+            let found = f * arriving * (scale / survival);
             self.witness.note(event, found);
             sum += found;
         }

@@ -329,6 +329,19 @@ impl Bsdf {
         }
     }
 
+    /// One of [`Self::delta_lobes`] by chance, as [`Self::sample`] chooses.
+    pub fn chosen_of([a, b]: &[Option<BsdfSample>; 2], u_lobe: f32) -> Option<BsdfSample> {
+        let p = |s: &Option<BsdfSample>| s.map_or(0.0, |s| luminance(s.weight));
+        let (pa, pb) = (p(a), p(b));
+        let share = pa / (pa + pb);
+        // Also refuses 0 / 0.
+        if !share.is_finite() {
+            return None;
+        }
+        let (chosen, probability) = if u_lobe < share { (a, share) } else { (b, 1.0 - share) };
+        chosen.map(|s| BsdfSample { weight: s.weight / probability, pdf: probability, ..s })
+    }
+
     /// A direction of the view-dependent lobes; `None` where it falls below the horizon (weight 0; do not
     /// draw again).
     pub fn sample(&self, wo: Vec3, u: [f32; 2], u_lobe: f32) -> Option<BsdfSample> {
@@ -341,18 +354,7 @@ impl Bsdf {
             | Lobe::Straight { .. }
             | Lobe::Smooth { .. }
             | Lobe::Pane { .. }
-            | Lobe::Glass { microfacet: None, .. } => {
-                let [a, b] = self.delta_lobes(wo);
-                let p = |s: &Option<BsdfSample>| s.map_or(0.0, |s| luminance(s.weight));
-                let (pa, pb) = (p(&a), p(&b));
-                let share = pa / (pa + pb);
-                // Also refuses 0 / 0.
-                if !share.is_finite() {
-                    return None;
-                }
-                let (chosen, probability) = if u_lobe < share { (a, share) } else { (b, 1.0 - share) };
-                chosen.map(|s| BsdfSample { weight: s.weight / probability, pdf: probability, ..s })
-            }
+            | Lobe::Glass { microfacet: None, .. } => Self::chosen_of(&self.delta_lobes(wo), u_lobe),
             Lobe::Glossy { microfacet, .. } | Lobe::Ward { microfacet, .. } => {
                 let o = self.local(wo);
                 let h = microfacet.sample(o, u);

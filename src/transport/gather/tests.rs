@@ -143,7 +143,7 @@ fn maps_are_read_with_sharp_shadows() {
         }
 
         fn unnamed(&self, _: u32, _: f32, _: f32, _: bool) -> Unnamed {
-            Unnamed { rest: Vec3::ZERO, is_lit: true }
+            Unnamed { rest: Vec3::ZERO, named: Some(Vec3::ZERO) }
         }
     }
     let mut b = Builder::default();

@@ -57,7 +57,7 @@ impl Tracer<'_> {
             let ends =
                 bsdf.diffuse_albedo() != Vec3::ZERO || bsdf.delta_lobes(at.wo).iter().all(Option::is_none);
             if ends {
-                let diffuse = bsdf.diffuse_albedo() * self.diffuse_light(&at, &bsdf, branch.media);
+                let diffuse = bsdf.diffuse_albedo() * self.diffuse_light(&at, &bsdf, branch.media, None);
                 let radiance = at.point().emission(self.scene) + diffuse * bsdf.coat_factor(at.wo);
                 return self.finite(weight * radiance);
             }

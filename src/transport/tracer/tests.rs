@@ -1,7 +1,7 @@
 use super::*;
 use crate::illumination::Uniform;
 use crate::scene::test_scenes::white_metal_rough;
-use crate::scene::{Coat, Model, Reflectance};
+use crate::scene::{Coat, Light, Model, Reflectance};
 use crate::transport::gather::{Gather, Trust};
 use crate::transport::test_boxes::{Builder, glass, lambert, mean, rough};
 
@@ -321,4 +321,95 @@ fn a_witness_sees_all_that_a_sample_is_made_of() {
         }
     }
     assert!(several > 100, "{several}");
+}
+
+/// Shadow rays that would add next to nothing are traced now and then, and the mean stays: of light samples, and of lamps
+/// that a map knows half of.
+#[test]
+fn shadow_rays_are_traced_where_they_count() {
+    struct Coarse;
+    impl Irradiance for Coarse {
+        fn irradiance(&self, _: u32, _: f32, _: f32, _: bool) -> Vec3 {
+            Vec3::ONE
+        }
+
+        fn unnamed(&self, _: u32, _: f32, _: f32, _: bool) -> Unnamed {
+            Unnamed { rest: Vec3::splat(0.2), named: Some(Vec3::splat(0.8)) }
+        }
+    }
+    /// Light samples, and lamps left out.
+    #[derive(Default)]
+    struct Count(std::cell::Cell<(u64, u64)>);
+    impl Witness for &Count {
+        fn note(&self, event: impl FnOnce() -> Event, _: Vec3) {
+            let (lights, left) = self.0.get();
+            self.0.set(match event() {
+                Event::Light { .. } => (lights + 1, left),
+                Event::Roulette { survival, drawn } if drawn >= survival => (lights, left + 1),
+                _ => (lights, left),
+            });
+        }
+    }
+    let mut b = Builder::default();
+    let (wall, board) = (b.material(lambert(0.5)), b.material(lambert(0.0)));
+    let black = Reflectance::constant(Vec3::ZERO);
+    let floor = b.material(Model::Plastic { albedo: black, coat: Coat::new(1.5, rough(0.1)) });
+    let lamp = b.emitter(lambert(0.0), Vec3::splat(2.0));
+    b.rectangle(Vec3::ZERO, Vec3::X * 9.0, Vec3::Y * 9.0, floor);
+    b.rectangle(Vec3::new(0.0, 2.0, 0.0), Vec3::X * 9.0, Vec3::Z * 9.0, wall);
+    // Its shadow on the wall ends where the floor shows it.
+    b.rectangle(Vec3::new(-4.0, 1.0, 2.0), Vec3::X * 4.0, Vec3::Z * 8.0, board);
+    b.rectangle(Vec3::new(0.3, 0.5, 1.4), Vec3::Y * 0.1, Vec3::X * 0.1, lamp);
+    let mut scene = b.scene();
+    scene.lights = vec![Light::Directional { direction: Vec3::Y, irradiance: Vec3::ONE }];
+    let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
+    let ray = Ray::new(Vec3::new(0.0, -1.0, 1.0), Vec3::new(0.0, 1.0, -1.0));
+    let traced = |min_contribution: f32| {
+        let count = Count::default();
+        let settings = Settings { min_contribution, ..EXACT };
+        let tracer = Tracer::new(&scene, &accel, &lights, &Coarse, settings).told_to(&count);
+        let found = mean(40_000, |i| tracer.radiance(&ray, Stream::new(2, i, 0)));
+        (found, count.0.get())
+    };
+    let ((exact, sure), (lights_of_all, none_left)) = traced(0.0);
+    assert!(exact > 0.002 && none_left == 0, "{exact} {none_left}");
+    for min_contribution in [0.01, 0.1] {
+        let ((value, error), (lights, left)) = traced(min_contribution);
+        assert!((value - exact).abs() < 4.0 * (error + sure), "{value} ± {error}, not {exact} ± {sure}");
+        assert!(
+            10 * lights < 9 * lights_of_all && left > 20_000,
+            "{lights} of {lights_of_all}, {left} left out"
+        );
+    }
+}
+
+/// One of several rays of a glossy lobe follows reflection or refraction, not both; in a furnace each of them brings the
+/// same.
+#[test]
+fn rays_of_a_lobe_do_not_branch() {
+    #[derive(Default)]
+    struct Rays(std::cell::Cell<u64>);
+    impl Witness for &Rays {
+        fn open(&self, event: impl FnOnce() -> Event) {
+            let glass = matches!(event(), Event::Lobe { delta: true, .. });
+            self.0.set(self.0.get() + u64::from(glass));
+        }
+    }
+    let mut b = Builder::default();
+    let floor = b.material(Model::Metal { specular: white(), roughness: rough(0.02) });
+    let slab = b.material(glass(1.5, 1.0, true));
+    b.rectangle(Vec3::ZERO, Vec3::X * 9.0, Vec3::Y * 9.0, floor);
+    b.rectangle(Vec3::new(0.0, 1.0, 0.0), Vec3::X * 9.0, Vec3::Z * 9.0, slab);
+    let p = Prepared::new(b.under_sky(Vec3::ONE), 0.0);
+    let ray = Ray::new(Vec3::new(0.0, -1.0, 1.0), Vec3::new(0.0, 1.0, -1.0));
+    let (rays, n) = (Rays::default(), 2000);
+    let tracer = p.tracer(Settings { light_samples: 0, ..EXACT }).told_to(&rays);
+    let (value, error) = mean(n, |i| tracer.radiance(&ray, Stream::new(3, i, 0)));
+    assert!((value - 1.0).abs() < 4.0 * error + 0.01, "{value} ± {error}");
+    // A few directions of the lobe lie below the floor.
+    let followed = rays.0.get();
+    assert!(
+        followed <= 4 * n && followed > 4 * n - n / 10,
+        "{followed}: through the pane or back, for each of four"
+    );
 }

@@ -82,7 +82,7 @@ pub enum Event {
         /// Its share of red, green and blue.
         color: Vec3,
     },
-    /// Chance decides whether a ray goes on.
+    /// Chance decides whether a ray goes on, or whether light is worth a shadow ray.
     Roulette {
         /// Probability that it does.
         survival: f32,

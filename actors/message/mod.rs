@@ -62,11 +62,16 @@ pub struct DrawnView {
     pub world: World,
     /// Number of object ids, id 0 included.
     pub object_count: usize,
-    /// Hash of the camera and the ids, made once.
-    pub hash: u64,
+    /// What [`Self::hash`] gave, or is said to give.
+    pub hash: OnceLock<u64>,
 }
 
 impl DrawnView {
+    /// [`saved::hash_view`] of it, made when it is first asked for: only recordings and replays ask.
+    pub fn hash(&self) -> u64 {
+        *self.hash.get_or_init(|| saved::hash_view(self.buffers(), self.view))
+    }
+
     /// Its buffers. In a replay that began at a snapshot they are drawn when they are first asked for, on several threads, so
     /// ask outside of loops that run on these.
     pub fn buffers(&self) -> &FrameBuffers {

@@ -87,13 +87,13 @@ impl<T: Told> Told for Option<T> {
 
 impl Told for Arc<DrawnView> {
     fn content(&self) -> Content {
-        let DrawnView { view, frame, drawn, world: _, object_count, hash } = &**self;
+        let DrawnView { view, frame, drawn, world: _, object_count, hash: _ } = &**self;
         Content::fields([
             ("view", Content::of(view)),
             ("camera", Content::of(frame)),
             ("cell", Content::of(&drawn.cell())),
             ("objects", Content::of(object_count)),
-            ("hash", Content::of(hash)),
+            ("hash", Content::of(&self.hash())),
         ])
     }
 }
@@ -143,7 +143,8 @@ impl<T: Saved> Saved for Option<T> {
 impl Saved for Arc<DrawnView> {
     fn save(&self, saver: &mut Saver) {
         saver.shared(self, |drawn, saver| {
-            let DrawnView { view, frame, drawn, world, object_count: _, hash } = drawn;
+            let hash = drawn.hash();
+            let DrawnView { view, frame, drawn, world, object_count: _, hash: _ } = drawn;
             saver.put(&(view, frame, drawn.cell(), hash));
             world.save(saver);
         });
@@ -172,15 +173,15 @@ impl Saved for Arc<DrawnView> {
                 buffers
             };
             let drawn = DrawnBuffers::later(cell, draw);
-            Some(DrawnView { view, frame, hash, drawn, world, object_count })
+            Some(DrawnView { view, frame, hash: hash.into(), drawn, world, object_count })
         })
     }
 }
 
 impl Hashed for Arc<DrawnView> {
     fn digest(&self, digest: &mut Digest) {
-        let DrawnView { view, frame, drawn: _, world: _, object_count: _, hash } = &**self;
-        digest.value(&(view, frame, hash));
+        let DrawnView { view, frame, drawn: _, world: _, object_count: _, hash: _ } = &**self;
+        digest.value(&(view, frame, self.hash()));
     }
 }
 

@@ -13,7 +13,7 @@ mod textures;
 mod told;
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, OnceLock, Weak};
 
 use foveal::display::FrameBuffers;
 use foveal::display::cpu_pass::{self, Passes};
@@ -32,7 +32,6 @@ use foveal_runtime::{Actor, Address, Class, Content, Cx, Loader, Saver};
 use glam::Vec3;
 
 use crate::foresight::Foresight;
-use crate::message::saved::hash_view;
 use crate::message::{
     AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameSnapshot, RendererInput,
     RendererMessage, View,
@@ -396,7 +395,7 @@ impl Renderer {
         let drawn = Arc::new(DrawnView {
             view: self.view,
             frame,
-            hash: hash_view(&buffers, self.view),
+            hash: OnceLock::new(),
             drawn: buffers.into(),
             world: self.world.clone(),
             object_count: self.world.scene.objects.len().max(1),

@@ -94,7 +94,7 @@ impl ToneMap {
 #[derive(Clone, Debug)]
 pub struct Encoder {
     /// The byte at the lower end of each interval of width 1 / [`INTERVALS`].
-    first: Vec<u8>,
+    first: Box<[u8; INTERVALS]>,
     /// `next[b]`: the smallest value whose byte is above b; no interval holds two of them.
     next: [f32; 256],
 }
@@ -116,7 +116,7 @@ impl Default for Encoder {
             let v = i as f32 / INTERVALS as f32;
             next.partition_point(|&step| step <= v) as u8
         };
-        Self { first: (0..INTERVALS).map(byte_at).collect(), next }
+        Self { first: Box::new(std::array::from_fn(byte_at)), next }
     }
 }
 
@@ -133,7 +133,9 @@ impl Encoder {
     /// The bytes a display is sent for `radiance`.
     #[inline]
     pub fn rgb8(&self, tone: &ToneMap, radiance: Vec3) -> [u8; 3] {
-        tone.to_linear(radiance).to_array().map(|v| self.byte(v))
+        // Written out: mapping an array made two calls of it, for each pixel of each frame.
+        let Vec3 { x, y, z } = tone.to_linear(radiance);
+        [self.byte(x), self.byte(y), self.byte(z)]
     }
 
     /// The bytes of a picture, three per pixel in rows.

@@ -164,7 +164,8 @@ impl<'a> Reconstruction<'a> {
             }
             let is_own = places.data()[i] == cx as u32 | ((cy as u32) << 16);
             let counts = level_of(ranks.data()[i]).is_some_and(|(of, _)| of <= k || is_own);
-            match self.value(colors.data()[i], carried.data()[i], guide).filter(|_| counts) {
+            let value = || self.value(colors.data()[i], carried.data()[i], guide);
+            match counts.then(value).flatten() {
                 Some(value) => {
                     sum += value * weight;
                     weights += weight;

@@ -65,6 +65,83 @@ fn a_timer_is_not_late_by_a_heavy_turn() {
     assert!(runtime.shutdown(WAIT).drained);
 }
 
+/// Counts the turns that it begins.
+struct Begins(Arc<AtomicU64>);
+
+impl Actor for Begins {
+    type Msg = Number;
+    const NAME: &'static str = "begins";
+    const CLASS: Class = Class::Heavy;
+
+    fn handle(&mut self, _: Number, _: &mut Cx<'_, Number>) {
+        self.0.fetch_add(1, Ordering::SeqCst);
+    }
+}
+
+/// Has the cores for itself from when it says so until it is let go.
+struct Alone {
+    has_begun: Arc<AtomicBool>,
+    go: Arc<AtomicBool>,
+}
+
+impl Actor for Alone {
+    type Msg = Number;
+    const NAME: &'static str = "alone";
+    const CLASS: Class = Class::Pinned;
+
+    fn handle(&mut self, _: Number, cx: &mut Cx<'_, Number>) {
+        cx.while_heavy_wait(|| {
+            self.has_begun.store(true, Ordering::SeqCst);
+            while !self.go.load(Ordering::SeqCst) {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        });
+    }
+}
+
+#[test]
+fn heavy_turns_wait_for_what_is_due_now_and_go_on_after_it() {
+    for threads in 1..=3 {
+        let [has_begun, go] = [(); 2].map(|()| Arc::new(AtomicBool::new(false)));
+        let counts: Vec<Arc<AtomicU64>> = (0..3).map(|_| Arc::default()).collect();
+        let (mut runtime, (alone, begins)) = Runtime::build(Config::live(threads), |wiring| {
+            let declared = wiring.declare::<Alone>(Bounds::messages(10));
+            let alone = wiring.port("alone", &declared.address());
+            let actor = Alone { has_begun: has_begun.clone(), go: go.clone() };
+            wiring.spawn(declared, actor, OnPanic::Stop);
+            let begins: Vec<Port<Number, Number>> = counts
+                .iter()
+                .map(|count| {
+                    let declared = wiring.declare::<Begins>(Bounds::messages(10));
+                    let port = wiring.port("begins", &declared.address());
+                    wiring.spawn(declared, Begins(count.clone()), OnPanic::Stop);
+                    port
+                })
+                .collect();
+            (alone, begins)
+        })
+        .expect("builds");
+        let begun = move || counts.iter().map(|count| count.load(Ordering::SeqCst)).sum::<u64>();
+        alone.send(Number(1)).expect("room");
+        let (seen, meanwhile) = (has_begun.clone(), begun.clone());
+        let outside = std::thread::spawn(move || {
+            while !seen.load(Ordering::SeqCst) {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            begins.iter().for_each(|port| port.send(Number(1)).expect("room"));
+            std::thread::sleep(Duration::from_millis(30));
+            let meanwhile = meanwhile();
+            go.store(true, Ordering::SeqCst);
+            meanwhile
+        });
+        assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
+        assert_eq!(outside.join().expect("it ends"), 0, "on {threads} threads");
+        assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
+        assert_eq!(begun(), 3, "on {threads} threads");
+        assert!(runtime.shutdown(WAIT).drained);
+    }
+}
+
 #[test]
 fn a_shutdown_is_over_in_time_while_a_turn_hangs() {
     for recorded in [false, true] {

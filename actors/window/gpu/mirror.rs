@@ -231,7 +231,7 @@ mod tests {
             drawn: buffers.into(),
             world,
             object_count: 3,
-            hash: 0,
+            hash: 0.into(),
         });
         let mut layer = SplatLayer::new(80, 60, 2, Footprint::Tile);
         let without = shown(&drawn, &layer, &gpu);

@@ -67,6 +67,8 @@ pub struct Beside {
     shown: Shown,
     /// Wishes so far.
     wishes: Cell<u64>,
+    /// The last frame that was asked for, and which wish that was.
+    wanted: (u64, u32),
     place: Place,
     size: [u32; 2],
     ranges: Ranges,
@@ -134,7 +136,19 @@ impl Beside {
             std::thread::park_timeout(Duration::from_millis(100));
         };
         let (thread, wishes) = (Some(thread), Cell::new(0));
-        Ok(Self { asked, newest, thread, shown, wishes, place, size, ranges, controls, names })
+        Ok(Self {
+            asked,
+            newest,
+            thread,
+            shown,
+            wishes,
+            wanted: (0, 0),
+            place,
+            size,
+            ranges,
+            controls,
+            names,
+        })
     }
 
     fn ask(&self, wish: Wish) {
@@ -209,12 +223,20 @@ fn serve(mut player: Player, asked: &Asked, newest: &ArrayQueue<Shown>) {
 }
 
 impl Timeline for Beside {
+    /// As it will be once the frame that was asked for last is there: who steps on from it while it is being made loses no
+    /// step.
     fn shown(&self) -> TimelineShown {
-        self.shown.timeline.clone()
+        let shown = self.shown.timeline.clone();
+        let (wish, wanted) = self.wanted;
+        if wish > self.shown.done && self.is_busy() {
+            return TimelineShown { frame: Some(wanted.min(shown.frames.saturating_sub(1))), ..shown };
+        }
+        shown
     }
 
     fn go_to(&mut self, frame: u32) {
         self.ask(Wish::Frame(frame));
+        self.wanted = (self.wishes.get(), frame);
     }
 
     /// Nothing more is asked for while the last frame is still being made.
@@ -368,8 +390,10 @@ mod tests {
             assert!(beside.picture() == player.picture(), "frame {frame}");
         };
         alike(&mut beside, 0);
-        // Nobody waits, and of several frames the newest counts.
+        // Nobody waits, and of several frames the newest counts; steps go on from where the last one leads.
         for frame in 0..frames {
+            let at = Timeline::shown(&beside).frame.expect("a frame");
+            assert_eq!(at, frame.saturating_sub(1));
             beside.go_to(frame);
         }
         wait(&mut beside);

@@ -24,11 +24,8 @@ impl Renderer {
         let (rgb8, hash) = match (&self.shown, self.changed) {
             (Some(shown), false) => (None, shown.hash),
             _ => {
-                // The frame is due: samples that were begun now would come too late for it, and make it late.
-                let picture = cx.while_heavy_wait(|| {
-                    self.approximate_the_rest(&drawn);
-                    self.stages.clone().time(Stage::Compose, || self.compose(&drawn))
-                });
+                self.approximate_the_rest(&drawn);
+                let picture = self.stages.clone().time(Stage::Compose, || self.compose(&drawn));
                 let hash = xxhash_rust::xxh3::xxh3_64(picture.data().as_flattened());
                 (Some(picture), hash)
             }

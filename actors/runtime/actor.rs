@@ -195,12 +195,6 @@ impl<M: Message> Cx<'_, M> {
         (result, self.measured(Duration::from_nanos(elapsed)))
     }
 
-    /// Runs `work` while no heavy actor begins a turn; those that are in one go on. For what is due now and takes several
-    /// threads, so that they need not share the cores with work that can wait.
-    pub fn while_heavy_wait<R>(&self, work: impl FnOnce() -> R) -> R {
-        self.env.scheduler.while_heavy_wait(work)
-    }
-
     /// Puts a milestone into the recording, for example kind 0 with the hash of each shown frame. Replay compares it.
     pub fn mark(&mut self, kind: u32, value: u64) {
         self.journal.mark(kind, value);

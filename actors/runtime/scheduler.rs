@@ -105,8 +105,6 @@ pub(crate) struct Scheduler {
     active: CachePadded<AtomicU64>,
     heavy_running: CachePadded<AtomicUsize>,
     heavy_limit: usize,
-    /// Those who want the cores for themselves: no heavy actor begins a turn.
-    heavy_waits_for: AtomicUsize,
     stopping: AtomicBool,
     /// Worker threads that rest because the system is halted.
     resting: AtomicUsize,
@@ -143,7 +141,6 @@ impl Scheduler {
             heavy_running: CachePadded::new(AtomicUsize::new(0)),
             // More than there are cores would only take time from the main thread.
             heavy_limit: threads.saturating_sub(1).min(cores).max(1),
-            heavy_waits_for: AtomicUsize::new(0),
             stopping: AtomicBool::new(false),
             resting: AtomicUsize::new(0),
             incidents: ArrayQueue::new(INCIDENTS_MAX),
@@ -376,24 +373,8 @@ impl Scheduler {
         })
     }
 
-    /// Runs `work` while no heavy actor begins a turn on a worker thread; those that run go on.
-    pub(crate) fn while_heavy_wait<R>(&self, work: impl FnOnce() -> R) -> R {
-        /// Also where `work` panics.
-        struct Waiting<'a>(&'a Scheduler);
-        impl Drop for Waiting<'_> {
-            fn drop(&mut self) {
-                self.0.heavy_waits_for.fetch_sub(1, Ordering::SeqCst);
-                // Each thread that went to sleep meanwhile.
-                (0..self.0.heavy.len().min(self.0.heavy_limit)).for_each(|_| self.0.notify());
-            }
-        }
-        self.heavy_waits_for.fetch_add(1, Ordering::SeqCst);
-        let _waiting = Waiting(self);
-        work()
-    }
-
     fn claim_heavy(&self) -> Option<u32> {
-        if self.heavy.is_empty() || self.heavy_waits_for.load(Ordering::SeqCst) > 0 {
+        if self.heavy.is_empty() {
             return None;
         }
         // A thread that finds the limit reached leaves no trace: it would wake the next one to find the same.
@@ -437,9 +418,7 @@ impl Scheduler {
     fn has_work(&self) -> bool {
         !self.light.is_empty()
             || self.stealers.iter().any(|stealer| !stealer.is_empty())
-            || (!self.heavy.is_empty()
-                && self.heavy_waits_for.load(Ordering::SeqCst) == 0
-                && self.heavy_running.load(Ordering::SeqCst) < self.heavy_limit)
+            || (!self.heavy.is_empty() && self.heavy_running.load(Ordering::SeqCst) < self.heavy_limit)
     }
 }
 

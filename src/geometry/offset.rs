@@ -10,16 +10,16 @@ pub const fn gamma(n: u32) -> f32 {
     n as f32 * U / (1.0 - n as f32 * U)
 }
 
-/// The next representable number on the side of `step`'s sign; without branches, which half of all rays would guess wrong.
-/// What is not finite becomes something else that is not.
+/// The next representable number away from zero in the direction of `step`'s sign.
 #[inline]
 fn one_ulp(v: f32, step: f32) -> f32 {
-    const SIGN: u32 = 1 << 31;
-    let (bits, sign) = (v.to_bits(), step.to_bits() & SIGN);
-    // Away from zero where the signs agree, else towards it, but for zero itself.
-    let further = if (bits ^ sign) & SIGN == 0 { 1 } else { u32::MAX };
-    let moved = if v == 0.0 { sign | 1 } else { bits.wrapping_add(further) };
-    f32::from_bits(if step == 0.0 { bits } else { moved })
+    if step > 0.0 {
+        v.next_up()
+    } else if step < 0.0 {
+        v.next_down()
+    } else {
+        v
+    }
 }
 
 /// A point near `p` that is certainly on the side of `w`.
@@ -43,22 +43,6 @@ mod tests {
     fn gamma_has_the_tabulated_values() {
         for (n, expected) in [(3, 1.788_14e-7), (5, 2.980_233e-7), (7, 4.172_327e-7)] {
             assert!((gamma(n) / expected - 1.0).abs() < 1e-6, "γ({n}) = {}", gamma(n));
-        }
-    }
-
-    #[test]
-    fn one_ulp_is_the_next_number() {
-        let tiny = f32::from_bits(1);
-        for v in [0.0, -0.0, tiny, -tiny, 1.0, -1.0, 0.999_999_94, 2.0, -1e-38, 3e38, f32::MAX, f32::MIN] {
-            assert_eq!(one_ulp(v, 0.0).to_bits(), v.to_bits());
-            assert_eq!(one_ulp(v, -0.0).to_bits(), v.to_bits());
-            for step in [1e-30, 1.0, f32::INFINITY] {
-                assert_eq!(one_ulp(v, step), v.next_up(), "{v}");
-                assert_eq!(one_ulp(v, -step), v.next_down(), "{v}");
-            }
-        }
-        for v in [f32::INFINITY, f32::NEG_INFINITY, f32::NAN] {
-            assert!(!one_ulp(v, v).is_finite());
         }
     }
 

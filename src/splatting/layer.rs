@@ -407,8 +407,9 @@ impl SplatLayer {
         let mut paint = Paint::on(rank, color, source, place, is_guided.then_some(carried));
         // Diffuse surfaces, most of many a picture, have no samples.
         let has_diffuse = samples.iter().any(|s| s.object == 0);
+        let is_open = |i: usize| ids[i] != 0 || has_diffuse;
         let mut open = OpenPixels::new(width as usize, height as usize);
-        open.open(|i| ids[i] != 0 || has_diffuse);
+        open.open(is_open);
         // The rank of the last sample of each object in sight.
         let mut last = vec![u32::MAX; ids.iter().max().map_or(0, |&id| id as usize + 1)];
         let mut painted = 0;
@@ -429,7 +430,7 @@ impl SplatLayer {
             let shown = Shown { color: s.color, source: 0, place: place_of(s.x, s.y), guide: s.guide };
             let r = i32::from(s.half_side);
             if own > std::mem::replace(&mut last[s.object as usize], own) {
-                open.open(|i| ids[i] != 0 || has_diffuse);
+                open.open(is_open);
             }
             let mut any = false;
             let columns = (cx - r).max(0) as usize..(cx + r + 1).min(width) as usize;

@@ -173,7 +173,8 @@ impl<'a> Gather<'a> {
         self.named_if(at, bsdf, media, |_| true).unwrap_or(Vec3::ZERO)
     }
 
-    /// The same where that is asked for, knowing the irradiance if nothing is in the way; not a number where that is.
+    /// The same, or none where `is_asked` does not want it, who is told the irradiance that there is if nothing is in the way;
+    /// where that is none nobody is asked.
     pub fn named_if(
         &self,
         at: &Interaction,
@@ -190,10 +191,9 @@ impl<'a> Gather<'a> {
                 lights.push((value, light));
             }
         }
-        is_asked(open).then(|| {
+        (lights.is_empty() || is_asked(open)).then(|| {
             let arriving = |light| arriving(self.scene, self.accel, at, &media, light);
-            let lit = lights.iter().filter_map(|(value, light)| Some(*value * arriving(light)?));
-            finite(lit.fold(Vec3::ZERO, |sum, light| sum + light))
+            finite(lights.iter().filter_map(|(value, light)| Some(*value * arriving(light)?)).sum())
         })
     }
 

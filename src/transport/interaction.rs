@@ -63,19 +63,6 @@ pub fn mip_level(uv_density: f32, footprint: f32, texture_size: [usize; 2]) -> f
 /// Least cosine between the shading normal and the direction that it is seen from.
 const GRAZING: f32 = 0.01;
 
-/// Where interpolation or bumps turned a shading normal away from the viewer, that normal tilted back until the view just
-/// grazes it, so that reflections do not go black (as Keller et al. 2017 do for bumps).
-#[inline]
-fn kept_visible(normal: Vec3, wo: Vec3, back: bool) -> Option<Vec3> {
-    let side = if back { -1.0 } else { 1.0 };
-    let cosine = side * normal.dot(wo);
-    if cosine.is_nan() || cosine >= GRAZING {
-        return None;
-    }
-    let tilted = normal + wo * (side * (GRAZING - cosine));
-    Some(tilted.try_normalize().unwrap_or(normal))
-}
-
 impl Interaction {
     /// The interaction of a hit of `ray`.
     pub fn at(scene: &Scene, ray: &Ray, hit: &Hit) -> Self {
@@ -102,24 +89,14 @@ impl Interaction {
         let uvs = vertices.map(|v| mesh.uvs[v]);
         let (uv, uv_density) = texture_coordinates(uvs, b1, b2, e1.cross(e2).length());
         let material = mesh.materials[hit.triangle as usize];
-        let back = area_normal.dot(ray.direction) > 0.0;
-        let has_direction = scene.materials[material.0 as usize].has_direction();
-        let smooth_normal = shading_normal;
-        let (mut tilted, mut tangent, mut bitangent) = (false, Vec3::ZERO, Vec3::ZERO);
-        if !has_direction {
-            let turned = kept_visible(shading_normal, wo, back);
-            tilted = turned.is_some();
-            shading_normal = turned.unwrap_or(shading_normal);
-            (tangent, bitangent) = shading_normal.any_orthonormal_pair();
-        }
         let mut at = Self {
             position,
             error,
             geometric_normal,
             shading_normal,
-            smooth_normal,
-            tangent,
-            bitangent,
+            smooth_normal: shading_normal,
+            tangent: Vec3::ZERO,
+            bitangent: Vec3::ZERO,
             uv,
             uv_density,
             triangle: hit.triangle,
@@ -127,13 +104,14 @@ impl Interaction {
             b2,
             material,
             object: mesh.objects[hit.triangle as usize],
-            back,
-            tilted,
+            back: area_normal.dot(ray.direction) > 0.0,
+            tilted: false,
             wo,
             t: hit.t,
             footprint: 0.0,
         };
-        if has_direction {
+        let m = at.material(scene);
+        if m.has_direction() {
             let [ta, tb, tc] = uvs;
             let (d1, d2) = (tb - ta, tc - ta);
             let determinant = d1.perp_dot(d2);
@@ -145,6 +123,9 @@ impl Interaction {
             at.set_frame(along_u, sign);
             at.perturb(scene, along_u, sign);
             at.keep_visible(sign);
+        } else {
+            at.keep_visible(1.0);
+            (at.tangent, at.bitangent) = at.shading_normal.any_orthonormal_pair();
         }
         at
     }
@@ -294,12 +275,18 @@ impl Interaction {
         }
     }
 
-    /// Tilts the shading normal where it is [turned away](kept_visible) from the viewer.
+    /// Where interpolation or bumps turned the shading normal away from the viewer, tilts it back until
+    /// the view just grazes it, so that reflections do not go black (as Keller et al. 2017 do for bumps).
     fn keep_visible(&mut self, sign: f32) {
-        if let Some(normal) = kept_visible(self.shading_normal, self.wo, self.back) {
+        let side = if self.back { -1.0 } else { 1.0 };
+        let cosine = side * self.shading_normal.dot(self.wo);
+        if cosine < GRAZING {
             self.tilted = true;
-            self.shading_normal = normal;
-            self.set_frame(self.tangent, sign);
+            let tilted = self.shading_normal + self.wo * (side * (GRAZING - cosine));
+            if let Some(n) = tilted.try_normalize() {
+                self.shading_normal = n;
+                self.set_frame(self.tangent, sign);
+            }
         }
     }
 

@@ -293,7 +293,8 @@ impl<W: Witness> Tracer<'_, W> {
                 let mut survival = 1.0;
                 let traced = gather.named_if(at, bsdf, media, |open| {
                     let Some((share, drawn)) = seen else { return true };
-                    survival = self.survival(open * (share * FRAC_1_PI));
+                    // Neither what the rays may add nor what they may take.
+                    survival = self.survival(open.max(stored) * (share * FRAC_1_PI));
                     if survival < 1.0 {
                         self.witness.note(|| Event::Roulette { survival, drawn }, Vec3::ZERO);
                     }
@@ -309,14 +310,13 @@ impl<W: Witness> Tracer<'_, W> {
         irradiance * FRAC_1_PI
     }
 
-    /// Probability that light is worth a shadow ray which adds so much to the sample's value at most, so that what chance
-    /// adds to it is never less than [`Settings::min_contribution`] of display white.
+    /// Probability that light is worth a shadow ray which changes the sample's value by so much at most, so that a ray that
+    /// is traced changes it by no more than [`Settings::min_contribution`] of display white instead.
     #[inline]
     fn survival(&self, most: Vec3) -> f32 {
-        let whites = most.max_element() * self.scene.display.exposure;
-        let survival = whites / self.settings.min_contribution;
-        // Also what is not a number is certain.
-        if survival < 1.0 { survival } else { 1.0 }
+        let survival = most.max_element() * self.scene.display.exposure / self.settings.min_contribution;
+        // What is not a number is certain; so is all where nothing is displayed.
+        if survival > 0.0 && survival < 1.0 { survival } else { 1.0 }
     }
 
     /// Surfaces along a ray whose random numbers are shared out among pixels.
@@ -359,8 +359,7 @@ impl<W: Witness> Tracer<'_, W> {
             return light * scale;
         };
         branch.width += branch.spread * hit.t;
-        let mut at = Interaction::at(self.scene, ray, hit);
-        at.footprint = branch.width;
+        let at = Interaction::at(self.scene, ray, hit).with_footprint(branch.width);
         let bsdf = branch.media.banded(Bsdf::at(self.scene, &at));
         self.witness.note(|| Event::surface(&at, branch.depth), Vec3::ZERO);
         let mut radiance = share(at.point().emission(self.scene));

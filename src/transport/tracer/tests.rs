@@ -323,20 +323,48 @@ fn a_witness_sees_all_that_a_sample_is_made_of() {
     assert!(several > 100, "{several}");
 }
 
+/// A map that knows a part of what named lights bring, and says so everywhere.
+struct Coarse;
+
+impl Irradiance for Coarse {
+    fn irradiance(&self, _: u32, _: f32, _: f32, _: bool) -> Vec3 {
+        Vec3::ONE
+    }
+
+    fn unnamed(&self, _: u32, _: f32, _: f32, _: bool) -> Unnamed {
+        Unnamed { rest: Vec3::splat(0.2), named: Some(Vec3::splat(0.8)) }
+    }
+}
+
+/// Where a surface is turned away from a named light no ray is needed, and what a map says of that light is not believed.
+#[test]
+fn what_faces_away_from_a_lamp_is_dark_without_a_ray() {
+    let mut b = Builder::default();
+    let mirror = b.material(Model::Mirror { specular: Reflectance::constant(Vec3::splat(0.02)) });
+    let wall = b.material(lambert(0.5));
+    b.rectangle(Vec3::ZERO, Vec3::X * 9.0, Vec3::Y * 9.0, mirror);
+    b.rectangle(Vec3::new(0.0, 2.0, 0.0), Vec3::X * 9.0, Vec3::Z * 9.0, wall);
+    let mut scene = b.scene();
+    let ray = Ray::new(Vec3::new(0.0, -1.0, 1.0), Vec3::new(0.0, 1.0, -1.0));
+    for (towards, expected) in [(-Vec3::Y, 0.2), (Vec3::Y, 1.0)] {
+        scene.lights = vec![Light::Directional { direction: towards, irradiance: Vec3::splat(0.8) }];
+        let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
+        let tracer = Tracer::new(&scene, &accel, &lights, &Coarse, Settings::default());
+        let expected = 0.02 * 0.5 * std::f32::consts::FRAC_1_PI * expected;
+        for i in 0..100 {
+            let found = tracer.radiance(&ray, Stream::new(4, i, 0)).x;
+            assert!(
+                (found - expected).abs() < 1e-6 * expected.max(1e-3),
+                "{towards}: {found}, not {expected}"
+            );
+        }
+    }
+}
+
 /// Shadow rays that would add next to nothing are traced now and then, and the mean stays: of light samples, and of lamps
 /// that a map knows half of.
 #[test]
 fn shadow_rays_are_traced_where_they_count() {
-    struct Coarse;
-    impl Irradiance for Coarse {
-        fn irradiance(&self, _: u32, _: f32, _: f32, _: bool) -> Vec3 {
-            Vec3::ONE
-        }
-
-        fn unnamed(&self, _: u32, _: f32, _: f32, _: bool) -> Unnamed {
-            Unnamed { rest: Vec3::splat(0.2), named: Some(Vec3::splat(0.8)) }
-        }
-    }
     /// Light samples, and lamps left out.
     #[derive(Default)]
     struct Count(std::cell::Cell<(u64, u64)>);

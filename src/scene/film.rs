@@ -12,7 +12,7 @@ use glam::Vec3;
 use crate::math;
 
 /// A film in air on a surface.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Film {
     /// How much of it is there, in [0, 1].
     pub strength: f32,

@@ -7,6 +7,7 @@ use glam::Vec3;
 use super::coat::Coat;
 use super::metal_rough::MetalRough;
 use super::recipe::Recipe;
+use super::skin::Skin;
 
 /// Index into `Scene::materials`.
 #[derive(
@@ -226,6 +227,8 @@ pub struct Material {
     pub culled: bool,
     /// Of glass: how much more red and blue are bent than each other, 20 divided by the Abbe number.
     pub dispersion: f32,
+    /// Of glass: what lies on it.
+    pub skin: Option<Skin>,
 }
 
 impl Material {
@@ -245,6 +248,7 @@ impl Material {
             shadeless: false,
             culled: false,
             dispersion: 0.0,
+            skin: None,
         }
     }
 }

@@ -25,6 +25,7 @@ pub mod placement;
 pub mod plan;
 pub mod recipe;
 pub mod sheen;
+pub mod skin;
 pub mod split_sum;
 #[cfg(test)]
 pub mod test_scenes;

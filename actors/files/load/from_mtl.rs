@@ -149,6 +149,7 @@ pub(super) fn material(
         shadeless: false,
         culled: false,
         dispersion: 0.0,
+        skin: None,
         tint: foveal::scene::Reflectance::constant(glam::Vec3::ONE),
     }
 }

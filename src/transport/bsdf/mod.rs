@@ -22,6 +22,7 @@ use crate::math;
 pub use crate::scene::fresnel;
 use crate::scene::metal_rough::Over;
 use crate::scene::microfacet::Microfacet;
+use crate::scene::skin::Skin;
 use crate::scene::{Distribution, LobeAlbedo, Material, Model, Sheen};
 
 /// One sampled direction.
@@ -139,6 +140,8 @@ enum Coat {
         kept: f32,
         over: Option<Over>,
     },
+    /// What lies on glass: of what is below nothing is diffuse.
+    Skin(Skin),
 }
 
 /// The reflectance at one point, for one side.
@@ -177,7 +180,7 @@ impl Bsdf {
     pub fn coat_factor(&self, wo: Vec3) -> f32 {
         let cosine = wo.dot(self.normal).max(0.0);
         match self.coat {
-            Coat::None => 1.0,
+            Coat::None | Coat::Skin(_) => 1.0,
             Coat::Dielectric(coat) => coat.factor(cosine),
             Coat::Layer { f0, f90, alpha, kept, over } => {
                 let over = over.map_or(1.0, |over| over.kept(cosine) / over.kept_mean());
@@ -285,17 +288,18 @@ impl Bsdf {
             Lobe::Mirror { reflectance } => [reflection(reflectance), None],
             Lobe::Smooth { facet } => [reflection(facet.reflectance(cosine)), None],
             Lobe::Glass { eta, microfacet: None, tint, .. } => {
-                let f = fresnel::dielectric(cosine, eta);
-                let through = self.refracted(wo, eta).filter(|wi| f < 1.0 && wi.dot(self.geometric) < 0.0);
+                let f = self.glass_reflectance(cosine, eta);
+                let crosses = f.min_element() < 1.0;
+                let through = self.refracted(wo, eta).filter(|wi| crosses && wi.dot(self.geometric) < 0.0);
                 let refraction = through.map(|wi| BsdfSample {
                     wi,
-                    weight: tint * (1.0 - f),
+                    weight: tint * (Vec3::ONE - f),
                     pdf: 1.0,
                     delta: true,
                     transmitted: true,
                     radiance_scale: 1.0 / (eta * eta),
                 });
-                [reflection(Vec3::splat(f)), refraction]
+                [reflection(f), refraction]
             }
             Lobe::Pane { eta, transmittance } => {
                 let (r, t) = fresnel::pane(cosine, eta, transmittance);
@@ -384,6 +388,15 @@ impl Bsdf {
         }
     }
 
+    /// What glass and the skin on it reflect towards `cosine`, per band.
+    #[inline]
+    fn glass_reflectance(&self, cosine: f32, eta: f32) -> Vec3 {
+        match &self.coat {
+            Coat::Skin(skin) => skin.reflectance(cosine, eta),
+            _ => Vec3::splat(fresnel::dielectric(cosine, eta)),
+        }
+    }
+
     /// Rough glass: a visible facet reflects or refracts; the weight of either is G₂ / G₁ (Walter et al. 2007). It
     /// is treated as a delta lobe: light sampling leaves it alone.
     fn sample_rough_glass(
@@ -400,8 +413,13 @@ impl Bsdf {
             return None;
         }
         let h = ggx.sample(o, u);
-        let f = fresnel::dielectric(o.dot(h), eta);
-        let transmitted = u_lobe >= f;
+        let f = self.glass_reflectance(o.dot(h), eta);
+        // Without a skin all bands reflect the same.
+        let (chance, is_white) = match f.x == f.y && f.y == f.z {
+            true => (f.x, true),
+            false => (luminance(f), false),
+        };
+        let transmitted = u_lobe >= chance;
         let i = if transmitted { refract(o, h, eta)? } else { h * (2.0 * o.dot(h)) - o };
         if (i.z < 0.0) != transmitted {
             return None;
@@ -411,10 +429,12 @@ impl Bsdf {
             return None;
         }
         let shadowing = ggx.g1(Vec3::new(i.x, i.y, i.z.abs()));
+        let (went, pdf) = if transmitted { (Vec3::ONE - f, 1.0 - chance) } else { (f, chance) };
+        let color = if is_white { Vec3::ONE } else { went / pdf };
         Some(BsdfSample {
             wi,
-            weight: Vec3::splat(shadowing),
-            pdf: if transmitted { 1.0 - f } else { f },
+            weight: color * shadowing,
+            pdf,
             delta: true,
             transmitted,
             radiance_scale: if transmitted { 1.0 / (eta * eta) } else { 1.0 },

@@ -85,15 +85,14 @@ impl Bsdf {
             Lobe::Fibres { .. } => [None, None],
             Lobe::Glass { eta, microfacet: Some(microfacet), tint, spread } => {
                 let alpha = microfacet.ax.max(microfacet.ay);
-                let f0 = fresnel::dielectric(1.0, eta);
-                let reflected = rough(Vec3::splat(f0), alpha, Vec3::ONE).x;
+                let reflected = rough(self.glass_reflectance(1.0, eta), alpha, Vec3::ONE);
                 let [reflection, through] =
                     Self { lobe: Lobe::Glass { eta, microfacet: None, tint, spread }, ..*self }
                         .delta_lobes(wo);
                 let weighted =
                     |sample: Option<BsdfSample>, weight| sample.map(|s| BsdfSample { weight, ..s });
-                let passed = tint * (1.0 - reflected);
-                [weighted(reflection, Vec3::splat(reflected)), weighted(through, passed)]
+                let passed = tint * (Vec3::ONE - reflected);
+                [weighted(reflection, reflected), weighted(through, passed)]
             }
             Lobe::None
             | Lobe::Mirror { .. }

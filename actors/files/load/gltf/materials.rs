@@ -7,7 +7,8 @@ use super::document::{Material, TextureInfo, Volume};
 use super::pictures::{Coordinates, MapUse, Pictures};
 use super::{Choices, Oddities, Problem};
 use foveal::math;
-use foveal::scene::metal_rough::Grain;
+use foveal::scene::metal_rough::{Film, Grain};
+use foveal::scene::skin::Skin;
 
 /// What lies below texture and colour.
 #[derive(Clone, Debug, PartialEq)]
@@ -15,7 +16,7 @@ pub(in super::super) enum Kind {
     /// Metal, dielectric or between.
     MetalRough(Box<MetalRoughSource>),
     /// A body that lets light through, which its base colour tints at each crossing.
-    Glass { ior: f32, transmittance: Vec3, roughness: f32, dispersion: f32 },
+    Glass { ior: f32, transmittance: Vec3, roughness: f32, dispersion: f32, skin: Option<Skin> },
     /// Looks as its base colour says, whatever the light.
     Unlit,
 }
@@ -387,13 +388,14 @@ fn kind(material: &Material, is_open: bool, odd: &mut Oddities) -> Kind {
             if through < 1.0 || mapped || metallic > 0.0 || pbr.metallic_roughness_texture.is_some() {
                 odd.count("a volume that is not all glass", "shown as clear glass of its factors");
             }
-            if source.coat.is_some() || source.sheen.is_some() || source.film.is_some() {
-                odd.count("a volume below a coat, fibres or a film", "shown without what lies over it");
+            if source.sheen.is_some() {
+                odd.count("a volume below fibres", "shown without them");
             }
+            let skin = skin(material, &source, odd);
             let ior = if ior == 0.0 { 10.0 } else { ior.clamp(1.0, 10.0) };
             let dispersion = e.dispersion.as_ref().map_or(0.0, |d| bounded(d.dispersion, 20.0));
             let (transmittance, roughness) = (transmittance(volume), source.roughness);
-            return Kind::Glass { ior, transmittance, roughness, dispersion };
+            return Kind::Glass { ior, transmittance, roughness, dispersion, skin };
         } else {
             odd.count("a volume that lets less than half of the light through", "shown without its inside");
         }
@@ -413,6 +415,32 @@ fn grain(material: &Material) -> Option<Grain> {
     let strength = unit(a.anisotropy_strength);
     let rotation = if a.anisotropy_rotation.is_finite() { a.anisotropy_rotation } else { 0.0 };
     (strength > 0.0).then_some(Grain { strength, rotation })
+}
+
+/// What lies on a body of glass. It is as rough as the glass, and the same all over.
+fn skin(material: &Material, source: &MetalRoughSource, odd: &mut Oddities) -> Option<Skin> {
+    /// Roughness of a coat that looks like another one.
+    const ROUGHNESS_OFF: f32 = 0.1;
+    let e = &material.extensions;
+    let coat = e.clearcoat.as_ref().filter(|_| source.coat.is_some());
+    let is_mapped =
+        coat.is_some_and(|c| c.clearcoat_texture.is_some() || c.clearcoat_normal_texture.is_some());
+    let thickness = e.iridescence.as_ref().and_then(|i| i.iridescence_thickness_texture.as_ref());
+    if is_mapped
+        || e.iridescence.as_ref().is_some_and(|i| i.iridescence_texture.is_some())
+        || thickness.is_some()
+    {
+        odd.count("maps of a coat or a film over a volume", "shown the same all over");
+    }
+    if source.coat.is_some_and(|[_, roughness]| (roughness - source.roughness).abs() > ROUGHNESS_OFF) {
+        odd.count("a coat over a volume of another roughness", "shown as rough as the volume");
+    }
+    let film = source.film.as_ref().map(|f| {
+        let [low, high] = f.thickness;
+        let thickness = if thickness.is_some() { 0.5 * (low + high) } else { high };
+        Film { strength: f.strength, ior: f.ior, thickness }
+    });
+    Skin::new(film, source.coat.map_or(0.0, |[strength, _]| strength))
 }
 
 fn film(material: &Material) -> Option<FilmSource> {

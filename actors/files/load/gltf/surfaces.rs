@@ -151,10 +151,11 @@ fn finish_one(
                 }
             }
         }
-        &Kind::Glass { ior, transmittance, roughness, dispersion } => {
+        &Kind::Glass { ior, transmittance, roughness, dispersion, skin } => {
             let alpha = MetalRough::alpha(roughness);
             material.tint = base;
             material.dispersion = dispersion;
+            material.skin = skin;
             Model::Dielectric {
                 ior,
                 transmittance,

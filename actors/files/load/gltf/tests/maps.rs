@@ -425,6 +425,72 @@ fn glass_bends_each_band_by_its_own_index() {
 }
 
 #[test]
+fn a_film_and_a_coat_on_a_body_of_glass_are_seen_from_both_sides() {
+    let glass = |name: &str, roughness: f32, more: &str| {
+        with_body(
+            name,
+            &format!(
+                r#"[{{"pbrMetallicRoughness": {{"metallicFactor": 0, "roughnessFactor": {roughness}}}, "extensions": {{
+                "KHR_materials_transmission": {{"transmissionFactor": 1}}, "KHR_materials_volume": {{"thicknessFactor": 1}}
+                {more}}}}}]"#
+            ),
+        )
+    };
+    let film =
+        r#", "KHR_materials_iridescence": {"iridescenceFactor": 1, "iridescenceThicknessMaximum": 420}"#;
+    let coat = r#", "KHR_materials_clearcoat": {"clearcoatFactor": 1}"#;
+    let seen = |scene: &Scene, ray: Ray| {
+        let hit = Hit { t: 1.0, triangle: 0, b1: 0.2, b2: 0.2 };
+        let at = Interaction::at(scene, &ray, &hit);
+        (Bsdf::at(scene, &at), at.wo)
+    };
+    let both = |scene: &Scene, direction: Vec3| {
+        let (bsdf, wo) = seen(scene, Ray::new(Vec3::ZERO, direction));
+        let [Some(reflected), Some(through)] = bsdf.delta_lobes(wo) else { panic!("both") };
+        assert!((reflected.weight + through.weight - Vec3::ONE).abs().max_element() < 1e-6);
+        (reflected.weight, through)
+    };
+    let direction = Vec3::new(0.6, 0.0, -0.8);
+    let bare = both(&glass("gltf-bare", 0.0, "").scene, direction).0;
+    let coated = glass("gltf-coated-glass", 0.0, coat);
+    let (reflected, _) = both(&coated.scene, direction);
+    assert!(reflected.x > 1.5 * bare.x && reflected.x < 2.0 * bare.x, "a second face: {reflected} {bare}");
+    assert_eq!(reflected.min_element(), reflected.max_element());
+    let filmed = glass("gltf-filmed-glass", 0.0, film);
+    let (reflected, through) = both(&filmed.scene, direction);
+    assert!(reflected.max_element() > 1.2 * reflected.min_element(), "it has a colour: {reflected}");
+    // On its way out the same light meets the same film.
+    let inside = through.wi.with_x(-through.wi.x) * -1.0;
+    let (out, _) = both(&filmed.scene, inside);
+    assert!((out - reflected).abs().max_element() < 3e-3, "{out} {reflected}");
+    // Facets that are all but flat choose between both, and show the same on average.
+    let rough = glass("gltf-filmed-rough-glass", 0.05, film);
+    let (bsdf, wo) = seen(&rough.scene, Ray::new(Vec3::ZERO, direction));
+    let (n, mut sums) = (4000, [Vec3::ZERO; 2]);
+    for i in 0..n {
+        let u =
+            |k: u32| ((f64::from(i) * [0.754_877_666, 0.569_840_29, 0.618_033_99][k as usize]) % 1.0) as f32;
+        if let Some(s) = bsdf.sample(wo, [u(0), u(1)], u(2)) {
+            sums[usize::from(s.transmitted)] += s.weight / n as f32;
+        }
+    }
+    assert!((sums[0] - reflected).abs().max_element() < 4e-3, "{sums:?} {reflected}");
+    assert!((sums[1] - through.weight).abs().max_element() < 1e-2, "{sums:?} {}", through.weight);
+    for (name, more, said) in [
+        ("gltf-told-a", film, false),
+        (
+            "gltf-told-b",
+            r#", "KHR_materials_clearcoat": {"clearcoatFactor": 1, "clearcoatRoughnessFactor": 0.5}"#,
+            true,
+        ),
+        ("gltf-told-c", r#", "KHR_materials_sheen": {"sheenColorFactor": [1, 1, 1]}"#, true),
+    ] {
+        let told = format!("{:?}", glass(name, 0.0, more).warnings);
+        assert_eq!(told.contains("over a volume") || told.contains("below fibres"), said, "{name}: {told}");
+    }
+}
+
+#[test]
 fn the_charts_of_texture_transform_agree() {
     // A texel of red at the upper left of four; each transform of the extension's text brings it to the quad's middle.
     let picture = data_png_of(2, &[[255, 0, 0, 255], [0, 0, 0, 255], [0, 0, 0, 255], [0, 0, 0, 255]]);

@@ -15,7 +15,7 @@ pub struct Foresight {
 
 impl Foresight {
     /// Times that count: the share of those that take longer than expected is two of one more than that.
-    const NEWEST: usize = 20;
+    const NEWEST: usize = 24;
 
     /// It took so long this time.
     pub fn learn(&mut self, took: Duration) {

@@ -5,9 +5,9 @@ use std::cell::Cell;
 use glam::Vec3;
 
 use super::coat::Coat;
+use super::coating::Coating;
 use super::metal_rough::MetalRough;
 use super::recipe::Recipe;
-use super::skin::Skin;
 
 /// Index into `Scene::materials`.
 #[derive(
@@ -228,7 +228,7 @@ pub struct Material {
     /// Of glass: how much more red and blue are bent than each other, 20 divided by the Abbe number.
     pub dispersion: f32,
     /// Of glass: what lies on it.
-    pub skin: Option<Skin>,
+    pub coating: Option<Coating>,
 }
 
 impl Material {
@@ -248,7 +248,7 @@ impl Material {
             shadeless: false,
             culled: false,
             dispersion: 0.0,
-            skin: None,
+            coating: None,
         }
     }
 }

@@ -7,6 +7,7 @@ mod box_filter;
 pub mod bulk;
 pub mod camera;
 pub mod coat;
+pub mod coating;
 mod cutout;
 pub mod defaults;
 pub mod edit;
@@ -25,7 +26,6 @@ pub mod placement;
 pub mod plan;
 pub mod recipe;
 pub mod sheen;
-pub mod skin;
 pub mod split_sum;
 #[cfg(test)]
 pub mod test_scenes;

@@ -149,7 +149,7 @@ pub(super) fn material(
         shadeless: false,
         culled: false,
         dispersion: 0.0,
-        skin: None,
+        coating: None,
         tint: foveal::scene::Reflectance::constant(glam::Vec3::ONE),
     }
 }

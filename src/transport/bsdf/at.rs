@@ -130,7 +130,7 @@ impl Bsdf {
                 } else {
                     let eta = if at.back { 1.0 / ior } else { ior };
                     let spread = (ior - 1.0) * 0.025 * m.dispersion;
-                    coat_over = m.skin.map_or(Coat::None, Coat::Skin);
+                    coat_over = m.coating.map_or(Coat::None, Coat::OnGlass);
                     Lobe::Glass { eta, microfacet: Microfacet::of(roughness), tint: lookup(&m.tint), spread }
                 }
             }

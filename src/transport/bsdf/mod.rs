@@ -19,10 +19,10 @@ use glam::Vec3;
 
 use crate::image::luminance;
 use crate::math;
+use crate::scene::coating::Coating;
 pub use crate::scene::fresnel;
 use crate::scene::metal_rough::Over;
 use crate::scene::microfacet::Microfacet;
-use crate::scene::skin::Skin;
 use crate::scene::{Distribution, LobeAlbedo, Material, Model, Sheen};
 
 /// One sampled direction.
@@ -140,8 +140,8 @@ enum Coat {
         kept: f32,
         over: Option<Over>,
     },
-    /// What lies on glass: of what is below nothing is diffuse.
-    Skin(Skin),
+    /// On glass, below which nothing is diffuse.
+    OnGlass(Coating),
 }
 
 /// The reflectance at one point, for one side.
@@ -180,7 +180,7 @@ impl Bsdf {
     pub fn coat_factor(&self, wo: Vec3) -> f32 {
         let cosine = wo.dot(self.normal).max(0.0);
         match self.coat {
-            Coat::None | Coat::Skin(_) => 1.0,
+            Coat::None | Coat::OnGlass(_) => 1.0,
             Coat::Dielectric(coat) => coat.factor(cosine),
             Coat::Layer { f0, f90, alpha, kept, over } => {
                 let over = over.map_or(1.0, |over| over.kept(cosine) / over.kept_mean());
@@ -388,11 +388,11 @@ impl Bsdf {
         }
     }
 
-    /// What glass and the skin on it reflect towards `cosine`, per band.
+    /// What glass and the coating on it reflect towards `cosine`, per band.
     #[inline]
     fn glass_reflectance(&self, cosine: f32, eta: f32) -> Vec3 {
         match &self.coat {
-            Coat::Skin(skin) => skin.reflectance(cosine, eta),
+            Coat::OnGlass(coating) => coating.reflectance(cosine, eta),
             _ => Vec3::splat(fresnel::dielectric(cosine, eta)),
         }
     }
@@ -414,7 +414,7 @@ impl Bsdf {
         }
         let h = ggx.sample(o, u);
         let f = self.glass_reflectance(o.dot(h), eta);
-        // Without a skin all bands reflect the same.
+        // Without a film all bands reflect the same.
         let (chance, is_white) = match f.x == f.y && f.y == f.z {
             true => (f.x, true),
             false => (luminance(f), false),

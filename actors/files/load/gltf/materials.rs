@@ -7,8 +7,8 @@ use super::document::{Material, TextureInfo, Volume};
 use super::pictures::{Coordinates, MapUse, Pictures};
 use super::{Choices, Oddities, Problem};
 use foveal::math;
+use foveal::scene::coating::Coating;
 use foveal::scene::metal_rough::{Film, Grain};
-use foveal::scene::skin::Skin;
 
 /// What lies below texture and colour.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,7 +16,7 @@ pub(in super::super) enum Kind {
     /// Metal, dielectric or between.
     MetalRough(Box<MetalRoughSource>),
     /// A body that lets light through, which its base colour tints at each crossing.
-    Glass { ior: f32, transmittance: Vec3, roughness: f32, dispersion: f32, skin: Option<Skin> },
+    Glass { ior: f32, transmittance: Vec3, roughness: f32, dispersion: f32, coating: Option<Coating> },
     /// Looks as its base colour says, whatever the light.
     Unlit,
 }
@@ -391,11 +391,11 @@ fn kind(material: &Material, is_open: bool, odd: &mut Oddities) -> Kind {
             if source.sheen.is_some() {
                 odd.count("a volume below fibres", "shown without them");
             }
-            let skin = skin(material, &source, odd);
+            let coating = coating(material, &source, odd);
             let ior = if ior == 0.0 { 10.0 } else { ior.clamp(1.0, 10.0) };
             let dispersion = e.dispersion.as_ref().map_or(0.0, |d| bounded(d.dispersion, 20.0));
             let (transmittance, roughness) = (transmittance(volume), source.roughness);
-            return Kind::Glass { ior, transmittance, roughness, dispersion, skin };
+            return Kind::Glass { ior, transmittance, roughness, dispersion, coating };
         } else {
             odd.count("a volume that lets less than half of the light through", "shown without its inside");
         }
@@ -418,13 +418,16 @@ fn grain(material: &Material) -> Option<Grain> {
 }
 
 /// What lies on a body of glass. It is as rough as the glass, and the same all over.
-fn skin(material: &Material, source: &MetalRoughSource, odd: &mut Oddities) -> Option<Skin> {
+fn coating(material: &Material, source: &MetalRoughSource, odd: &mut Oddities) -> Option<Coating> {
     /// Roughness of a coat that looks like another one.
     const ROUGHNESS_OFF: f32 = 0.1;
     let e = &material.extensions;
     let coat = e.clearcoat.as_ref().filter(|_| source.coat.is_some());
-    let is_mapped =
-        coat.is_some_and(|c| c.clearcoat_texture.is_some() || c.clearcoat_normal_texture.is_some());
+    let is_mapped = coat.is_some_and(|c| {
+        c.clearcoat_texture.is_some()
+            || c.clearcoat_roughness_texture.is_some()
+            || c.clearcoat_normal_texture.is_some()
+    });
     let thickness = e.iridescence.as_ref().and_then(|i| i.iridescence_thickness_texture.as_ref());
     if is_mapped
         || e.iridescence.as_ref().is_some_and(|i| i.iridescence_texture.is_some())
@@ -440,7 +443,7 @@ fn skin(material: &Material, source: &MetalRoughSource, odd: &mut Oddities) -> O
         let thickness = if thickness.is_some() { 0.5 * (low + high) } else { high };
         Film { strength: f.strength, ior: f.ior, thickness }
     });
-    Skin::new(film, source.coat.map_or(0.0, |[strength, _]| strength))
+    Coating::new(film, source.coat.map_or(0.0, |[strength, _]| strength))
 }
 
 fn film(material: &Material) -> Option<FilmSource> {

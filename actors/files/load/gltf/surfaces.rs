@@ -151,11 +151,11 @@ fn finish_one(
                 }
             }
         }
-        &Kind::Glass { ior, transmittance, roughness, dispersion, skin } => {
+        &Kind::Glass { ior, transmittance, roughness, dispersion, coating } => {
             let alpha = MetalRough::alpha(roughness);
             material.tint = base;
             material.dispersion = dispersion;
-            material.skin = skin;
+            material.coating = coating;
             Model::Dielectric {
                 ior,
                 transmittance,

@@ -10,7 +10,7 @@ use super::fresnel;
 
 /// Layers that cover glass. At least one is there.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Skin {
+pub struct Coating {
     /// On the glass itself.
     pub film: Option<Film>,
     /// How much of a clear coat of index 1.5 is there, in [0, 1].
@@ -20,14 +20,14 @@ pub struct Skin {
 /// Refractive index of a clear coat.
 const COAT_INDEX: f32 = 1.5;
 
-impl Skin {
+impl Coating {
     /// `None` where there is nothing of either.
     pub fn new(film: Option<Film>, coat: f32) -> Option<Self> {
         let film = film.filter(|film| film.strength > 0.0);
         (film.is_some() || coat > 0.0).then_some(Self { film, coat })
     }
 
-    /// Reflectance per band of skin and glass together towards `cosine`, on the side from which the glass begins with the
+    /// Reflectance per band of coating and glass together towards `cosine`, on the side from which the glass begins with the
     /// relative index `eta` (below 1 from inside).
     pub fn reflectance(&self, cosine: f32, eta: f32) -> Vec3 {
         let bare = fresnel::dielectric(cosine, eta);
@@ -62,9 +62,9 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_no_skin_and_little_is_nearly_bare() {
-        assert_eq!(Skin::new(film(0.0), 0.0), None);
-        let faint = Skin::new(film(1e-6), 1e-6).unwrap();
+    fn nothing_is_no_coating_and_little_is_nearly_bare() {
+        assert_eq!(Coating::new(film(0.0), 0.0), None);
+        let faint = Coating::new(film(1e-6), 1e-6).unwrap();
         for eta in [1.5, 1.0 / 1.5, 1.0] {
             for cosine in [0.0, 0.05, 0.4, 0.8, 1.0] {
                 let off = faint.reflectance(cosine, eta) - fresnel::dielectric(cosine, eta);
@@ -75,21 +75,21 @@ mod tests {
 
     #[test]
     fn a_stack_reflects_as_much_from_inside_as_from_outside() {
-        for skin in [Skin::new(film(1.0), 0.0), Skin::new(None, 1.0), Skin::new(film(0.6), 0.7)] {
-            let skin = skin.unwrap();
+        for coating in [Coating::new(film(1.0), 0.0), Coating::new(None, 1.0), Coating::new(film(0.6), 0.7)] {
+            let coating = coating.unwrap();
             for cosine in [0.02_f32, 0.2, 0.5, 0.9, 1.0] {
                 let inside = (1.0 - (1.0 - cosine * cosine) / 2.25).sqrt();
-                let [a, b] = [skin.reflectance(cosine, 1.5), skin.reflectance(inside, 1.0 / 1.5)];
+                let [a, b] = [coating.reflectance(cosine, 1.5), coating.reflectance(inside, 1.0 / 1.5)];
                 assert!((a - b).abs().max_element() < 2e-3, "{cosine} {a} {b}");
             }
-            assert_eq!(skin.reflectance(0.3, 1.0 / 1.5), Vec3::ONE, "beyond the critical angle");
+            assert_eq!(coating.reflectance(0.3, 1.0 / 1.5), Vec3::ONE, "beyond the critical angle");
         }
     }
 
     #[test]
     fn a_coat_on_glass_of_its_index_is_a_second_face() {
         // Two equal faces: 2 F / (1 + F).
-        let coat = Skin::new(None, 1.0).unwrap();
+        let coat = Coating::new(None, 1.0).unwrap();
         let expected = 2.0 * 0.04 / 1.04;
         assert!((coat.reflectance(1.0, 1.5) - expected).abs().max_element() < 1e-6);
     }
@@ -100,10 +100,10 @@ mod tests {
             for strength in [0.1, 1.0] {
                 for thickness in [0.0, 1e-3, 250.0, 1e5] {
                     let film = Film { strength, ior, thickness };
-                    let skin = Skin::new(Some(film), strength).unwrap();
+                    let coating = Coating::new(Some(film), strength).unwrap();
                     for eta in [0.1, 0.6, 1.0, 1.5, 10.0] {
                         for cosine in [0.0, 1e-6, 0.3, 0.745, 1.0] {
-                            let found = skin.reflectance(cosine, eta);
+                            let found = coating.reflectance(cosine, eta);
                             assert!(found.cmpge(Vec3::ZERO).all() && found.cmple(Vec3::ONE).all(), "{found}");
                         }
                     }

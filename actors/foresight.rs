@@ -1,43 +1,45 @@
 //! How long something will take, by how long it took: what follows a deadline must begin so much before it, and what does
 //! not fit is not begun.
 
-use std::collections::VecDeque;
 use std::time::Duration;
 
-/// A running estimate of a time that is rarely exceeded: of the newest times, what all but the longest kept to. One frame
-/// that the system held up, or the first, for which pages are still to be read, says nothing about the next. (A mean with
-/// deviations, as TCP waits for an answer, took ten frames to forget it, and tracers had no time in those.)
-#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+/// A running estimate of a time that is rarely exceeded: the mean and two mean deviations, as TCP waits for an answer
+/// (Jacobson, *Congestion avoidance and control*, 1988). The first time, for which pages are still to be read, says nothing of
+/// the third: it is forgotten once there is a second one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Foresight {
-    /// The newest times, oldest first.
-    times: VecDeque<Duration>,
+    /// Mean and mean deviation, seconds; `None` before anything is known.
+    known: Option<(f64, f64)>,
+    /// Whether more than the first is known.
+    is_settled: bool,
 }
 
 impl Foresight {
-    /// Times that count: the share of those that take longer than expected is two of one more than that.
-    const NEWEST: usize = 24;
+    /// Weight of the newest time in the mean.
+    const MEAN: f64 = 0.125;
+    /// The same in the deviation.
+    const DEVIATION: f64 = 0.25;
 
     /// It took so long this time.
     pub fn learn(&mut self, took: Duration) {
-        if self.times.len() == Self::NEWEST {
-            self.times.pop_front();
-        }
-        self.times.push_back(took);
+        let took = took.as_secs_f64();
+        let before = self.known.filter(|_| self.is_settled);
+        self.is_settled = self.known.is_some();
+        let (mean, deviation) = before.unwrap_or((took, 0.5 * took));
+        let error = took - mean;
+        self.known =
+            Some((mean + Self::MEAN * error, deviation + Self::DEVIATION * (error.abs() - deviation)));
     }
 
     /// Whether it was seen at least once.
     pub fn is_known(&self) -> bool {
-        !self.times.is_empty()
+        self.known.is_some()
     }
 
     /// How long it takes at most, nearly always; nothing before it was seen once.
     pub fn expected(&self) -> Duration {
-        let keep = |(longest, second): (Duration, Duration), &took: &Duration| match took > longest {
-            true => (took, longest),
-            false => (longest, second.max(took)),
-        };
-        let (longest, second) = self.times.iter().fold(Default::default(), keep);
-        if self.times.len() == 1 { longest } else { second }
+        let (mean, deviation) = self.known.unwrap_or_default();
+        Duration::try_from_secs_f64(mean + 2.0 * deviation).unwrap_or_default()
     }
 }
 
@@ -69,18 +71,18 @@ mod tests {
         };
         // Even times between 5 and 15 ms.
         assert!(late(&mut foresight) < 40, "one of ten");
-        assert!(foresight.expected() > ms(13.0) && foresight.expected() <= ms(15.0));
+        assert!(foresight.expected() > ms(13.0) && foresight.expected() < ms(20.0));
     }
     #[test]
-    fn one_long_time_is_no_reason_to_expect_another_and_two_are() {
+    fn the_first_time_is_forgotten_once_there_is_a_second() {
         let mut foresight = Foresight::default();
-        foresight.learn(ms(80.0));
-        assert_eq!(foresight.expected(), ms(80.0), "nothing else is known");
-        (0..3).for_each(|_| foresight.learn(ms(9.0)));
-        assert_eq!(foresight.expected(), ms(9.0));
-        foresight.learn(ms(70.0));
-        assert_eq!(foresight.expected(), ms(70.0));
-        (0..Foresight::NEWEST).for_each(|_| foresight.learn(ms(9.0)));
-        assert_eq!(foresight.expected(), ms(9.0), "both are forgotten");
+        foresight.learn(ms(60.0));
+        assert!(foresight.expected() >= ms(60.0), "nothing else is known");
+        foresight.learn(ms(9.0));
+        let mut plain = Foresight::default();
+        (0..2).for_each(|_| plain.learn(ms(9.0)));
+        assert_eq!(foresight, plain);
+        foresight.learn(ms(60.0));
+        assert!(foresight.expected() > ms(30.0), "a later one is not");
     }
 }

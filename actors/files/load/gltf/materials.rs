@@ -428,11 +428,9 @@ fn coating(material: &Material, source: &MetalRoughSource, odd: &mut Oddities) -
             || c.clearcoat_roughness_texture.is_some()
             || c.clearcoat_normal_texture.is_some()
     });
-    let thickness = e.iridescence.as_ref().and_then(|i| i.iridescence_thickness_texture.as_ref());
-    if is_mapped
-        || e.iridescence.as_ref().is_some_and(|i| i.iridescence_texture.is_some())
-        || thickness.is_some()
-    {
+    let iridescence = e.iridescence.as_ref().filter(|_| source.film.is_some());
+    let thickness = iridescence.and_then(|i| i.iridescence_thickness_texture.as_ref());
+    if is_mapped || thickness.is_some() || iridescence.is_some_and(|i| i.iridescence_texture.is_some()) {
         odd.count("maps of a coat or a film over a volume", "shown the same all over");
     }
     if source.coat.is_some_and(|[_, roughness]| (roughness - source.roughness).abs() > ROUGHNESS_OFF) {

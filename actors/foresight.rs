@@ -73,6 +73,7 @@ mod tests {
         assert!(late(&mut foresight) < 40, "one of ten");
         assert!(foresight.expected() > ms(13.0) && foresight.expected() < ms(20.0));
     }
+
     #[test]
     fn the_first_time_is_forgotten_once_there_is_a_second() {
         let mut foresight = Foresight::default();

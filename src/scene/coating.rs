@@ -1,7 +1,8 @@
 //! What lies on a body of glass: a thin film, and a clear coat over it.
 //!
 //! Neither takes light away, so what of it is not reflected crosses; and a stack that takes none reflects from inside what it
-//! reflects from outside, towards the angle that Snell's law pairs with it.
+//! reflects from outside, towards the angle that Snell's law pairs with it. As in glTF's layering, what lies below a coat
+//! reflects what it would in air.
 
 use glam::Vec3;
 

@@ -379,27 +379,34 @@ fn light_passes_a_leaf_and_none_is_made() {
     }
 }
 
+/// A body of clear glass with further extensions, each after a comma.
+fn body_of_glass(name: &str, roughness: f32, more: &str) -> Loaded {
+    with_body(
+        name,
+        &format!(
+            r#"[{{"pbrMetallicRoughness": {{"metallicFactor": 0, "roughnessFactor": {roughness}}}, "extensions": {{
+            "KHR_materials_transmission": {{"transmissionFactor": 1}}, "KHR_materials_volume": {{"thicknessFactor": 1}}
+            {more}}}}}]"#
+        ),
+    )
+}
+
+/// Its first triangle as a ray meets it.
+fn first_face(scene: &Scene, ray: Ray) -> (Bsdf, Vec3) {
+    let hit = Hit { t: 1.0, triangle: 0, b1: 0.2, b2: 0.2 };
+    let at = Interaction::at(scene, &ray, &hit);
+    (Bsdf::at(scene, &at), at.wo)
+}
+
 #[test]
 fn glass_bends_each_band_by_its_own_index() {
     let glass = |name: &str, d: f32| {
-        with_body(
-            name,
-            &format!(
-                r#"[{{"pbrMetallicRoughness": {{"metallicFactor": 0, "roughnessFactor": 0}}, "extensions": {{
-                "KHR_materials_transmission": {{"transmissionFactor": 1}}, "KHR_materials_volume": {{"thicknessFactor": 1}},
-                "KHR_materials_dispersion": {{"dispersion": {d}}}}}}}]"#
-            ),
-        )
-        .scene
+        let dispersion = format!(r#", "KHR_materials_dispersion": {{"dispersion": {d}}}"#);
+        body_of_glass(name, 0.0, &dispersion).scene
     };
     let scene = glass("gltf-dispersion", 2.0);
     let direction = Vec3::new(0.6, 0.0, -0.8);
-    let seen = |scene: &Scene, ray: Ray| {
-        let hit = Hit { t: 1.0, triangle: 0, b1: 0.2, b2: 0.2 };
-        let at = Interaction::at(scene, &ray, &hit);
-        (Bsdf::at(scene, &at), at.wo)
-    };
-    let (bsdf, wo) = seen(&scene, Ray::new(Vec3::ZERO, direction));
+    let (bsdf, wo) = first_face(&scene, Ray::new(Vec3::ZERO, direction));
     assert!(bsdf.is_dispersive());
     let mut sum = Vec3::ZERO;
     for (k, band) in Band::ALL.into_iter().enumerate() {
@@ -410,12 +417,12 @@ fn glass_bends_each_band_by_its_own_index() {
         assert_eq!(through.weight * (Vec3::ONE - band.color()), Vec3::ZERO);
         sum += through.weight;
         // Out again through the other side, it is bent back.
-        let (inner, wo) = seen(&scene, Ray::new(Vec3::ZERO, -through.wi.with_x(-through.wi.x)));
+        let (inner, wo) = first_face(&scene, Ray::new(Vec3::ZERO, -through.wi.with_x(-through.wi.x)));
         let [_, Some(out)] = inner.of_band(band).delta_lobes(wo) else { panic!() };
         assert!((out.wi.x.abs() - 0.6).abs() < 1e-5, "{}", out.wi);
     }
     let [_, Some(white)] =
-        seen(&glass("gltf-no-dispersion", 0.0), Ray::new(Vec3::ZERO, direction)).0.delta_lobes(wo)
+        first_face(&glass("gltf-no-dispersion", 0.0), Ray::new(Vec3::ZERO, direction)).0.delta_lobes(wo)
     else {
         panic!()
     };
@@ -426,37 +433,22 @@ fn glass_bends_each_band_by_its_own_index() {
 
 #[test]
 fn a_film_and_a_coat_on_a_body_of_glass_are_seen_from_both_sides() {
-    let glass = |name: &str, roughness: f32, more: &str| {
-        with_body(
-            name,
-            &format!(
-                r#"[{{"pbrMetallicRoughness": {{"metallicFactor": 0, "roughnessFactor": {roughness}}}, "extensions": {{
-                "KHR_materials_transmission": {{"transmissionFactor": 1}}, "KHR_materials_volume": {{"thicknessFactor": 1}}
-                {more}}}}}]"#
-            ),
-        )
-    };
     let film =
         r#", "KHR_materials_iridescence": {"iridescenceFactor": 1, "iridescenceThicknessMaximum": 420}"#;
     let coat = r#", "KHR_materials_clearcoat": {"clearcoatFactor": 1}"#;
-    let seen = |scene: &Scene, ray: Ray| {
-        let hit = Hit { t: 1.0, triangle: 0, b1: 0.2, b2: 0.2 };
-        let at = Interaction::at(scene, &ray, &hit);
-        (Bsdf::at(scene, &at), at.wo)
-    };
     let both = |scene: &Scene, direction: Vec3| {
-        let (bsdf, wo) = seen(scene, Ray::new(Vec3::ZERO, direction));
+        let (bsdf, wo) = first_face(scene, Ray::new(Vec3::ZERO, direction));
         let [Some(reflected), Some(through)] = bsdf.delta_lobes(wo) else { panic!("both") };
         assert!((reflected.weight + through.weight - Vec3::ONE).abs().max_element() < 1e-6);
         (reflected.weight, through)
     };
     let direction = Vec3::new(0.6, 0.0, -0.8);
-    let bare = both(&glass("gltf-bare", 0.0, "").scene, direction).0;
-    let coated = glass("gltf-coated-glass", 0.0, coat);
+    let bare = both(&body_of_glass("gltf-bare", 0.0, "").scene, direction).0;
+    let coated = body_of_glass("gltf-coated-glass", 0.0, coat);
     let (reflected, _) = both(&coated.scene, direction);
     assert!(reflected.x > 1.5 * bare.x && reflected.x < 2.0 * bare.x, "a second face: {reflected} {bare}");
     assert_eq!(reflected.min_element(), reflected.max_element());
-    let filmed = glass("gltf-filmed-glass", 0.0, film);
+    let filmed = body_of_glass("gltf-filmed-glass", 0.0, film);
     let (reflected, through) = both(&filmed.scene, direction);
     assert!(reflected.max_element() > 1.2 * reflected.min_element(), "it has a colour: {reflected}");
     // On its way out the same light meets the same film.
@@ -464,8 +456,8 @@ fn a_film_and_a_coat_on_a_body_of_glass_are_seen_from_both_sides() {
     let (out, _) = both(&filmed.scene, inside);
     assert!((out - reflected).abs().max_element() < 3e-3, "{out} {reflected}");
     // Facets that are all but flat choose between both, and show the same on average.
-    let rough = glass("gltf-filmed-rough-glass", 0.05, film);
-    let (bsdf, wo) = seen(&rough.scene, Ray::new(Vec3::ZERO, direction));
+    let rough = body_of_glass("gltf-filmed-rough-glass", 0.05, film);
+    let (bsdf, wo) = first_face(&rough.scene, Ray::new(Vec3::ZERO, direction));
     let (n, mut sums) = (4000, [Vec3::ZERO; 2]);
     for i in 0..n {
         let u =
@@ -485,7 +477,7 @@ fn a_film_and_a_coat_on_a_body_of_glass_are_seen_from_both_sides() {
         ),
         ("gltf-told-c", r#", "KHR_materials_sheen": {"sheenColorFactor": [1, 1, 1]}"#, true),
     ] {
-        let told = format!("{:?}", glass(name, 0.0, more).warnings);
+        let told = format!("{:?}", body_of_glass(name, 0.0, more).warnings);
         assert_eq!(told.contains("over a volume") || told.contains("below fibres"), said, "{name}: {told}");
     }
 }

@@ -114,7 +114,7 @@ fn walked(opened: &Opened, link: Option<&str>, views: u32, apart: bool) -> Resul
     for number in 0..=views {
         let (began, before, camera) = (Instant::now(), cpu_ns(), aside(&start, number));
         let mut samples = 0.0;
-        // In frames: what moves may be drawn coarsely, and is whole in the frame after.
+        // In frames: what moves may be drawn sparsely, and is whole in the frame after.
         loop {
             let frame = engine.frame_until(&camera, FRAME, None, Renderer::is_converged)?;
             samples += f64::from(frame.counts.traced);

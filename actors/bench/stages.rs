@@ -37,7 +37,7 @@ use foveal_engine::process::peak_memory_bytes;
 use foveal_engine::{Engine, Options, Settings};
 use foveal_terminal::arguments::Size;
 use foveal_terminal::progress::Progress;
-use foveal_terminal::table::{Aim, CommonArguments, Row, finish};
+use foveal_terminal::table::{Aim, CommonArguments, Row, finish, median};
 
 /// Arguments of `foveal bench stages`.
 #[derive(Args, Debug)]
@@ -174,15 +174,25 @@ pub fn stepped(camera: &Camera, step: u32) -> Camera {
 fn display(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
     let frame = camera(world)?.frame(a.size.width, a.size.height);
     let mut buffers = FrameBuffers::new(a.size.width as usize, a.size.height as usize);
-    let times: Vec<f64> = (0..a.common.runs + 1)
-        .map(|_| timed(|| cpu_pass::draw(world, &frame, Passes { texture_ids: false }, &mut buffers)).0)
-        .skip(1)
-        .collect();
+    let passes = Passes { texture_ids: false };
+    let mut rays = 0;
+    let mut drawn = |cell: u32| {
+        let draw = |_| timed(|| rays = cpu_pass::draw_in_cells(world, &frame, passes, cell, &mut buffers)).0;
+        let times: Vec<f64> = (0..a.common.runs + 1).map(draw).skip(1).collect();
+        (times, rays)
+    };
+    let ((times, all), (sparse, some)) = (drawn(1), drawn(2));
     let triangles = world.scene.mesh.triangles.len();
     let lamps = if world.lights.has_any_named() { ", shadow rays to its lamps" } else { "" };
     Ok(vec![
         Row::new(format!("display, CPU pass, {triangles} triangles{lamps}"), "ms", &times)
             .aim(Aim::AtMost(20.0)),
+        Row::new(
+            format!("  drawn sparsely, {:.0} % of the rays", 100.0 * some as f64 / all as f64),
+            "ms",
+            &sparse,
+        )
+        .against("whole", median(&times)),
     ])
 }
 

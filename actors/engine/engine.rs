@@ -297,7 +297,7 @@ impl Engine {
 
     /// Works for at most `time`, or until `enough` holds of the renderer.
     ///
-    /// A base layer that was drawn coarsely, since the next frame was expected, is drawn whole once nothing else is
+    /// A base layer that was drawn sparsely, since the next frame was expected, is drawn whole once nothing else is
     /// left to do and a frame's time is: whoever asks for one frame and waits sees it converge.
     ///
     /// # Errors
@@ -314,8 +314,8 @@ impl Engine {
         }
         let left = |engine: &Self| time.saturating_sub(engine.runtime().now().since(began));
         let period = 1.0 / self.controls.set.fps;
-        let coarse = self.look(|r| r.camera().filter(|_| r.is_coarse())).flatten();
-        if let Some(camera) = coarse.filter(|_| left(self).as_secs_f32() >= period) {
+        let sparse = self.look(|r| r.camera().filter(|_| r.is_sparse())).flatten();
+        if let Some(camera) = sparse.filter(|_| left(self).as_secs_f32() >= period) {
             self.send(RendererInput::FrameBegan { frame: FrameIndex(self.frame), camera, time: period })?;
         }
         self.pump(Limit::time(left(self)), until).map(drop)

@@ -297,7 +297,7 @@ fn every_control_is_a_message_and_no_new_actors_start() {
     walk.navigator.look(40.0, 0.0, start.elapsed().as_secs_f64());
     settle(&mut walk, start);
     assert_eq!(walk.controls().set, set);
-    // One more, or two where the machine is so slow that the first is coarse.
+    // One more, or two where the machine is so slow that the first is sparse.
     let more = walk.status().view - views;
     assert!((1..=2).contains(&more), "the same actors go on: {more}");
     let (insight, _) = walk.insight().expect("the allocator said something");
@@ -392,9 +392,9 @@ fn aside(start: &Camera, steps: u32) -> Camera {
     Camera { eye: start.eye + by, target: start.target + by, ..*start }
 }
 
-/// Where there is no time for it, the base layer is coarse while the camera moves; a view that stands still is whole.
+/// Where there is no time for it, the base layer is sparse while the camera moves; a view that stands still is whole.
 #[test]
-fn what_is_drawn_coarsely_in_motion_is_whole_when_the_camera_stands() {
+fn what_is_drawn_sparsely_in_motion_is_whole_when_the_camera_stands() {
     let size = Settings::new(64, 48, 2);
     let start = made(size).start().place().cameras[0].camera;
     let whole = {

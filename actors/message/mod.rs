@@ -87,12 +87,12 @@ pub struct DrawnBuffers {
 }
 
 impl DrawnBuffers {
-    /// To be drawn when they are asked for, in squares of `cell` by `cell` pixels.
+    /// To be drawn when they are asked for, as densely as `cell` says ([`FrameBuffers::cell`]).
     pub fn later(cell: u32, draw: impl Fn() -> FrameBuffers + Send + Sync + 'static) -> Self {
         Self { drawn: OnceLock::new(), cell, draw: Some(Box::new(draw)) }
     }
 
-    /// Pixels along an edge of the squares that they are drawn in.
+    /// How densely they are drawn, as [`FrameBuffers::cell`] says.
     pub fn cell(&self) -> u32 {
         self.cell
     }

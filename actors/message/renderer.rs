@@ -22,7 +22,7 @@ pub enum RendererInput {
         frame: FrameIndex,
         /// Camera of this moment.
         camera: Camera,
-        /// How long the frame is meant to take, seconds: what takes most of that is drawn coarsely while the camera moves.
+        /// How long the frame is meant to take, seconds: what takes long for that is drawn sparsely while the camera moves.
         time: f32,
     },
     /// The frame's time is up: show what there is.

@@ -46,8 +46,8 @@ use textures::TextureChange;
 pub const MARK_FRAME: u32 = 0;
 
 /// Share of a frame's time that drawing the base layer may take while the camera moves; where it takes more, it is drawn
-/// coarsely, so that the frame is in time and samples come into it.
-const DRAWING_SHARE: f32 = 0.7;
+/// sparsely, so that the frame is in time and samples come into it.
+const DRAWING_SHARE: f32 = 0.4;
 
 /// Counts of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -226,11 +226,11 @@ impl Renderer {
 
     /// Whether every non-diffuse pixel of the current view shows its own ray, under light that is final.
     pub fn is_converged(&self) -> bool {
-        self.converged && self.lit && self.waiting.is_empty() && !self.is_coarse()
+        self.converged && self.lit && self.waiting.is_empty() && !self.is_sparse()
     }
 
-    /// Whether the current view is drawn coarsely, until the camera stands still.
-    pub fn is_coarse(&self) -> bool {
+    /// Whether the current view is drawn sparsely, until the camera stands still.
+    pub fn is_sparse(&self) -> bool {
         self.drawn.as_ref().is_some_and(|drawn| drawn.drawn.cell() != 1)
     }
 
@@ -340,7 +340,7 @@ impl Renderer {
     fn on_frame_began(&mut self, camera: Camera, time: f32, cx: &mut Cx<'_, RendererMessage>) {
         let retextured = self.change_textures();
         let brighter = self.approach_light(time);
-        if brighter || retextured || self.is_coarse() || self.camera != Some(camera) {
+        if brighter || retextured || self.is_sparse() || self.camera != Some(camera) {
             let moves = self.camera.replace(camera).is_some_and(|before| before != camera);
             let fits = self.drawing.expected().as_secs_f32() <= DRAWING_SHARE * time;
             self.begin_view(&camera, if moves && !fits { 2 } else { 1 }, cx);
@@ -367,7 +367,7 @@ impl Renderer {
         true
     }
 
-    /// Draws a new view, in squares of `cell` by `cell` pixels; the others work on it meanwhile.
+    /// Draws a new view, as densely as `cell` says ([`FrameBuffers::cell`]); the others work on it meanwhile.
     fn begin_view(&mut self, camera: &Camera, cell: u32, cx: &mut Cx<'_, RendererMessage>) {
         self.view = self.view.next();
         self.converged = self.neighbours.is_none();
@@ -384,11 +384,12 @@ impl Renderer {
         let mut buffers = self.buffers();
         let draw = || {
             self.stages.clone().time(Stage::Display, || {
-                cpu_pass::draw_in_cells(&self.world, &frame, self.passes, cell, &mut buffers);
-            });
+                cpu_pass::draw_in_cells(&self.world, &frame, self.passes, cell, &mut buffers)
+            })
         };
-        let ((), took) = cx.measure(draw);
-        self.drawing.learn(took * cell * cell);
+        let (rays, took) = cx.measure(draw);
+        let pixels = self.settings.width as usize * self.settings.height as usize;
+        self.drawing.learn(took.mul_f64(pixels as f64 / rays.max(1) as f64));
         if self.neighbours.is_some() {
             self.layer.clear();
         }

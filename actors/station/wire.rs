@@ -11,7 +11,7 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 /// Changes with every change of a message.
-pub const PROTOCOL: u16 = 2;
+pub const PROTOCOL: u16 = 3;
 /// Most bytes of a message.
 pub const MESSAGE_BYTES_MAX: usize = 2 << 20;
 /// Most bytes of one piece of a blob.
@@ -148,7 +148,7 @@ pub struct ViewSpec {
     pub view: u32,
     /// Its camera.
     pub frame: CameraFrame,
-    /// Pixels along an edge of a cell that one primary ray covers.
+    /// How densely it is drawn, as `FrameBuffers::cell` says.
     pub cell: u32,
 }
 

@@ -16,7 +16,7 @@ use crate::gpu::{Gpu, Mirror, readback, test_scene};
 
 fn walk_of(settings: Settings) -> Walk {
     let world = World::new(Arc::new(test_scene::room(4)), Arc::new(Uniform(Vec3::ONE)));
-    // So slow that even on a busy machine no view is drawn coarsely: the adapter draws them finer then.
+    // So slow that even on a busy machine no view is drawn sparsely: the adapter draws them whole then.
     let options = Options { fps: Some(6.0), ..Options::interactive(settings) };
     let engine = Engine::start(Opened::of_world(world), options).expect("actors");
     Walk::new(Box::new(engine), 0.0)

@@ -73,7 +73,8 @@ impl TextureLevel {
 /// The frame buffers of one view, `width × height` each.
 #[derive(Clone, Debug)]
 pub struct FrameBuffers {
-    /// Side of the squares of pixels that share the ray of their first: 1 but where a whole picture would come late.
+    /// How densely it is drawn: 1 where each pixel has its ray; 2 where a whole picture would come late, and there is a
+    /// ray for each 2 × 2 pixels at least ([`super::cpu_pass::draw_in_cells`]).
     pub cell: u32,
     /// Base layer: emission + diffuse reflection, linear radiance.
     pub color: Map2d<Vec3>,

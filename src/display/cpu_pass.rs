@@ -1,6 +1,8 @@
 //! The display pass on the processor: primary rays through the same BVH, sixteen at a time, and so the
 //! shadow rays from where they end to lights without area.
 
+mod sparse;
+
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -14,10 +16,11 @@ use crate::transport::interaction::Interaction;
 use crate::transport::surface::SurfacePoint;
 use crate::world::World;
 
-/// Pixels of one packet: 4 × 4, so that rays stay close.
-const PACKET: [usize; 2] = [4, 4];
-/// Rows that one parallel task draws.
-const BAND: usize = 8;
+/// Pixels along an edge of one packet: 4 × 4, so that rays stay close.
+const PACKET: usize = 4;
+/// Pixels along an edge of a block, of which each pixel has its bits whatever else is drawn; and rows that one parallel
+/// task draws.
+const BLOCK: usize = 8;
 
 /// What the plan of a scene lets the pass skip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,28 +56,29 @@ pub fn draw(world: &World, frame: &CameraFrame, passes: Passes, buffers: &mut Fr
     draw_in_cells(world, frame, passes, 1, buffers);
 }
 
-/// The same with one ray for each square of `cell` by `cell` pixels, 1 or 2, which goes through its first pixel.
+/// The same, where `cell` is 2 with a quarter of the rays at least, and as many more as the picture asks for: sixteen in each
+/// block of 8 × 8 pixels, and one for each pixel between those that do not agree. What lies between rays that do is
+/// interpolated (`sparse`). Says how many rays it took.
 ///
 /// # Panics
-/// If the sizes differ, or squares are of another size: a bug of the caller.
+/// If the sizes differ, or `cell` is neither 1 nor 2: a bug of the caller.
 pub fn draw_in_cells(
     world: &World,
     frame: &CameraFrame,
     passes: Passes,
     cell: u32,
     buffers: &mut FrameBuffers,
-) {
-    assert!(cell == 1 || cell == 2, "bands hold whole packets of cells");
+) -> usize {
+    assert!(cell == 1 || cell == 2, "pictures are drawn whole or sparsely");
     buffers.cell = cell;
-    let cell = cell as usize;
     let [width, height] = frame.size.map(|s| s as usize);
     assert_eq!([buffers.width(), buffers.height()], [width, height], "buffers of the frame's size");
-    let band = BAND * width;
+    let band = BLOCK * width;
     let FrameBuffers { cell: _, color, depth, object, texture, hit } = buffers;
     let textures: Vec<&mut [TextureLevel]> = if passes.texture_ids {
         texture.data_mut().chunks_mut(band).collect()
     } else {
-        (0..height.div_ceil(BAND)).map(|_| <&mut [TextureLevel]>::default()).collect()
+        (0..height.div_ceil(BLOCK)).map(|_| <&mut [TextureLevel]>::default()).collect()
     };
     color
         .data_mut()
@@ -84,85 +88,112 @@ pub fn draw_in_cells(
         .zip(hit.data_mut().par_chunks_mut(band))
         .zip(textures)
         .enumerate()
-        .for_each(|(b, ((((color, depth), object), hit), texture))| {
+        .map(|(b, ((((color, depth), object), hit), texture))| {
             let rows = color.len() / width;
             let mut last = LastShadows::default();
             let mut show = |x: usize, row: usize, surface: &Surface| {
-                for row in row..(row + cell).min(rows) {
-                    for i in row * width + x..row * width + (x + cell).min(width) {
-                        hit[i] = surface.hit;
-                        color[i] = surface.color;
-                        depth[i] = surface.depth;
-                        object[i] = surface.object;
-                        if let Some(texture) = texture.get_mut(i) {
-                            *texture = surface.texture;
-                        }
-                    }
+                let i = row * width + x;
+                hit[i] = surface.hit;
+                color[i] = surface.color;
+                depth[i] = surface.depth;
+                object[i] = surface.object;
+                if let Some(texture) = texture.get_mut(i) {
+                    *texture = surface.texture;
                 }
             };
-            for row in (0..rows).step_by(PACKET[1] * cell) {
-                for x in (0..width).step_by(PACKET[0] * cell) {
-                    packet(
-                        world,
-                        frame,
-                        cell,
-                        [x, row],
-                        b * BAND,
-                        rows,
-                        passes.texture_ids,
-                        &mut last,
-                        &mut show,
-                    );
-                }
-            }
-        });
+            let band = Band { world, frame, top: b * BLOCK, rows, texture_ids: passes.texture_ids };
+            let blocks = (0..width).step_by(BLOCK);
+            blocks.map(|left| band.block(cell, left, &mut last, &mut show)).sum::<usize>()
+        })
+        .sum()
 }
 
-/// What one packet of cells shows, whose first pixel is given in the band that begins at row `top` and has `rows` rows:
-/// tells pixel and surface of each. In which packet a ray goes decides its last bits.
-#[expect(clippy::too_many_arguments, reason = "a piece of a loop that two have")]
-#[inline(always)] // a call for each pixel otherwise: a tenth of the pass
-fn packet(
-    world: &World,
-    frame: &CameraFrame,
-    cell: usize,
-    [x, row]: [usize; 2],
+/// Some rows of a picture, which are drawn block by block. Pixels are told by column, and row in the band.
+struct Band<'a> {
+    world: &'a World,
+    frame: &'a CameraFrame,
+    /// Its first row.
     top: usize,
+    /// Its rows, at most [`BLOCK`].
     rows: usize,
     texture_ids: bool,
-    last: &mut LastShadows,
-    tell: &mut impl FnMut(usize, usize, &Surface),
-) {
-    let width = frame.size[0] as usize;
-    let wanted = |lane: usize| (x + lane % PACKET[0] * cell, row + lane / PACKET[0] * cell);
-    // Lanes beyond the picture's edge repeat the last pixel.
-    let pixel = |lane: usize| {
-        let (px, py) = wanted(lane);
-        (px.min(width - 1), py.min(rows - 1))
-    };
-    let directions: [Vec3; LANES] = std::array::from_fn(|lane| {
-        let (px, py) = pixel(lane);
-        frame.direction(px as f32 + 0.5, (top + py) as f32 + 0.5)
-    });
-    let hits = world.accel.intersect_packet(&world.scene, frame.eye, &directions);
-    // Where nobody asks for shadows, nothing is gained by company.
-    let together = world.lights.has_any_named().then(|| {
-        let hits = std::array::from_fn(|lane| hits[lane].filter(|_| pixel(lane) == wanted(lane)));
-        shade(world, frame, &directions, &hits, texture_ids, last)
-    });
-    for lane in 0..LANES {
-        let (px, py) = wanted(lane);
-        if (px, py) != pixel(lane) {
-            continue;
+}
+
+impl Band<'_> {
+    /// Draws the block that begins at column `left`, tells pixel and surface of each, and says how many rays it took.
+    #[inline]
+    fn block(
+        &self,
+        cell: u32,
+        left: usize,
+        last: &mut LastShadows,
+        tell: &mut impl FnMut(usize, usize, &Surface),
+    ) -> usize {
+        if cell == 2 {
+            return sparse::block(self, left, last, tell);
         }
-        let alone;
-        let surface = if let Some(surfaces) = &together {
-            &surfaces[lane]
-        } else {
-            alone = shade_alone(world, frame, directions[lane], hits[lane], texture_ids);
-            &alone
-        };
-        tell(px, py, surface);
+        let mut rays = 0;
+        let right = (left + BLOCK).min(self.width());
+        for row in (0..self.rows).step_by(PACKET) {
+            for x in (left..right).step_by(PACKET) {
+                rays += self.packet(|lane| self.inside([x + lane % PACKET, row + lane / PACKET]), last, tell);
+            }
+        }
+        rays
+    }
+
+    fn width(&self) -> usize {
+        self.frame.size[0] as usize
+    }
+
+    /// The pixel, and that it is shown; for one beyond the picture's edge the last one, and that it is not.
+    fn inside(&self, [x, row]: [usize; 2]) -> ([usize; 2], bool) {
+        let pixel = [x.min(self.width() - 1), row.min(self.rows - 1)];
+        (pixel, pixel == [x, row])
+    }
+
+    /// What one packet of pixels shows: tells pixel and surface of each that is shown. In which packet a ray goes decides
+    /// its last bits.
+    #[inline(always)] // a call for each pixel otherwise: a tenth of the pass
+    fn packet(
+        &self,
+        pixel: impl Fn(usize) -> ([usize; 2], bool),
+        last: &mut LastShadows,
+        tell: &mut impl FnMut(usize, usize, &Surface),
+    ) -> usize {
+        let Self { world, frame, top, rows: _, texture_ids } = *self;
+        let directions: [Vec3; LANES] = std::array::from_fn(|lane| {
+            let ([x, row], _) = pixel(lane);
+            self.direction(x, top + row)
+        });
+        let hits = world.accel.intersect_packet(&world.scene, frame.eye, &directions);
+        // Where nobody asks for shadows, nothing is gained by company.
+        let together = world.lights.has_any_named().then(|| {
+            let hits = std::array::from_fn(|lane| hits[lane].filter(|_| pixel(lane).1));
+            shade(world, frame, &directions, &hits, texture_ids, last)
+        });
+        let mut rays = 0;
+        for lane in 0..LANES {
+            let ([x, row], is_shown) = pixel(lane);
+            if !is_shown {
+                continue;
+            }
+            rays += 1;
+            let alone;
+            let surface = if let Some(surfaces) = &together {
+                &surfaces[lane]
+            } else {
+                alone = shade_alone(world, frame, directions[lane], hits[lane], texture_ids);
+                &alone
+            };
+            tell(x, row, surface);
+        }
+        rays
+    }
+
+    /// Where the primary ray of a pixel of the picture goes.
+    fn direction(&self, x: usize, y: usize) -> Vec3 {
+        self.frame.direction(x as f32 + 0.5, y as f32 + 0.5)
     }
 }
 
@@ -176,16 +207,16 @@ pub struct PartlyDrawn {
 }
 
 impl PartlyDrawn {
-    /// Nothing of a view of which each ray covers `cell` × `cell` pixels, 1 or 2.
+    /// Nothing of a view that is drawn like [`draw_in_cells`] with this `cell`.
     ///
     /// # Panics
-    /// If the cell is of another size: a bug of the caller.
+    /// If it is neither 1 nor 2: a bug of the caller.
     pub fn new(frame: CameraFrame, cell: u32) -> Self {
-        assert!(cell == 1 || cell == 2, "bands hold whole packets of cells");
+        assert!(cell == 1 || cell == 2, "pictures are drawn whole or sparsely");
         let [width, height] = frame.size.map(|s| s as usize);
         let mut buffers = FrameBuffers::new(width, height);
         buffers.cell = cell;
-        Self { frame, buffers, drawn: vec![false; width.div_ceil(BAND) * height.div_ceil(BAND)] }
+        Self { frame, buffers, drawn: vec![false; width.div_ceil(BLOCK) * height.div_ceil(BLOCK)] }
     }
 
     /// Its camera.
@@ -204,34 +235,26 @@ impl PartlyDrawn {
     /// If the pixel is not in the picture: a bug of the caller.
     pub fn object_at(&mut self, world: &World, x: usize, y: usize) -> u32 {
         let [width, height] = self.frame.size.map(|s| s as usize);
-        let block = y / BAND * width.div_ceil(BAND) + x / BAND;
+        let block = y / BLOCK * width.div_ceil(BLOCK) + x / BLOCK;
         if !std::mem::replace(&mut self.drawn[block], true) {
-            let (left, top, cell) = (x / BAND * BAND, y / BAND * BAND, self.buffers.cell as usize);
-            let rows = BAND.min(height - top);
-            let FrameBuffers { cell: _, color, depth, object, texture: _, hit } = &mut self.buffers;
-            let frame = &self.frame;
-            let mut last = LastShadows::default();
-            let mut show = |px: usize, row: usize, surface: &Surface| {
-                for row in row..(row + cell).min(rows) {
-                    for i in px..(px + cell).min(width) {
-                        *hit.at_mut(i, top + row) = surface.hit;
-                        *color.at_mut(i, top + row) = surface.color;
-                        *depth.at_mut(i, top + row) = surface.depth;
-                        *object.at_mut(i, top + row) = surface.object;
-                    }
-                }
+            let top = y / BLOCK * BLOCK;
+            let FrameBuffers { cell, color, depth, object, texture: _, hit } = &mut self.buffers;
+            let mut show = |x: usize, row: usize, surface: &Surface| {
+                *hit.at_mut(x, top + row) = surface.hit;
+                *color.at_mut(x, top + row) = surface.color;
+                *depth.at_mut(x, top + row) = surface.depth;
+                *object.at_mut(x, top + row) = surface.object;
             };
-            for row in (0..rows).step_by(PACKET[1] * cell) {
-                for x in (left..(left + BAND).min(width)).step_by(PACKET[0] * cell) {
-                    packet(world, frame, cell, [x, row], top, rows, false, &mut last, &mut show);
-                }
-            }
+            let rows = BLOCK.min(height - top);
+            let band = Band { world, frame: &self.frame, top, rows, texture_ids: false };
+            band.block(*cell, x / BLOCK * BLOCK, &mut LastShadows::default(), &mut show);
         }
         self.buffers.object.at(x, y)
     }
 }
 
 /// What the display shows at one pixel.
+#[derive(Clone, Copy)]
 struct Surface {
     hit: PrimaryHit,
     color: Vec3,
@@ -388,30 +411,6 @@ mod tests {
 
         fn unnamed(&self, _: u32, _: f32, _: f32, _: bool) -> Unnamed {
             Unnamed { rest: Vec3::ZERO, named: Some(Vec3::ZERO) }
-        }
-    }
-
-    /// Cells show their first pixel, to the picture's edges, and nothing else is there.
-    #[test]
-    fn cells_are_drawn_like_their_first_pixel() {
-        let world = checkered();
-        let camera = Camera { eye: Vec3::new(0.1, 0.2, 0.9), target: Vec3::ZERO, up: Vec3::Y, fov_y: 1.2 };
-        for [width, height] in [[40, 30], [41, 33], [1, 1], [7, 50]] {
-            let frame = camera.frame(width as u32, height as u32);
-            let [mut fine, mut coarse] = [(); 2].map(|()| FrameBuffers::new(width, height));
-            draw(&world, &frame, Passes { texture_ids: true }, &mut fine);
-            draw_in_cells(&world, &frame, Passes { texture_ids: true }, 2, &mut coarse);
-            assert_eq!([fine.cell, coarse.cell], [1, 2]);
-            for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
-                let (fx, fy) = (x / 2 * 2, y / 2 * 2);
-                // Rays of other packets meet other last bits.
-                let apart = (coarse.color.at(x, y) - fine.color.at(fx, fy)).abs().max_element();
-                assert!(apart < 1e-3, "{width} {height}: {x} {y}");
-                assert!((coarse.depth.at(x, y) - fine.depth.at(fx, fy)).abs() < 1e-4);
-                assert_eq!(coarse.object.at(x, y), fine.object.at(fx, fy));
-                assert_eq!(coarse.texture.at(x, y).texture(), fine.texture.at(fx, fy).texture());
-                assert_eq!(coarse.hit.at(x, y).triangle, fine.hit.at(fx, fy).triangle);
-            }
         }
     }
 

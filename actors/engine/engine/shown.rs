@@ -91,9 +91,7 @@ impl FrameSource for Engine {
                 return None;
             }
             let hit = hits.at(x as usize, y as usize).hit()?;
-            // Where the view is drawn coarsely one ray speaks for a square.
-            let cell = drawn.drawn.cell().max(1);
-            Some(Picked::at(&drawn.world.scene, &drawn.frame, (x / cell * cell, y / cell * cell), &hit))
+            Some(Picked::at(&drawn.world.scene, &drawn.frame, (x, y), &hit))
         })?
     }
 

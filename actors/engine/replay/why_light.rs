@@ -21,9 +21,7 @@ const SEED: u64 = 0x0a11;
 /// The surface behind a pixel, and its light; null where there is none.
 pub fn surface(drawn: &DrawnView, (x, y): (usize, usize), insight: Option<&Insight>) -> Value {
     let (DrawnView { world, frame, .. }, buffers) = (drawn, drawn.buffers());
-    // Where the view is drawn coarsely one ray speaks for a square.
-    let cell = buffers.cell.max(1);
-    let ray = primary_ray(frame, x as u32 / cell * cell, y as u32 / cell * cell);
+    let ray = primary_ray(frame, x as u32, y as u32);
     let Some(hit) = buffers.hit.at(x, y).hit() else { return Value::Null };
     let at = primary_interaction(world, frame, &ray, &hit);
     let scene = &world.scene;

@@ -1,8 +1,12 @@
 //! The event loop: the window's events become a walk's input, its pictures become the window's.
 
 mod input;
+#[cfg(feature = "gamepad")]
+mod pad;
 mod screen;
 mod shots;
+#[cfg(any(test, feature = "gamepad"))]
+mod sticks;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
@@ -101,6 +105,9 @@ pub enum Wake {
     /// A screen reader wants to know, or do, something.
     #[cfg(feature = "accesskit")]
     Access(egui_winit::accesskit_winit::Event),
+    /// A gamepad is used.
+    #[cfg(feature = "gamepad")]
+    Pad(pad::Push),
 }
 
 #[cfg(feature = "accesskit")]
@@ -123,6 +130,8 @@ pub fn run(options: Options) -> Result<Measured, WindowError> {
         Err(_) => return Err(WindowError::Environment(no_display("a library of the display is missing"))),
     };
     let mut app = App::new(options, event_loop.create_proxy());
+    #[cfg(feature = "gamepad")]
+    pad::listen(event_loop.create_proxy());
     // The threads that all share are as important as this one, which waits for them: they are started by it.
     rayon::current_num_threads();
     // The scene is read while the window is opened.
@@ -327,6 +336,8 @@ impl ApplicationHandler<Wake> for App {
             Wake::Loaded => self.on_loaded(),
             #[cfg(feature = "accesskit")]
             Wake::Access(event) => self.on_access(event.window_event),
+            #[cfg(feature = "gamepad")]
+            Wake::Pad(push) => self.on_pad(push),
         }
         if self.failure.is_some() {
             event_loop.exit();

@@ -1,0 +1,288 @@
+//! Blocks of which not each pixel has a ray: what lies between rays that agree is interpolated, and what lies between
+//! others has its own. Edges of objects are where they are in the whole picture, to the pixel, but for what is thinner
+//! than the rays are apart (two or three pixels).
+
+use glam::Vec3;
+
+use super::{BLOCK, Band, PACKET, Surface, beyond};
+use crate::display::PrimaryHit;
+use crate::display::tone::ToneMap;
+use crate::image::luminance;
+use crate::transport::gather::LastShadows;
+
+/// Columns and rows of a block where rays go first: its edges among them, so that a block needs nothing of its
+/// neighbours.
+const FIRST: [usize; PACKET] = [0, 2, 5, 7];
+/// For each column or row the two of [`FIRST`] that it lies between, by number, and how far it is from one to the other.
+const BETWEEN: [([usize; 2], f32); BLOCK] = [
+    ([0, 0], 0.0),
+    ([0, 1], 1.0 / 2.0),
+    ([1, 1], 0.0),
+    ([1, 2], 1.0 / 3.0),
+    ([1, 2], 2.0 / 3.0),
+    ([2, 2], 0.0),
+    ([2, 3], 1.0 / 2.0),
+    ([3, 3], 0.0),
+];
+/// Colours agree that differ by less than this share of the light there is.
+const TOLERANCE: f32 = 1.0 / 4.0;
+/// Share of display white that is added to it, for in the dark a difference is seen less (the TVI function flattens).
+const DARK: f32 = 1.0 / 64.0;
+
+/// Draws a block as [`Band::block`] does.
+pub(super) fn block(
+    band: &Band<'_>,
+    left: usize,
+    last: &mut LastShadows,
+    tell: &mut impl FnMut(usize, usize, &Surface),
+) -> usize {
+    let (columns, rows) = (BLOCK.min(band.width() - left), band.rows);
+    let mut first = [None; PACKET * PACKET];
+    let number = |x: usize| FIRST.iter().position(|&f| f == x).expect("a packet's pixel");
+    let mut keep = |x: usize, row: usize, surface: &Surface| {
+        first[number(row) * PACKET + number(x - left)] = Some(*surface);
+        tell(x, row, surface);
+    };
+    let grid = |lane: usize| band.inside([left + FIRST[lane % PACKET], FIRST[lane / PACKET]]);
+    let mut rays = band.packet(grid, last, &mut keep);
+    let mut open = [[0; 2]; BLOCK * BLOCK];
+    let mut count = 0;
+    let near = Near::of(band);
+    for (row, (lines, down)) in BETWEEN.into_iter().enumerate().take(rows) {
+        for (column, (sides, aside)) in BETWEEN.into_iter().enumerate().take(columns) {
+            if lines[0] == lines[1] && sides[0] == sides[1] {
+                continue;
+            }
+            let corner = |i: usize| first[lines[i / 2] * PACKET + sides[i % 2]];
+            let between = || {
+                let corners = [corner(0)?, corner(1)?, corner(2)?, corner(3)?];
+                let direction = band.direction(left + column, band.top + row);
+                near.between(band, direction, &corners, [aside, down])
+            };
+            match between() {
+                Some(surface) => tell(left + column, row, &surface),
+                None => {
+                    open[count] = [left + column, row];
+                    count += 1;
+                }
+            }
+        }
+    }
+    for pixels in open[..count].chunks(PACKET * PACKET) {
+        // Lanes without a pixel go with the last one.
+        let pixel = |lane: usize| (pixels[lane.min(pixels.len() - 1)], lane < pixels.len());
+        rays += band.packet(pixel, last, tell);
+    }
+    rays
+}
+
+/// What surfaces must have in common for that between them to be interpolated.
+struct Near {
+    /// Light that is added to what is compared.
+    dark: f32,
+}
+
+impl Near {
+    fn of(band: &Band<'_>) -> Self {
+        Self { dark: DARK * ToneMap::from(&band.world.scene.display).white() }
+    }
+
+    /// What is seen along `direction`, which lies between the four corners of a rectangle: `at` tells how far from left to
+    /// right and from top to bottom. `None` where they do not agree.
+    fn between(
+        &self,
+        band: &Band<'_>,
+        direction: Vec3,
+        corners: &[Surface; 4],
+        [aside, down]: [f32; 2],
+    ) -> Option<Surface> {
+        let weights =
+            [(1.0 - aside) * (1.0 - down), aside * (1.0 - down), (1.0 - aside) * down, aside * down];
+        let nearest = &corners[usize::from(aside > 0.5) + 2 * usize::from(down > 0.5)];
+        if corners.iter().any(|c| c.hit.is_miss()) {
+            // What is beyond a scene is known everywhere.
+            return corners.iter().all(|c| c.hit.is_miss()).then(|| beyond(band.world, direction));
+        }
+        let is_one_triangle = corners.iter().all(|c| c.hit.triangle == nearest.hit.triangle);
+        if corners.iter().any(|c| c.object != nearest.object) {
+            return None;
+        }
+        let colors = corners.map(|c| c.color);
+        let least = colors.into_iter().reduce(Vec3::min)?;
+        let most = colors.into_iter().reduce(Vec3::max)?;
+        // Asked this way, NaN agrees with nothing.
+        if !((most - least).max_element() <= TOLERANCE * (luminance(most) + self.dark)) {
+            return None;
+        }
+        let color = weights.iter().zip(colors).map(|(w, c)| *w * c).sum();
+        if !is_one_triangle {
+            // A sample that goes on from the nearest hit begins less than two pixels beside its own.
+            return Some(Surface { color, ..*nearest });
+        }
+        // On a plane the reciprocal of depth is linear in the picture, and so is what is linear on it over depth.
+        let mean = |of: &dyn Fn(&Surface) -> f32| -> f32 {
+            weights.iter().zip(corners).map(|(w, c)| w * of(c) / c.depth).sum()
+        };
+        let depth = mean(&|_| 1.0).recip();
+        let hit = PrimaryHit {
+            t: depth / direction.dot(band.frame.forward),
+            triangle: nearest.hit.triangle,
+            b1: depth * mean(&|c| c.hit.b1),
+            b2: depth * mean(&|c| c.hit.b2),
+        };
+        let is_there = depth > 0.0 && hit.t.is_finite() && hit.b1.is_finite() && hit.b2.is_finite();
+        is_there.then_some(Surface { hit, color, depth, ..*nearest })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::display::FrameBuffers;
+    use crate::display::cpu_pass::{Passes, draw, draw_in_cells};
+    use crate::illumination::Uniform;
+    use crate::scene::test_scenes::{add_box, grey, material, scene};
+    use crate::scene::texture::MipChain;
+    use crate::scene::{
+        Camera, Distribution, Mesh, Model, Reflectance, Roughness, Scene, Texture, TextureId,
+    };
+    use crate::world::World;
+
+    const SIZES: [[usize; 2]; 5] = [[64, 48], [41, 33], [1, 1], [7, 50], [90, 3]];
+
+    fn lit(scene: Scene) -> World {
+        World::new(Arc::new(scene), Arc::new(Uniform(Vec3::splat(std::f32::consts::PI))))
+    }
+
+    /// A room around the eye, whose walls show `texels` of 256 × 256, magnified so many times.
+    fn room(magnified: f32, texel: impl Fn(u32, u32) -> u8) -> World {
+        let mut mesh = Mesh::default();
+        add_box(&mut mesh, Vec3::splat(-1.0), Vec3::ONE, 0, true);
+        for (uv, p) in mesh.uvs.iter_mut().zip(&mesh.positions) {
+            *uv = glam::Vec2::new(p.x + p.z, p.y) / magnified;
+        }
+        let texels = (0..256 * 256u32).map(|i| [texel(i % 256, i / 256); 4]).collect();
+        let mut wall = grey();
+        wall.model = Model::Lambert { albedo: Reflectance { color: Vec3::ONE, map: Some(TextureId(0)) } };
+        let mut scene = scene(mesh, vec![wall]);
+        scene.textures.push(Texture::new("walls", MipChain::from_rgba8(256, 256, texels, true)));
+        lit(scene)
+    }
+
+    /// The picture whole and sparsely, and how many rays the second one took.
+    fn drawn(world: &World, [width, height]: [usize; 2]) -> (FrameBuffers, FrameBuffers, usize) {
+        let camera = Camera { eye: Vec3::new(0.1, 0.2, 0.9), target: Vec3::ZERO, up: Vec3::Y, fov_y: 1.2 };
+        let frame = camera.frame(width as u32, height as u32);
+        let [mut whole, mut sparse] = [(); 2].map(|()| FrameBuffers::new(width, height));
+        draw(world, &frame, Passes { texture_ids: true }, &mut whole);
+        let rays = draw_in_cells(world, &frame, Passes { texture_ids: true }, 2, &mut sparse);
+        assert_eq!([whole.cell, sparse.cell], [1, 2]);
+        (whole, sparse, rays)
+    }
+
+    fn pixels([width, height]: [usize; 2]) -> impl Iterator<Item = (usize, usize)> {
+        (0..height).flat_map(move |y| (0..width).map(move |x| (x, y)))
+    }
+
+    fn is_near(a: f32, b: f32) -> bool {
+        (a - b).abs() <= 2e-4 * (1.0 + b.abs())
+    }
+
+    #[test]
+    fn a_wall_of_one_color_takes_a_quarter_of_the_rays_and_is_where_it_is() {
+        let world = room(1.0, |_, _| 128);
+        let (_, _, rays) = drawn(&world, [64, 48]);
+        assert!(rays * 4 < 64 * 48 + 64 * 48 / 4, "edges of triangles take none: {rays}");
+        for size in SIZES {
+            let (whole, sparse, _) = drawn(&world, size);
+            let mut exact = 0;
+            for (x, y) in pixels(size) {
+                assert_eq!(sparse.object.at(x, y), whole.object.at(x, y));
+                assert_eq!(sparse.texture.at(x, y).texture(), whole.texture.at(x, y).texture());
+                let apart = (sparse.color.at(x, y) - whole.color.at(x, y)).abs().max_element();
+                assert!(apart < 1e-5, "{size:?} {x} {y}");
+                let (mine, its) = (sparse.hit.at(x, y), whole.hit.at(x, y));
+                let is_there = is_near(sparse.depth.at(x, y), whole.depth.at(x, y)) && is_near(mine.t, its.t);
+                let is_same = mine.triangle == its.triangle;
+                exact +=
+                    usize::from(is_same && is_there && is_near(mine.b1, its.b1) && is_near(mine.b2, its.b2));
+            }
+            assert!(exact * 10 >= 8 * size[0] * size[1], "all but edges of triangles, {size:?}: {exact}");
+        }
+    }
+
+    #[test]
+    fn light_that_changes_evenly_is_interpolated_evenly() {
+        let world = room(4.0, |x, _| (x / 2 + 64) as u8);
+        let size = [128, 96];
+        let (whole, sparse, rays) = drawn(&world, size);
+        assert!(rays * 2 < size[0] * size[1], "{rays}");
+        let error = |(x, y)| {
+            let (mine, its) = (sparse.color.at(x, y), whole.color.at(x, y));
+            (mine - its).abs().max_element() / (its.max_element() + DARK)
+        };
+        let errors: Vec<f32> = pixels(size).map(error).collect();
+        let mean = errors.iter().sum::<f32>() / errors.len() as f32;
+        let most = errors.into_iter().fold(0.0, f32::max);
+        assert!(most < TOLERANCE && mean < 0.004, "{most} {mean}");
+    }
+
+    #[test]
+    fn what_differs_from_pixel_to_pixel_has_a_ray_for_each() {
+        // Texels of some pixels, none like its neighbour.
+        let world = room(60.0, |x, y| if (x + y) % 2 == 0 { 10 } else { 250 });
+        for size in SIZES {
+            let (whole, sparse, rays) = drawn(&world, size);
+            let all = size[0] * size[1];
+            // In the smallest pictures a pixel covers many texels, and all are grey.
+            assert!(rays <= all && (all < 1000 || rays * 10 >= 7 * all), "{size:?}: {rays}");
+            let wrong = pixels(size).filter(|&(x, y)| {
+                (sparse.color.at(x, y) - whole.color.at(x, y)).abs().max_element() > TOLERANCE
+            });
+            let wrong = wrong.count();
+            assert!(wrong * 10 <= size[0] * size[1], "{size:?} {rays}: {wrong}");
+        }
+    }
+
+    /// Things before a wall of their own colour: edges are those of the whole picture, and no id is made up.
+    #[test]
+    fn edges_of_objects_are_those_of_the_whole_picture() {
+        let mut mesh = Mesh::default();
+        add_box(&mut mesh, Vec3::splat(-1.0), Vec3::ONE, 0, true);
+        for i in 0..12 {
+            let mut s = crate::rng::Stream::new(9, i, 0);
+            let at = Vec3::new(s.next_f32(), s.next_f32(), 0.3 * s.next_f32()) * 1.4 - 0.7;
+            add_box(&mut mesh, at, at + 0.25, 1 + i as u32 % 2, false);
+        }
+        let pane = Model::Dielectric {
+            ior: 1.5,
+            transmittance: Vec3::splat(0.9),
+            thin: true,
+            roughness: Roughness { alpha_x: 0.0, alpha_y: 0.0, distribution: Distribution::Ggx },
+        };
+        let world = lit(scene(mesh, vec![grey(), material("one", pane.clone()), material("two", pane)]));
+        let size = [128, 96];
+        let (whole, sparse, rays) = drawn(&world, size);
+        let ids: std::collections::HashSet<u32> = whole.object.data().iter().copied().collect();
+        assert!(ids.len() > 2, "there are edges");
+        assert!(rays * 3 < 2 * size[0] * size[1], "{rays}");
+        let wrong = pixels(size).filter(|&(x, y)| sparse.object.at(x, y) != whole.object.at(x, y));
+        assert!(wrong.count() * 500 <= size[0] * size[1], "corners that no ray of a block meets");
+    }
+
+    /// Beyond a scene, where depth is infinite, nothing is interpolated.
+    #[test]
+    fn what_is_beyond_a_scene_is_known_without_rays() {
+        let mut mesh = Mesh::default();
+        add_box(&mut mesh, Vec3::splat(-0.2), Vec3::splat(0.2), 0, false);
+        let size = [64, 48];
+        let (whole, sparse, rays) = drawn(&lit(scene(mesh, vec![grey()])), size);
+        assert!(rays * 2 < size[0] * size[1], "{rays}");
+        for (x, y) in pixels(size) {
+            assert_eq!(sparse.depth.at(x, y).is_finite(), !sparse.hit.at(x, y).is_miss());
+            assert_eq!(sparse.hit.at(x, y).is_miss(), whole.hit.at(x, y).is_miss(), "{x} {y}");
+        }
+    }
+}

@@ -1,6 +1,6 @@
 //! Blocks of which not each pixel has a ray: what lies between rays that agree is interpolated, and what lies between
 //! others has its own. Edges of objects are where they are in the whole picture, to the pixel, but for what is thinner
-//! than the rays are apart (two or three pixels).
+//! than the rays are apart (two or three pixels); so are edges of diffuse surfaces, which share an id, where they show.
 
 use glam::Vec3;
 
@@ -87,8 +87,8 @@ impl Near {
         Self { dark: DARK * ToneMap::from(&band.world.scene.display).white() }
     }
 
-    /// What is seen along `direction`, which lies between the four corners of a rectangle: `at` tells how far from left to
-    /// right and from top to bottom. `None` where they do not agree.
+    /// What is seen along `direction`, which lies between the four corners of a rectangle, `aside` from left to right and
+    /// `down` from top to bottom, as shares of its sides. `None` where they do not agree.
     fn between(
         &self,
         band: &Band<'_>,
@@ -110,8 +110,9 @@ impl Near {
         let colors = corners.map(|c| c.color);
         let least = colors.into_iter().reduce(Vec3::min)?;
         let most = colors.into_iter().reduce(Vec3::max)?;
-        // Asked this way, NaN agrees with nothing.
-        if !((most - least).max_element() <= TOLERANCE * (luminance(most) + self.dark)) {
+        // What is not a number, or without bound, agrees with nothing: it would be spread over what lies around it.
+        let are_finite = colors.iter().all(|c| c.is_finite());
+        if !are_finite || (most - least).max_element() > TOLERANCE * (luminance(most) + self.dark) {
             return None;
         }
         let color = weights.iter().zip(colors).map(|(w, c)| *w * c).sum();
@@ -143,6 +144,7 @@ mod tests {
     use crate::display::FrameBuffers;
     use crate::display::cpu_pass::{Passes, draw, draw_in_cells};
     use crate::illumination::Uniform;
+    use crate::scene::camera::CameraFrame;
     use crate::scene::test_scenes::{add_box, grey, material, scene};
     use crate::scene::texture::MipChain;
     use crate::scene::{
@@ -171,10 +173,14 @@ mod tests {
         lit(scene)
     }
 
+    fn view([width, height]: [usize; 2]) -> CameraFrame {
+        let camera = Camera { eye: Vec3::new(0.1, 0.2, 0.9), target: Vec3::ZERO, up: Vec3::Y, fov_y: 1.2 };
+        camera.frame(width as u32, height as u32)
+    }
+
     /// The picture whole and sparsely, and how many rays the second one took.
     fn drawn(world: &World, [width, height]: [usize; 2]) -> (FrameBuffers, FrameBuffers, usize) {
-        let camera = Camera { eye: Vec3::new(0.1, 0.2, 0.9), target: Vec3::ZERO, up: Vec3::Y, fov_y: 1.2 };
-        let frame = camera.frame(width as u32, height as u32);
+        let frame = view([width, height]);
         let [mut whole, mut sparse] = [(); 2].map(|()| FrameBuffers::new(width, height));
         draw(world, &frame, Passes { texture_ids: true }, &mut whole);
         let rays = draw_in_cells(world, &frame, Passes { texture_ids: true }, 2, &mut sparse);
@@ -270,6 +276,33 @@ mod tests {
         assert!(rays * 3 < 2 * size[0] * size[1], "{rays}");
         let wrong = pixels(size).filter(|&(x, y)| sparse.object.at(x, y) != whole.object.at(x, y));
         assert!(wrong.count() * 500 <= size[0] * size[1], "corners that no ray of a block meets");
+    }
+
+    /// One corner that is not finite, whichever it is, leaves its neighbours to rays of their own.
+    #[test]
+    fn what_is_not_finite_is_not_spread() {
+        let world = room(1.0, |_, _| 128);
+        let (whole, _, _) = drawn(&world, [8, 8]);
+        let frame = view([8, 8]);
+        let band = Band { world: &world, frame: &frame, top: 0, rows: 8, texture_ids: false };
+        let corner = Surface {
+            hit: whole.hit.at(4, 4),
+            color: Vec3::ONE,
+            depth: whole.depth.at(4, 4),
+            object: 0,
+            texture: crate::display::TextureLevel::NONE,
+        };
+        let between = |corners: &[Surface; 4]| {
+            Near::of(&band).between(&band, band.direction(4, 4), corners, [0.5, 0.5]).is_some()
+        };
+        assert!(between(&[corner; 4]));
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            for i in 0..4 {
+                let mut corners = [corner; 4];
+                corners[i].color.y = bad;
+                assert!(!between(&corners), "{bad} {i}");
+            }
+        }
     }
 
     /// Beyond a scene, where depth is infinite, nothing is interpolated.

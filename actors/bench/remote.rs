@@ -1,5 +1,5 @@
-//! `foveal bench scaling --tracers`: what a tracer on another machine adds to one here, as far as one machine can show it:
-//! the guest is a process of its own with one core, over loopback.
+//! `foveal bench scaling --tracers`: what tracers on other machines add to one here, as far as one machine can show it:
+//! each guest is a process of its own with one core, over loopback.
 
 use std::ffi::OsStr;
 use std::process::{Child, Command, Stdio};
@@ -63,9 +63,9 @@ fn keep_to(_: usize) -> bool {
     false
 }
 
-/// One core for this process, and another one for guests.
-pub(super) fn keep_apart() -> bool {
-    std::thread::available_parallelism().is_ok_and(|cores| cores.get() > 1) && keep_to(0)
+/// Core 0 for this process, and those after it for so many guests.
+pub(super) fn keep_apart(guests: u32) -> bool {
+    std::thread::available_parallelism().is_ok_and(|cores| cores.get() > guests as usize) && keep_to(0)
 }
 
 /// Views until each has converged.
@@ -91,25 +91,23 @@ pub(super) fn door(opened: &Opened, link: &str, settings: &Settings) -> Result<D
     Door::open(&address, key, Package::of(opened)?, settings.k_max, settings.stations)
 }
 
-fn walked(opened: &Opened, link: Option<&str>, views: u32, apart: bool) -> Result<Walked, Failure> {
+/// With so many guests over a link.
+fn walked(opened: &Opened, (link, guests): (&str, u32), views: u32, apart: bool) -> Result<Walked, Failure> {
     let start = camera(&opened.world.scene, None)?.camera;
-    let stations = u32::from(link.is_some());
-    let settings = Settings { environment_bytes: 0, stations, ..Settings::new(512, 512, 1) };
+    let settings = Settings { environment_bytes: 0, stations: guests, ..Settings::new(512, 512, 1) };
     let mut options = Options::new(settings);
     let mut door = None;
-    if let Some(link) = link {
+    if guests > 0 {
         let opened = self::door(opened, link, &settings)?;
         options.outlets = Some(opened.outlets());
         door = Some(opened);
     }
     let mut engine = Engine::start(opened.clone(), options)?;
-    let guest = door.as_ref().map(|door| {
+    let mut come = Vec::new();
+    if let Some(door) = &door {
         door.attach(engine.station_inputs());
-        let mut guest = guest(door.invitation(), &[], apart)?;
-        comes(&mut guest, || door.serving() > 0)?;
-        Ok::<_, Failure>(guest)
-    });
-    let guest = guest.transpose()?;
+        come = self::guests(guests, door.invitation(), apart, || door.serving())?;
+    }
     let mut walked = Walked { seconds: Vec::new(), samples: 0.0, cpu_ns: 0.0, stations: Vec::new() };
     for number in 0..=views {
         let (began, before, camera) = (Instant::now(), cpu_ns(), aside(&start, number));
@@ -134,25 +132,40 @@ fn walked(opened: &Opened, link: Option<&str>, views: u32, apart: bool) -> Resul
     }
     engine.finish(Duration::from_secs(10));
     walked.stations = engine.stations();
-    drop((engine, door, guest));
+    drop((engine, door, come));
     Ok(walked)
 }
 
-/// Starts a guest with one core, not this process's where cores are [kept apart](keep_apart).
-pub(super) fn guest(invitation: &Invitation, more: &[&OsStr], apart: bool) -> Result<Guest, Failure> {
+/// Starts a guest with one core, which is this one of the machine where cores are [kept apart](keep_apart).
+pub(super) fn guest(invitation: &Invitation, more: &[&OsStr], core: Option<usize>) -> Result<Guest, Failure> {
     let environment = |what: String| Failure::Environment(what);
     let program =
         std::env::current_exe().map_err(|e| environment(format!("the program does not find itself: {e}")))?;
     // It inherits what this thread keeps to.
-    let _ = apart && keep_to(1);
+    let _ = core.is_some_and(keep_to);
     let child = Command::new(program)
         .args(["trace", "--once", "--quiet", "--cores", "1", "--join", &invitation.to_string()])
         .args(more)
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .spawn();
-    let _ = apart && keep_to(0);
+    let _ = core.is_some() && keep_to(0);
     child.map(Guest).map_err(|e| environment(format!("no guest: {e}")))
+}
+
+/// Starts so many guests and waits until all of them are there.
+pub(super) fn guests(
+    count: u32,
+    invitation: &Invitation,
+    apart: bool,
+    serving: impl Fn() -> u32,
+) -> Result<Vec<Guest>, Failure> {
+    let started = (1..=count as usize).map(|core| guest(invitation, &[], apart.then_some(core)));
+    let mut guests = started.collect::<Result<Vec<_>, _>>()?;
+    for guest in &mut guests {
+        comes(guest, || serving() >= count)?;
+    }
+    Ok(guests)
 }
 
 /// Waits until a guest is there.
@@ -175,7 +188,7 @@ fn killed(opened: &Opened, link: &str, apart: bool) -> Result<f64, Failure> {
     let options = Options { outlets: Some(door.outlets()), ..Options::new(settings) };
     let mut engine = Engine::start(opened.clone(), options)?;
     door.attach(engine.station_inputs());
-    let mut guest = guest(door.invitation(), &[], apart)?;
+    let mut guest = guest(door.invitation(), &[], apart.then_some(1))?;
     comes(&mut guest, || door.serving() > 0)?;
     let out = |engine: &Engine| engine.status().stations.first().map_or(0, |station| station.jobs[0]);
     let (mut number, mut frames) = (0, 0);
@@ -204,33 +217,40 @@ fn killed(opened: &Opened, link: &str, apart: bool) -> Result<f64, Failure> {
     Ok(took)
 }
 
-/// Measures each link beside a walk without guests.
-pub fn rows(links: &[String], views: u32, apart: bool) -> Result<Vec<Row>, Failure> {
+/// What so many guests are called in a row.
+pub(super) fn helpers(guests: u32, link: &str) -> String {
+    if guests == 1 {
+        format!("and a guest of one core over {link}")
+    } else {
+        format!("and {guests} guests of one core over {link}")
+    }
+}
+
+/// Measures numbers of guests over each link beside a walk without any.
+pub fn rows(links: &[String], guests: &[u32], views: u32, apart: bool) -> Result<Vec<Row>, Failure> {
     let made = MadeScene::bundled("table")?;
     let light = Light { quick: true, baked: true, ..Light::default() };
     let opened = opened::open(made.path(), &light, &())?;
-    let alone = walked(&opened, None, views, apart)?;
+    let alone = walked(&opened, ("", 0), views, apart)?;
     let Some(own) = median(&alone.seconds) else { return Ok(Vec::new()) };
     let mut rows = vec![Row::new("table, a view until it has converged, one core", "s", &alone.seconds)];
-    let each = alone.cpu_ns / alone.samples * 1e-3;
-    rows.push(Row::new("  its processor time a sample", "CPU µs", &[each]));
-    for link in links {
-        let with = walked(&opened, Some(link), views, apart)?;
-        let name = format!("  and a guest of one core over {link}");
+    let cost = alone.cpu_ns / alone.samples;
+    rows.push(Row::new("  its processor time a sample", "CPU µs", &[cost * 1e-3]));
+    for (link, &guests) in links.iter().flat_map(|link| guests.iter().map(move |guests| (link, guests))) {
+        let with = walked(&opened, (link, guests), views, apart)?;
+        let name = format!("  {}", helpers(guests, link));
         rows.push(Row::new(&name, "s", &with.seconds));
         let of = |count: fn(&StationStatus) -> u64| with.stations.iter().map(count).sum::<u64>() as f64;
         // The first view's are among them.
         let remote = of(|s| s.counts.samples) * f64::from(views) / f64::from(views + 1);
         // What the host took beyond what its own samples cost it alone.
-        let cost = alone.cpu_ns / alone.samples;
         let host = (with.cpu_ns - cost * (with.samples - remote)) / remote * 1e-3;
         let gains: Vec<f64> = with.seconds.iter().map(|seconds| own / seconds).collect();
-        rows.push(Row::new(format!("{name}: gain"), "×", &gains).aim(Aim::AtLeast(1.8)));
+        let gain = Row::new(format!("{name}: gain"), "×", &gains);
+        rows.push(if guests == 1 { gain.aim(Aim::AtLeast(1.8)) } else { gain });
         rows.push(Row::new(format!("{name}: share of samples"), "", &[remote / with.samples]));
-        rows.push(
-            Row::new(format!("{name}: host's time a sample from there"), "CPU µs", &[host])
-                .aim(Aim::AtMost(0.7)),
-        );
+        let time = Row::new(format!("{name}: host's time a sample from there"), "CPU µs", &[host]);
+        rows.push(time.aim(Aim::AtMost(0.7)));
         rows.push(Row::new(
             format!("{name}: jobs handed back, late or twice"),
             "",
@@ -238,8 +258,11 @@ pub fn rows(links: &[String], views: u32, apart: bool) -> Result<Vec<Row>, Failu
         ));
         let trip: Vec<f64> = with.stations.iter().map(|s| f64::from(s.round_trip) * 1e3).collect();
         rows.push(Row::new(format!("{name}: round trip beside the work"), "ms", &trip));
+    }
+    for link in links {
         let back = (0..views.max(1)).map(|_| killed(&opened, link, apart)).collect::<Result<Vec<_>, _>>()?;
-        let row = Row::new(format!("{name}: from kill -9 until its jobs are back"), "ms", &back);
+        let row =
+            Row::new(format!("  a guest over {link}: from kill -9 until its jobs are back"), "ms", &back);
         rows.push(if link == "tcp" { row.aim(Aim::AtMost(50.0)) } else { row });
     }
     Ok(rows)

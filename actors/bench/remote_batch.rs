@@ -1,4 +1,4 @@
-//! `foveal bench scaling --tracers`: what a guest of one core adds to a reference and a bake, and how long it takes to come to a
+//! `foveal bench scaling --tracers`: what guests of one core add to a reference and a bake, and how long it takes to come to a
 //! large scene.
 
 use std::path::Path;
@@ -22,7 +22,7 @@ use rayon::ThreadPool;
 use std::sync::Arc;
 
 use super::made::MadeScene;
-use super::remote::{comes, guest};
+use super::remote::{comes, guest, guests, helpers};
 
 /// Triangles of a scene whose files are a hundred mebibytes.
 const TRIANGLES: usize = 2_600_000;
@@ -32,10 +32,10 @@ fn world(path: &Path) -> Result<World, Failure> {
     Ok(World::new(scene, Arc::new(Uniform(Vec3::ZERO))))
 }
 
-fn helped(link: &str, path: &Path, world: &World) -> Result<Helped, Failure> {
+fn helped(link: &str, guests: u32, path: &Path, world: &World) -> Result<Helped, Failure> {
     let package = Package::without_light(path, &Reading::default(), world.scene.content_hash)?;
     let key = Key::new().map_err(Failure::Environment)?;
-    Helped::open(&format!("{link}/127.0.0.1:0"), key, package, 1, 64)
+    Helped::open(&format!("{link}/127.0.0.1:0"), key, package, guests, 64)
 }
 
 /// Seconds of each of so many references and bakes; the first is where both sides learn, and does not count.
@@ -62,8 +62,8 @@ fn timed(pool: &ThreadPool, hands: &dyn Hands, world: &World, runs: u32) -> Resu
     Ok(seconds)
 }
 
-/// What a guest adds to a reference and to a bake, over each link.
-pub fn rows(links: &[String], runs: u32, apart: bool) -> Result<Vec<Row>, Failure> {
+/// What numbers of guests add to a reference and to a bake, over each link.
+pub fn rows(links: &[String], numbers: &[u32], runs: u32, apart: bool) -> Result<Vec<Row>, Failure> {
     let made = MadeScene::bundled("table")?;
     let world = world(made.path())?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
@@ -71,17 +71,16 @@ pub fn rows(links: &[String], runs: u32, apart: bool) -> Result<Vec<Row>, Failur
     let alone = timed(&pool, &Alone, &world, runs)?;
     let names = ["table, a reference of 4 paths a pixel, one core", "table, a bake of 2¹⁹ paths, one core"];
     let mut rows: Vec<Row> = names.iter().zip(&alone).map(|(name, s)| Row::new(*name, "s", s)).collect();
-    for link in links {
-        let helped = helped(link, made.path(), &world)?;
-        let mut guest = guest(helped.invitation(), &[], apart)?;
-        comes(&mut guest, || helped.serving() > 0)?;
+    for (link, &number) in links.iter().flat_map(|link| numbers.iter().map(move |number| (link, number))) {
+        let helped = helped(link, number, made.path(), &world)?;
+        let come = guests(number, helped.invitation(), apart, || helped.serving())?;
         let with = timed(&pool, &helped, &world, runs)?;
-        drop(helped.close());
+        drop((helped.close(), come));
         for (what, (own, with)) in ["reference", "bake"].iter().zip(alone.iter().zip(&with)) {
             let own = median(own).unwrap_or(f64::NAN);
             let gains: Vec<f64> = with.iter().map(|seconds| own / seconds).collect();
-            let name = format!("  {what} and a guest of one core over {link}: gain");
-            rows.push(Row::new(name, "×", &gains).aim(Aim::AtLeast(1.8)));
+            let gain = Row::new(format!("  {what} {}: gain", helpers(number, link)), "×", &gains);
+            rows.push(if number == 1 { gain.aim(Aim::AtLeast(1.8)) } else { gain });
         }
     }
     Ok(rows)
@@ -100,7 +99,7 @@ pub fn joins(links: &[String], apart: bool) -> Result<Vec<Row>, Failure> {
     let world = World::new(scene, Arc::new(Uniform(Vec3::ZERO)));
     let (name, mut rows) = ("  a guest comes", Vec::new());
     for link in links {
-        let helped = helped(link, made.path(), &world)?;
+        let helped = helped(link, 1, made.path(), &world)?;
         if rows.is_empty() {
             let mib = helped.package_bytes() as f64 / f64::from(1 << 20);
             rows.push(Row::new(format!("hall of {} triangles, its files", made.triangles), "MiB", &[mib]));
@@ -110,7 +109,8 @@ pub fn joins(links: &[String], apart: bool) -> Result<Vec<Row>, Failure> {
         let stock = made.path().with_extension(format!("{link}-stock"));
         for (when, aim) in [("at first", 3.0), ("again", 1.0)] {
             let began = Instant::now();
-            let mut guest = guest(helped.invitation(), &["--cache".as_ref(), stock.as_os_str()], apart)?;
+            let mut guest =
+                guest(helped.invitation(), &["--cache".as_ref(), stock.as_os_str()], apart.then_some(1))?;
             comes(&mut guest, || helped.serving() > 0)?;
             let took = began.elapsed().as_secs_f64();
             rows.push(Row::new(format!("{name} over {link}, {when}"), "s", &[took]));

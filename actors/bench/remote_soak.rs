@@ -37,7 +37,7 @@ pub fn rows(
     let options = Options { outlets: Some(door.outlets()), ..Options::new(settings) };
     let mut engine = Engine::start(opened, options)?;
     door.attach(engine.station_inputs());
-    let mut helper = guest(door.invitation(), &[], false)?;
+    let mut helper = guest(door.invitation(), &[], None)?;
     comes(&mut helper, || door.serving() > 0)?;
     let bar = progress.bar(u64::from(LOOKS), "soak");
     let (began, mut frames) = (Instant::now(), 0_u32);

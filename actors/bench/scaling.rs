@@ -44,9 +44,15 @@ pub struct ScalingArguments {
     /// Numbers of tracers
     #[arg(long, value_name = "N,…", value_delimiter = ',', default_value = "1,2")]
     workers: Vec<u32>,
-    /// Measure instead what a guest with one core adds over these links
+    /// Measure instead what guests with one core each add over these links
     #[arg(long, value_name = "LINK,…", value_delimiter = ',', num_args = 0..=1, default_missing_value = "tcp,quic", value_parser = ["tcp", "quic"])]
     tracers: Vec<String>,
+    /// Numbers of guests, at most sixteen; they get a core each where the machine has as many and one more
+    #[arg(
+        long, value_name = "N,…", value_delimiter = ',', default_value = "1", requires = "tracers",
+        value_parser = clap::value_parser!(u32).range(1..=16),
+    )]
+    guests: Vec<u32>,
     /// Measure instead how long it takes a guest to come to a scene of a hundred mebibytes
     #[arg(long, requires = "tracers")]
     join: bool,
@@ -116,18 +122,18 @@ fn measure(runs: u32, mut work: impl FnMut()) -> f64 {
 /// Runs the benchmark.
 pub fn run(a: &ScalingArguments, progress: Progress) -> Result<(), Failure> {
     if !a.tracers.is_empty() {
-        let apart = remote::keep_apart();
+        let apart = remote::keep_apart(a.guests.iter().copied().max().unwrap_or(1));
         let rows = match a.join {
             true => remote_batch::joins(&a.tracers, apart)?,
             false => {
-                let mut rows = remote::rows(&a.tracers, a.common.runs, apart)?;
-                rows.extend(remote_batch::rows(&a.tracers, a.common.runs, apart)?);
+                let mut rows = remote::rows(&a.tracers, &a.guests, a.common.runs, apart)?;
+                rows.extend(remote_batch::rows(&a.tracers, &a.guests, a.common.runs, apart)?);
                 rows
             }
         };
         let cores = if apart { "each kept to a core of its own" } else { "cores are shared" };
         let notes = vec![format!(
-            "both on this machine, {cores}, over loopback: a network adds its round trip and its losses"
+            "all on this machine, {cores}, over loopback: a network adds its round trip and its losses"
         )];
         return finish("scaling-tracers", &rows, &notes, &a.common);
     }

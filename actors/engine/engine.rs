@@ -49,6 +49,10 @@ const LEAVING: Duration = Duration::from_millis(200);
 /// Longest time for the picture of a frame, once its deadline is over.
 const SHOWING: Duration = Duration::from_secs(60);
 
+/// Of so many processors one is left to drawing and composing while the camera moves: on sixteen where each traced, frames
+/// came up to half their time too late, since whoever draws waited on each of them.
+const CORES_PER_DRAWING: usize = 4;
+
 use begins::Begins;
 pub use frame::{Event, Frame, Standing};
 pub use stalled::Stalled;
@@ -89,6 +93,7 @@ struct Before {
     light: Option<usize>,
     lit: bool,
     stopped: bool,
+    camera: Option<Camera>,
 }
 
 /// Actors at work, and what they are made of.
@@ -113,6 +118,8 @@ pub struct Engine {
     frame: u32,
     /// How long a frame takes from the end of its work until it is shown.
     showing: Foresight,
+    /// Processors that are left to drawing while the camera moves.
+    drawing_cores: usize,
     encoder: Encoder,
     slot: InsightSlot,
     insight: Option<Insight>,
@@ -230,6 +237,8 @@ impl Engine {
             before: Before::default(),
             frame: 0,
             showing: Foresight::default(),
+            drawing_cores: std::thread::available_parallelism()
+                .map_or(0, |cores| cores.get() / CORES_PER_DRAWING),
             encoder: Encoder::default(),
             slot,
             insight: None,
@@ -290,6 +299,9 @@ impl Engine {
             Some(_) => LONGEST_FRAME.as_secs_f32(),
             None => 1.0 / self.controls.set.fps,
         };
+        let moves = self.before.camera.replace(*camera).is_some_and(|before| before != *camera);
+        let has_deadline = moves && self.controls.set.quality.is_none();
+        self.runtime().leave_cores(if has_deadline { self.drawing_cores } else { 0 });
         self.send(RendererInput::FrameBegan { frame: FrameIndex(self.frame), camera: *camera, time })?;
         // Until the renderer has heard of it, "converged" is said of the view before.
         self.work_until(SHOWING, |renderer| renderer.camera() == Some(*camera))

@@ -104,7 +104,10 @@ pub(crate) struct Scheduler {
     /// the other unseen.
     active: CachePadded<AtomicU64>,
     heavy_running: CachePadded<AtomicUsize>,
-    heavy_limit: usize,
+    /// Most heavy turns at once.
+    heavy_limit: AtomicUsize,
+    /// The same where no processor is left to others, and where each has one.
+    heavy_most: [usize; 2],
     stopping: AtomicBool,
     /// Worker threads that rest because the system is halted.
     resting: AtomicUsize,
@@ -122,6 +125,8 @@ impl Scheduler {
     ) -> (Self, Vec<Worker<u32>>) {
         let threads = threads.min(64);
         let cores = std::thread::available_parallelism().map_or(usize::MAX, usize::from);
+        // More than there are cores would only take time from the main thread.
+        let heavy_most = threads.saturating_sub(1).min(cores).max(1);
         let locals: Vec<Worker<u32>> = (0..threads).map(|_| Worker::new_fifo()).collect();
         let scheduler = Self {
             clock,
@@ -139,8 +144,8 @@ impl Scheduler {
             main: MainGate::new(waker),
             active: CachePadded::new(AtomicU64::new(0)),
             heavy_running: CachePadded::new(AtomicUsize::new(0)),
-            // More than there are cores would only take time from the main thread.
-            heavy_limit: threads.saturating_sub(1).min(cores).max(1),
+            heavy_limit: AtomicUsize::new(heavy_most),
+            heavy_most: [heavy_most, cores],
             stopping: AtomicBool::new(false),
             resting: AtomicUsize::new(0),
             incidents: ArrayQueue::new(INCIDENTS_MAX),
@@ -377,8 +382,9 @@ impl Scheduler {
         if self.heavy.is_empty() {
             return None;
         }
+        let limit = self.heavy_limit.load(Ordering::SeqCst);
         // A thread that finds the limit reached leaves no trace: it would wake the next one to find the same.
-        let below = |running: usize| (running < self.heavy_limit).then_some(running + 1);
+        let below = |running: usize| (running < limit).then_some(running + 1);
         self.heavy_running.fetch_update(Ordering::SeqCst, Ordering::SeqCst, below).ok()?;
         let actor = steal(|| self.heavy.steal());
         if actor.is_none() {
@@ -386,6 +392,15 @@ impl Scheduler {
             self.offer_heavy();
         }
         actor
+    }
+
+    /// Heavy turns leave so many processors to others from now on; one may always run.
+    pub(crate) fn leave_cores(&self, cores: usize) {
+        let [most, all] = self.heavy_most;
+        let limit = most.min(all.saturating_sub(cores)).max(1);
+        let before = self.heavy_limit.swap(limit, Ordering::SeqCst);
+        // Somebody sleeps for each that may run now.
+        (before..limit).for_each(|_| self.offer_heavy());
     }
 
     /// A heavy actor's turn is over, or hangs: another one may run. True the first time.
@@ -418,7 +433,8 @@ impl Scheduler {
     fn has_work(&self) -> bool {
         !self.light.is_empty()
             || self.stealers.iter().any(|stealer| !stealer.is_empty())
-            || (!self.heavy.is_empty() && self.heavy_running.load(Ordering::SeqCst) < self.heavy_limit)
+            || (!self.heavy.is_empty()
+                && self.heavy_running.load(Ordering::SeqCst) < self.heavy_limit.load(Ordering::SeqCst))
     }
 }
 

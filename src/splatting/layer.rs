@@ -1,10 +1,12 @@
 //! The splat layer: which sample each pixel shows (Haber 2001 §4.3; REFERENCE §3.5–3.6, §11).
 
+mod warped;
+
 use bytemuck::{cast_slice, cast_slice_mut};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Guides, SampleBatch, WarpedSample};
+use super::{Guides, SampleBatch};
 use crate::image::Map2d;
 use crate::sampling::Lattice;
 
@@ -70,60 +72,6 @@ pub(super) fn level_of(rank: u32) -> Option<(u32, bool)> {
             let fresh = rank & 0xffff == 0xffff;
             let fineness = (rank >> 16) - 1 - if fresh { FRESH_BONUS } else { 0 };
             Some((Lattice::K_LIMIT - fineness, fresh))
-        }
-    }
-}
-
-/// Pixels that samples may still be painted on where those of each object come with falling rank, a bit each: finer samples
-/// have painted most of what a coarse one covers, and 64 such pixels are passed over at once.
-struct OpenPixels {
-    width: usize,
-    /// Words of a row.
-    across: usize,
-    words: Vec<u64>,
-}
-
-impl OpenPixels {
-    /// None.
-    fn new(width: usize, height: usize) -> Self {
-        let across = width.div_ceil(64);
-        Self { width, across, words: vec![0; across * height] }
-    }
-
-    /// Those that `is_open` says, by their indices.
-    fn open(&mut self, is_open: impl Fn(usize) -> bool) {
-        for (y, row) in self.words.chunks_mut(self.across.max(1)).enumerate() {
-            for (n, word) in row.iter_mut().enumerate() {
-                let start = y * self.width + n * 64;
-                let count = (self.width - n * 64).min(64);
-                *word = (0..count).fold(0, |word, bit| word | u64::from(is_open(start + bit)) << bit);
-            }
-        }
-    }
-
-    /// Calls `visit` with the index of each open pixel among these columns of a row; those of which it says so stay open.
-    #[inline]
-    fn visit(&mut self, y: usize, columns: std::ops::Range<usize>, mut visit: impl FnMut(usize) -> bool) {
-        if columns.is_empty() {
-            return;
-        }
-        let row = &mut self.words[y * self.across..(y + 1) * self.across];
-        let (first, last) = (columns.start / 64, (columns.end - 1) / 64);
-        for (n, word) in row.iter_mut().enumerate().take(last + 1).skip(first) {
-            let mut bits = *word;
-            if n == first {
-                bits &= u64::MAX << (columns.start % 64);
-            }
-            if n == last {
-                bits &= u64::MAX >> (63 - (columns.end - 1) % 64);
-            }
-            while bits != 0 {
-                let bit = bits.trailing_zeros() as usize;
-                bits &= bits - 1;
-                if !visit(y * self.width + n * 64 + bit) {
-                    *word &= !(1 << bit);
-                }
-            }
         }
     }
 }
@@ -388,68 +336,6 @@ impl SplatLayer {
         }
         (residual, compared)
     }
-
-    /// Splats warped samples onto pixels of their object at their depth, from the last, the finest, to the first, so
-    /// that what would be painted over is not painted. Returns how many of them painted at least one pixel.
-    ///
-    /// A sample is rejected where no pixel of the 3 × 3 around it has its object at its depth
-    /// (within 1 % or two pixel slopes, REFERENCE §11): it is hidden now.
-    pub fn splat_warped(
-        &mut self,
-        samples: &[WarpedSample],
-        objects: &Map2d<u32>,
-        depths: &Map2d<f32>,
-    ) -> usize {
-        let (width, height) = (self.color.width() as i32, self.color.height() as i32);
-        let (ids, depths) = (objects.data(), depths.data());
-        self.is_guided[0] |= samples.iter().any(|s| !s.guide.is_nan());
-        let Self { color, rank, source, place, carried, is_guided: [is_guided, _], .. } = self;
-        let mut paint = Paint::on(rank, color, source, place, is_guided.then_some(carried));
-        // Diffuse surfaces, most of many a picture, have no samples.
-        let has_diffuse = samples.iter().any(|s| s.object == 0);
-        let is_open = |i: usize| ids[i] != 0 || has_diffuse;
-        let mut open = OpenPixels::new(width as usize, height as usize);
-        open.open(is_open);
-        // The rank of the last sample of each object in sight.
-        let mut last = vec![u32::MAX; ids.iter().max().map_or(0, |&id| id as usize + 1)];
-        let mut painted = 0;
-        for s in samples.iter().rev() {
-            let (cx, cy) = (i32::from(s.x), i32::from(s.y));
-            let matches = |x: i32, y: i32| {
-                let i = (y * width + x) as usize;
-                ids[i] == s.object && (depths[i] - s.depth).abs() <= s.depth_tolerance
-            };
-            let visible = matches(cx, cy)
-                || (cy - 1..=cy + 1).any(|y| {
-                    (cx - 1..=cx + 1).any(|x| x >= 0 && y >= 0 && x < width && y < height && matches(x, y))
-                });
-            if !visible {
-                continue;
-            }
-            let own = self::rank(u32::from(s.k), u32::from(s.age).max(1));
-            let shown = Shown { color: s.color, source: 0, place: place_of(s.x, s.y), guide: s.guide };
-            let r = i32::from(s.half_side);
-            if own > std::mem::replace(&mut last[s.object as usize], own) {
-                open.open(is_open);
-            }
-            let mut any = false;
-            let columns = (cx - r).max(0) as usize..(cx + r + 1).min(width) as usize;
-            for y in (cy - r).max(0)..(cy + r + 1).min(height) {
-                open.visit(y as usize, columns.clone(), |i| {
-                    if ids[i] != s.object {
-                        return true;
-                    }
-                    if paint.ranks[i] < own {
-                        paint.put(i, own, &shown);
-                        any = true;
-                    }
-                    false
-                });
-            }
-            painted += usize::from(any);
-        }
-        painted
-    }
 }
 
 #[cfg(test)]
@@ -457,7 +343,7 @@ mod tests {
     use super::*;
     use crate::rng;
     use crate::sampling::Rect;
-    use crate::splatting::Sample;
+    use crate::splatting::{Sample, WarpedSample};
 
     fn fresh(lattice: &Lattice, level: u32, rect: Rect, ids: &Map2d<u32>) -> SampleBatch {
         let mut batch = SampleBatch::new(1, 1, lattice.k_of(level), 0);

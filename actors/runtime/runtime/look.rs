@@ -68,6 +68,13 @@ impl Runtime {
         }
     }
 
+    /// From now on heavy turns leave so many of the machine's processors to others: to the main thread, and to threads that
+    /// work for it, where it has something to show at a time. One heavy turn may always run. Turns that are under way are
+    /// not broken off.
+    pub fn leave_cores(&self, cores: usize) {
+        self.env.scheduler.leave_cores(cores);
+    }
+
     /// Time since the system was built, virtual in a simulation.
     pub fn now(&self) -> Time {
         Time(self.env.scheduler.clock.now())

@@ -3,7 +3,7 @@
 use foveal_runtime::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::common::WAIT;
@@ -262,6 +262,58 @@ fn jobs_survive_the_workers_they_kill() {
         assert!(stats.requeued + stats.dead >= 16, "{stats:?}");
         let shutdown = runtime.shutdown(WAIT);
         assert!(shutdown.drained && shutdown.jobs_left == 0, "{shutdown:?}");
+    }
+}
+
+#[test]
+fn heavy_turns_leave_as_many_processors_as_they_are_told() {
+    /// Turns at once now, and at most so far.
+    #[derive(Default)]
+    struct AtOnce([AtomicUsize; 2]);
+    struct Busy(Arc<AtOnce>);
+    impl Actor for Busy {
+        type Msg = Number;
+        const NAME: &'static str = "busy";
+        const CLASS: Class = Class::Heavy;
+        fn handle(&mut self, _: Number, _: &mut Cx<'_, Number>) {
+            let AtOnce([now, most]) = &*self.0;
+            most.fetch_max(now.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
+            // Until another one is there, where there may be one: for long the first time.
+            let until = Instant::now() + Duration::from_millis(20);
+            while most.load(Ordering::SeqCst) < 2 && Instant::now() < until {
+                std::thread::yield_now();
+            }
+            now.fetch_sub(1, Ordering::SeqCst);
+        }
+    }
+    let at_once = Arc::new(AtOnce::default());
+    let (mut runtime, inputs) = Runtime::build(Config::live(4), |wiring| {
+        let busy: Vec<_> = (0..3)
+            .map(|_| {
+                let seat = wiring.declare::<Busy>(Bounds::messages(100));
+                let input = wiring.port::<Number, Number>("input", &seat.address());
+                wiring.spawn(seat, Busy(at_once.clone()), OnPanic::Resume);
+                input
+            })
+            .collect();
+        busy
+    })
+    .expect("builds");
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let mut most_while = |left| {
+        at_once.0[1].store(0, Ordering::SeqCst);
+        runtime.leave_cores(left);
+        for number in 0..4 {
+            inputs.iter().for_each(|input| input.send(Number(number)).expect("room"));
+        }
+        assert_eq!(runtime.pump(Limit::idle_within(WAIT)), Exit::Idle);
+        at_once.0[1].load(Ordering::SeqCst)
+    };
+    assert_eq!(most_while(usize::MAX), 1, "one may always run");
+    assert_eq!(most_while(cores - 1), 1);
+    if cores > 1 {
+        assert!(most_while(0) > 1, "all of them");
+        assert_eq!(most_while(cores - 1), 1, "and again");
     }
 }
 

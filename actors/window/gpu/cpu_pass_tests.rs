@@ -103,7 +103,8 @@ fn views() -> [Camera; 3] {
     ]
 }
 
-/// Both base layers of a view: ids equal on 99.9 % of the pixels, and where no edge is colours to 1/255 on as many.
+/// Both base layers of a view: ids equal on 99.9 % of the pixels, and where no edge is colours to 1/255 on as many. Hardware
+/// rounds corners to 1/256 of a pixel, so that on edges between triangles it may show the other one: on 1 % at most.
 fn assert_base_layers_equal(
     display: &mut GpuDisplay,
     scene: &Arc<Scene>,
@@ -124,7 +125,7 @@ fn assert_base_layers_equal(
     let depths = floats(&readback::read(gpu, &display.targets().depth).unwrap());
     let textures = words(&readback::read(gpu, &display.targets().texture).unwrap());
     let picture = display.read_picture().unwrap();
-    let (mut ids, mut inner, mut wrong) = (0, 0, Vec::new());
+    let (mut ids, mut inner, mut beside, mut wrong) = (0, 0, 0, Vec::new());
     for (i, object) in objects.iter().enumerate() {
         let (x, y) = (i % size[0] as usize, i / size[0] as usize);
         ids += usize::from(*object != expected.object.at(x, y));
@@ -133,6 +134,11 @@ fn assert_base_layers_equal(
             continue;
         }
         inner += 1;
+        let is_same = !hit.is_miss() && display.triangle(visible[i]) == Some(hit.triangle);
+        if !gpu.info.software && !hit.is_miss() && !is_same {
+            beside += 1;
+            continue;
+        }
         let color = expected.color.at(x, y);
         let shades = if gpu.info.software { [color; 2] } else { as_filtered(&world, &frame, [x, y], color) };
         let [least, most] = shades.map(|c| tone.to_rgb8(c));
@@ -140,7 +146,7 @@ fn assert_base_layers_equal(
         if (0..3).any(|c| found[c] < least[c].saturating_sub(1) || found[c] > most[c].saturating_add(1)) {
             wrong.push((x, y, tone.to_rgb8(color), found));
         }
-        if hit.is_miss() || display.triangle(visible[i]) != Some(hit.triangle) {
+        if !is_same {
             continue;
         }
         let depth = expected.depth.at(x, y);
@@ -157,6 +163,7 @@ fn assert_base_layers_equal(
     let name = &scene.name;
     assert!(ids * 1000 <= objects.len(), "{name}: {ids} object ids of {} differ", objects.len());
     assert!(inner * 2 > objects.len(), "{name}: {inner}");
+    assert!(beside * 100 <= inner, "{name}: other triangles on {beside} of {inner}");
     let some = &wrong[..5.min(wrong.len())];
     assert!(wrong.len() * 1000 <= inner, "{name}: {} of {inner} colours differ: {some:?}", wrong.len());
 }

@@ -118,8 +118,10 @@ pub struct Engine {
     frame: u32,
     /// How long a frame takes from the end of its work until it is shown.
     showing: Foresight,
-    /// Processors that are left to drawing while the camera moves.
+    /// Processors that are left to drawing while the camera moves; while a frame is put together at least one is.
     drawing_cores: usize,
+    /// Whether the frame is seen by a camera that moves, and shown at its deadline.
+    hurries: bool,
     encoder: Encoder,
     slot: InsightSlot,
     insight: Option<Insight>,
@@ -237,6 +239,7 @@ impl Engine {
             before: Before::default(),
             frame: 0,
             showing: Foresight::default(),
+            hurries: false,
             drawing_cores: std::thread::available_parallelism()
                 .map_or(0, |cores| cores.get() / CORES_PER_DRAWING),
             encoder: Encoder::default(),
@@ -300,8 +303,8 @@ impl Engine {
             None => 1.0 / self.controls.set.fps,
         };
         let moves = self.before.camera.replace(*camera).is_some_and(|before| before != *camera);
-        let has_deadline = moves && self.controls.set.quality.is_none();
-        self.runtime().leave_cores(if has_deadline { self.drawing_cores } else { 0 });
+        self.hurries = moves && self.controls.set.quality.is_none();
+        self.runtime().leave_cores(if self.hurries { self.drawing_cores } else { 0 });
         self.send(RendererInput::FrameBegan { frame: FrameIndex(self.frame), camera: *camera, time })?;
         // Until the renderer has heard of it, "converged" is said of the view before.
         self.work_until(SHOWING, |renderer| renderer.camera() == Some(*camera))
@@ -365,6 +368,9 @@ impl Engine {
         let ended = self.runtime().now();
         let _ = self.newest.frame.pop();
         let index = FrameIndex(self.frame);
+        if self.hurries {
+            self.runtime().leave_cores(self.drawing_cores.max(1));
+        }
         self.send(RendererInput::DeadlineReached { frame: index })?;
         self.frame = self.frame.wrapping_add(1);
         let newest = Arc::clone(&self.newest.frame);
@@ -377,6 +383,9 @@ impl Engine {
             )));
         };
         self.showing.learn(self.runtime().now().since(ended));
+        if self.hurries {
+            self.runtime().leave_cores(self.drawing_cores);
+        }
         self.listen();
         let frame = Frame {
             index,

@@ -2,7 +2,7 @@
 //! large scene.
 
 use std::path::Path;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use foveal::geometry::Accel;
 use foveal::illumination::Uniform;
@@ -26,6 +26,15 @@ use super::remote::{comes, guest, guests, helpers};
 
 /// Triangles of a scene whose files are a hundred mebibytes.
 const TRIANGLES: usize = 2_600_000;
+
+/// Time that a guest has to keep a scene.
+const KEEPS: Duration = Duration::from_secs(60);
+
+/// Whether a guest has kept the scene, whose files it has there, as it was read.
+fn is_kept(stock: &Path) -> bool {
+    let kept = std::fs::read_dir(stock.join("remote/scenes")).into_iter().flatten().filter_map(Result::ok);
+    kept.into_iter().any(|entry| entry.path().extension().is_some_and(|e| e == "fvscene"))
+}
 
 fn world(path: &Path) -> Result<World, Failure> {
     let (scene, _) = load_scene(path)?;
@@ -107,19 +116,31 @@ pub fn joins(links: &[String], apart: bool) -> Result<Vec<Row>, Failure> {
             rows.push(Row::new("  its index made here, one core", "s", &[indexed]));
         }
         let stock = made.path().with_extension(format!("{link}-stock"));
-        for (when, aim) in [("at first", 3.0), ("again", 1.0)] {
+        for when in ["at first", "again"] {
             let began = Instant::now();
             let mut guest =
                 guest(helped.invitation(), &["--cache".as_ref(), stock.as_os_str()], apart.then_some(1))?;
             comes(&mut guest, || helped.serving() > 0)?;
             let took = began.elapsed().as_secs_f64();
-            rows.push(Row::new(format!("{name} over {link}, {when}"), "s", &[took]));
-            let row =
-                Row::new(format!("{name} over {link}, {when}, without its index"), "s", &[took - indexed]);
-            rows.push(row.aim(Aim::AtMost(aim)));
+            let row = Row::new(format!("{name} over {link}, {when}"), "s", &[took]);
+            if when == "again" {
+                // Its index is kept with the scene.
+                rows.push(row.aim(Aim::AtMost(1.0)));
+            } else {
+                let bare = Row::new(
+                    format!("{name} over {link}, {when}, without its index"),
+                    "s",
+                    &[took - indexed],
+                );
+                rows.extend([row, bare.aim(Aim::AtMost(3.0))]);
+            }
+            // It keeps what it has read beside its work.
+            while began.elapsed() < KEEPS && !is_kept(&stock) {
+                std::thread::sleep(Duration::from_millis(10));
+            }
             drop(guest);
             while helped.serving() > 0 {
-                std::thread::sleep(std::time::Duration::from_millis(1));
+                std::thread::sleep(Duration::from_millis(1));
             }
         }
         drop(helped.close());

@@ -223,6 +223,26 @@ mod tests {
     }
 
     #[test]
+    fn a_scene_without_light_is_kept_beside_and_is_the_same() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (path, light) = (field(folder.path(), 0.0), light(folder.path()));
+        let first = crate::opened::unlit(&path, &light).expect("a scene");
+        let began = std::time::Instant::now();
+        while kept_files(folder.path()).is_empty() {
+            assert!(began.elapsed().as_secs() < 60, "kept on a thread beside");
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        let is_kept = || read(&path, &light).expect("a scene").accel.is_some();
+        while !is_kept() {
+            assert!(began.elapsed().as_secs() < 60, "whole");
+        }
+        let second = crate::opened::unlit(&path, &light).expect("a scene");
+        assert_eq!(second.scene.content_hash, first.scene.content_hash);
+        assert_eq!(second.scene.mesh.positions, first.scene.mesh.positions);
+        assert_eq!(second.accel.size_bytes(), first.accel.size_bytes());
+    }
+
+    #[test]
     fn what_was_used_least_lately_goes_first() {
         let folder = tempfile::tempdir().expect("a folder");
         for (name, age) in [("a", 3), ("b", 2), ("c", 1)] {

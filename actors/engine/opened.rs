@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 
 use etcetera::base_strategy::{BaseStrategy, choose_native_strategy};
 use foveal::geometry::Accel;
-use foveal::illumination::Irradiance;
 use foveal::illumination::bake::{BakeSettings, Baked, Baker, cache_key};
 use foveal::illumination::first::first_picture;
+use foveal::illumination::{Irradiance, Uniform};
 use foveal::scene::edit::{AsRead, Lamp, SceneEdit};
 use foveal::scene::{NamedCamera, Scene, edit};
 use foveal::transport::Indexed;
@@ -161,6 +161,20 @@ pub fn files(path: &Path, reading: &Reading) -> Result<Vec<(String, [u8; 32])>, 
 /// Loads a scene and its illumination.
 pub fn open(path: &Path, light: &Light, watch: &dyn Watch) -> Result<Opened, Failure> {
     with_light(path, told("scene", || kept_scene::read(path, light))?, light, watch)
+}
+
+/// Loads a scene for work that has light of its own, or takes the one that is kept ([`Light::cache`]); one that takes long to
+/// read is kept for the next time.
+///
+/// # Errors
+/// If it cannot be read.
+pub fn unlit(path: &Path, light: &Light) -> Result<World, Failure> {
+    let mut read = kept_scene::read(path, light)?;
+    let accel = read.accel.take().unwrap_or_else(|| Arc::new(Accel::build(&read.scene)));
+    let lights = Arc::new(Lights::build(&read.scene));
+    let scene = metered(read.scene.clone(), &accel, &lights);
+    read.keep(&scene, &accel);
+    Ok(World::of(scene, accel, lights, Arc::new(Uniform(Vec3::ZERO))))
 }
 
 /// The illumination of a scene that is loaded, with what went wrong so far.

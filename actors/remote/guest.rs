@@ -231,7 +231,7 @@ impl Stay<'_> {
         let manifest = self.stocked(&stock, package, bytes)?;
         self.host.progress(Progress::Building);
         let (scene, light) = stock.lay_out(&manifest, &package).map_err(failed)?;
-        let world = open(&manifest, &scene, light.as_deref()).map_err(Broken::Failed)?;
+        let world = open(&manifest, &scene, light.as_deref(), stock.folder()).map_err(Broken::Failed)?;
         let mut crew = Crew::new(world.clone(), k_max, cores, self.link.waker()).map_err(failed)?;
         self.say(&FromGuest::Ready { incarnation })?;
         self.done.joined.get_or_insert(began.elapsed());

@@ -6,16 +6,13 @@
 use std::fs::{self, File};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Component, Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use foveal::illumination::Uniform;
 use foveal::illumination::bake::cache_key;
 use foveal::world::World;
 use foveal_actors::station::wire::{Hash, PIECE_BYTES_MAX};
 use foveal_engine::Light;
 use foveal_engine::failure::Failure;
-use foveal_engine::glam::Vec3;
 use foveal_engine::light::Reading;
 use foveal_engine::opened::{self, Opened};
 use foveal_engine::recording::illumination_hash;
@@ -246,6 +243,11 @@ impl Stock {
         Ok(Self { folder })
     }
 
+    /// Where it is.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
     fn path_of(&self, hash: &Hash) -> PathBuf {
         self.folder.join("blobs").join(blake3::Hash::from(*hash).to_hex().as_str())
     }
@@ -340,31 +342,32 @@ impl Arriving {
     }
 }
 
-/// Opens what was laid out, and compares it with what the walk has.
+/// Opens what was laid out, and compares it with what the walk has. In the folder `cache` it is kept as it was read, for the
+/// next time.
 ///
 /// # Errors
 /// If it cannot be opened, or is something else.
-pub fn open(manifest: &Manifest, scene: &Path, illumination: Option<&Path>) -> Result<World, Failure> {
+pub fn open(
+    manifest: &Manifest,
+    scene: &Path,
+    illumination: Option<&Path>,
+    cache: &Path,
+) -> Result<World, Failure> {
     let wrong = |what: &str| Failure::Input(format!("the scene that came is not that of the walk: {what}"));
     let light: Light = serde_json::from_str(&manifest.light).map_err(|e| wrong(&e.to_string()))?;
+    // Nothing of this machine is named from there.
+    let light = Light {
+        bake: illumination.map(Path::to_owned),
+        quick: false,
+        baked: true,
+        refined: false,
+        cache: Some(cache.to_owned()),
+        first: None,
+        ..light
+    };
     let world = match illumination {
-        Some(illumination) => {
-            // Nothing of this machine is named from there.
-            let light = Light {
-                bake: Some(illumination.to_owned()),
-                quick: false,
-                baked: true,
-                refined: false,
-                cache: None,
-                first: None,
-                ..light
-            };
-            opened::open(scene, &light, &())?.world
-        }
-        None => {
-            let (scene, _) = opened::load_scene_as(scene, &light.reading)?;
-            World::new(scene, Arc::new(Uniform(Vec3::ZERO)))
-        }
+        Some(_) => opened::open(scene, &light, &())?.world,
+        None => opened::unlit(scene, &light)?,
     };
     if world.scene.content_hash != manifest.content_hash {
         return Err(wrong("its files differ"));

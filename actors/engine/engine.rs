@@ -276,6 +276,11 @@ impl Engine {
     ) -> Result<Frame, Failure> {
         let began = self.runtime().now();
         self.begin(camera)?;
+        // Whoever gives it much more time than a frame has wants what is best by then.
+        if time.as_secs_f32() > 2.0 / self.controls.set.fps {
+            self.hurries = false;
+            self.runtime().leave_cores(0);
+        }
         let taken = self.runtime().now().since(began);
         // Drawing the base layer and composing what is over it take times of one order.
         let showing = if self.showing.is_known() { self.showing() } else { taken };

@@ -161,6 +161,19 @@ impl Atlas {
         is_fine: &(dyn Fn(u32) -> bool + Sync),
         unwrap: &dyn Unwrap,
     ) -> Self {
+        let built = Self::build_while(mesh, texels, is_diffuse, is_fine, unwrap, &|| true);
+        built.unwrap_or_else(|| unreachable!("it is always wanted"))
+    }
+
+    /// The same, as long as it is wanted, which is asked before each attempt at a page; `None` where that ended before.
+    pub fn build_while(
+        mesh: &Mesh,
+        texels: u32,
+        is_diffuse: &(dyn Fn(u32) -> bool + Sync),
+        is_fine: &(dyn Fn(u32) -> bool + Sync),
+        unwrap: &dyn Unwrap,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> Option<Self> {
         let triangles = mesh.triangles.len() as u32;
         let sizes: Vec<(f32, f32)> = (0..triangles)
             .into_par_iter()
@@ -178,6 +191,9 @@ impl Atlas {
         for attempt in 0.. {
             if large.is_empty() {
                 break;
+            }
+            if !is_wanted() {
+                return None;
             }
             match unwrap_part(mesh, &large, density, unwrap) {
                 Ok(page) => {
@@ -214,8 +230,10 @@ impl Atlas {
             }
         }
         atlas.texels_per_unit = density;
-        atlas.place(mesh, &placed, &sizes);
-        atlas
+        is_wanted().then(|| {
+            atlas.place(mesh, &placed, &sizes);
+            atlas
+        })
     }
 
     /// Elements of the lightmap; the elements after them are vertices.
@@ -358,6 +376,31 @@ mod tests {
 
     fn area_of(atlas: &Atlas) -> f32 {
         atlas.elements.iter().map(|e| e.area).sum()
+    }
+
+    #[test]
+    fn what_is_not_wanted_any_more_is_not_unwrapped_again() {
+        use std::cell::Cell;
+        let mesh = grid(6, 6, |x, y| Vec3::new(x, y, 0.2 * (7.0 * x).sin()));
+        let asked = Cell::new(0);
+        let build = |times: u32| {
+            asked.set(0);
+            let is_wanted = || {
+                asked.set(asked.get() + 1);
+                asked.get() <= times
+            };
+            // Too few texels for the first densities.
+            let atlas = Atlas::build_while(&mesh, 60, &|_| true, &|_| true, &ConformalCharts, &is_wanted);
+            (atlas, asked.get())
+        };
+        let (whole, all) = build(u32::MAX);
+        assert!(all > 1, "{all}");
+        let plain = Atlas::build(&mesh, 60, &|_| true, &|_| true, &ConformalCharts);
+        assert!(whole.is_some_and(|atlas| atlas.corners == plain.corners));
+        for times in 0..all {
+            let (atlas, asked) = build(times);
+            assert!(atlas.is_none() && asked == times + 1, "asked {asked} times, wanted {times}");
+        }
     }
 
     #[test]

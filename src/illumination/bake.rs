@@ -239,7 +239,7 @@ impl Baker {
         if !is_wanted() {
             return None;
         }
-        let atlas = atlas_of(scene, settings.texels, &|t: u32| watched[t as usize]);
+        let atlas = atlas_while(scene, settings.texels, &|t: u32| watched[t as usize], is_wanted)?;
         if !is_wanted() {
             return None;
         }
@@ -667,10 +667,21 @@ impl Totals {
 
 /// The elements of a scene.
 pub(super) fn atlas_of(scene: &Scene, texels: u32, is_seen: &(dyn Fn(u32) -> bool + Sync)) -> Atlas {
+    atlas_while(scene, texels, is_seen, &|| true).unwrap_or_else(|| unreachable!("it is always wanted"))
+}
+
+/// The same, as long as it is wanted; `None` where that ended before.
+pub(super) fn atlas_while(
+    scene: &Scene,
+    texels: u32,
+    is_seen: &(dyn Fn(u32) -> bool + Sync),
+    is_wanted: &dyn Fn() -> bool,
+) -> Option<Atlas> {
     let is_diffuse = |t: u32| scene.material_of(t).has_diffuse();
-    let mut atlas = Atlas::build(&scene.mesh, texels, &is_diffuse, is_seen, &ConformalCharts);
+    let charts = &ConformalCharts;
+    let mut atlas = Atlas::build_while(&scene.mesh, texels, &is_diffuse, is_seen, charts, is_wanted)?;
     atlas.cut_out(scene);
-    atlas
+    Some(atlas)
 }
 
 /// All fronts, then all backs: what shares a block lies on one side.

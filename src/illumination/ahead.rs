@@ -76,7 +76,7 @@ mod tests {
         room.cameras[0].camera.eye = Vec3::new(1.0, 1.0, 1.9);
         room.cameras[0].camera.target = Vec3::new(1.0, 1.0, 0.0);
         let accel = Accel::build(&room);
-        let atlas = atlas_of(&room, 4000, &|_| true);
+        let atlas = atlas_of(&room, 4000, &|_| true, &|| true).expect("wanted");
         let sites = Sites::new(&atlas, &sides_of(&atlas));
         let mut site_of = vec![[NONE; 2]; atlas.elements.len()];
         for (i, site) in sites.all().iter().enumerate() {

@@ -239,7 +239,7 @@ impl Baker {
         if !is_wanted() {
             return None;
         }
-        let atlas = atlas_while(scene, settings.texels, &|t: u32| watched[t as usize], is_wanted)?;
+        let atlas = atlas_of(scene, settings.texels, &|t: u32| watched[t as usize], is_wanted)?;
         if !is_wanted() {
             return None;
         }
@@ -665,13 +665,8 @@ impl Totals {
     }
 }
 
-/// The elements of a scene.
-pub(super) fn atlas_of(scene: &Scene, texels: u32, is_seen: &(dyn Fn(u32) -> bool + Sync)) -> Atlas {
-    atlas_while(scene, texels, is_seen, &|| true).unwrap_or_else(|| unreachable!("it is always wanted"))
-}
-
-/// The same, as long as it is wanted; `None` where that ended before.
-pub(super) fn atlas_while(
+/// The elements of a scene, as long as they are wanted; `None` where that ended before.
+pub(super) fn atlas_of(
     scene: &Scene,
     texels: u32,
     is_seen: &(dyn Fn(u32) -> bool + Sync),

@@ -380,7 +380,10 @@ fn shadows_of_named_lights_are_sharp_whatever_the_texels() {
         let stored = on_floor(&map, &yard.mesh, 0.5, 0.1).x;
         assert!(stored > 0.3 && stored < 2.9, "{stored}");
         // Other elements keep both.
-        let kept = Illumination::resampled(&super::bake::atlas_of(&yard, 600, &|_| true), &map);
+        let kept = Illumination::resampled(
+            &super::bake::atlas_of(&yard, 600, &|_| true, &|| true).expect("wanted"),
+            &map,
+        );
         assert!(kept.has_named() && kept.is_sound());
     });
 }

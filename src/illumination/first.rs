@@ -9,7 +9,7 @@ use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::atlas::Atlas;
-use super::bake::{atlas_while, sides_of};
+use super::bake::{atlas_of, sides_of};
 use super::filter::{Noisy, Parts, Smoothing};
 use super::gathered::Gathered;
 use super::points::Points;
@@ -43,7 +43,7 @@ pub fn first_picture_while(
 ) -> Option<Illumination> {
     let Indexed { scene, accel, lights } = indexed;
     let seen = seen(scene, accel, u64::from(TEXELS));
-    let atlas = atlas_while(scene, TEXELS, &|t: u32| seen[t as usize], is_wanted)?;
+    let atlas = atlas_of(scene, TEXELS, &|t: u32| seen[t as usize], is_wanted)?;
     let points = Points::new(&scene.mesh, &atlas);
     let sides = sides_of(&atlas);
     let all = Sites::new(&atlas, &sides);

@@ -32,8 +32,8 @@ const KEEPS: Duration = Duration::from_secs(60);
 
 /// Whether a guest has kept the scene, whose files it has there, as it was read.
 fn is_kept(stock: &Path) -> bool {
-    let kept = std::fs::read_dir(stock.join("remote/scenes")).into_iter().flatten().filter_map(Result::ok);
-    kept.into_iter().any(|entry| entry.path().extension().is_some_and(|e| e == "fvscene"))
+    let mut kept = std::fs::read_dir(stock.join("remote/scenes")).into_iter().flatten().flatten();
+    kept.any(|entry| entry.path().extension().is_some_and(|e| e == "fvscene"))
 }
 
 fn world(path: &Path) -> Result<World, Failure> {

@@ -521,3 +521,22 @@ fn a_walk_begins_where_it_is_told() {
     walk.act(Act::Look(1.0, 0.0), 0.1);
     assert!(!walk.is_moving());
 }
+
+#[test]
+fn only_frames_of_a_moving_camera_that_are_due_leave_cores_to_drawing() {
+    let mut engine = made(Settings::new(64, 48, 2)).start();
+    let start = test_scene::room(4).cameras[0].camera;
+    let at = |step: u32| Camera { eye: start.eye + Vec3::X * (0.01 * step as f32), ..start };
+    let mut hurries = |step: u32, ms: u64| {
+        engine.frame(&at(step), Duration::from_millis(ms)).expect("a frame");
+        engine.hurries
+    };
+    assert!(!hurries(0, 33), "nobody knows whether the first one moves");
+    assert!(hurries(1, 33) && hurries(2, 33));
+    assert!(!hurries(2, 33), "it stands still");
+    assert!(!hurries(3, 200), "at 30 frames a second that is not a frame's time");
+    assert!(hurries(4, 33));
+    engine.controls.set.quality = Some(-1e9);
+    engine.frame(&at(5), Duration::from_millis(33)).expect("a frame");
+    assert!(!engine.hurries, "it waits for its quality");
+}

@@ -174,8 +174,8 @@ pub fn decisive(scene: &Scene) -> Vec<bool> {
             _ => material.tint.map,
         };
         let others = [material.opacity_map, material.bump_map, material.normal_map, lobe, through];
-        let recipe = material.model.recipe().map_or_else(Vec::new, |r| r.maps());
-        let read = recipe.into_iter().filter(|map| Some(*map) != material.picture());
+        let shown = material.picture();
+        let read = material.maps_by_point().into_iter().filter(|map| Some(*map) != shown);
         for map in others.into_iter().flatten().chain(read) {
             decisive[map.0 as usize] = true;
         }

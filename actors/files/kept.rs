@@ -25,7 +25,7 @@ use foveal::scene::kept::SceneHead;
 /// First bytes of a file.
 const MAGIC: [u8; 8] = *b"FVSCENE\n";
 /// Raised with every change of what is stored.
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 /// Magic, version, who made it, length of the head, checksum of all of that and of the head.
 const HEADER: usize = 8 + 4 + 32 + 8 + 16;
 /// Bytes of a file at most.

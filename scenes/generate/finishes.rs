@@ -6,6 +6,7 @@ use image::ImageResult;
 use super::gltf::Gltf;
 use super::obj::SceneFiles;
 use super::shapes::{quad, quad_with_hole, room, sphere, torus, v};
+use super::textures::{picture, png, turbulence};
 
 const TOML: &str = r#"
 format = 1
@@ -27,7 +28,7 @@ keys = [
 "#;
 
 /// Names, metalness, roughness, base colours, and what each has.
-const BALLS: [(&str, [f64; 2], [f64; 3], &str); 7] = [
+const BALLS: [(&str, [f64; 2], [f64; 3], &str); 8] = [
     (
         "Coat",
         [0.0, 0.9],
@@ -72,7 +73,22 @@ const BALLS: [(&str, [f64; 2], [f64; 3], &str); 7] = [
         r#""KHR_materials_transmission": { "transmissionFactor": 1 }, "KHR_materials_volume": { "thicknessFactor": 0.2 },
     "KHR_materials_ior": { "ior": 1.7 }, "KHR_materials_dispersion": { "dispersion": 3 }"#,
     ),
+    (
+        "Bubble",
+        [0.0, 0.0],
+        [1.0, 1.0, 1.0],
+        r#""KHR_materials_transmission": { "transmissionFactor": 1 },
+    "KHR_materials_volume": { "thicknessFactor": 0.2, "attenuationColor": [0.9, 0.97, 1], "attenuationDistance": 0.2 },
+    "KHR_materials_iridescence": { "iridescenceFactor": 1, "iridescenceIor": 1.8, "iridescenceThicknessMinimum": 150,
+        "iridescenceThicknessMaximum": 600, "iridescenceThicknessTexture": { "index": 0 } }"#,
+    ),
 ];
+
+/// How thick a film that runs down a ball is, in green: thin above, with eddies.
+fn film(u: f64, v: f64) -> [f64; 3] {
+    let eddies = turbulence(u, v, [6, 4], 4, 77) - 0.5;
+    [0.0, 0.85 - 0.7 * v + 0.5 * eddies, 0.0]
+}
 
 const EXTENSIONS: [&str; 10] = [
     "KHR_lights_punctual",
@@ -151,10 +167,14 @@ pub fn scene() -> ImageResult<SceneFiles> {
 "extensions": {{ "KHR_lights_punctual": {{ "lights": [
     {{ "type": "directional", "color": [1, 0.93, 0.82], "intensity": 5 }},
     {{ "type": "spot", "color": [1, 0.96, 0.9], "intensity": 5, "spot": {{ "innerConeAngle": 0.4, "outerConeAngle": 0.7 }} }}] }} }},
+"textures": [{{ "source": 0 }}], "images": [{{ "uri": "film.png" }}],
 "extensionsUsed": [{}]
 "#,
         used.join(", ")
     );
-    let pictures = vec![("finishes.toml", TOML.trim_start().as_bytes().to_vec())];
+    let pictures = vec![
+        ("finishes.toml", TOML.trim_start().as_bytes().to_vec()),
+        ("film.png", png(&picture(128, 64, film))?),
+    ];
     Ok(g.finish("finishes", &roots, &rest, pictures))
 }

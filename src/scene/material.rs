@@ -254,6 +254,15 @@ impl Material {
 }
 
 impl Material {
+    /// The maps that are read point by point, of its recipe and of what lies on it.
+    pub fn maps_by_point(&self) -> Vec<TextureId> {
+        let mut maps = self.model.recipe().map_or_else(Vec::new, Recipe::maps);
+        if let Some(mut coating) = self.coating {
+            coating.each_map(|map| maps.extend(*map));
+        }
+        maps
+    }
+
     /// The texture that shows most of it: the diffuse one, else the specular one, else that of its light.
     pub fn picture(&self) -> Option<TextureId> {
         let reflection = match &self.model {

@@ -35,9 +35,19 @@ impl Scalar {
         Self { factor, map: None }
     }
 
-    fn at(&self, texel: &impl Fn(TextureId) -> [f32; 4]) -> f32 {
+    /// The value, in [0, 1], where `texel` reads the map.
+    pub fn at(&self, texel: &impl Fn(TextureId) -> [f32; 4]) -> f32 {
         let share = self.map.map_or(1.0, |(map, channel)| texel(map)[channel as usize]);
         (self.factor * share).clamp(0.0, 1.0)
+    }
+
+    /// Calls `f` with the place of its map, if it has one; it may be changed, but not taken away.
+    pub fn each_map(&mut self, f: &mut impl FnMut(&mut Option<TextureId>)) {
+        if let Some((map, channel)) = self.map {
+            let mut place = Some(map);
+            f(&mut place);
+            self.map = place.map(|map| (map, channel));
+        }
     }
 }
 
@@ -52,6 +62,21 @@ pub struct FilmMaps {
     pub thickness: [f32; 2],
     /// Of thickness, in green.
     pub map: Option<TextureId>,
+}
+
+impl FilmMaps {
+    /// The film where `texel` reads the maps.
+    pub fn at(&self, texel: &impl Fn(TextureId) -> [f32; 4]) -> Film {
+        let [low, high] = self.thickness;
+        let share = self.map.map_or(1.0, |map| texel(map)[1]);
+        Film { strength: self.strength.at(texel), ior: self.ior, thickness: low + (high - low) * share }
+    }
+
+    /// Calls `f` with each place of a map; it may be changed, but not taken away.
+    pub fn each_map(&mut self, f: &mut impl FnMut(&mut Option<TextureId>)) {
+        self.strength.each_map(f);
+        f(&mut self.map);
+    }
 }
 
 /// What a surface is made of.
@@ -157,11 +182,7 @@ impl Recipe {
             coverage,
             over,
             grain: self.grain.map(|(grain, map)| grain_at(grain, map.map(texel))),
-            film: self.film.map(|f| {
-                let [low, high] = f.thickness;
-                let share = f.map.map_or(1.0, |map| texel(map)[1]);
-                Film { strength: f.strength.at(texel), ior: f.ior, thickness: low + (high - low) * share }
-            }),
+            film: self.film.map(|film| film.at(texel)),
         }
     }
 
@@ -192,19 +213,14 @@ impl Recipe {
             scalars.push(share);
         }
         if let Some(film) = &mut self.film {
-            scalars.push(&mut film.strength);
-            f(&mut film.map);
+            film.each_map(&mut f);
         }
         if let Some((_, map)) = &mut self.grain {
             f(map);
         }
         f(&mut self.coat_normal);
         for scalar in scalars {
-            if let Some((map, channel)) = scalar.map {
-                let mut place = Some(map);
-                f(&mut place);
-                scalar.map = place.map(|map| (map, channel));
-            }
+            scalar.each_map(&mut f);
         }
         colors.into_iter().for_each(|c| f(&mut c.map));
     }

@@ -10,7 +10,6 @@ use std::sync::Arc;
 use glam::Vec2;
 use rayon::prelude::*;
 
-use foveal::scene::recipe::Recipe;
 use foveal::scene::{Material, Model, Placement, Reflectance, Texture, TextureId};
 
 /// Texels that show less count as cut away.
@@ -51,7 +50,6 @@ pub fn recolor(materials: &mut [Material], textures: &mut Vec<Texture>) {
 
 /// All that a material reads but its mask.
 fn pictures(m: &Material) -> impl Iterator<Item = TextureId> {
-    let others = m.model.recipe().map_or_else(Vec::new, Recipe::maps);
     let [a, b] = match &m.model {
         Model::Lambert { albedo } | Model::Plastic { albedo, .. } => [albedo.map, None],
         Model::Mirror { specular } | Model::Metal { specular, .. } => [specular.map, None],
@@ -61,7 +59,8 @@ fn pictures(m: &Material) -> impl Iterator<Item = TextureId> {
         Model::MetalRough(m) => [m.diffuse.map, m.specular.map],
         Model::Conductor { .. } | Model::Dielectric { .. } => [None, None],
     };
-    [a, b, m.emission.map, m.bump_map, m.normal_map].into_iter().flatten().chain(others)
+    let others = [m.emission.map, m.bump_map, m.normal_map, m.tint.map];
+    [a, b].into_iter().chain(others).flatten().chain(m.maps_by_point())
 }
 
 fn diffuse(model: &mut Model) -> Option<&mut Reflectance> {

@@ -130,7 +130,8 @@ impl Bsdf {
                 } else {
                     let eta = if at.back { 1.0 / ior } else { ior };
                     let spread = (ior - 1.0) * 0.025 * m.dispersion;
-                    coat_over = m.coating.map_or(Coat::None, Coat::OnGlass);
+                    let coated = m.coating.and_then(|c| c.at(|map| point.texel(scene, map)));
+                    coat_over = coated.map_or(Coat::None, Coat::OnGlass);
                     Lobe::Glass { eta, microfacet: Microfacet::of(roughness), tint: lookup(&m.tint), spread }
                 }
             }

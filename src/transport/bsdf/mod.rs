@@ -19,7 +19,7 @@ use glam::Vec3;
 
 use crate::image::luminance;
 use crate::math;
-use crate::scene::coating::Coating;
+use crate::scene::coating::Coated;
 pub use crate::scene::fresnel;
 use crate::scene::metal_rough::Over;
 use crate::scene::microfacet::Microfacet;
@@ -141,7 +141,7 @@ enum Coat {
         over: Option<Over>,
     },
     /// On glass, below which nothing is diffuse.
-    OnGlass(Coating),
+    OnGlass(Coated),
 }
 
 /// The reflectance at one point, for one side.

@@ -8,7 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::joined_maps::{Joined, Key, Rule, join};
-use super::materials::MetalRoughSource;
+use super::materials::{FilmSource, Maps, MetalRoughSource};
 use super::surfaces::{Pending, Veil};
 use super::texels::mean_of;
 use foveal::image::luminance;
@@ -167,6 +167,21 @@ fn flat(
     }
 }
 
+/// A factor times a channel of a map, if there is one.
+pub(super) fn scalar(factor: f32, map: Option<TextureId>, channel: Channel) -> Scalar {
+    Scalar { factor, map: map.map(|map| (map, channel)) }
+}
+
+/// A film and its maps.
+pub(super) fn film_maps(film: FilmSource, maps: &Maps<TextureId>) -> FilmMaps {
+    FilmMaps {
+        strength: scalar(film.strength, maps.film, Channel::Red),
+        ior: film.ior,
+        thickness: film.thickness,
+        map: maps.film_thickness,
+    }
+}
+
 /// A surface whose maps are read point by point. What is known of it as a whole comes from their means.
 fn by_recipe(
     rule: &Rule,
@@ -176,8 +191,6 @@ fn by_recipe(
     textures: &mut [Texture],
 ) -> MetalRough {
     let maps = &p.maps;
-    let scalar =
-        |factor: f32, map: Option<TextureId>, channel| Scalar { factor, map: map.map(|m| (m, channel)) };
     let mut recipe = Recipe {
         base: Reflectance { color: p.source.base, map: p.base },
         coverage: scalar(around.coverage, p.base.filter(|_| around.coverage_in_alpha), Channel::Alpha),
@@ -199,12 +212,7 @@ fn by_recipe(
             (Reflectance { color, map: maps.sheen_color }, scalar(r, maps.sheen_roughness, Channel::Alpha))
         }),
         grain: source.grain.map(|grain| (grain, maps.grain)),
-        film: source.film.map(|f| FilmMaps {
-            strength: scalar(f.strength, maps.film, Channel::Red),
-            ior: f.ior,
-            thickness: f.thickness,
-            map: maps.film_thickness,
-        }),
+        film: source.film.map(|film| film_maps(film, maps)),
         passes: source.passes.map(|(q, color)| {
             (scalar(q, maps.passes, Channel::Alpha), Reflectance { color, map: maps.passes_color })
         }),

@@ -7,8 +7,7 @@ use super::document::{Material, TextureInfo, Volume};
 use super::pictures::{Coordinates, MapUse, Pictures};
 use super::{Choices, Oddities, Problem};
 use foveal::math;
-use foveal::scene::coating::Coating;
-use foveal::scene::metal_rough::{Film, Grain};
+use foveal::scene::metal_rough::Grain;
 
 /// What lies below texture and colour.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,7 +15,13 @@ pub(in super::super) enum Kind {
     /// Metal, dielectric or between.
     MetalRough(Box<MetalRoughSource>),
     /// A body that lets light through, which its base colour tints at each crossing.
-    Glass { ior: f32, transmittance: Vec3, roughness: f32, dispersion: f32, coating: Option<Coating> },
+    Glass {
+        ior: f32,
+        transmittance: Vec3,
+        roughness: f32,
+        dispersion: f32,
+        coating: Option<Box<CoatingSource>>,
+    },
     /// Looks as its base colour says, whatever the light.
     Unlit,
 }
@@ -43,6 +48,14 @@ pub(in super::super) struct MetalRoughSource {
     pub film: Option<FilmSource>,
     /// The share of what is scattered that leaves on the other side, and its colour.
     pub passes: Option<(f32, Vec3)>,
+    pub maps: Maps<MapUse>,
+}
+
+/// What lies on a body of glass: a film, how much of a clear coat, and the maps of both.
+#[derive(Clone, Debug, PartialEq)]
+pub(in super::super) struct CoatingSource {
+    pub film: Option<FilmSource>,
+    pub coat: f32,
     pub maps: Maps<MapUse>,
 }
 
@@ -227,7 +240,14 @@ pub(super) fn read(
         None => (pbr.base_color_factor, &pbr.base_color_texture),
     };
     let mut kind = kind(material, is_open, odd);
-    let infos = if let Kind::MetalRough(_) = &kind { maps(material) } else { Maps::default() };
+    let infos = match &kind {
+        Kind::MetalRough(_) => maps(material),
+        Kind::Glass { coating: Some(_), .. } => {
+            let Maps { film, film_thickness, coat, .. } = maps(material);
+            Maps { film, film_thickness, coat, ..Maps::default() }
+        }
+        Kind::Glass { coating: None, .. } | Kind::Unlit => Maps::default(),
+    };
     let mut all: Vec<&TextureInfo> = base_info.iter().collect();
     let _: Result<Maps<()>, ()> = infos.try_map(|info, _| {
         all.push(*info);
@@ -242,8 +262,10 @@ pub(super) fn read(
     let mut map = |info: &TextureInfo| pictures.map_use(info, &coordinates, buffers, odd);
     let base_map = base_info.as_ref().map(&mut map).transpose()?;
     let found = infos.try_map(|info, _| map(info))?;
-    if let Kind::MetalRough(source) = &mut kind {
-        source.maps = found;
+    match &mut kind {
+        Kind::MetalRough(source) => source.maps = found,
+        Kind::Glass { coating: Some(coating), .. } => coating.maps = found,
+        Kind::Glass { coating: None, .. } | Kind::Unlit => {}
     }
     let normal = material.normal_texture.as_ref().map(&mut map).transpose()?;
     let emission_map = material.emissive_texture.as_ref().map(&mut map).transpose()?;
@@ -417,31 +439,19 @@ fn grain(material: &Material) -> Option<Grain> {
     (strength > 0.0).then_some(Grain { strength, rotation })
 }
 
-/// What lies on a body of glass. It is as rough as the glass, and the same all over.
-fn coating(material: &Material, source: &MetalRoughSource, odd: &mut Oddities) -> Option<Coating> {
+/// What lies on a body of glass. It is as rough as the glass, and follows its bumps.
+fn coating(material: &Material, source: &MetalRoughSource, odd: &mut Oddities) -> Option<Box<CoatingSource>> {
     /// Roughness of a coat that looks like another one.
     const ROUGHNESS_OFF: f32 = 0.1;
-    let e = &material.extensions;
-    let coat = e.clearcoat.as_ref().filter(|_| source.coat.is_some());
-    let is_mapped = coat.is_some_and(|c| {
-        c.clearcoat_texture.is_some()
-            || c.clearcoat_roughness_texture.is_some()
-            || c.clearcoat_normal_texture.is_some()
-    });
-    let iridescence = e.iridescence.as_ref().filter(|_| source.film.is_some());
-    let thickness = iridescence.and_then(|i| i.iridescence_thickness_texture.as_ref());
-    if is_mapped || thickness.is_some() || iridescence.is_some_and(|i| i.iridescence_texture.is_some()) {
-        odd.count("maps of a coat or a film over a volume", "shown the same all over");
+    let coat = material.extensions.clearcoat.as_ref().filter(|_| source.coat.is_some());
+    if coat.is_some_and(|c| c.clearcoat_roughness_texture.is_some() || c.clearcoat_normal_texture.is_some()) {
+        odd.count("roughness or normals of a coat over a volume from maps", "shown as those of the volume");
     }
     if source.coat.is_some_and(|[_, roughness]| (roughness - source.roughness).abs() > ROUGHNESS_OFF) {
         odd.count("a coat over a volume of another roughness", "shown as rough as the volume");
     }
-    let film = source.film.as_ref().map(|f| {
-        let [low, high] = f.thickness;
-        let thickness = if thickness.is_some() { 0.5 * (low + high) } else { high };
-        Film { strength: f.strength, ior: f.ior, thickness }
-    });
-    Coating::new(film, source.coat.map_or(0.0, |[strength, _]| strength))
+    let (film, coat) = (source.film, source.coat.map_or(0.0, |[strength, _]| strength));
+    (film.is_some() || coat > 0.0).then(|| Box::new(CoatingSource { film, coat, maps: Maps::default() }))
 }
 
 fn film(material: &Material) -> Option<FilmSource> {

@@ -9,12 +9,14 @@ use glam::Vec3;
 
 use super::super::error::{Place, Warning};
 use super::super::textures::TextureRequests;
-use super::joined;
+use super::joined::{self, film_maps, scalar};
 use super::joined_maps::{Joined, Key};
 use super::materials::{Alpha, Kind, Maps, Source};
 use super::pictures::{MapUse, Picture};
 use super::texels::{lean, mean_of, premultiplied};
+use foveal::scene::coating::Coating;
 use foveal::scene::metal_rough::{Layer, MetalRough};
+use foveal::scene::recipe::Channel;
 use foveal::scene::{Distribution, Material, MaterialId, Model, Reflectance, Roughness, Texture, TextureId};
 
 /// Alpha below which a texel is taken for nothing, and above whose complement for all.
@@ -55,7 +57,11 @@ pub(in super::super) fn ask(
             let asked = m.maps.try_map(|map, is_color| Ok::<_, Infallible>(ask_for(map, is_color)));
             asked.unwrap_or_default()
         }
-        Kind::Glass { .. } | Kind::Unlit => Maps::default(),
+        Kind::Glass { coating: Some(coating), .. } => {
+            let asked = coating.maps.try_map(|map, is_color| Ok::<_, Infallible>(ask_for(map, is_color)));
+            asked.unwrap_or_default()
+        }
+        Kind::Glass { coating: None, .. } | Kind::Unlit => Maps::default(),
     };
     let normal_map = source.normal.as_ref().map(|m| ask_for(m, false));
     let emission_map = source.emission_map.as_ref().map(|m| ask_for(m, true));
@@ -151,11 +157,15 @@ fn finish_one(
                 }
             }
         }
-        &Kind::Glass { ior, transmittance, roughness, dispersion, coating } => {
-            let alpha = MetalRough::alpha(roughness);
+        Kind::Glass { ior, transmittance, roughness, dispersion, coating } => {
+            let (ior, transmittance) = (*ior, *transmittance);
+            let alpha = MetalRough::alpha(*roughness);
             material.tint = base;
-            material.dispersion = dispersion;
-            material.coating = coating;
+            material.dispersion = *dispersion;
+            material.coating = coating.as_ref().map(|source| Coating {
+                film: source.film.map(|film| film_maps(film, &p.maps)),
+                coat: scalar(source.coat, p.maps.coat, Channel::Red),
+            });
             Model::Dielectric {
                 ior,
                 transmittance,
@@ -271,6 +281,9 @@ fn each_map(material: &mut Material, f: &mut dyn FnMut(&mut Option<TextureId>)) 
             }
         }
         Model::Conductor { .. } | Model::Dielectric { .. } => {}
+    }
+    if let Some(coating) = &mut material.coating {
+        coating.each_map(&mut *f);
     }
     f(&mut material.emission.map);
     f(&mut material.tint.map);

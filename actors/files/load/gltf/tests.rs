@@ -125,9 +125,10 @@ fn with_body(name: &str, materials: &str) -> Loaded {
     let place = Place::new(name);
     let mut maker = Maker::default();
     let position = maker.vec3(&CORNERS);
+    let uv = maker.vec2(&CORNERS.map(|p| Vec2::new(p.x, p.y)));
     let indices = maker.indices(&[0, 1, 2, 0, 2, 3, 0, 2, 1, 0, 3, 2]);
     let rest = format!(
-        r#""meshes": [{{"primitives": [{{"attributes": {{"POSITION": {position}}}, "indices": {indices}, "material": 0}}]}}],
+        r#""meshes": [{{"primitives": [{{"attributes": {{"POSITION": {position}, "TEXCOORD_0": {uv}}}, "indices": {indices}, "material": 0}}]}}],
         "nodes": [{{"mesh": 0}}], "materials": {materials}"#
     );
     loaded(&place, maker.text(&rest))

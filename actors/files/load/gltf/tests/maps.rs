@@ -483,6 +483,43 @@ fn a_film_and_a_coat_on_a_body_of_glass_are_seen_from_both_sides() {
 }
 
 #[test]
+fn maps_say_where_a_film_and_a_coat_lie_on_a_body_of_glass() {
+    // 51 is a fifth, all over: as with factors.
+    let picture = data_png(&[[51; 4]; 4]);
+    let reflected = |name: &str, extensions: &str, rest: &str| {
+        let found = with_body(
+            name,
+            &format!(
+                r#"[{{"pbrMetallicRoughness": {{"metallicFactor": 0, "roughnessFactor": 0}}, "extensions": {{
+                "KHR_materials_transmission": {{"transmissionFactor": 1}}, "KHR_materials_volume": {{"thicknessFactor": 1}},
+                {extensions}}}}}]{rest}"#
+            ),
+        );
+        assert!(found.warnings.iter().all(|w| !w.message.contains("over a volume")), "{:?}", found.warnings);
+        let (bsdf, wo) = first_face(&found.scene, Ray::new(Vec3::ZERO, Vec3::new(0.6, 0.0, -0.8)));
+        (bsdf.delta_lobes(wo)[0].expect("a mirror").weight, found.scene)
+    };
+    let maps = format!(r#", "textures": [{{"source": 0}}], "images": [{picture}]"#);
+    let (by_texel, scene) = reflected(
+        "gltf-mapped-film",
+        r#""KHR_materials_iridescence": {"iridescenceFactor": 1, "iridescenceTexture": {"index": 0},
+        "iridescenceThicknessMinimum": 300, "iridescenceThicknessMaximum": 500, "iridescenceThicknessTexture": {"index": 0}},
+        "KHR_materials_clearcoat": {"clearcoatFactor": 0.5, "clearcoatTexture": {"index": 0}}"#,
+        &maps,
+    );
+    let (by_factor, bare) = reflected(
+        "gltf-even-film",
+        r#""KHR_materials_iridescence": {"iridescenceFactor": 0.2, "iridescenceThicknessMaximum": 340},
+        "KHR_materials_clearcoat": {"clearcoatFactor": 0.1}"#,
+        "",
+    );
+    assert!((by_texel - by_factor).abs().max_element() < 1e-5, "{by_texel} {by_factor}");
+    assert_eq!([scene.textures.len(), bare.textures.len()], [1, 0]);
+    // No actor shows a level of it that is coarser than what is known of the others.
+    assert_eq!(scene.materials[0].maps_by_point().len(), 3);
+}
+
+#[test]
 fn the_charts_of_texture_transform_agree() {
     // A texel of red at the upper left of four; each transform of the extension's text brings it to the quad's middle.
     let picture = data_png_of(2, &[[255, 0, 0, 255], [0, 0, 0, 255], [0, 0, 0, 255], [0, 0, 0, 255]]);

@@ -28,7 +28,6 @@ use std::sync::Arc;
 use foveal::allocation::ray_order::RayOrder;
 use foveal::allocation::supersampling::Supersampler;
 use foveal::perception::importance::{ObjectScan, ObjectStatistics};
-use foveal::splatting::Footprint;
 use foveal::transport::tracer::guide::is_guided;
 use foveal_runtime::{Actor, ActorId, Address, Content, Cx, DeadJob, Incident, JobPool, Loader, Saver};
 
@@ -258,8 +257,8 @@ impl Allocator {
     /// Which objects are looked at through guides: those of smooth glass, where there is anything between samples.
     fn guided_objects(&self, drawn: &DrawnView) -> Vec<bool> {
         let scene = &drawn.world.scene;
-        let is_linear = self.settings.footprint == Footprint::Linear;
-        scene.objects.iter().map(|object| is_linear && is_guided(scene, object.material)).collect()
+        let interpolates = self.settings.footprint.interpolates();
+        scene.objects.iter().map(|object| interpolates && is_guided(scene, object.material)).collect()
     }
 
     fn on_incident(&mut self, incident: Incident, cx: &mut Cx<'_, AllocatorMessage>) {

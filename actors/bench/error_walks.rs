@@ -18,7 +18,7 @@ use foveal_terminal::progress::Progress;
 use foveal_terminal::table::{Aim, Row, finish, median};
 
 /// Footprints that are compared, the usual one first.
-const FOOTPRINTS: [(Footprint, &str); 2] = [(Footprint::Linear, "linear"), (Footprint::Tile, "tiles")];
+const FOOTPRINTS: [(Footprint, &str); 2] = [(Footprint::Smooth, "smooth"), (Footprint::Tile, "tiles")];
 
 /// What walks with one footprint at one frame time came to, by run.
 #[derive(Default)]

@@ -243,10 +243,9 @@ fn samples(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
     let mut buffers = FrameBuffers::new(a.size.width as usize, a.size.height as usize);
     cpu_pass::draw(world, &frame, Passes { texture_ids: false }, &mut buffers);
     let (width, height) = (a.size.width as usize, a.size.height as usize);
-    let mut layer = SplatLayer::new(width, height, 6, Footprint::Linear);
+    let mut layer = SplatLayer::new(width, height, 6, Footprint::Smooth);
     let mut shown = Map2d::new(width, height, Vec3::ZERO);
-    let (mut age_ms, mut splat_ms, mut fresh_ms, mut between_ms) =
-        (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let [mut age_ms, mut splat_ms, mut fresh_ms, mut linear_ms, mut between_ms] = [const { Vec::new() }; 5];
     let (_, fresh) = traced(world, &second, a.size, 2, SAMPLES);
     for _ in 0..a.common.runs {
         let mut aged = cache.clone();
@@ -259,13 +258,14 @@ fn samples(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
         splat_ms.push(timed(warp_and_splat).0);
         let splat = || fresh.iter().map(|b| layer.splat_fresh(b, &buffers.object, 1).1).sum::<u32>();
         fresh_ms.push(timed(splat).0);
-        let between = Reconstruction::new(&layer, &buffers, &frame, 1.0);
-        let reconstruct = || {
+        let linear = Reconstruction::new(&layer, &buffers, &frame, 1.0);
+        let mut fill = |between: &Reconstruction<'_>| {
             shown.data_mut().par_chunks_mut(width).enumerate().for_each(|(y, row)| {
                 row.iter_mut().enumerate().for_each(|(x, light)| *light = between.pixel(x, y));
             });
         };
-        between_ms.push(timed(reconstruct).0);
+        linear_ms.push(timed(|| fill(&linear)).0);
+        between_ms.push(timed(|| fill(&linear.clone().of_picture())).0);
     }
     let fresh_count: usize = fresh.iter().map(SampleBatch::len).sum();
     Ok(vec![
@@ -278,6 +278,7 @@ fn samples(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
         Row::new(format!("splat of {fresh_count} fresh samples"), "ms", &fresh_ms),
         Row::new(format!("what is shown between them, {width} × {height} pixels"), "ms", &between_ms)
             .aim(Aim::AtMost(6.0)),
+        Row::new(format!("the same linearly, {width} × {height} pixels"), "ms", &linear_ms),
     ])
 }
 

@@ -157,7 +157,7 @@ impl<'w> Still<'w> {
 
     fn shown(&self, layer: &SplatLayer) -> Rgb8 {
         let tone = ToneMap::from(&self.world.scene.display);
-        let between = Reconstruction::new(layer, &self.buffers, &self.frame, tone.white());
+        let between = Reconstruction::new(layer, &self.buffers, &self.frame, tone.white()).of_picture();
         Map2d::from_fn(self.buffers.width(), self.buffers.height(), |x, y| {
             tone.to_rgb8(self.buffers.color.at(x, y) + between.pixel(x, y))
         })

@@ -105,7 +105,7 @@ pub struct WalkArguments {
     #[arg(long, value_name = "K", default_value_t = 6, value_parser = clap::value_parser!(u32).range(0..=7))]
     levels: u32,
     /// What a fresh sample paints
-    #[arg(long, value_enum, default_value_t = FootprintName::Linear)]
+    #[arg(long, value_enum, default_value_t = FootprintName::Smooth)]
     footprint: FootprintName,
     /// Ageing: largest change of ⟨normal, view⟩ (the paper's δ)
     #[arg(long, default_value = "0.1", value_parser = unit)]
@@ -164,6 +164,8 @@ impl From<PolicyName> for Policy {
 /// Names of footprints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum FootprintName {
+    /// Exact tiles of the lattice; what is shown is mixed from all samples of a surface
+    Smooth,
     /// Exact tiles of the lattice, and between the samples what is linear between them
     Linear,
     /// Exact tiles of the lattice
@@ -223,6 +225,7 @@ pub fn run(a: &WalkArguments, progress: Progress) -> Result<(), Failure> {
         samples_per_job: a.n_job,
         k_max: a.levels,
         footprint: match a.footprint {
+            FootprintName::Smooth => Footprint::Smooth,
             FootprintName::Linear => Footprint::Linear,
             FootprintName::Tile => Footprint::Tile,
             FootprintName::Square => Footprint::Square,

@@ -294,7 +294,7 @@ impl Renderer {
     pub fn picture(&self) -> Option<Map2d<Vec3>> {
         let drawn = self.drawn.as_ref()?;
         let base = &drawn.buffers().color;
-        let between = self.between(drawn);
+        let between = self.between(drawn).of_picture();
         let first = |x, y| base.at(x, y) + between.pixel(x, y);
         Some(Map2d::from_fn(base.width(), base.height(), |x, y| match &self.settled {
             Some(settled) => settled.pixel(x, y, base.at(x, y), first(x, y)),

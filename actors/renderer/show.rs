@@ -84,7 +84,7 @@ impl Renderer {
         let (width, height) = (buffers.width(), buffers.height());
         let mut rgb8 = Map2d::new(width, height, [0u8; 3]);
         let (encoder, tone) = (&self.encoder, &self.tone);
-        let between = self.between(drawn);
+        let between = self.between(drawn).of_picture();
         let settled = self.settled.as_ref();
         let rows = rgb8.data_mut().par_chunks_mut(width.max(1)).enumerate();
         rows.for_each(|(y, row)| {

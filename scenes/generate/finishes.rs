@@ -128,9 +128,11 @@ pub fn scene() -> ImageResult<SceneFiles> {
         let of = if name == "Spun" { torus(0.085, 0.05, 64, 32) } else { sphere(DVec3::ZERO, 0.13, 48, 24) };
         let mesh = g.mesh(name, &of, material, "");
         let (row, column) = (i as i32 / 4, i as i32 % 4);
-        let x = f64::from(-48 + 32 * column + 16 * row) / 100.0;
+        // In front of all, so that both faces of its film are seen.
+        let [x, z] =
+            if name == "Bubble" { [-16, 48] } else { [-48 + 32 * column + 16 * row, -15 + 32 * row] };
+        let [x, z] = [x, z].map(|v| f64::from(v) / 100.0);
         let y = if name == "Spun" { 0.0505 } else { 0.1305 };
-        let z = f64::from(-15 + 32 * row) / 100.0;
         roots.push(g.thing(name, mesh, 1, &format!(r#""translation": [{x}, {y}, {z}]"#)));
     }
     let paper = plain(

@@ -18,8 +18,17 @@ pub enum Footprint {
     /// The square of side Lₖ: the paper's look.
     Square,
     /// The exact tile, and what is shown goes over linearly into the next samples ([`super::Reconstruction`]).
-    #[default]
     Linear,
+    /// The exact tile, and what is shown is mixed from all samples of a surface ([`super::pull_push`]).
+    #[default]
+    Smooth,
+}
+
+impl Footprint {
+    /// Whether something else than samples is shown between them.
+    pub fn interpolates(self) -> bool {
+        matches!(self, Self::Linear | Self::Smooth)
+    }
 }
 
 /// Colour and rank per pixel. A splat replaces what has a lower or equal rank.
@@ -55,6 +64,9 @@ const FRESH_BONUS: u32 = 1;
 pub const APPROXIMATED: u32 = 1;
 /// Rank of a fresh sample on its own pixel.
 const EXACT: u32 = u32::MAX;
+/// Part of the rank of a warped sample on its own pixel, where all samples of a surface are mixed: others' tiles do not hide
+/// it there.
+pub const OWN: u32 = 1 << 31;
 
 /// Rank of a sample of level set `k`; `age` is 0 for fresh ones. A pixel's own ray ranks above all.
 pub fn rank(k: u32, age: u32) -> u32 {
@@ -70,7 +82,7 @@ pub(super) fn level_of(rank: u32) -> Option<(u32, bool)> {
         EXACT => Some((0, true)),
         _ => {
             let fresh = rank & 0xffff == 0xffff;
-            let fineness = (rank >> 16) - 1 - if fresh { FRESH_BONUS } else { 0 };
+            let fineness = ((rank & !OWN) >> 16) - 1 - if fresh { FRESH_BONUS } else { 0 };
             Some((Lattice::K_LIMIT - fineness, fresh))
         }
     }
@@ -131,7 +143,7 @@ impl SplatLayer {
     /// An empty layer for pictures of `width × height` and level sets up to `k_max`.
     pub fn new(width: usize, height: usize, k_max: u32, footprint: Footprint) -> Self {
         let tile = |k| match footprint {
-            Footprint::Tile | Footprint::Linear => Lattice::tile(k),
+            Footprint::Tile | Footprint::Linear | Footprint::Smooth => Lattice::tile(k),
             Footprint::Square => {
                 let r = (Lattice::square_side(k) / 2) as i16;
                 (-r..=r).flat_map(|y| (-r..=r).map(move |x| (x, y))).collect()

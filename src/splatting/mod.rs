@@ -8,6 +8,7 @@ pub mod cache;
 pub mod filter;
 pub mod layer;
 pub mod light_tracing;
+pub mod pull_push;
 pub mod reconstruction;
 pub mod sample;
 pub mod settled;

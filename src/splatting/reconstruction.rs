@@ -1,7 +1,12 @@
-//! What is shown between samples: linear instead of constant.
+//! What is shown between samples, instead of tiles.
 //!
-//! In: the splat layer, object ids and depths of the view. Out: view-dependent radiance per pixel. A pixel that has its
-//! own sample shows that, so a converged view has the same bits with and without.
+//! In: the splat layer, object ids and depths of the view. Out: view-dependent radiance per pixel. A converged view, each of
+//! whose pixels has its own sample, has the same bits with and without.
+//!
+//! There are two ways. [`Footprint::Smooth`] mixes all samples of a surface, however they lie ([`super::pull_push`]): in
+//! motion they come from several views and levels, and no lattice holds. A sample is shown to the bit once its neighbours
+//! have theirs. [`Footprint::Linear`] interpolates on lattices, and shows each sample on its pixel; it also serves pixels that
+//! have a guide, and single pixels that are asked for. Of that:
 //!
 //! A pixel shows a sample that lies at s. The lattice of level set k has points at s + gₖ(m + ni), those of warped samples
 //! nearly so, and the pixel lies in one of the four cells around s. Its value is the bilinear one of that cell's corners,
@@ -15,9 +20,11 @@
 //! alone.
 
 use glam::Vec3;
+use rayon::prelude::*;
 
-use super::SplatLayer;
 use super::layer::level_of;
+use super::pull_push::{Alike, PullPush};
+use super::{Footprint, SplatLayer};
 use crate::display::FrameBuffers;
 use crate::image::Map2d;
 use crate::sampling::Lattice;
@@ -29,7 +36,7 @@ pub const DEPTH_SHARES: [f32; 2] = [0.02, 0.25];
 pub const SLOPE_MAX: f32 = 4.0;
 
 /// The splat layer of a view, with what lies between the samples.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Reconstruction<'a> {
     layer: &'a SplatLayer,
     objects: &'a Map2d<u32>,
@@ -38,7 +45,9 @@ pub struct Reconstruction<'a> {
     slope: f32,
     /// Radiance that is displayed as white.
     white: f32,
-    is_linear: bool,
+    interpolates: bool,
+    /// What is shown between samples that are no lattice, where that is asked for and there are any.
+    smooth: Option<PullPush>,
 }
 
 impl<'a> Reconstruction<'a> {
@@ -50,8 +59,46 @@ impl<'a> Reconstruction<'a> {
             depths: &buffers.depth,
             slope: slope(frame),
             white,
-            is_linear: layer.footprint() == super::Footprint::Linear,
+            interpolates: layer.footprint().interpolates(),
+            smooth: None,
         }
+    }
+
+    /// For all pixels of a picture: of a layer of [`Footprint::Smooth`] ([`PullPush`]), unless each pixel that has samples
+    /// shows its own. For a few pixels the linear way, which needs no preparation, is told the same by and large.
+    pub fn of_picture(mut self) -> Self {
+        let (colors, ranks, _, places) = self.layer.maps();
+        let (colors, ranks, places) = (colors.data(), ranks.data(), places.data());
+        let is_open = |rank: &u32| level_of(*rank).is_some_and(|level| level != (0, true));
+        if self.layer.footprint() == Footprint::Smooth && ranks.par_iter().any(is_open) {
+            let width = self.objects.width();
+            let white = Vec3::splat(self.white);
+            let sample = |i: usize| {
+                let is_own = places[i] == (i % width) as u32 | ((i / width) as u32) << 16;
+                (is_own && level_of(ranks[i]).is_some()).then(|| colors[i].min(white))
+            };
+            let alike = Alike { slope: self.slope, shares: DEPTH_SHARES };
+            self.smooth = Some(PullPush::new(self.objects, self.depths, alike, sample));
+        }
+        self
+    }
+
+    /// Whether all pixels of an object in a block of 2 × 2 show samples of their own.
+    fn is_dense(&self, x: usize, y: usize) -> bool {
+        let ranks = self.layer.maps().1;
+        let object = self.objects.at(x, y);
+        let block = [(x, y), (x ^ 1, y), (x, y ^ 1), (x ^ 1, y ^ 1)].into_iter();
+        let mut alike = block
+            .filter(|&(x, y)| x < ranks.width() && y < ranks.height() && self.objects.at(x, y) == object);
+        alike.all(|(x, y)| level_of(ranks.at(x, y)) == Some((0, true)))
+    }
+
+    /// What a pixel without guide shows of all samples around.
+    fn amid(&self, smooth: &PullPush, x: usize, y: usize) -> Option<Vec3> {
+        let (colors, _, _, places) = self.layer.maps();
+        let is_own = places.at(x, y) == x as u32 | (y as u32) << 16;
+        let own = is_own.then(|| colors.at(x, y).min(Vec3::splat(self.white)));
+        smooth.pixel([x, y], (self.objects.at(x, y), self.depths.at(x, y)), own)
     }
 
     /// View-dependent radiance of a pixel.
@@ -66,8 +113,17 @@ impl<'a> Reconstruction<'a> {
     pub fn pixel_led_by(&self, x: usize, y: usize, guide: Vec3) -> Vec3 {
         let (colors, ranks, _, places) = self.layer.maps();
         let (own, level) = (colors.at(x, y), level_of(ranks.at(x, y)));
-        if !self.is_linear || level == Some((0, true)) {
+        if !self.interpolates {
             return own;
+        }
+        let is_exact = level == Some((0, true));
+        match &self.smooth {
+            // One alone amid others' is no more exact than those.
+            Some(smooth) if level.is_some() && guide.is_nan() && !(is_exact && self.is_dense(x, y)) => {
+                return self.amid(smooth, x, y).unwrap_or(own);
+            }
+            _ if is_exact => return own,
+            _ => {}
         }
         let [carried, _] = self.layer.guides();
         match level {
@@ -189,7 +245,7 @@ mod tests {
     use crate::rng;
     use crate::sampling::Rect;
     use crate::scene::Camera;
-    use crate::splatting::{Footprint, Guides, Sample, SampleBatch, WarpedSample};
+    use crate::splatting::{Guides, Sample, SampleBatch, WarpedSample};
 
     const SIZE: usize = 90;
 

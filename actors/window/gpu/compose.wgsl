@@ -114,7 +114,8 @@ fn fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
         case LEVEL: {
             if rank > APPROXIMATED {
                 let is_fresh = (rank & 0xffffu) == 0xffffu;
-                let fineness = (rank >> 16u) - 1u - select(0u, 1u, is_fresh);
+                // Without what a warped sample has on its own pixel.
+                let fineness = ((rank & 0x7fffffffu) >> 16u) - 1u - select(0u, 1u, is_fresh);
                 let k = select(K_LIMIT - min(fineness, K_LIMIT), 0u, is_exact);
                 color = heat(1.0 - f32(k) / f32((compose.k_max & 0x7fffffffu) + 1u));
             }

@@ -383,7 +383,7 @@ fn assert_layers_equal(display: &GpuDisplay, layer: &SplatLayer) {
 
 #[test]
 fn splat_layer_matches_its_twin() {
-    for footprint in [Footprint::Linear, Footprint::Tile, Footprint::Square] {
+    for footprint in [Footprint::Smooth, Footprint::Linear, Footprint::Tile, Footprint::Square] {
         let Some(gpu) = gpu("splat_layer_matches_its_twin") else { return };
         let (mut display, buffers) = splat_view(gpu, footprint);
         let lattice = Lattice::new(4, [60, 45]);
@@ -426,7 +426,7 @@ fn white(display: &GpuDisplay) -> f32 {
 fn assert_reconstructions_equal(display: &GpuDisplay, layer: &SplatLayer, buffers: &FrameBuffers) {
     let shown = halves(&readback::read_buffer(display.gpu(), display.between()).unwrap());
     let frame = views()[0].frame(120, 90);
-    let between = Reconstruction::new(layer, buffers, &frame, white(display));
+    let between = Reconstruction::new(layer, buffers, &frame, white(display)).of_picture();
     let (mut interpolated, mut wrong) = (0, 0);
     for (i, found) in shown.chunks_exact(4).enumerate() {
         let (x, y) = (i % 120, i / 120);
@@ -436,18 +436,18 @@ fn assert_reconstructions_equal(display: &GpuDisplay, layer: &SplatLayer, buffer
         interpolated += usize::from(expected != layer.color(x, y));
     }
     assert!(wrong * 1000 <= 120 * 90, "{wrong} pixels differ");
-    let is_linear = layer.footprint() == Footprint::Linear;
+    let interpolates = layer.footprint().interpolates();
     let is_converged = (0..120 * 90).all(|i| {
         let (x, y) = (i % 120, i / 120);
         !layer.is_covered(x, y) || layer.shown_level(x, y) == Some((0, true))
     });
-    assert_eq!(interpolated > 200, is_linear && !is_converged, "{interpolated}");
+    assert_eq!(interpolated > 200, interpolates && !is_converged, "{interpolated}");
 }
 
 #[test]
 fn composition_and_overlays_match_their_twins() {
     let Some(gpu) = gpu("composition_and_overlays_match_their_twins") else { return };
-    let (mut display, mut buffers) = splat_view(gpu, Footprint::Linear);
+    let (mut display, mut buffers) = splat_view(gpu, Footprint::Smooth);
     let colors = halves(&readback::read(display.gpu(), &display.targets().color).unwrap());
     let textures = words(&readback::read(display.gpu(), &display.targets().texture).unwrap());
     for (i, pixel) in colors.chunks_exact(4).enumerate() {
@@ -459,7 +459,7 @@ fn composition_and_overlays_match_their_twins() {
         };
     }
     let lattice = Lattice::new(4, [60, 45]);
-    let mut layer = SplatLayer::new(120, 90, 4, Footprint::Linear);
+    let mut layer = SplatLayer::new(120, 90, 4, Footprint::Smooth);
     let old = warped(&buffers, 500, 3);
     layer.splat_warped(&old, &buffers.object, &buffers.depth);
     display.splat_warped(&old);
@@ -471,7 +471,7 @@ fn composition_and_overlays_match_their_twins() {
     display.set_values(&values);
     for curve in [ToneCurve::Clamp, ToneCurve::Reinhard { white: 2.0 }] {
         let tone = ToneMap { exposure: 1.3, curve };
-        let between = Reconstruction::new(&layer, &buffers, &frame, white(&display));
+        let between = Reconstruction::new(&layer, &buffers, &frame, white(&display)).of_picture();
         let rgb8 = Map2d::from_fn(120, 90, |x, y| tone.to_rgb8(buffers.color.at(x, y) + between.pixel(x, y)));
         for overlay in Overlay::ALL {
             display.draw(&tone, overlay);

@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
 use foveal::sampling::Lattice;
-use foveal::splatting::layer::{APPROXIMATED, rank};
+use foveal::splatting::layer::{APPROXIMATED, OWN, rank};
 use foveal::splatting::{Footprint, Guides, SampleBatch, WarpedSample};
 use glam::Vec3;
 
@@ -134,7 +134,7 @@ impl SplatTargets {
     /// An empty layer for pictures of the size of `base`, level sets up to `k_max`.
     pub fn new(gpu: &Gpu, base: &BaseTargets, k_max: u32, footprint: Footprint) -> Self {
         let size = base.size;
-        let header = [size[0], size[1], k_max, 0];
+        let header = [size[0], size[1], k_max, if footprint == Footprint::Smooth { OWN } else { 0 }];
         let table = tile_table(k_max, footprint);
         let storage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC;
         let per_pixel = |label, bytes| {
@@ -280,7 +280,7 @@ fn tile_table(k_max: u32, footprint: Footprint) -> Vec<u32> {
     for k in 0..=k_max {
         let tile = Lattice::tile(k);
         let half = match footprint {
-            Footprint::Tile | Footprint::Linear => {
+            Footprint::Tile | Footprint::Linear | Footprint::Smooth => {
                 tile.iter().map(|&(x, y)| i32::from(x).abs().max(i32::from(y).abs())).max()
             }
             Footprint::Square => None,
@@ -295,7 +295,7 @@ fn tile_table(k_max: u32, footprint: Footprint) -> Vec<u32> {
             bits[bit / 32] |= 1 << (bit % 32);
         };
         match footprint {
-            Footprint::Tile | Footprint::Linear => {
+            Footprint::Tile | Footprint::Linear | Footprint::Smooth => {
                 tile.iter().for_each(|&(x, y)| set(i32::from(x), i32::from(y)))
             }
             Footprint::Square => (-half..=half).for_each(|y| (-half..=half).for_each(|x| set(x, y))),

@@ -8,7 +8,8 @@ struct Layer {
     // Picture width and height; largest k of the tile table.
     size: vec2u,
     k_max: u32,
-    padding: u32,
+    // Part of the rank of a warped sample on its own pixel.
+    own: u32,
 }
 
 struct Group {
@@ -39,6 +40,7 @@ struct Splat {
 const WARPED: u32 = 0u;
 const FRESH: u32 = 1u;
 const EXACT: u32 = 0xffffffffu;
+const APPROXIMATED: u32 = 1u;
 // Pixels that one invocation covers.
 const CHUNK: u32 = 64u;
 
@@ -133,10 +135,13 @@ fn is_of_object(p: Part, pixel: i32) -> bool {
     return textureLoad(objects, vec2i(pixel % width, pixel / width), 0).x == p.object;
 }
 
-// The rank on a pixel: a fresh sample is exact on its own.
+// The rank on a pixel: a fresh sample is exact on its own, and a warped one there above what others paint.
 fn rank_at(p: Part, i: u32) -> u32 {
     let side = u32(2 * p.half + 1);
-    return select(p.rank, EXACT, p.tile != NO_TILE && i == (side * side) / 2u);
+    if i != (side * side) / 2u || p.rank <= APPROXIMATED {
+        return p.rank;
+    }
+    return select(p.rank | layer.own, EXACT, p.tile != NO_TILE);
 }
 
 @compute @workgroup_size(64)

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::{Paint, Shown, SplatLayer, place_of, rank};
+use super::{Footprint, OWN, Paint, Shown, SplatLayer, place_of, rank};
 use crate::image::Map2d;
 use crate::splatting::WarpedSample;
 
@@ -109,10 +109,11 @@ impl SplatLayer {
             .enumerate()
             .collect();
         // Diffuse surfaces, most of many a picture, have no samples.
+        let keeps_own = self.footprint == Footprint::Smooth;
         let has_diffuse = samples.iter().any(|s| s.object == 0);
         let ids = objects.data().iter().max().map_or(0, |&id| id as usize + 1);
         let painted = bands.into_par_iter().map(|(band, ((paint, objects), reach))| {
-            let band = Band { top: band * rows, width, objects, has_diffuse, ids };
+            let band = Band { top: band * rows, width, objects, has_diffuse, ids, keeps_own };
             band.splat_warped(paint, samples, reach)
         });
         let mut any = vec![false; samples.len()];
@@ -150,6 +151,8 @@ struct Band<'a> {
     has_diffuse: bool,
     /// One more than the last object in sight.
     ids: usize,
+    /// Whether a sample is shown on its own pixel, whatever else is painted there.
+    keeps_own: bool,
 }
 
 impl Band<'_> {
@@ -184,6 +187,13 @@ impl Band<'_> {
                     }
                     false
                 });
+            }
+            if self.keeps_own && (self.top..bottom).contains(&cy) {
+                let at = (cy - self.top) * width + cx;
+                if cx < width && ids[at] == s.object && paint.ranks[at] < own | OWN {
+                    paint.put(at, own | OWN, &shown);
+                    any = true;
+                }
             }
             if any {
                 painted.push(i);

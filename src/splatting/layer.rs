@@ -380,7 +380,7 @@ mod tests {
         let lattice = Lattice::new(4, [35, 26]);
         let ids =
             Map2d::from_fn(w, h, |x, y| u32::from((x as i32 - 30).pow(2) + (y as i32 - 25).pow(2) < 400));
-        for footprint in [Footprint::Tile, Footprint::Square] {
+        for footprint in [Footprint::Tile, Footprint::Square, Footprint::Smooth] {
             for seed in 0..6 {
                 let mut layer = SplatLayer::new(w, h, 4, footprint);
                 let mut levels: Vec<u32> = (1..=5).collect();
@@ -515,8 +515,8 @@ mod tests {
         assert!(shown.len() <= counted && counted < samples.len(), "{} {counted}", shown.len());
     }
 
-    /// Each pixel shows the highest in rank of those that cover it, the last of
-    /// equals, and a sample counts once.
+    /// Each pixel shows the highest in rank of those that cover it, the last of equals, and a sample counts once. Where all
+    /// are mixed, one on its own pixel is above the others.
     #[test]
     fn warped_squares_are_painted_as_if_one_after_the_other() {
         let (w, h) = (131, 53);
@@ -544,7 +544,11 @@ mod tests {
         let mut in_order = samples.clone();
         in_order.sort_by_key(rank_of);
         for (samples, is_in_order) in [(samples, false), (in_order, true)] {
-            let (painted, shown) = painted_and_shown(&samples, &objects, &depths);
+            let (painted, shown) = painted_and_shown(&samples, &objects, &depths, Footprint::Smooth);
+            assert!(painted >= shown && painted < samples.len(), "{painted} {shown}");
+            let apart = shown;
+            let (painted, shown) = painted_and_shown(&samples, &objects, &depths, Footprint::Linear);
+            assert!(apart > 2 * shown, "each keeps its pixel: {apart} {shown}");
             // Those painted over later by finer ones have painted, too; but the finest come first.
             assert!(painted >= shown && painted < samples.len() && shown > 10, "{painted} {shown}");
             assert!(!is_in_order || painted == shown, "{painted} {shown}");
@@ -560,9 +564,10 @@ mod tests {
         samples: &[WarpedSample],
         objects: &Map2d<u32>,
         depths: &Map2d<f32>,
+        footprint: Footprint,
     ) -> (usize, usize) {
         let (w, h) = (objects.width(), objects.height());
-        let mut layer = SplatLayer::new(w, h, 4, Footprint::Linear);
+        let mut layer = SplatLayer::new(w, h, 4, footprint);
         let painted = layer.splat_warped(samples, objects, depths);
         let shows = |s: &WarpedSample| {
             let around =
@@ -582,14 +587,20 @@ mod tests {
                     && y.abs_diff(usize::from(s.y)) <= r
             };
             let all = samples.iter().enumerate().filter(|&(i, s)| seen[i] && covers(s));
-            let best = all.max_by_key(|&(i, s)| (rank_of(s), i));
+            let is_own = |s: &WarpedSample| {
+                footprint == Footprint::Smooth && (usize::from(s.x), usize::from(s.y)) == (x, y)
+            };
+            let here = |s: &WarpedSample| rank_of(s) | if is_own(s) { OWN } else { 0 };
+            let best = all.max_by_key(|&(i, s)| (here(s), i));
             let (_, ranks, _, places) = layer.maps();
             let Some((i, s)) = best else {
                 assert!(layer.is_bare(x, y));
                 continue;
             };
             shown.insert(i);
-            assert_eq!((layer.color(x, y), ranks.at(x, y)), (s.color, rank_of(s)), "{x}, {y}");
+            assert_eq!((layer.color(x, y), ranks.at(x, y)), (s.color, here(s)), "{x}, {y}");
+            assert_eq!(layer.shown_level(x, y), Some((u32::from(s.k), false)));
+            assert_eq!(layer.shown_age(x, y), Some(u32::from(s.age)));
             assert_eq!(places.at(x, y), place_of(s.x, s.y));
             assert_eq!(layer.guides()[0].at(x, y).is_nan(), s.guide.is_nan());
         }

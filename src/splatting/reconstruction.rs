@@ -511,6 +511,38 @@ mod tests {
         }
     }
 
+    /// Smooth pictures: what has few samples is mixed, never with another object's; what has all shows them to the bit.
+    #[test]
+    fn samples_are_mixed_until_their_neighbours_have_theirs() {
+        let buffers = view(|x, y| (1 + u32::from(x + y / 3 > 60), 4.0));
+        let wild = |object: u32| move |x: f32, y: f32| texture(x, y).with_z(object as f32);
+        let mut layer = SplatLayer::new(SIZE, SIZE, 4, Footprint::Smooth);
+        let old = warped(2, [3, -2], 1, wild(1));
+        layer.splat_warped(&old, &buffers.object, &buffers.depth);
+        let of = |layer| Reconstruction::new(layer, &buffers, &frame(), f32::INFINITY).of_picture();
+        for level in 1..=lattice().levels() {
+            for object in [1, 2] {
+                splat(&mut layer, &buffers, object, level, wild(object), |_, _| true);
+            }
+            let between = of(&layer);
+            assert_eq!(between.smooth.is_some(), level < lattice().levels(), "only where it is needed");
+            let mut mixed = 0;
+            for (x, y) in pixels().filter(|&(x, y)| layer.is_covered(x, y)) {
+                let value = between.pixel(x, y);
+                let object = buffers.object.at(x, y);
+                assert!((value.z - object as f32).abs() < 1e-5, "{value} at {x}, {y}");
+                mixed += usize::from(value != layer.color(x, y));
+                if between.smooth.is_none() {
+                    assert_eq!(value, wild(object)(x as f32, y as f32));
+                }
+            }
+            assert!(between.smooth.is_none() || mixed > 1000, "{mixed}");
+        }
+        // Without preparation the linear way stands for it.
+        let alone = Reconstruction::new(&layer, &buffers, &frame(), f32::INFINITY);
+        assert_eq!(alone.pixel(40, 40), layer.color(40, 40));
+    }
+
     #[test]
     fn tiles_show_tiles() {
         let buffers = view(|_, _| (1, 4.0));

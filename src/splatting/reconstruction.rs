@@ -519,12 +519,11 @@ mod tests {
         let mut layer = SplatLayer::new(SIZE, SIZE, 4, Footprint::Smooth);
         let old = warped(2, [3, -2], 1, wild(1));
         layer.splat_warped(&old, &buffers.object, &buffers.depth);
-        let of = |layer| Reconstruction::new(layer, &buffers, &frame(), f32::INFINITY).of_picture();
         for level in 1..=lattice().levels() {
             for object in [1, 2] {
                 splat(&mut layer, &buffers, object, level, wild(object), |_, _| true);
             }
-            let between = of(&layer);
+            let between = Reconstruction::new(&layer, &buffers, &frame(), f32::INFINITY).of_picture();
             assert_eq!(between.smooth.is_some(), level < lattice().levels(), "only where it is needed");
             let mut mixed = 0;
             for (x, y) in pixels().filter(|&(x, y)| layer.is_covered(x, y)) {

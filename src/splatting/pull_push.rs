@@ -141,11 +141,12 @@ impl PullPush {
         (sum.w > 0.0).then(|| sum.truncate() / sum.w)
     }
 
-    /// What a pixel of a surface shows whose own sample, if it has one, is this; `None` where no sample is near.
+    /// What a pixel of a surface shows whose own sample, if it has one, is this; `None` where no cell around is of its surface
+    /// and has samples near.
     #[inline]
     pub fn pixel(&self, [x, y]: [usize; 2], key: (u32, f32), own: Option<Vec3>) -> Option<Vec3> {
-        let own = own.map_or(Vec4::ZERO, |own| own.extend(1.0));
-        mixed(own, self.around(0, [x, y], key))
+        let coarse = self.around(0, [x, y], key)?;
+        mixed(own.map_or(Vec4::ZERO, |own| own.extend(1.0)), Some(coarse))
     }
 }
 

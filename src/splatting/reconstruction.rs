@@ -83,22 +83,31 @@ impl<'a> Reconstruction<'a> {
         self
     }
 
-    /// Whether all pixels of an object in a block of 2 × 2 show samples of their own.
-    fn is_dense(&self, x: usize, y: usize) -> bool {
-        let ranks = self.layer.maps().1;
-        let object = self.objects.at(x, y);
-        let block = [(x, y), (x ^ 1, y), (x, y ^ 1), (x ^ 1, y ^ 1)].into_iter();
-        let mut alike = block
-            .filter(|&(x, y)| x < ranks.width() && y < ranks.height() && self.objects.at(x, y) == object);
-        alike.all(|(x, y)| level_of(ranks.at(x, y)) == Some((0, true)))
+    /// Whether a pixel shows a sample that lies on it.
+    #[inline]
+    fn is_own(&self, x: usize, y: usize) -> bool {
+        let (_, ranks, _, places) = self.layer.maps();
+        places.at(x, y) == x as u32 | (y as u32) << 16 && level_of(ranks.at(x, y)).is_some()
     }
 
-    /// What a pixel without guide shows of all samples around.
-    fn amid(&self, smooth: &PullPush, x: usize, y: usize) -> Option<Vec3> {
-        let (colors, _, _, places) = self.layer.maps();
-        let is_own = places.at(x, y) == x as u32 | (y as u32) << 16;
-        let own = is_own.then(|| colors.at(x, y).min(Vec3::splat(self.white)));
-        smooth.pixel([x, y], (self.objects.at(x, y), self.depths.at(x, y)), own)
+    /// Whether all pixels of an object in a block of 2 × 2 show samples of their own.
+    fn is_dense(&self, x: usize, y: usize) -> bool {
+        let object = self.objects.at(x, y);
+        [(x, y), (x ^ 1, y), (x, y ^ 1), (x ^ 1, y ^ 1)].into_iter().all(|(x, y)| {
+            let is_other =
+                x >= self.objects.width() || y >= self.objects.height() || self.objects.at(x, y) != object;
+            is_other || self.is_own(x, y)
+        })
+    }
+
+    /// What a pixel without guide shows of all samples around: its own to the bit where those beside it have theirs.
+    fn amid(&self, smooth: &PullPush, x: usize, y: usize) -> Vec3 {
+        let shown = self.layer.color(x, y);
+        if self.is_dense(x, y) {
+            return shown;
+        }
+        let own = self.is_own(x, y).then(|| shown.min(Vec3::splat(self.white)));
+        smooth.pixel([x, y], (self.objects.at(x, y), self.depths.at(x, y)), own).unwrap_or(shown)
     }
 
     /// View-dependent radiance of a pixel.
@@ -119,9 +128,7 @@ impl<'a> Reconstruction<'a> {
         let is_exact = level == Some((0, true));
         match &self.smooth {
             // One alone amid others' is no more exact than those.
-            Some(smooth) if level.is_some() && guide.is_nan() && !(is_exact && self.is_dense(x, y)) => {
-                return self.amid(smooth, x, y).unwrap_or(own);
-            }
+            Some(smooth) if level.is_some() && guide.is_nan() => return self.amid(smooth, x, y),
             _ if is_exact => return own,
             _ => {}
         }

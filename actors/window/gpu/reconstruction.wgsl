@@ -277,14 +277,20 @@ fn is_dense(p: vec2u) -> bool {
     let object = textureLoad(objects, p, 0).x;
     for (var k = 0u; k < 4u; k++) {
         let q = vec2u(p.x ^ (k & 1u), p.y ^ (k >> 1u));
-        if any(q >= view.size) || textureLoad(objects, q, 0).x != object {
-            continue;
-        }
-        if ranks[q.y * view.size.x + q.x] != EXACT {
+        if all(q < view.size) && textureLoad(objects, q, 0).x == object && sample_of(q).w < 0.5 {
             return false;
         }
     }
     return true;
+}
+
+// What a pixel without guide shows of all samples around; w is 0 where it shows what lies there.
+fn amid(p: vec2u) -> vec4f {
+    let coarse = around(0u, p, key_of(p));
+    if coarse.w < 0.5 || is_dense(p) {
+        return vec4f(0.0);
+    }
+    return mixed(sample_of(p), coarse);
 }
 
 @compute @workgroup_size(64)
@@ -299,8 +305,8 @@ fn reconstruct(@builtin(global_invocation_id) id: vec3u) {
     let k = level_of(rank);
     let guide = halves(guides[i]);
     let source = unpack2x16float(own.y).y;
-    if view.is_smooth == 1u && k != NONE && guide.w < 0.5 && !(rank == EXACT && is_dense(id.xy)) {
-        let found = mixed(sample_of(id.xy), around(0u, id.xy, key_of(id.xy)));
+    if view.is_smooth == 1u && k != NONE && guide.w < 0.5 {
+        let found = amid(id.xy);
         if found.w > 0.5 {
             shown[i] = vec2u(pack2x16float(found.rg), pack2x16float(vec2f(found.b, source)));
         }

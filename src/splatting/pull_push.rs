@@ -124,7 +124,14 @@ impl PullPush {
         // The cell's parent and those on the side that it lies to.
         let next = |v: usize, count: usize| {
             let parent = v / 2;
-            (parent, if v % 2 == 0 { parent.checked_sub(1) } else { Some(parent + 1).filter(|v| *v < count) })
+            (
+                parent,
+                if v.is_multiple_of(2) {
+                    parent.checked_sub(1)
+                } else {
+                    Some(parent + 1).filter(|v| *v < count)
+                },
+            )
         };
         let ((px, qx), (py, qy)) = (next(x, level.width), next(y, level.height));
         let pixels = (2usize << n) as f32;

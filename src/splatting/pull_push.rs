@@ -7,7 +7,7 @@
 //! fades into those around it, where a footprint of its own would have an edge.
 //!
 //! A cell is of one surface: one object at depths that a plane through it could have. Of several it is the one that most of
-//! it shows, where possible one with samples; the others' are left to finer cells.
+//! it shows, diffuse ones, which have no samples, aside; the others' are left to finer cells.
 
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
@@ -15,12 +15,13 @@ use rayon::prelude::*;
 use crate::image::Map2d;
 
 /// Samples that a cell needs to show nothing but their mean. One alone is a third its surroundings', so that it stands out
-/// less and has less noise; with 1, 2 and 4 walks of table and chess were further from what their views converge to.
+/// less and has less noise; with 1, 2 and 4 walks of table and chess were further from what their views converge to (one run
+/// each).
 pub const ENOUGH: f32 = 1.5;
 /// Levels: the last one's cells have a side of 32 pixels, more than the spacing of any level set that is shown for long.
 pub const LEVELS: usize = 5;
-/// Cells of a row below which one thread takes all.
-const ROWS_APART: usize = 4096;
+/// Cells of a level below which one thread takes all.
+const SHARED_FROM: usize = 4096;
 
 /// An object and a depth.
 type Key = (u32, f32);
@@ -109,7 +110,7 @@ impl PullPush {
             }
         };
         let rows = level.width.max(1);
-        if level.cells.len() < ROWS_APART {
+        if level.cells.len() < SHARED_FROM {
             out.chunks_mut(rows).enumerate().for_each(row);
         } else {
             out.par_chunks_mut(rows).enumerate().for_each(row);
@@ -124,14 +125,8 @@ impl PullPush {
         // The cell's parent and those on the side that it lies to.
         let next = |v: usize, count: usize| {
             let parent = v / 2;
-            (
-                parent,
-                if v.is_multiple_of(2) {
-                    parent.checked_sub(1)
-                } else {
-                    Some(parent + 1).filter(|v| *v < count)
-                },
-            )
+            let other = if v.is_multiple_of(2) { parent.checked_sub(1) } else { Some(parent + 1) };
+            (parent, other.filter(|v| *v < count))
         };
         let ((px, qx), (py, qy)) = (next(x, level.width), next(y, level.height));
         let pixels = (2usize << n) as f32;
@@ -188,7 +183,7 @@ fn halved(
             *out = joined(&children, alike, side as f32);
         }
     };
-    if cells.len() < ROWS_APART {
+    if cells.len() < SHARED_FROM {
         cells.chunks_mut(across.max(1)).enumerate().for_each(row);
     } else {
         cells.par_chunks_mut(across.max(1)).enumerate().for_each(row);

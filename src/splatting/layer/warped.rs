@@ -108,8 +108,8 @@ impl SplatLayer {
             .zip(&reach)
             .enumerate()
             .collect();
-        // Diffuse surfaces, most of many a picture, have no samples.
         let keeps_own = self.footprint == Footprint::Smooth;
+        // Diffuse surfaces, most of many a picture, have no samples.
         let has_diffuse = samples.iter().any(|s| s.object == 0);
         let ids = objects.data().iter().max().map_or(0, |&id| id as usize + 1);
         let painted = bands.into_par_iter().map(|(band, ((paint, objects), reach))| {

@@ -52,17 +52,15 @@ pub(in super::super) fn ask(
         requests.ask_for(&map.name, found, bytes, is_color, map.placement, place.clone())
     };
     let base = source.base_map.as_ref().map(|m| ask_for(m, true));
-    let maps = match &source.kind {
-        Kind::MetalRough(m) => {
-            let asked = m.maps.try_map(|map, is_color| Ok::<_, Infallible>(ask_for(map, is_color)));
-            asked.unwrap_or_default()
-        }
-        Kind::Glass { coating: Some(coating), .. } => {
-            let asked = coating.maps.try_map(|map, is_color| Ok::<_, Infallible>(ask_for(map, is_color)));
-            asked.unwrap_or_default()
-        }
-        Kind::Glass { coating: None, .. } | Kind::Unlit => Maps::default(),
+    let more = match &source.kind {
+        Kind::MetalRough(m) => Some(&m.maps),
+        Kind::Glass { coating, .. } => coating.as_ref().map(|coating| &coating.maps),
+        Kind::Unlit => None,
     };
+    let mut asked = |maps: &Maps<MapUse>| {
+        maps.try_map(|map, is_color| Ok::<_, Infallible>(ask_for(map, is_color))).unwrap_or_default()
+    };
+    let maps = more.map_or_else(Maps::default, &mut asked);
     let normal_map = source.normal.as_ref().map(|m| ask_for(m, false));
     let emission_map = source.emission_map.as_ref().map(|m| ask_for(m, true));
     let mut material = Material::new(

@@ -14,7 +14,7 @@ use foveal::sampling::Lattice;
 use foveal::splatting::Guides;
 use foveal::splatting::light_tracing::{Splats, trace_run};
 use foveal::splatting::settled::settled;
-use foveal::splatting::supersampling::supersample;
+use foveal::splatting::tile_sums::TileSums;
 use foveal::splatting::trace::{Owner, trace_guides, trace_samples};
 use foveal_runtime::{Actor, Address, Class, Content, Cx, Loader, Saver, Worker};
 
@@ -101,16 +101,17 @@ impl Tracer {
     }
 
     fn supersample(&mut self, work: &TileWork, cx: &mut Cx<'_, TracerMessage>) {
-        let TileWork { drawn, order, seed } = work;
-        let sums =
-            supersample(&drawn.world, &drawn.frame, order.tile, order.on.as_deref(), order.count, *seed);
-        if !cx.claim() {
-            return;
+        let TileWork { drawn, block, seed } = work;
+        let traced = cx.while_wanted(|is_wanted| block.traced(&drawn.world, &drawn.frame, *seed, is_wanted));
+        if cx.claim() {
+            self.block_sampled(drawn.view, traced, cx);
         }
-        let (hash, view, sums) = (sums.digest(), drawn.view, Arc::new(sums));
-        // To the renderer first, as with samples.
-        self.outbox.tell(cx, &self.renderer, RendererMessage::TileSampled { view, sums: sums.clone(), hash });
-        self.outbox.tell(cx, &self.allocator, AllocatorMessage::TileSampled { view, sums: Some(sums), hash });
+    }
+
+    fn block_sampled(&mut self, view: View, block: Option<TileSums>, cx: &mut Cx<'_, TracerMessage>) {
+        let hash = block.as_ref().map_or(0, TileSums::digest);
+        let sampled = AllocatorMessage::BlockSampled { view, block: block.map(Arc::new), hash };
+        self.outbox.tell(cx, &self.allocator, sampled);
     }
 
     fn settle(&mut self, work: &SettleWork, cx: &mut Cx<'_, TracerMessage>) {
@@ -274,10 +275,7 @@ impl Worker for Tracer {
     fn stale(&mut self, job: &TraceJob, cx: &mut Cx<'_, TracerMessage>) {
         match job {
             TraceJob::Samples(order) => self.job_done(order, 0, 0.0, cx),
-            TraceJob::Tile(TileWork { drawn, .. }) => {
-                let back = AllocatorMessage::TileSampled { view: drawn.view, sums: None, hash: 0 };
-                self.outbox.tell(cx, &self.allocator, back);
-            }
+            TraceJob::Tile(TileWork { drawn, .. }) => self.block_sampled(drawn.view, None, cx),
             TraceJob::Run(RunWork { drawn, .. }) => self.run_traced(drawn.view, None, cx),
             TraceJob::Settle(SettleWork { drawn, .. }) => self.not_settled(drawn.view, cx),
             TraceJob::Environment(order) => {

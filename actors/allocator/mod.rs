@@ -174,7 +174,7 @@ impl Actor for Allocator {
                 self.order.record_time(object, level, samples, seconds);
                 self.on_job_done(cx);
             }
-            AllocatorMessage::TileSampled { view, sums, hash: _ } => self.on_tile_sampled(view, sums, cx),
+            AllocatorMessage::BlockSampled { view, block, hash: _ } => self.on_block_sampled(view, block, cx),
             AllocatorMessage::RunTraced { view, splats, hash: _ } => {
                 self.on_run_traced(view, splats.as_deref(), cx);
             }

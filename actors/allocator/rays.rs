@@ -31,7 +31,7 @@ impl Allocator {
     }
 
     /// Those of the tracers, and what stations can have beside them.
-    fn jobs_in_flight(&self) -> u32 {
+    pub(super) fn jobs_in_flight(&self) -> u32 {
         self.settings.jobs_in_flight() + self.credits.values().sum::<u32>()
     }
 

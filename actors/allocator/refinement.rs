@@ -17,19 +17,23 @@ use crate::message::{
 use crate::stages::Stage;
 
 impl Allocator {
-    pub(super) fn on_tile_sampled(
+    pub(super) fn on_block_sampled(
         &mut self,
         view: View,
-        sums: Option<Arc<TileSums>>,
+        block: Option<Arc<TileSums>>,
         cx: &mut Cx<'_, AllocatorMessage>,
     ) {
         self.in_flight = self.in_flight.saturating_sub(1);
-        if let (Some(supersampler), Some(drawn), Some(sums)) = (&mut self.supersampler, &self.drawn, sums)
+        if let (Some(supersampler), Some(drawn), Some(block)) = (&mut self.supersampler, &self.drawn, block)
             && drawn.view == view
         {
             let tone = ToneMap::from(&drawn.world.scene.display);
-            self.stages.time(Stage::Allocate, || supersampler.record(sums, &tone));
+            let grown = self.stages.time(Stage::Allocate, || supersampler.record(block, &tone));
             self.since_insight += 1;
+            if let Some(sums) = grown {
+                let hash = sums.digest();
+                self.outbox.tell(cx, &self.renderer, RendererMessage::TileSampled { view, sums, hash });
+            }
         }
         self.fill_pool(cx);
         self.tell_insight_if_due();
@@ -65,6 +69,7 @@ impl Allocator {
 
     /// Orders more samples for tiles of a view that has converged.
     pub(super) fn refine(&mut self, drawn: &Arc<DrawnView>, cx: &mut Cx<'_, AllocatorMessage>) {
+        let jobs_in_flight = self.jobs_in_flight();
         let Some(supersampler) = &mut self.supersampler else { return };
         if !supersampler.has_begun() {
             let (world, data) = (&drawn.world, drawn.buffers().color.data());
@@ -77,13 +82,13 @@ impl Allocator {
             self.outbox.push(cx, &self.pool, bucket_of(1.0), u64::from(drawn.view.0), TraceJob::Settle(work));
             self.in_flight += 1;
         }
-        while self.in_flight < self.settings.jobs_in_flight() {
+        while self.in_flight < jobs_in_flight {
             let (drawn, seed) = (drawn.clone(), self.settings.seed);
             let view = u64::from(drawn.view.0);
             let job = if let Some(run) = supersampler.next_run() {
                 TraceJob::Run(RunWork { drawn, run, seed })
-            } else if let Some(order) = supersampler.next_order() {
-                TraceJob::Tile(TileWork { drawn, order, seed })
+            } else if let Some(block) = supersampler.next_block() {
+                TraceJob::Tile(TileWork { drawn, block, seed })
             } else {
                 break;
             };

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use foveal::allocation::supersampling::UnderWay;
+use foveal::splatting::tile_sums::TileSums;
 use foveal_runtime::{Loader, Saver};
 
 use super::Allocator;
@@ -65,11 +67,10 @@ impl Allocator {
             drawn.save(saver);
         }
         if let Some(supersampler) = supersampler {
-            saver.put(&(supersampler.open(), supersampler.progress(), supersampler.tiles().len() as u64));
-            for tile in supersampler.tiles() {
-                tile.save(saver);
-            }
-            supersampler.traced().cloned().save(saver);
+            let UnderWay { sums, begun, early, open, round, lost, stated, traced } = supersampler.under_way();
+            saver.put(&(open, round, lost, stated, begun, early.len() as u64, sums.len() as u64));
+            early.into_values().map(Some).chain(sums).for_each(|sums| sums.save(saver));
+            traced.save(saver);
         }
         environments.save(saver);
         if let Some(textures) = textures {
@@ -103,9 +104,17 @@ impl Allocator {
         ) = loader.take()?;
         self.drawn = if is_drawn { Some(Saved::restore(loader)?) } else { None };
         if let Some(supersampler) = &mut self.supersampler {
-            let (open, progress, count): (_, _, u64) = loader.take()?;
-            let tiles: Option<Vec<_>> = (0..count).map(|_| Saved::restore(loader)).collect();
-            supersampler.restore(tiles?, open, progress, Saved::restore(loader)?)?;
+            let (blocks, tiles): (u64, u64);
+            let mut under_way = UnderWay::default();
+            let UnderWay { sums, begun, early, open, round, lost, stated, traced } = &mut under_way;
+            (*open, *round, *lost, *stated, *begun, blocks, tiles) = loader.take()?;
+            for _ in 0..blocks {
+                let block = Option::<Arc<TileSums>>::restore(loader)??;
+                early.insert((block.tile, block.first), block);
+            }
+            *sums = (0..tiles).map(|_| Saved::restore(loader)).collect::<Option<_>>()?;
+            *traced = Saved::restore(loader)?;
+            supersampler.restore(under_way)?;
         }
         self.environments.restore(loader)?;
         self.textures.as_mut().map_or(Some(()), |textures| textures.restore(loader))

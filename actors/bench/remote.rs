@@ -6,6 +6,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use foveal::scene::Camera;
+use foveal::splatting::supersampling::Supersampling;
 use foveal_actors::renderer::Renderer;
 use foveal_actors::station::StationStatus;
 use foveal_engine::failure::Failure;
@@ -13,7 +14,7 @@ use foveal_engine::opened::{self, Opened, camera};
 use foveal_engine::process::cpu_ns;
 use foveal_engine::source::FrameSource;
 use foveal_engine::{Engine, Light, Options, Settings, Standing};
-use foveal_remote::door::Door;
+use foveal_remote::door::{Door, Letting};
 use foveal_remote::key::{Invitation, Key};
 use foveal_remote::package::Package;
 use foveal_terminal::table::{Aim, Row, median};
@@ -88,13 +89,32 @@ fn aside(start: &Camera, number: u32) -> Camera {
 pub(super) fn door(opened: &Opened, link: &str, settings: &Settings) -> Result<Door, Failure> {
     let key = Key::new().map_err(Failure::Environment)?;
     let address = format!("{link}/127.0.0.1:0");
-    Door::open(&address, key, Package::of(opened)?, settings.k_max, settings.stations)
+    Door::open(&address, key, Package::of(opened)?, settings.k_max, settings.stations, Letting::default())
+}
+
+/// How far each view goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Until {
+    Converged,
+    /// By so many further samples of each pixel.
+    Refined(u32),
 }
 
 /// With so many guests over a link.
-fn walked(opened: &Opened, (link, guests): (&str, u32), views: u32, apart: bool) -> Result<Walked, Failure> {
+fn walked(
+    opened: &Opened,
+    until: Until,
+    (link, guests): (&str, u32),
+    views: u32,
+    apart: bool,
+) -> Result<Walked, Failure> {
     let start = camera(&opened.world.scene, None)?.camera;
-    let settings = Settings { environment_bytes: 0, stations: guests, ..Settings::new(512, 512, 1) };
+    let supersampling = match until {
+        Until::Converged => None,
+        Until::Refined(max_samples) => Some(Supersampling { noise: 1e-6, max_samples }),
+    };
+    let settings =
+        Settings { environment_bytes: 0, stations: guests, supersampling, ..Settings::new(512, 512, 1) };
     let mut options = Options::new(settings);
     let mut door = None;
     if guests > 0 {
@@ -114,9 +134,13 @@ fn walked(opened: &Opened, (link, guests): (&str, u32), views: u32, apart: bool)
         let mut samples = 0.0;
         // In frames: what moves may be drawn sparsely, and is whole in the frame after.
         loop {
-            let frame = engine.frame_until(&camera, FRAME, None, Renderer::is_converged)?;
-            samples += f64::from(frame.counts.traced);
-            if frame.standing != Standing::Growing {
+            let is_done =
+                if until == Until::Converged { Renderer::is_converged } else { Renderer::is_refined };
+            let frame = engine.frame_until(&camera, FRAME, None, is_done)?;
+            samples += f64::from(frame.counts.traced) + f64::from(frame.counts.refined);
+            if frame.standing == Standing::Refined
+                || until == Until::Converged && frame.standing != Standing::Growing
+            {
                 break;
             }
             if began.elapsed() > CONVERGES {
@@ -231,13 +255,44 @@ pub fn rows(links: &[String], guests: &[u32], views: u32, apart: bool) -> Result
     let made = MadeScene::bundled("table")?;
     let light = Light { quick: true, baked: true, ..Light::default() };
     let opened = opened::open(made.path(), &light, &())?;
-    let alone = walked(&opened, ("", 0), views, apart)?;
+    let mut rows = views_of(&opened, Until::Converged, links, guests, (views, apart))?;
+    rows.extend(views_of(
+        &opened,
+        Until::Refined(16),
+        links.get(..1).unwrap_or_default(),
+        guests,
+        (1, apart),
+    )?);
+    for link in links {
+        let back = (0..views.max(1)).map(|_| killed(&opened, link, apart)).collect::<Result<Vec<_>, _>>()?;
+        let row =
+            Row::new(format!("  a guest over {link}: from kill -9 until its jobs are back"), "ms", &back);
+        rows.push(if link == "tcp" { row.aim(Aim::AtMost(50.0)) } else { row });
+    }
+    Ok(rows)
+}
+
+/// Views that go so far.
+fn views_of(
+    opened: &Opened,
+    until: Until,
+    links: &[String],
+    guests: &[u32],
+    (views, apart): (u32, bool),
+) -> Result<Vec<Row>, Failure> {
+    let alone = walked(opened, until, ("", 0), views, apart)?;
     let Some(own) = median(&alone.seconds) else { return Ok(Vec::new()) };
-    let mut rows = vec![Row::new("table, a view until it has converged, one core", "s", &alone.seconds)];
+    let what = match until {
+        Until::Converged => "table, a view until it has converged, one core".to_owned(),
+        Until::Refined(samples) => {
+            format!("table, a view refined by {samples} samples of each pixel, one core")
+        }
+    };
+    let mut rows = vec![Row::new(what, "s", &alone.seconds)];
     let cost = alone.cpu_ns / alone.samples;
     rows.push(Row::new("  its processor time a sample", "CPU µs", &[cost * 1e-3]));
     for (link, &guests) in links.iter().flat_map(|link| guests.iter().map(move |guests| (link, guests))) {
-        let with = walked(&opened, (link, guests), views, apart)?;
+        let with = walked(opened, until, (link, guests), views, apart)?;
         let name = format!("  {}", helpers(guests, link));
         rows.push(Row::new(&name, "s", &with.seconds));
         let of = |count: fn(&StationStatus) -> u64| with.stations.iter().map(count).sum::<u64>() as f64;
@@ -258,12 +313,6 @@ pub fn rows(links: &[String], guests: &[u32], views: u32, apart: bool) -> Result
         ));
         let trip: Vec<f64> = with.stations.iter().map(|s| f64::from(s.round_trip) * 1e3).collect();
         rows.push(Row::new(format!("{name}: round trip beside the work"), "ms", &trip));
-    }
-    for link in links {
-        let back = (0..views.max(1)).map(|_| killed(&opened, link, apart)).collect::<Result<Vec<_>, _>>()?;
-        let row =
-            Row::new(format!("  a guest over {link}: from kill -9 until its jobs are back"), "ms", &back);
-        rows.push(if link == "tcp" { row.aim(Aim::AtMost(50.0)) } else { row });
     }
     Ok(rows)
 }

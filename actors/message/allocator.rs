@@ -67,13 +67,13 @@ pub enum AllocatorMessage {
         /// The same if the pixels had guides, and if they had none; nothing where samples bring no guides.
         guided: [Residual; 2],
     },
-    /// From a tracer: a tile of a converged view has more samples, which are with the renderer.
-    TileSampled {
+    /// From a tracer: a block of samples of a tile of a converged view.
+    BlockSampled {
         /// The view.
         view: View,
-        /// What the tile has; none where the order came back.
+        /// The block; none where the order came back.
         #[message(skip = "`hash` tells it", with = saved)]
-        sums: Option<Arc<TileSums>>,
+        block: Option<Arc<TileSums>>,
         /// Hash of it.
         hash: u64,
     },

@@ -103,7 +103,7 @@ pub enum RendererMessage {
         /// Which view.
         view: View,
     },
-    /// From a tracer: more samples of a tile of a converged view.
+    /// From the allocator: more samples of a tile of a converged view.
     #[message(size = sums.size_bytes())]
     TileSampled {
         /// Which view.

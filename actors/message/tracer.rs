@@ -3,11 +3,12 @@
 use std::sync::Arc;
 
 use foveal::allocation::jobs::SampleJob;
-use foveal::allocation::supersampling::{AllSums, TileOrder};
+use foveal::allocation::supersampling::AllSums;
 use foveal::display::environment_map::Seen;
 use foveal::display::first_approximation::Probes;
 use foveal::scene::texture::LevelTexels;
 use foveal::splatting::light_tracing::LightSums;
+use foveal::splatting::supersampling::Block;
 use foveal::world::World;
 use foveal_runtime::{Content, Digest, Job, Loader, Message, Saver};
 
@@ -71,13 +72,13 @@ pub struct SampleOrder {
     pub attention: f32,
 }
 
-/// A tile to sample on.
+/// A block of a tile to sample.
 #[derive(Clone, Debug)]
 pub struct TileWork {
     /// The view.
     pub drawn: Arc<DrawnView>,
-    /// Which tile, what it has, how many samples.
-    pub order: TileOrder,
+    /// Which samples of which tile.
+    pub block: Block,
     /// Seed of the random numbers.
     pub seed: u64,
 }
@@ -217,10 +218,9 @@ impl Job for TraceJob {
                 drawn.digest(digest);
                 digest.value(&(order, seed));
             }
-            Self::Tile(TileWork { drawn, order: TileOrder { tile, on, count }, seed }) => {
+            Self::Tile(TileWork { drawn, block, seed }) => {
                 drawn.digest(digest);
-                // Its samples were hashed when they came.
-                digest.value(&(tile, on.as_ref().map(|on| on.samples), count, seed));
+                digest.value(&(block, seed));
             }
             Self::Run(RunWork { drawn, run, seed }) => {
                 drawn.digest(digest);
@@ -253,13 +253,9 @@ impl Job for TraceJob {
             Self::Samples(SampleOrder { drawn, order, seed, priority: _, attention: _ }) => {
                 TraceBrief::Samples { view: drawn.view, order: *order, seed: *seed }
             }
-            Self::Tile(TileWork { drawn, order, seed }) => TraceBrief::Tile {
-                view: drawn.view,
-                tile: order.tile,
-                had: order.on.as_ref().map_or(0, |on| on.samples),
-                count: order.count,
-                seed: *seed,
-            },
+            Self::Tile(TileWork { drawn, block: Block { tile, first, count }, seed }) => {
+                TraceBrief::Tile { view: drawn.view, tile: *tile, had: *first, count: *count, seed: *seed }
+            }
             Self::Run(RunWork { drawn, run, seed }) => {
                 TraceBrief::Run { view: drawn.view, run: *run, seed: *seed }
             }
@@ -302,10 +298,10 @@ impl Job for TraceJob {
                 ("priority", Content::of(priority)),
                 ("attention", Content::of(attention)),
             ],
-            Self::Tile(TileWork { drawn, order: TileOrder { tile, on, count }, seed }) => vec![
+            Self::Tile(TileWork { drawn, block: Block { tile, first, count }, seed }) => vec![
                 ("drawn", drawn.content()),
                 ("tile", Content::of(tile)),
-                ("on", on.content()),
+                ("first", Content::of(first)),
                 ("count", Content::of(count)),
                 ("seed", Content::of(seed)),
             ],
@@ -343,10 +339,9 @@ impl Job for TraceJob {
                 saver.put(&(0_u8, order, seed, priority, attention));
                 drawn.save(saver);
             }
-            Self::Tile(TileWork { drawn, order: TileOrder { tile, on, count }, seed }) => {
-                saver.put(&(2_u8, tile, count, seed));
+            Self::Tile(TileWork { drawn, block, seed }) => {
+                saver.put(&(2_u8, block, seed));
                 drawn.save(saver);
-                on.save(saver);
             }
             Self::Run(RunWork { drawn, run, seed }) => {
                 saver.put(&(4_u8, run, seed));
@@ -385,9 +380,8 @@ impl Job for TraceJob {
             }
             1 => {}
             2 => {
-                let (tile, count, seed) = loader.take()?;
-                let (drawn, on) = (Saved::restore(loader)?, Saved::restore(loader)?);
-                return Some(Self::Tile(TileWork { drawn, order: TileOrder { tile, on, count }, seed }));
+                let (block, seed) = loader.take()?;
+                return Some(Self::Tile(TileWork { drawn: Saved::restore(loader)?, block, seed }));
             }
             3 => {
                 let count: u64 = loader.take()?;

@@ -20,7 +20,8 @@ pub fn doors(arguments: &TracersArguments) -> Option<Doors> {
             (Ok(package), None) => arguments.door(&address, package, settings)?,
             (Ok(package), Some(before)) => {
                 let address = with_port_of(&address, &before.address);
-                Door::open(&address, before.key, package, settings.k_max, settings.stations)?
+                let letting = arguments.letting();
+                Door::open(&address, before.key, package, settings.k_max, settings.stations, letting)?
             }
             (Err(e), None) => return Err(e),
             (Err(e), Some(_)) => {

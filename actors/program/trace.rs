@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use foveal_actors::station::CREDITS_MAX;
 use foveal_actors::station::wire::Refusal;
+use foveal_actors::station::{CREDITS_MAX, bits};
 use foveal_engine::failure::Failure;
 use foveal_engine::interrupt::interrupted;
 use foveal_engine::opened::cache_folder;
@@ -128,6 +128,7 @@ pub fn run(a: &TraceArguments, progress: Progress) -> Result<(), Failure> {
         stock_bytes_max: a.cache_size,
         name,
         memory_max: a.memory,
+        bits: bits::probe(),
     };
     // What scenes are made ready by, too, keeps to them. Who has threads already has been asked for nothing yet.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(usize::from(options.cores)).build_global();

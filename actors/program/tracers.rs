@@ -13,16 +13,16 @@ use foveal_engine::interrupt::interrupted;
 use foveal_engine::light::Reading;
 use foveal_engine::recording::TRACERS_MAX;
 use foveal_engine::{Engine, Opened, Options, Settings};
-use foveal_remote::door::Door;
+use foveal_remote::door::{Door, Letting};
 use foveal_remote::hands::{Helped, HelperStatus};
 use foveal_remote::key::{Invitation, Key};
 use foveal_remote::package::Package;
 use foveal_terminal::arguments::one_of;
 use serde_json::{Value, json};
 
-/// Arguments of commands that other machines can trace for.
+/// Where other machines come, and which.
 #[derive(Args, Clone, Debug)]
-pub struct TracersArguments {
+struct DoorArguments {
     /// Have other machines trace as well: listens at quic/ADDRESS:PORT, or at tcp/ADDRESS:PORT of this machine alone, for
     /// `foveal trace`; a walk's light is baked first
     #[arg(long, value_name = "ADDRESS")]
@@ -38,23 +38,42 @@ pub struct TracersArguments {
     check: u32,
 }
 
+/// Arguments of commands that other machines can trace for.
+#[derive(Args, Clone, Debug)]
+pub struct TracersArguments {
+    #[command(flatten)]
+    door: DoorArguments,
+    /// Let machines come whose numbers have other bits: what they trace is recorded, and near to what is traced here, not the
+    /// same
+    #[arg(long, requires = "tracers")]
+    any_bits: bool,
+    /// Record what other machines trace, so that a replay need not trace it again
+    #[arg(long, requires = "tracers")]
+    tracers_payloads: bool,
+}
+
 impl TracersArguments {
     /// Where to listen for other machines, if they may come.
     #[cfg(any(feature = "serve", feature = "window"))]
     pub(super) fn address(&self) -> Option<&str> {
-        self.tracers.as_deref()
+        self.door.tracers.as_deref()
     }
 
     /// Whether other machines may come.
     pub fn is_asked_for(&self) -> bool {
-        self.tracers.is_some()
+        self.door.tracers.is_some()
     }
 
     /// Places for them.
     pub fn settings(&self, settings: Settings) -> Settings {
-        let stations = if self.is_asked_for() { self.tracers_max } else { 0 };
+        let stations = if self.is_asked_for() { self.door.tracers_max } else { 0 };
         let tracers = settings.tracers.min(TRACERS_MAX + 1 - stations);
-        Settings { stations, tracers, checked: self.check, ..settings }
+        Settings { stations, tracers, checked: self.door.check, ..settings }
+    }
+
+    /// What is granted who comes, and kept of it.
+    pub(super) fn letting(&self) -> Letting {
+        Letting { any_bits: self.any_bits, payloads: self.tracers_payloads }
     }
 
     /// Opens the door, if one was asked for.
@@ -64,7 +83,7 @@ impl TracersArguments {
         settings: &Settings,
         options: &mut Options,
     ) -> Result<Option<Door>, Failure> {
-        let Some(address) = &self.tracers else { return Ok(None) };
+        let Some(address) = &self.door.tracers else { return Ok(None) };
         let door = self.door(address, Package::of(opened)?, settings)?;
         options.outlets = Some(door.outlets());
         Ok(Some(door))
@@ -72,11 +91,21 @@ impl TracersArguments {
 
     /// Opens it at an address, and tells others how to come.
     pub(super) fn door(&self, address: &str, package: Package, settings: &Settings) -> Result<Door, Failure> {
-        let door = Door::open(address, self.key()?, package, settings.k_max, settings.stations)?;
-        self.invite(door.invitation())?;
+        let (key, letting) = (self.door.key()?, self.letting());
+        let door = Door::open(address, key, package, settings.k_max, settings.stations, letting)?;
+        self.door.invite(door.invitation())?;
         Ok(door)
     }
 
+    /// Has guests lead to the walk, and waits for as many as are wanted.
+    pub fn attach(&self, door: Option<&Door>, guests: u32, engine: &mut Engine) -> Result<(), Failure> {
+        let Some(door) = door else { return Ok(()) };
+        door.attach(engine.station_inputs());
+        until(|| door.serving() >= guests)
+    }
+}
+
+impl DoorArguments {
     /// What others join with: what the file says, or a new one.
     fn key(&self) -> Result<Key, Failure> {
         match &self.tracers_key {
@@ -95,13 +124,6 @@ impl TracersArguments {
             }
         }
     }
-
-    /// Has guests lead to the walk, and waits for as many as are wanted.
-    pub fn attach(&self, door: Option<&Door>, guests: u32, engine: &mut Engine) -> Result<(), Failure> {
-        let Some(door) = door else { return Ok(()) };
-        door.attach(engine.station_inputs());
-        until(|| door.serving() >= guests)
-    }
 }
 
 /// Waits for other machines.
@@ -119,7 +141,7 @@ fn until(they_are_there: impl Fn() -> bool) -> Result<(), Failure> {
 #[derive(Args, Clone, Debug)]
 pub struct HelpersArguments {
     #[command(flatten)]
-    tracers: TracersArguments,
+    door: DoorArguments,
     /// Begin once so many machines are there
     #[arg(long, value_name = "N", default_value_t = 0, requires = "tracers", value_parser = clap::value_parser!(u32).range(0..=i64::from(STATIONS_MAX)))]
     tracers_wait: u32,
@@ -128,7 +150,7 @@ pub struct HelpersArguments {
 impl HelpersArguments {
     /// Whether other machines may help.
     pub fn are_asked_for(&self) -> bool {
-        self.tracers.is_asked_for()
+        self.door.tracers.is_some()
     }
 
     /// Opens the door for them, if one was asked for, and waits for as many as are wanted.
@@ -138,16 +160,11 @@ impl HelpersArguments {
         reading: &Reading,
         content_hash: Hash,
     ) -> Result<Option<Helped>, Failure> {
-        let Some(address) = &self.tracers.tracers else { return Ok(None) };
+        let Some(address) = &self.door.tracers else { return Ok(None) };
         let package = Package::without_light(scene, reading, content_hash)?;
-        let helped = Helped::open(
-            address,
-            self.tracers.key()?,
-            package,
-            self.tracers.tracers_max,
-            self.tracers.check,
-        )?;
-        self.tracers.invite(helped.invitation())?;
+        let helped =
+            Helped::open(address, self.door.key()?, package, self.door.tracers_max, self.door.check)?;
+        self.door.invite(helped.invitation())?;
         until(|| helped.serving() >= self.tracers_wait)?;
         Ok(Some(helped))
     }
@@ -205,10 +222,11 @@ fn write(file: &Path, invitation: &Invitation) -> Result<(), Failure> {
 /// The stations of a walk that has come to rest, those that had a guest.
 pub fn document(stations: &[StationStatus]) -> Value {
     let station = |(number, s): (usize, &StationStatus)| {
-        let StationStatus { guest, cores, stands, rate, jobs, round_trip, counts } = s;
+        let StationStatus { guest, other_bits, cores, stands, rate, jobs, round_trip, counts } = s;
         json!({
             "station": number,
             "guest": guest,
+            "other_bits": other_bits,
             "cores": cores,
             "state": stands.name(),
             "suspect": *stands == Stands::Suspect,

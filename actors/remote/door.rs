@@ -11,14 +11,13 @@ use std::time::Duration;
 
 use crossbeam_queue::ArrayQueue;
 use foveal_actors::station::wire::{
-    DoneJob, FromGuest, Hash, JOBS_MAX, PIECE_BYTES_MAX, PROTOCOL, Refusal, ToGuest,
+    Body, DoneJob, FromGuest, Hash, JOBS_MAX, PIECE_BYTES_MAX, PROTOCOL, Refusal, ToGuest,
 };
 use foveal_actors::station::{
     CREDITS_MAX, Found, Heard, Outlet, Outlets, STATIONS_MAX, StationMessage, bits,
 };
 use foveal_engine::failure::Failure;
 use foveal_runtime::Port;
-use xxhash_rust::xxh3::Xxh3;
 
 use crate::key::{Invitation, Key};
 use crate::link::{self, Event, HostLink, Peer, Waker};
@@ -77,6 +76,17 @@ struct Guest {
     incarnation: u64,
     cores: u16,
     name: String,
+    has_other_bits: bool,
+}
+
+/// What a walk grants who comes, and keeps of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Letting {
+    /// Machines whose numbers have other bits may come. What they find is recorded, and is near to what this machine would
+    /// find.
+    pub any_bits: bool,
+    /// What is found is recorded, whoever found it, so that a replay need not trace it.
+    pub payloads: bool,
 }
 
 /// Who comes, and who has which station.
@@ -87,6 +97,7 @@ pub struct Hall {
     guests: BTreeMap<Peer, Guest>,
     incarnations: u64,
     bits: u64,
+    letting: Letting,
     /// What guests may want beside the package, where it is work in pieces that they come for.
     offers: Option<Vec<(Hash, Arc<Vec<u8>>)>>,
     /// Numbers that no guest can know before.
@@ -112,9 +123,15 @@ impl Hall {
             guests: BTreeMap::new(),
             incarnations: 0,
             bits: bits::probe(),
+            letting: Letting::default(),
             offers: None,
             salt: random,
         }
+    }
+
+    /// The same, which grants more.
+    pub fn letting(self, letting: Letting) -> Self {
+        Self { letting, ..self }
     }
 
     /// For work in pieces, of so many guests.
@@ -150,7 +167,9 @@ impl Hall {
             Event::Opened(peer) => {
                 let (incarnation, name) = (self.incarnations, String::new());
                 self.incarnations += 1;
-                self.guests.insert(peer, Guest { stage: Stage::Silent, incarnation, cores: 1, name });
+                let guest =
+                    Guest { stage: Stage::Silent, incarnation, cores: 1, name, has_other_bits: false };
+                self.guests.insert(peer, guest);
             }
             Event::Closed(peer) => self.leave(peer, false, effects),
             Event::Message(peer, bytes) => match FromGuest::of_bytes(&bytes) {
@@ -181,7 +200,7 @@ impl Hall {
                 let wanted = program();
                 let refusal = if protocol != PROTOCOL || theirs != wanted {
                     Some(Refusal::Version { wanted })
-                } else if bits != self.bits {
+                } else if bits != self.bits && !self.letting.any_bits {
                     Some(Refusal::OtherBits { wanted: self.bits })
                 } else {
                     let bytes = self.package.bytes();
@@ -199,6 +218,13 @@ impl Hall {
                     return;
                 }
                 (guest.cores, guest.name, guest.stage) = (cores, name, Stage::Stocking(place));
+                guest.has_other_bits = bits != self.bits;
+                if guest.has_other_bits {
+                    tracing::warn!(
+                        "{}: its numbers have other bits: what it traces is near to what this machine would, not the same",
+                        guest.name
+                    );
+                }
                 self.places[place] = Some(peer);
                 let (package, bytes) = self.package.manifest();
                 let (incarnation, k_max) = (guest.incarnation, self.k_max);
@@ -213,15 +239,26 @@ impl Hall {
             {
                 guest.stage = Stage::Serving(place);
                 let (cores, name) = (guest.cores, guest.name.clone());
-                effects.push(Effect::Tell(place, Heard::Joined { incarnation, cores, name }));
+                let joined = if guest.has_other_bits {
+                    Heard::OtherJoined { incarnation, cores, name }
+                } else {
+                    Heard::Joined { incarnation, cores, name }
+                };
+                effects.push(Effect::Tell(place, joined));
             }
             (FromGuest::Done { incarnation, jobs }, Stage::Serving(place)) if self.offers.is_none() => {
                 if jobs.iter().any(|job| job.found.as_ref().is_some_and(|found| !found.is_sound())) {
                     return self.ban(peer, effects);
                 }
-                let jobs = jobs.into_iter().map(found).collect();
-                let salt = (self.salt)();
-                effects.push(Effect::Tell(place, Heard::Done { incarnation, salt, jobs }));
+                let (salt, jobs) = ((self.salt)(), jobs.into_iter().map(found));
+                let heard = if self.letting.payloads || guest.has_other_bits {
+                    Heard::Told { incarnation, salt, jobs: jobs.collect() }
+                } else {
+                    let whole =
+                        |(found, body): (Found, Option<Body>)| Found { body: body.map(Arc::new), ..found };
+                    Heard::Done { incarnation, salt, jobs: jobs.map(whole).collect() }
+                };
+                effects.push(Effect::Tell(place, heard));
             }
             (FromGuest::Leaving, _) => {
                 effects.push(Effect::Close(peer));
@@ -269,17 +306,10 @@ impl Hall {
 }
 
 /// An answer as the station hears it.
-fn found(job: DoneJob) -> Found {
+fn found(job: DoneJob) -> (Found, Option<Body>) {
     let DoneJob { lease, micros, found } = job;
-    let hash = found.as_ref().map_or(0, |found| {
-        let mut h = Xxh3::new();
-        for color in found.colors.iter().chain(&found.guides) {
-            color.to_array().iter().for_each(|v| h.update(&v.to_bits().to_le_bytes()));
-        }
-        h.digest()
-    });
-    let count = found.as_ref().map(|found| found.colors.len() as u32);
-    Found { lease, micros, count, hash, colors: found.map(Arc::new) }
+    let (hash, count) = (found.as_ref().map_or(0, Body::digest), found.as_ref().map(Body::samples));
+    (Found { lease, micros, count, hash, body: None }, found)
 }
 
 /// What door, stations and walk share.
@@ -363,6 +393,7 @@ impl Door {
         package: Package,
         k_max: u32,
         stations: u32,
+        letting: Letting,
     ) -> Result<Self, Failure> {
         let stations = stations.min(STATIONS_MAX);
         let shared = Arc::new(Shared {
@@ -371,7 +402,7 @@ impl Door {
             closing: AtomicBool::new(false),
             serving: AtomicU32::new(0),
         });
-        let hall = Hall::new(Arc::new(package), k_max, stations);
+        let hall = Hall::new(Arc::new(package), k_max, stations).letting(letting);
         let inside = Arc::clone(&shared);
         let (at, own_key) = (address.to_owned(), key.clone());
         let link = move || link::listen(&at, &own_key);

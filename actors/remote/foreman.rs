@@ -135,7 +135,8 @@ impl Foreman {
                 helper.status.banned = banned;
                 self.gone.push(helper.status);
             }
-            Heard::Done { .. } => {}
+            // Of walks: here nobody of other bits is let in, and samples are not pieces.
+            Heard::Done { .. } | Heard::OtherJoined { .. } | Heard::Told { .. } => {}
         }
     }
 

@@ -8,11 +8,11 @@ use std::time::{Duration, Instant};
 use foveal::illumination::stored::Illumination;
 use foveal::sampling::Lattice;
 use foveal::world::World;
+use foveal_actors::station::VIEWS;
 use foveal_actors::station::wire::{
-    FromGuest, Hash, JOBS_MAX, JobSpec, MESSAGE_BYTES_MAX, PIECE_BYTES_MAX, PROTOCOL, Refusal, ToGuest,
-    ViewSpec,
+    Body, DoneJob, FromGuest, Hash, JOBS_MAX, JobSpec, MESSAGE_BYTES_MAX, PIECE_BYTES_MAX, PROTOCOL, Refusal,
+    ToGuest, ViewSpec,
 };
-use foveal_actors::station::{VIEWS, bits};
 use foveal_engine::batch::{Piece, Task};
 use foveal_engine::failure::Failure;
 use foveal_engine::process::memory_bytes;
@@ -38,6 +38,8 @@ pub struct Options {
     pub name: String,
     /// Most memory of this process, bytes: with more it leaves.
     pub memory_max: Option<u64>,
+    /// What this machine's numbers are known by ([`probe`](foveal_actors::station::bits::probe)).
+    pub bits: u64,
 }
 
 /// Why a stay ended.
@@ -221,9 +223,9 @@ impl Stay<'_> {
 
     fn run(&mut self) -> Result<End, Broken> {
         let began = Instant::now();
-        let Options { cores, stock, name, memory_max: memory, .. } = self.options.clone();
+        let Options { cores, stock, name, memory_max: memory, bits, .. } = self.options.clone();
         let stock = Stock::new(stock).map_err(Broken::Failed)?;
-        let (program, bits) = (program(), bits::probe());
+        let program = program();
         self.say(&FromGuest::Hello { protocol: PROTOCOL, program, bits, cores, name, memory })?;
         let ToGuest::Welcome { incarnation, package, bytes, k_max } = self.answer()? else {
             return Err(senseless("no welcome"));
@@ -257,7 +259,7 @@ impl Stay<'_> {
                         views.pop_front();
                     }
                 }
-                Some(ToGuest::Jobs(jobs)) => self.take(&mut crew, &views, k_max, jobs)?,
+                Some(ToGuest::Jobs(jobs)) => self.take(&mut crew, (&views, k_max), incarnation, jobs)?,
                 Some(ToGuest::Retire { below }) => crew.retire(below),
                 Some(ToGuest::Ground { number, task, map }) => {
                     bench.ground =
@@ -280,13 +282,17 @@ impl Stay<'_> {
     fn take(
         &mut self,
         crew: &mut Crew,
-        views: &VecDeque<Arc<ViewSpec>>,
-        k_max: u32,
+        (views, k_max): (&VecDeque<Arc<ViewSpec>>, u32),
+        incarnation: u64,
         jobs: Vec<JobSpec>,
     ) -> Result<(), Broken> {
+        let mut unknown = Vec::new();
         for job in jobs {
-            // One that it does not remember is answered by nobody, and overdue.
-            let Some(view) = views.iter().rev().find(|view| view.view == job.view) else { continue };
+            let Some(view) = views.iter().rev().find(|view| view.view == job.view) else {
+                // Of a view that is not remembered.
+                unknown.push(DoneJob { lease: job.lease, micros: 0, found: None });
+                continue;
+            };
             let size = view.frame.size;
             let lattice = Lattice::new(k_max, size.map(|side| side as i32 / 2));
             if !job.fits(&lattice, size) || crew.waiting() > JOBS_MAX {
@@ -294,7 +300,7 @@ impl Stay<'_> {
             }
             crew.take(view, job);
         }
-        Ok(())
+        if unknown.is_empty() { Ok(()) } else { self.say(&FromGuest::Done { incarnation, jobs: unknown }) }
     }
 
     /// Leaves, if this process has more memory than it may have.
@@ -361,10 +367,9 @@ impl Stay<'_> {
                         continue;
                     }
                 };
-                let samples = job.found.as_ref().map_or(0, |found| found.colors.len());
-                bytes += 12 * (samples + job.found.as_ref().map_or(0, |found| found.guides.len()));
+                bytes += job.found.as_ref().map_or(0, Body::size_bytes);
                 self.done.jobs += u64::from(job.found.is_some());
-                self.done.samples += samples as u64;
+                self.done.samples += job.found.as_ref().map_or(0, |found| u64::from(found.samples()));
                 self.done.busy += Duration::from_micros(u64::from(job.micros));
                 jobs.push(job);
             }

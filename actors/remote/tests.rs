@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use foveal::rng::hash;
+use foveal::splatting::supersampling::Supersampling;
 use foveal_actors::station::wire::{FromGuest, PROTOCOL, Refusal, ToGuest};
 use foveal_actors::station::{Found, Heard, bits};
 use foveal_engine::opened::{self, Opened};
@@ -14,7 +15,7 @@ use foveal_engine::recording::Elsewhere;
 use foveal_engine::replay::{How, Source};
 use foveal_engine::{Engine, Light, Options, Recording, Settings, Standing};
 
-use crate::door::{Door, Effect, Hall};
+use crate::door::{Door, Effect, Hall, Letting};
 use crate::guest::{self, Done, End, Host, Progress};
 use crate::key::{Invitation, Key};
 use crate::link::{self, Event};
@@ -36,13 +37,20 @@ pub(super) fn settings(stations: u32) -> Settings {
     Settings { stations, samples_per_job: 64, ..Settings::new(96, 72, 1) }
 }
 
-/// Frames of a still view until it has converged; its picture.
+/// The same, which refines what has converged.
+pub(super) fn refining(settings: Settings) -> Settings {
+    Settings { supersampling: Some(Supersampling { noise: 0.02, max_samples: 12 }), ..settings }
+}
+
+/// Frames of a still view until it has converged, or been refined where that is wanted; its picture.
 fn converged(engine: &mut Engine) -> Vec<u8> {
+    let refines = engine.settings().supersampling.is_some();
+    let end = if refines { Standing::Refined } else { Standing::Converged };
     let camera = engine.opened().world.scene.cameras[0].camera;
     let began = Instant::now();
     loop {
         let frame = engine.frame(&camera, Duration::from_millis(20)).expect("a frame");
-        if frame.standing == Standing::Converged {
+        if frame.standing == end {
             return frame.snapshot.rgb8.data().as_flattened().to_vec();
         }
         assert!(began.elapsed() < WAIT, "it does not converge");
@@ -50,7 +58,12 @@ fn converged(engine: &mut Engine) -> Vec<u8> {
 }
 
 pub(super) fn local(opened: &Opened) -> Vec<u8> {
-    let mut engine = Engine::start(opened.clone(), Options::new(settings(0))).expect("actors");
+    still(opened, settings(0))
+}
+
+/// What a walk without guests shows in the end.
+pub(super) fn still(opened: &Opened, settings: Settings) -> Vec<u8> {
+    let mut engine = Engine::start(opened.clone(), Options::new(settings)).expect("actors");
     converged(&mut engine)
 }
 
@@ -99,7 +112,14 @@ pub(super) fn guest(
         let (mut leaves, mut done) = (leaves, Done::default());
         let mut link = link::connect(&invitation).expect("somebody answers");
         let name = "a test".into();
-        let options = guest::Options { cores: 1, stock, stock_bytes_max: 1 << 30, name, memory_max: None };
+        let options = guest::Options {
+            cores: 1,
+            stock,
+            stock_bytes_max: 1 << 30,
+            name,
+            memory_max: None,
+            bits: bits::probe(),
+        };
         let end = guest::stay(&mut *link, &options, &mut leaves, &mut done).expect("a stay");
         (end, done)
     };
@@ -123,7 +143,8 @@ fn walks_with_guests(address: &str) {
     let expected = local(&opened);
     let package = Package::of(&opened).expect("a package");
     let settings = settings(3);
-    let door = Door::open(address, Key::new().unwrap(), package, settings.k_max, 3).expect("a door");
+    let door = Door::open(address, Key::new().unwrap(), package, settings.k_max, 3, Letting::default())
+        .expect("a door");
     let options = Options {
         outlets: Some(door.outlets()),
         recording: Some(Recording::file(&recording, "test")),
@@ -173,7 +194,7 @@ fn an_answer_takes_twenty_bytes_of_a_recording() {
             micros: 2_000 + i as u32,
             count: Some(256),
             hash: hash(7, i, 0),
-            colors: None,
+            body: None,
         };
         let heard = Heard::Done { incarnation: 3, salt: u64::MAX, jobs: (0..jobs).map(found).collect() };
         let bytes = postcard::to_stdvec(&heard).expect("it is recorded").len();
@@ -191,8 +212,8 @@ fn a_thousand_guests_that_come_and_go_change_no_bit() {
     let expected = local(&opened);
     let package = Package::of(&opened).expect("a package");
     let settings = settings(1);
-    let door =
-        Door::open("tcp/127.0.0.1:0", Key::new().unwrap(), package, settings.k_max, 1).expect("a door");
+    let (key, letting) = (Key::new().unwrap(), Letting::default());
+    let door = Door::open("tcp/127.0.0.1:0", key, package, settings.k_max, 1, letting).expect("a door");
     let options = Options { outlets: Some(door.outlets()), ..Options::new(settings) };
     let mut engine = Engine::start(opened, options).expect("actors");
     door.attach(engine.station_inputs());

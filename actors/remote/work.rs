@@ -14,7 +14,7 @@ use foveal::display::cpu_pass::PartlyDrawn;
 use foveal::sampling::Lattice;
 use foveal::splatting::trace::{trace_colors, trace_guides};
 use foveal::world::World;
-use foveal_actors::station::wire::{Colors, DoneJob, JobSpec, ViewSpec, round_of};
+use foveal_actors::station::wire::{Body, Colors, DoneJob, JobSpec, Order, ViewSpec, round_of};
 use foveal_engine::batch::{Found, Piece};
 
 use crate::ground::{OwnGround, Pass};
@@ -152,12 +152,12 @@ fn work(shared: &Shared) {
         let done = match task {
             Task::Samples(view, job) => {
                 let is_wanted = job.view >= shared.below.load(Ordering::Relaxed);
-                let found = is_wanted
-                    .then(|| catch_unwind(AssertUnwindSafe(|| trace(shared, &mut views, &view, &job))).ok())
-                    .flatten();
-                if is_wanted && found.is_none() {
+                let traced = is_wanted
+                    .then(|| catch_unwind(AssertUnwindSafe(|| trace(shared, &mut views, &view, &job))));
+                if matches!(traced, Some(Err(_))) {
                     views.clear();
                 }
+                let found = traced.and_then(Result::ok).flatten();
                 let micros = if is_wanted { micros() } else { 0 };
                 Done::Samples(DoneJob { lease: job.lease, micros, found })
             }
@@ -182,7 +182,10 @@ fn trace(
     views: &mut VecDeque<(u32, PartlyDrawn)>,
     view: &ViewSpec,
     job: &JobSpec,
-) -> Colors {
+) -> Option<Body> {
+    // A block takes longer than a view that has begun can wait for the cores.
+    let is_wanted =
+        || job.view >= shared.below.load(Ordering::Relaxed) && !shared.ending.load(Ordering::Relaxed);
     let [width, height] = view.frame.size;
     let lattice = Lattice::new(shared.k_max, [width as i32 / 2, height as i32 / 2]);
     if !views.iter().any(|(known, _)| *known == view.view) {
@@ -192,22 +195,32 @@ fn trace(
         }
         views.push_back((view.view, PartlyDrawn::new(view.frame, view.cell)));
     }
-    let Some((_, drawn)) = views.iter_mut().find(|(known, _)| *known == view.view) else {
-        return Colors::default();
-    };
-    colors(&shared.world, &lattice, drawn, job)
+    let (_, drawn) = views.iter_mut().find(|(known, _)| *known == view.view)?;
+    found(&shared.world, &lattice, drawn, job, &is_wanted)
 }
 
-/// What a job finds in a view.
-pub fn colors(world: &World, lattice: &Lattice, drawn: &mut PartlyDrawn, job: &JobSpec) -> Colors {
-    let pixels = pixels_as_told(lattice, &job.order, |x, y| drawn.object_at(world, x as usize, y as usize));
+/// What a job finds in a view; nothing where a block is not to go on.
+pub fn found(
+    world: &World,
+    lattice: &Lattice,
+    drawn: &mut PartlyDrawn,
+    job: &JobSpec,
+    goes_on: &dyn Fn() -> bool,
+) -> Option<Body> {
+    let order = match &job.order {
+        Order::Samples(order) => order,
+        Order::Block(block) => {
+            return block.traced(world, drawn.frame(), job.seed, goes_on).map(Body::Block);
+        }
+    };
+    let pixels = pixels_as_told(lattice, order, |x, y| drawn.object_at(world, x as usize, y as usize));
     let (frame, buffers) = (drawn.frame(), drawn.buffers());
     let guides = || trace_guides(world, frame, buffers, pixels.iter().copied());
-    if job.order.level == GUIDES {
-        return Colors { colors: guides(), guides: Vec::new() };
+    if order.level == GUIDES {
+        return Some(Body::Colors(Colors { colors: guides(), guides: Vec::new() }));
     }
-    Colors {
+    Some(Body::Colors(Colors {
         colors: trace_colors(world, frame, buffers, pixels.iter().copied(), job.seed),
-        guides: if job.order.guided { guides() } else { Vec::new() },
-    }
+        guides: if order.guided { guides() } else { Vec::new() },
+    }))
 }

@@ -37,7 +37,7 @@ pub fn state(report: &Report, camera: Option<&Camera>) -> String {
             let rate = rounded(f64::from(s.rate), 0);
             let trip = rounded(f64::from(s.round_trip) * 1e3, 1);
             let c = &s.counts;
-            json!([s.guest, s.cores, s.stands.name(), trip, rate, c.late, c.shared, c.checked])
+            json!([s.guest, s.cores, s.told(), trip, rate, c.late, c.shared, c.checked])
         })
         .collect();
     json!({

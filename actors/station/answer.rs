@@ -1,24 +1,51 @@
 //! What a guest answers to a job: made whole again, and held against what is traced here.
 
 use foveal::allocation::jobs::{GUIDES, guide_pixels, job_pixels};
+use foveal::image::luminance;
 use foveal::rng;
 use foveal::sampling::Lattice;
+use foveal::splatting::tile_sums::TileSums;
 use foveal::splatting::trace::{Owner, samples_of_colors, trace_colors, trace_guides};
 use foveal::splatting::{Guides, SampleBatch};
 use glam::Vec3;
 
-use super::wire::Colors;
-use crate::message::SampleOrder;
+use super::wire::{Body, Colors, Order};
+use crate::message::{DrawnView, SampleOrder, TileWork, TraceJob};
+
+/// The order for a guest that a job is, if it is one that can be done elsewhere; its view, and its seed.
+pub(super) fn order_of(job: &TraceJob) -> Option<(Order, &DrawnView, u64)> {
+    match job {
+        TraceJob::Samples(SampleOrder { drawn, order, seed, .. }) => {
+            Some((Order::Samples(*order), drawn, *seed))
+        }
+        TraceJob::Tile(TileWork { drawn, block, seed }) => Some((Order::Block(*block), drawn, *seed)),
+        _ => None,
+    }
+}
 
 /// The answer to a job, made whole again.
 pub(super) enum Answer {
     Samples(SampleBatch),
     Guides(Guides),
+    Block(TileSums),
 }
 
 impl Answer {
-    /// None where the colours are not as many as the job wants.
-    pub(super) fn of(order: &SampleOrder, lattice: &Lattice, traced: &Colors) -> Option<Self> {
+    /// None where it is not what the job wants.
+    pub(super) fn of(job: &TraceJob, lattice: &Lattice, body: &Body) -> Option<Self> {
+        match (job, body) {
+            (TraceJob::Samples(order), Body::Colors(traced)) => Self::of_colors(order, lattice, traced),
+            (TraceJob::Tile(TileWork { drawn, block, .. }), Body::Block(sums)) => {
+                let wanted = [block.tile, block.first, block.count];
+                let is_wanted = [sums.tile, sums.first, sums.samples] == wanted;
+                let pixels = block.pixels(drawn.frame.size).len();
+                (is_wanted && sums.len() == pixels && sums.is_sound()).then(|| Self::Block(sums.clone()))
+            }
+            _ => None,
+        }
+    }
+
+    fn of_colors(order: &SampleOrder, lattice: &Lattice, traced: &Colors) -> Option<Self> {
         let SampleOrder { drawn, order: job, .. } = order;
         if job.level == GUIDES {
             let pixels = guide_pixels(job, &drawn.buffers().object);
@@ -40,8 +67,19 @@ impl Answer {
     }
 }
 
+/// What a job comes to here; none where it is one that stays here.
+pub(super) fn traced_here(job: &TraceJob, lattice: &Lattice) -> Option<Body> {
+    match job {
+        TraceJob::Samples(order) => Some(Body::Colors(colors_of(order, lattice, None))),
+        TraceJob::Tile(TileWork { drawn, block, seed }) => {
+            block.traced(&drawn.world, &drawn.frame, *seed, &|| true).map(Body::Block)
+        }
+        _ => None,
+    }
+}
+
 /// The colours of a job as they are, of all its pixels or of those that `only` names by their number.
-pub(super) fn colors_of(order: &SampleOrder, lattice: &Lattice, only: Option<&[usize]>) -> Colors {
+fn colors_of(order: &SampleOrder, lattice: &Lattice, only: Option<&[usize]>) -> Colors {
     let SampleOrder { drawn, order: job, seed, .. } = order;
     let (world, frame, buffers) = (&drawn.world, &drawn.frame, drawn.buffers());
     let all: Vec<(i32, i32)> = match job.level {
@@ -64,27 +102,66 @@ pub(super) fn colors_of(order: &SampleOrder, lattice: &Lattice, only: Option<&[u
     }
 }
 
-/// Whether so many of the colours, chosen by `salt`, are what is traced here.
-pub(super) fn is_right(
-    order: &SampleOrder,
-    lattice: &Lattice,
-    traced: &Colors,
-    checked: usize,
-    salt: u64,
-) -> bool {
-    let count = traced.colors.len();
-    let which: Option<Vec<usize>> = (checked < count).then(|| {
-        let drawn = |i: usize| rng::hash(salt, i as u64, u64::from(order.order.object)) as usize % count;
-        (0..checked).map(drawn).collect()
-    });
-    let here = colors_of(order, lattice, which.as_deref());
-    let bits = |c: &Vec3| c.to_array().map(f32::to_bits);
-    let same = |here: &[Vec3], there: &[Vec3]| match &which {
-        None => here.iter().map(bits).eq(there.iter().map(bits)),
-        Some(which) => {
-            let there = which.iter().filter_map(|i| there.get(*i));
-            here.iter().map(bits).eq(there.map(bits))
+/// How numbers from elsewhere are compared with those that are traced here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Likeness {
+    /// By their bits.
+    Bits,
+    /// By what they come to: they are of a machine whose functions round in other ways.
+    Near,
+}
+
+impl Likeness {
+    /// Whether two colours are alike, where all are about as bright as `mean`.
+    fn holds(self, [here, there]: [Vec3; 2], mean: f32) -> bool {
+        /// What rounding that tips over along a path comes to, and more.
+        const SHARE: f32 = 0.02;
+        match self {
+            Self::Bits => here.to_array().map(f32::to_bits) == there.to_array().map(f32::to_bits),
+            Self::Near => {
+                let most = here.abs().max_element().max(there.abs().max_element()).max(mean);
+                (here - there).abs().max_element() <= SHARE * most
+            }
         }
+    }
+}
+
+/// How many of some samples of an answer, about `checked` and chosen by `salt`, are not what is traced here. Of a block those of
+/// a pixel count as one.
+pub(super) fn differing(
+    job: &TraceJob,
+    lattice: &Lattice,
+    body: &Body,
+    (checked, salt): (u32, u64),
+    likeness: Likeness,
+) -> u32 {
+    let chosen = |checked: u32, count: usize, of: u32| -> Vec<usize> {
+        let drawn = |i: usize| rng::hash(salt, i as u64, u64::from(of)) as usize % count;
+        let checked = checked as usize;
+        if checked < count { (0..checked).map(drawn).collect() } else { (0..count).collect() }
     };
-    same(&here.colors, &traced.colors) && same(&here.guides, &traced.guides)
+    let differ = |which: &[usize], here: &[Vec3], there: &[Vec3]| {
+        let mean = there.iter().map(|c| luminance(*c)).sum::<f32>().abs() / there.len().max(1) as f32;
+        let pairs = here.iter().zip(which).map(|(here, i)| Some([*here, *there.get(*i)?]));
+        pairs.filter(|pair| pair.is_none_or(|pair| !likeness.holds(pair, mean))).count() as u32
+    };
+    match (job, body) {
+        (TraceJob::Samples(order), Body::Colors(traced)) => {
+            let which = chosen(checked, traced.colors.len(), order.order.object);
+            let here = colors_of(order, lattice, Some(&which));
+            differ(&which, &here.colors, &traced.colors) + differ(&which, &here.guides, &traced.guides)
+        }
+        (TraceJob::Tile(TileWork { drawn, block, seed }), Body::Block(sums)) => {
+            let which = chosen(checked.div_ceil(block.count.max(1)), sums.len(), block.tile);
+            let here = block.traced_only(&which, &drawn.world, &drawn.frame, *seed);
+            match likeness {
+                Likeness::Bits => u32::from(!sums.has(&which, &here)),
+                Likeness::Near => {
+                    let means = |sums: &TileSums| sums.uncut().collect::<Vec<_>>();
+                    differ(&which, &means(&here), &means(sums))
+                }
+            }
+        }
+        _ => 1,
+    }
 }

@@ -21,15 +21,18 @@ use std::time::Duration;
 
 use foveal::allocation::jobs::SampleJob;
 use foveal::sampling::Lattice;
+use foveal::splatting::tile_sums::TileSums;
 use foveal_runtime::{Actor, Address, Content, Cx, JobPool, Kept, Loader, Message, Saver, TimerId, Worker};
 use serde::{Deserialize, Serialize};
 
-use crate::message::{AllocatorMessage, CacheAgerMessage, RendererMessage, SampleOrder, TraceJob};
+use crate::message::{
+    AllocatorMessage, CacheAgerMessage, RendererMessage, SampleOrder, TileWork, TraceJob, View,
+};
 use crate::outbox::Outbox;
-use answer::{Answer, colors_of, is_right};
+use answer::{Answer, Likeness, differing, order_of, traced_here};
 use board::Board;
 use estimate::Estimate;
-use wire::{Colors, JobSpec, SAMPLES_MAX, ToGuest, ViewSpec};
+use wire::{Body, JobSpec, SAMPLES_MAX, ToGuest, ViewSpec};
 
 /// Stations of a walk, at most: with the tracers they share the places of the pool.
 pub const STATIONS_MAX: u32 = 16;
@@ -43,6 +46,10 @@ const PROVING: u32 = 4;
 const SHARED: u64 = 20;
 /// One sample of so many is checked, or one answer, unless something else is said.
 pub const CHECKED: u32 = 64;
+/// Of a guest whose numbers have other bits, one checked sample in so many may come to something else, and some beside that:
+/// where rounding tips a choice over, a path goes elsewhere.
+const DIFFERING: u32 = 20;
+const DIFFERING_ANYHOW: u32 = 4;
 
 /// Takes what is for a guest. An effect: nothing comes back but messages.
 pub trait Outlet: Send + 'static {
@@ -89,6 +96,24 @@ pub enum Heard {
         /// Whether it may not come back.
         banned: bool,
     },
+    /// A guest came whose numbers have other bits.
+    OtherJoined {
+        /// Names its stay.
+        incarnation: u64,
+        /// Its cores.
+        cores: u16,
+        /// Its name, for people.
+        name: String,
+    },
+    /// Jobs are done by one whose numbers have other bits, or what was found is to be kept anyway: it is recorded.
+    Told {
+        /// Whose stay it was.
+        incarnation: u64,
+        /// Decides which samples are checked; the guest cannot know it.
+        salt: u64,
+        /// Which jobs, and what was found.
+        jobs: Vec<(Found, Option<Body>)>,
+    },
 }
 
 /// An answer.
@@ -98,13 +123,13 @@ pub struct Found {
     pub lease: u64,
     /// Time of one core, µs, as the guest says.
     pub micros: u32,
-    /// Colours found; none where the job was not begun.
+    /// Samples found; none where the job was not begun.
     pub count: Option<u32>,
     /// Hash of them.
     pub hash: u64,
-    /// They themselves. Not recorded: whoever replays traces them.
+    /// What was found itself. Not recorded: whoever replays traces it.
     #[serde(skip)]
-    pub colors: Option<Arc<Colors>>,
+    pub body: Option<Arc<Body>>,
 }
 
 /// What a station can be told.
@@ -126,6 +151,8 @@ impl Heard {
             Self::Joined { .. } => "Joined",
             Self::Done { .. } => "Done",
             Self::Left { .. } => "Left",
+            Self::OtherJoined { .. } => "OtherJoined",
+            Self::Told { .. } => "Told",
         }
     }
 }
@@ -151,6 +178,8 @@ struct Guest {
     came: u64,
     answered: u64,
     samples: u64,
+    /// Whether its numbers have other bits; samples of it that were checked then, and that came to something else.
+    other: Option<[u32; 2]>,
 }
 
 /// How a station stands.
@@ -223,6 +252,8 @@ pub struct StationCounts {
 pub struct StationStatus {
     /// The guest's name; none where there is no guest.
     pub guest: Option<String>,
+    /// Whether its numbers have other bits than this machine's.
+    pub other_bits: bool,
     /// Its cores.
     pub cores: u16,
     /// How it stands.
@@ -235,6 +266,14 @@ pub struct StationStatus {
     pub round_trip: f32,
     /// What became of its jobs so far.
     pub counts: StationCounts,
+}
+
+impl StationStatus {
+    /// How it stands, for people.
+    pub fn told(&self) -> String {
+        let of_bits = if self.other_bits { ", other bits" } else { "" };
+        format!("{}{of_bits}", self.stands.name())
+    }
 }
 
 /// Whom a station tells.
@@ -301,6 +340,7 @@ impl Station {
     pub fn status(&self) -> StationStatus {
         StationStatus {
             guest: self.guest.as_ref().map(|guest| guest.name.clone()),
+            other_bits: self.guest.as_ref().is_some_and(|guest| guest.other.is_some()),
             cores: self.guest.as_ref().map_or(0, |guest| guest.cores),
             stands: match &self.guest {
                 None => Stands::Vacant,
@@ -335,7 +375,13 @@ impl Station {
         }
     }
 
-    fn on_joined(&mut self, incarnation: u64, cores: u16, name: String, cx: &mut Cx<'_, StationMessage>) {
+    fn on_joined(
+        &mut self,
+        incarnation: u64,
+        (cores, name): (u16, String),
+        has_other_bits: bool,
+        cx: &mut Cx<'_, StationMessage>,
+    ) {
         self.hand_all_back(cx);
         self.views.clear();
         let estimate = Estimate::default();
@@ -351,6 +397,7 @@ impl Station {
             came,
             answered: came,
             samples: 0,
+            other: has_other_bits.then_some([0; 2]),
         });
         self.tell_credits(cx);
     }
@@ -388,12 +435,11 @@ impl Station {
 
     fn on_found(&mut self, out: Out, found: &Found, salt: u64, now: u64, cx: &mut Cx<'_, StationMessage>) {
         let Some(job) = cx.kept(&self.pool, out.job) else { return };
-        let TraceJob::Samples(order) = &*job else { return };
         let Some(count) = found.count else {
             // It had not begun, since the view is over.
             if cx.is_stale(&self.pool, out.job) {
                 if cx.finish(&self.pool, out.job) {
-                    self.job_done(order, 0, 0.0, cx);
+                    self.came_back(&job, cx);
                 }
             } else {
                 self.counts.returned += 1;
@@ -406,18 +452,37 @@ impl Station {
         guest.proved = guest.proved.saturating_add(1);
         guest.estimate.learn(out.samples, found.micros, now.saturating_sub(out.sent));
         (guest.answered, guest.samples) = (now, guest.samples + u64::from(out.samples));
-        let traced = match &found.colors {
-            Some(colors) => Arc::clone(colors),
-            // Nobody kept them: they are what anybody traces.
-            None => Arc::new(colors_of(order, &self.lattice, None)),
+        let other = guest.other;
+        let traced = match &found.body {
+            Some(body) => Arc::clone(body),
+            // Nobody kept it: it is what anybody traces.
+            None => match traced_here(&job, &self.lattice) {
+                Some(body) => Arc::new(body),
+                None => return,
+            },
         };
-        let checked = if proving { usize::MAX } else { count.div_ceil(self.checked) as usize };
-        self.counts.checked += u64::from(count).min(checked as u64);
-        let answer = Answer::of(order, &self.lattice, &traced);
+        let checked = if proving { count } else { count.div_ceil(self.checked) };
+        self.counts.checked += u64::from(count.min(checked));
+        let answer = Answer::of(&job, &self.lattice, &traced);
         // What was found then counts, whoever looks at it now.
-        let is_right = || answer.is_some() && is_right(order, &self.lattice, &traced, checked, salt);
-        let right = cx.replays() || is_right();
-        if cx.observe(u64::from(right)) == 0 {
+        let (replays, lattice) = (cx.replays(), &self.lattice);
+        let differ = |likeness| match &answer {
+            _ if replays => 0,
+            Some(_) => differing(&job, lattice, &traced, (checked, salt), likeness),
+            None => u32::MAX,
+        };
+        let right = match other {
+            None => cx.observe(u64::from(differ(Likeness::Bits) == 0)) == 1,
+            Some([compared, differed]) => {
+                let differ = cx.observe(u64::from(differ(Likeness::Near))).min(u64::from(u32::MAX)) as u32;
+                let all = [compared.saturating_add(checked), differed.saturating_add(differ)];
+                if let Some(guest) = &mut self.guest {
+                    guest.other = Some(all);
+                }
+                all[1] <= all[0] / DIFFERING + DIFFERING_ANYHOW
+            }
+        };
+        if !right {
             cx.hand_back(&self.pool, out.job);
             return self.ban(cx);
         }
@@ -442,8 +507,30 @@ impl Station {
                 let traced = RendererMessage::GuidesTraced { guides, hash };
                 self.outbox.tell(cx, &self.to.renderer, traced);
             }
+            Answer::Block(block) => {
+                let TraceJob::Tile(TileWork { drawn, .. }) = &*job else { return };
+                return self.block_sampled(drawn.view, Some(block), cx);
+            }
         }
-        self.job_done(order, count, found.micros as f32 * 1e-6, cx);
+        if let TraceJob::Samples(order) = &*job {
+            self.job_done(order, count, found.micros as f32 * 1e-6, cx);
+        }
+    }
+
+    /// A job was not done, and need not be.
+    fn came_back(&mut self, job: &TraceJob, cx: &mut Cx<'_, StationMessage>) {
+        match job {
+            TraceJob::Samples(order) => self.job_done(order, 0, 0.0, cx),
+            TraceJob::Tile(TileWork { drawn, .. }) => self.block_sampled(drawn.view, None, cx),
+            // Such a job never travels.
+            _ => {}
+        }
+    }
+
+    fn block_sampled(&mut self, view: View, block: Option<TileSums>, cx: &mut Cx<'_, StationMessage>) {
+        let hash = block.as_ref().map_or(0, TileSums::digest);
+        let sampled = AllocatorMessage::BlockSampled { view, block: block.map(Arc::new), hash };
+        self.outbox.tell(cx, &self.to.allocator, sampled);
     }
 
     fn job_done(&mut self, job: &SampleOrder, samples: u32, seconds: f32, cx: &mut Cx<'_, StationMessage>) {
@@ -534,7 +621,15 @@ impl Actor for Station {
     fn handle(&mut self, message: StationMessage, cx: &mut Cx<'_, StationMessage>) {
         match message {
             StationMessage::Heard(Heard::Joined { incarnation, cores, name }) => {
-                self.on_joined(incarnation, cores, name, cx);
+                self.on_joined(incarnation, (cores, name), false, cx);
+            }
+            StationMessage::Heard(Heard::OtherJoined { incarnation, cores, name }) => {
+                self.on_joined(incarnation, (cores, name), true, cx);
+            }
+            StationMessage::Heard(Heard::Told { incarnation, salt, jobs }) => {
+                let whole =
+                    |(found, body): (Found, Option<Body>)| Found { body: body.map(Arc::new), ..found };
+                self.on_done(incarnation, salt, jobs.into_iter().map(whole).collect(), cx);
             }
             StationMessage::Heard(Heard::Done { incarnation, salt, jobs }) => {
                 self.on_done(incarnation, salt, jobs, cx);
@@ -573,9 +668,9 @@ impl Worker for Station {
     }
 
     fn run(&mut self, job: &TraceJob, cx: &mut Cx<'_, StationMessage>) {
-        let TraceJob::Samples(SampleOrder { drawn, order, seed, .. }) = job else { return };
+        let Some((order, drawn, seed)) = order_of(job) else { return };
         let kept = cx.keep();
-        let (view, lease, samples) = (drawn.view.0, kept.number(), order.count);
+        let (view, lease, samples) = (drawn.view.0, kept.number(), order.samples());
         if !self.views.contains(&view) {
             if self.views.back().is_some_and(|last| *last < view) {
                 self.post(ToGuest::Retire { below: view }, cx);
@@ -587,7 +682,7 @@ impl Worker for Station {
             let spec = ViewSpec { view, frame: drawn.frame, cell: drawn.drawn.cell() };
             self.post(ToGuest::View(spec), cx);
         }
-        self.post(ToGuest::Jobs(vec![JobSpec { lease, view, order: *order, seed: *seed }]), cx);
+        self.post(ToGuest::Jobs(vec![JobSpec { lease, view, order, seed }]), cx);
         let sent = cx.now().0;
         let ahead: u64 = self.out.values().map(|out| u64::from(out.samples)).sum();
         let within = match &self.guest {
@@ -600,13 +695,15 @@ impl Worker for Station {
     }
 
     fn stale(&mut self, job: &TraceJob, cx: &mut Cx<'_, StationMessage>) {
-        if let TraceJob::Samples(order) = job {
-            self.job_done(order, 0, 0.0, cx);
-        }
+        self.came_back(job, cx);
     }
 }
 
 /// Whether a job can be done elsewhere: samples of a view under the light that the walk began with.
 pub(crate) fn travels(job: &TraceJob) -> bool {
-    matches!(job, TraceJob::Samples(SampleOrder { order, .. }) if order.count <= SAMPLES_MAX)
+    match job {
+        TraceJob::Samples(SampleOrder { order, .. }) => order.count <= SAMPLES_MAX,
+        TraceJob::Tile(_) => true,
+        _ => false,
+    }
 }

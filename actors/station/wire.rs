@@ -7,11 +7,14 @@
 use foveal::allocation::jobs::{GUIDES, SampleJob};
 use foveal::sampling::Lattice;
 use foveal::scene::camera::CameraFrame;
+use foveal::splatting::supersampling::{Block, TILE, Tiles};
+use foveal::splatting::tile_sums::TileSums;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
+use xxhash_rust::xxh3::Xxh3;
 
 /// Changes with every change of a message.
-pub const PROTOCOL: u16 = 3;
+pub const PROTOCOL: u16 = 4;
 /// Most bytes of a message.
 pub const MESSAGE_BYTES_MAX: usize = 2 << 20;
 /// Most bytes of one piece of a blob.
@@ -159,10 +162,29 @@ pub struct JobSpec {
     pub lease: u64,
     /// The view it is for.
     pub view: u32,
-    /// Which samples, or guides.
-    pub order: SampleJob,
+    /// What to trace.
+    pub order: Order,
     /// Seed of the random numbers.
     pub seed: u64,
+}
+
+/// What a job traces.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Order {
+    /// These samples, or guides.
+    Samples(SampleJob),
+    /// More samples of each pixel of a tile.
+    Block(Block),
+}
+
+impl Order {
+    /// Samples of it, at most.
+    pub fn samples(&self) -> u32 {
+        match self {
+            Self::Samples(job) => job.count,
+            Self::Block(block) => block.count * TILE * TILE,
+        }
+    }
 }
 
 /// From a guest.
@@ -235,7 +257,56 @@ pub struct DoneJob {
     /// Time of one core, µs.
     pub micros: u32,
     /// What was found; none where it was not begun.
-    pub found: Option<Colors>,
+    pub found: Option<Body>,
+}
+
+/// What a job comes to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Body {
+    /// Of samples, or guides.
+    Colors(Colors),
+    /// Of a block.
+    Block(TileSums),
+}
+
+impl Body {
+    /// Whether it is what light can come to.
+    pub fn is_sound(&self) -> bool {
+        match self {
+            Self::Colors(colors) => colors.is_sound(),
+            Self::Block(sums) => sums.is_sound(),
+        }
+    }
+
+    /// Samples, or guides.
+    pub fn samples(&self) -> u32 {
+        match self {
+            Self::Colors(colors) => colors.colors.len() as u32,
+            Self::Block(sums) => sums.samples.saturating_mul(sums.len() as u32),
+        }
+    }
+
+    /// Bytes of it in a message, about.
+    pub fn size_bytes(&self) -> usize {
+        match self {
+            Self::Colors(colors) => size_of::<Vec3>() * (colors.colors.len() + colors.guides.len()),
+            Self::Block(sums) => sums.size_bytes(),
+        }
+    }
+
+    /// Its hash.
+    pub fn digest(&self) -> u64 {
+        match self {
+            Self::Colors(colors) => {
+                let mut h = Xxh3::new();
+                for color in colors.colors.iter().chain(&colors.guides) {
+                    color.to_array().iter().for_each(|v| h.update(&v.to_bits().to_le_bytes()));
+                }
+                h.digest()
+            }
+            Self::Block(sums) => sums.digest(),
+        }
+    }
 }
 
 /// Colours, in the order of the job's pixels.
@@ -278,7 +349,11 @@ fn is_view(v: &ViewSpec) -> bool {
 impl JobSpec {
     /// Whether it lies in a picture of this size, and can be done by whoever has it.
     pub fn fits(&self, lattice: &Lattice, size: [u32; 2]) -> bool {
-        let SampleJob { object: _, level, guided: _, rect, start, count } = self.order;
+        let order = match self.order {
+            Order::Samples(order) => order,
+            Order::Block(block) => return block.fits(&Tiles::of_size(size[0], size[1])),
+        };
+        let SampleJob { object: _, level, guided: _, rect, start, count } = order;
         let [width, height] = size.map(|side| side as i32);
         let is_inside = 0 <= rect.x0 && rect.x0 <= rect.x1 && rect.x1 <= width;
         let is_inside = is_inside && 0 <= rect.y0 && rect.y0 <= rect.y1 && rect.y1 <= height;
@@ -351,7 +426,7 @@ mod tests {
 
     fn job(rect: Rect, start: Cursor, level: u32, count: u32) -> JobSpec {
         let order = SampleJob { object: 1, level, guided: false, rect, start, count };
-        JobSpec { lease: 7, view: 3, order, seed: 9 }
+        JobSpec { lease: 7, view: 3, order: Order::Samples(order), seed: 9 }
     }
 
     #[test]
@@ -367,7 +442,7 @@ mod tests {
             assert_eq!(ToGuest::of_bytes(&message.to_bytes()), Some(message));
         }
         let colors = vec![Vec3::new(0.25, 1e-20, 3.0); 256];
-        let found = Some(Colors { colors, guides: Vec::new() });
+        let found = Some(Body::Colors(Colors { colors, guides: Vec::new() }));
         let done = FromGuest::Done { incarnation: 5, jobs: vec![DoneJob { lease: 7, micros: 2000, found }] };
         let bytes = done.to_bytes();
         assert!(bytes.len() as f32 <= 12.5 * 256.0, "{} bytes for 256 samples", bytes.len());

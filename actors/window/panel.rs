@@ -318,7 +318,7 @@ fn stations(ui: &mut Ui, stations: &[StationStatus]) {
             let counts = &station.counts;
             ui.label(guest);
             ui.label(station.cores.to_string());
-            ui.label(station.stands.name());
+            ui.label(station.told());
             ui.label(format!("{:.1}", station.round_trip * 1e3));
             ui.label(format!("{:.0}", station.rate));
             ui.label(format!("{}, {}", counts.late, counts.shared));

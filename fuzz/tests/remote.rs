@@ -4,6 +4,8 @@ use bolero::{TypeGenerator, check};
 use foveal::allocation::jobs::SampleJob;
 use foveal::sampling::{Cursor, Lattice, Rect};
 use foveal::scene::camera::CameraFrame;
+use foveal::splatting::supersampling::{BLOCK, Block, Tiles};
+use foveal::splatting::tile_sums::TileSums;
 use foveal_actors::station::wire::*;
 use foveal_remote::key::{Invitation, Key};
 use foveal_remote::package::{Entry, FILES_MAX, Manifest};
@@ -49,13 +51,16 @@ fn of_walk() -> Vec<Vec<u8>> {
     let rect = Rect { x0: 0, y0: 0, x1: 64, y1: 64 };
     let order =
         SampleJob { object: 3, level: 5, guided: true, rect, start: Cursor { x: 7, y: 9 }, count: 256 };
-    let job = JobSpec { lease: 1 << 40, view: 3, order, seed: 11 };
+    let job = JobSpec { lease: 1 << 40, view: 3, order: Order::Samples(order), seed: 11 };
+    let block = Block { tile: 1023, first: 16, count: BLOCK };
+    let refining = JobSpec { order: Order::Block(block), ..job };
     let said = [
         ToGuest::Welcome { incarnation: 3, package: [7; 32], bytes: 1000, k_max: 6 },
         ToGuest::Refused(Refusal::Version { wanted: "foveal 0.1.0 protocol 1".into() }),
         ToGuest::Piece { hash: [9; 32], at: 1 << 20, bytes: vec![5; 400] },
         ToGuest::View(ViewSpec { view: 3, frame, cell: 2 }),
         ToGuest::Jobs(vec![job; 8]),
+        ToGuest::Jobs(vec![refining; 8]),
         ToGuest::Retire { below: 3 },
         ToGuest::Ground { number: 4, task: vec![3; 60], map: Some(([8; 32], 1 << 22)) },
         ToGuest::Work { lease: lease_of(5, 6), ground: 4, piece: vec![7; 300] },
@@ -64,8 +69,10 @@ fn of_walk() -> Vec<Vec<u8>> {
 }
 
 fn of_guest() -> Vec<Vec<u8>> {
-    let found = Some(Colors { colors: vec![Vec3::ONE; 40], guides: vec![Vec3::X; 40] });
-    let done = DoneJob { lease: 1 << 40, micros: 2000, found };
+    let found = Body::Colors(Colors { colors: vec![Vec3::ONE; 40], guides: vec![Vec3::X; 40] });
+    let done = DoneJob { lease: 1 << 40, micros: 2000, found: Some(found) };
+    let found = Some(Body::Block(TileSums::block(7, 20, 16)));
+    let refined = DoneJob { lease: 1 << 40, micros: 50_000, found };
     let said = [
         FromGuest::Hello {
             protocol: 1,
@@ -78,6 +85,7 @@ fn of_guest() -> Vec<Vec<u8>> {
         FromGuest::Want { hash: [1; 32], at: 1 << 30 },
         FromGuest::Ready { incarnation: 3 },
         FromGuest::Done { incarnation: 3, jobs: vec![done, DoneJob::default()] },
+        FromGuest::Done { incarnation: 3, jobs: vec![refined] },
         FromGuest::Grounded { incarnation: 3, number: 4 },
         FromGuest::Worked {
             incarnation: 3,
@@ -105,14 +113,19 @@ fn what_a_walk_says() {
                 assert!(jobs.len() <= JOBS_MAX);
                 let lattice = Lattice::new(6, [256, 256]);
                 for job in jobs.iter().filter(|job| job.fits(&lattice, [512, 512])) {
-                    assert!(
-                        job.order.rect.x1 <= 512
-                            && job.order.rect.y1 <= 512
-                            && job.order.count <= SAMPLES_MAX
-                    );
+                    let order = match &job.order {
+                        Order::Samples(order) => order,
+                        Order::Block(block) => {
+                            let inside = |&(x, y): &(usize, usize)| x < 512 && y < 512;
+                            assert!(block.pixels([512, 512]).iter().all(inside) && block.count <= BLOCK);
+                            assert!(block.first < foveal::splatting::supersampling::SAMPLES_MAX);
+                            continue;
+                        }
+                    };
+                    assert!(order.rect.x1 <= 512 && order.rect.y1 <= 512 && order.count <= SAMPLES_MAX);
                     // Whoever does it comes to an end, and looks at no pixel outside.
                     let at = |x: i32, y: i32| u32::from(x >= 0 && y >= 0 && x < 512 && y < 512) * 3;
-                    let pixels = foveal::allocation::jobs::pixels_as_told(&lattice, &job.order, at);
+                    let pixels = foveal::allocation::jobs::pixels_as_told(&lattice, order, at);
                     assert!(pixels.len() <= SAMPLES_MAX as usize);
                     assert!(pixels.iter().all(|&(x, y)| (0..512).contains(&x) && (0..512).contains(&y)));
                 }
@@ -130,9 +143,20 @@ fn what_a_guest_says() {
     check!().with_type::<(u8, Vec<Edit>)>().for_each(|(which, edits)| {
         let message = edited(&corpus[usize::from(*which) % corpus.len()], edits);
         if let Some(FromGuest::Done { jobs, .. }) = FromGuest::of_bytes(&message) {
-            let samples: usize =
-                jobs.iter().flat_map(|job| &job.found).map(|f| f.colors.len() + f.guides.len()).sum();
-            assert!(jobs.len() <= JOBS_MAX && 12 * samples <= message.len());
+            let numbers = |body: &Body| match body {
+                Body::Colors(colors) => 3 * (colors.colors.len() + colors.guides.len()),
+                Body::Block(sums) => (sums.size_bytes() - size_of::<TileSums>()) / 4,
+            };
+            let all: usize = jobs.iter().flat_map(|job| &job.found).map(numbers).sum();
+            assert!(jobs.len() <= JOBS_MAX && 4 * all <= message.len());
+            let tiles = Tiles::of_size(512, 512);
+            for body in jobs.iter().flat_map(|job| &job.found) {
+                let _ = (body.is_sound(), body.samples(), body.digest());
+                if let Body::Block(sums) = body {
+                    // Whoever would join it has asked that first.
+                    assert!(!sums.fits_as_block(&tiles) || sums.len() as u64 == tiles.rect(sums.tile).area());
+                }
+            }
         }
     });
 }

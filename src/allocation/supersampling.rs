@@ -1,35 +1,23 @@
 //! Which tile of a converged view is sampled next: the one with the largest error.
 //!
-//! In rounds: every tile that is not done gets as many samples as the round wants before any gets more. What is shown
-//! changes between rounds only, so that it does not depend on the order within, and whether a tile is done is decided there.
+//! In rounds: every tile that is not done gets as many samples as the round wants before any gets more, in blocks, several
+//! of which may be under way at once. What is shown changes between rounds only, so that it does not depend on the order
+//! within, and whether a tile is done is decided there.
 
 use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{BTreeMap, BinaryHeap};
 use std::sync::Arc;
 
 use crate::display::tone::ToneMap;
 use crate::splatting::light_tracing::{LightSums, Splats, runs_for};
-use crate::splatting::supersampling::{SAMPLES_MAX, Supersampling, Tiles};
+use crate::splatting::supersampling::{Block, SAMPLES_MAX, Supersampling, Tiles, block_after};
 use crate::splatting::tile_sums::TileSums;
 
-/// Samples of each pixel in one order: a few milliseconds of a tile.
-const SAMPLES_PER_ORDER: u32 = 4;
 /// Samples of each pixel in the first round; every later one doubles what there is.
 const FIRST_ROUND: u32 = 8;
 /// Samples before an error is believed: so few that a quiet wall costs little, so many that an edge is not missed by
 /// all pixels of a tile.
 const SAMPLES_MIN: u32 = 16;
-
-/// More samples for a tile.
-#[derive(Clone, Debug)]
-pub struct TileOrder {
-    /// Which tile.
-    pub tile: u32,
-    /// What it has; none at first.
-    pub on: Option<Arc<TileSums>>,
-    /// Samples to add to each pixel.
-    pub count: u32,
-}
 
 /// How far a view is refined.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,6 +54,10 @@ pub struct Supersampler {
     tiles: Tiles,
     /// What each tile has.
     sums: Vec<Option<Arc<TileSums>>>,
+    /// Samples of each pixel of a tile that were ordered.
+    begun: Vec<u32>,
+    /// Blocks that came before those in front of them, by tile and samples before.
+    early: Early,
     /// Standard error of each tile as far as is known, root mean square of displayed values; for whoever looks on.
     errors: Vec<f32>,
     /// Tiles that may be ordered, the largest error first (as bits: errors are not negative), the first tile of those.
@@ -83,7 +75,7 @@ pub struct Supersampler {
 pub struct Round {
     /// Samples that each pixel of an open tile gets.
     wanted: u32,
-    /// Tiles that were ordered and have not come back.
+    /// Blocks and runs that were ordered and have not come back.
     ordered: u32,
     /// Whether any tile or run has come back since the picture was made.
     is_news: bool,
@@ -94,6 +86,30 @@ pub struct Round {
 /// What each tile has.
 pub type AllSums = Vec<Option<Arc<TileSums>>>;
 
+/// Blocks, by tile and samples before.
+pub type Early = BTreeMap<(u32, u32), Arc<TileSums>>;
+
+/// A refinement in the middle of its rounds, for a snapshot.
+#[derive(Clone, Debug, Default)]
+pub struct UnderWay {
+    /// What each tile has.
+    pub sums: AllSums,
+    /// Samples of each pixel of a tile that were ordered.
+    pub begun: Vec<u32>,
+    /// Blocks that came before those in front of them.
+    pub early: Early,
+    /// The open tiles.
+    pub open: Vec<(u32, u32)>,
+    /// How far the round is.
+    pub round: Round,
+    /// Tiles that stay as they are.
+    pub lost: Vec<u32>,
+    /// What is said of the picture.
+    pub stated: Option<f32>,
+    /// What was traced to the eye.
+    pub traced: Option<Arc<LightSums>>,
+}
+
 impl Supersampler {
     /// For pictures of a size; nothing is open until a view has converged.
     pub fn new(rules: Supersampling, width: u32, height: u32) -> Self {
@@ -101,6 +117,8 @@ impl Supersampler {
             rules,
             tiles: Tiles::of_size(width, height),
             sums: Vec::new(),
+            begun: Vec::new(),
+            early: Early::new(),
             errors: Vec::new(),
             open: BinaryHeap::new(),
             round: Round::default(),
@@ -113,6 +131,8 @@ impl Supersampler {
     /// Another view: what was there holds no more.
     pub fn forget(&mut self) {
         self.sums.clear();
+        self.begun.clear();
+        self.early.clear();
         self.errors.clear();
         self.open.clear();
         self.round = Round::default();
@@ -144,6 +164,7 @@ impl Supersampler {
     pub fn begin(&mut self, traced: Option<LightSums>) {
         self.forget();
         self.sums.resize(self.tiles.len(), None);
+        self.begun.resize(self.tiles.len(), 0);
         self.traced = traced.map(Arc::new);
     }
 
@@ -213,9 +234,11 @@ impl Supersampler {
         self.round.ordered = self.round.ordered.saturating_sub(1);
     }
 
-    /// An order of a tile was given up.
+    /// A block of a tile was given up: the tile stays as it is.
     pub fn lose(&mut self, tile: u32) {
         self.round.ordered = self.round.ordered.saturating_sub(1);
+        self.early.retain(|(of, _), _| *of != tile);
+        self.open.retain(|(_, Reverse(open))| *open != tile);
         self.lost.push(tile);
     }
 
@@ -224,29 +247,48 @@ impl Supersampler {
         self.stated = error.is_finite().then_some(error);
     }
 
-    /// The order that helps most.
-    pub fn next_order(&mut self) -> Option<TileOrder> {
-        let (_, Reverse(tile)) = self.open.pop()?;
-        let on = self.sums.get(tile as usize).cloned().flatten();
-        let samples = on.as_ref().map_or(0, |on| on.samples);
-        let wanted = self.round.wanted.saturating_sub(samples).min(room(&self.rules, samples));
-        self.round.ordered += 1;
-        Some(TileOrder { tile, on, count: SAMPLES_PER_ORDER.min(wanted) })
+    /// Samples that a tile is to get in this round after so many.
+    fn wanted_after(&self, samples: u32) -> u32 {
+        self.round.wanted.saturating_sub(samples).min(room(&self.rules, samples))
     }
 
-    /// A tile has come back.
-    pub fn record(&mut self, sums: Arc<TileSums>, tone: &ToneMap) {
-        self.round.ordered = self.round.ordered.saturating_sub(1);
-        if let Some(slot) = self.sums.get_mut(sums.tile as usize) {
-            *slot = Some(sums.clone());
-            let error = sums.error(tone)[0];
-            self.errors.resize(self.tiles.len(), f32::INFINITY);
-            self.errors[sums.tile as usize] = error;
-            self.round.is_news = true;
-            if sums.samples < self.round.wanted && room(&self.rules, sums.samples) > 0 {
-                self.open.push((error.to_bits(), Reverse(sums.tile)));
-            }
+    /// The block that helps most.
+    pub fn next_block(&mut self) -> Option<Block> {
+        let (error, Reverse(tile)) = self.open.pop()?;
+        let first = *self.begun.get(tile as usize)?;
+        let count = block_after(first).min(self.wanted_after(first));
+        self.begun[tile as usize] = first + count;
+        self.round.ordered += 1;
+        if self.wanted_after(first + count) > 0 {
+            self.open.push((error, Reverse(tile)));
         }
+        Some(Block { tile, first, count })
+    }
+
+    /// A block has come back. What the tile has then, if it is the one that was next.
+    pub fn record(&mut self, block: Arc<TileSums>, tone: &ToneMap) -> Option<Arc<TileSums>> {
+        self.round.ordered = self.round.ordered.saturating_sub(1);
+        let (tile, at) = (block.tile, block.tile as usize);
+        if at >= self.sums.len() || self.lost.contains(&tile) || !block.fits_as_block(&self.tiles) {
+            return None;
+        }
+        self.early.insert((tile, block.first), block);
+        let mut sums = self.sums[at].take();
+        let mut has_grown = false;
+        loop {
+            let had = sums.as_ref().map_or(0, |sums| sums.samples);
+            let Some(next) = self.early.remove(&(tile, had)) else { break };
+            let sums = sums.get_or_insert_with(|| Arc::new(TileSums::new(tile, next.len())));
+            Arc::make_mut(sums).join(&next);
+            has_grown = true;
+        }
+        self.sums[at] = sums;
+        let sums = self.sums[at].clone().filter(|_| has_grown)?;
+        let error = sums.error(tone)[0];
+        self.errors.resize(self.tiles.len(), f32::INFINITY);
+        self.errors[at] = error;
+        self.round.is_news = true;
+        Some(sums)
     }
 
     /// How far the view is refined; `None` before that has begun.
@@ -260,49 +302,159 @@ impl Supersampler {
         })
     }
 
-    /// What the tiles have, for a snapshot.
-    pub fn tiles(&self) -> &[Option<Arc<TileSums>>] {
-        &self.sums
-    }
-
-    /// What was traced to the eye, for a snapshot.
-    pub fn traced(&self) -> Option<&Arc<LightSums>> {
-        self.traced.as_ref()
-    }
-
-    /// The open tiles, for a snapshot.
-    pub fn open(&self) -> Vec<(u32, u32)> {
-        let mut open: Vec<_> = self.open.iter().map(|&(error, Reverse(tile))| (error, tile)).collect();
+    /// For a snapshot.
+    pub fn under_way(&self) -> UnderWay {
+        let Self { rules: _, tiles: _, sums, begun, early, errors: _, open, round, lost, stated, traced } =
+            self;
+        let mut open: Vec<_> = open.iter().map(|&(error, Reverse(tile))| (error, tile)).collect();
         open.sort_unstable();
-        open
-    }
-
-    /// How far the round is, and what is said of the picture, for a snapshot.
-    pub fn progress(&self) -> (Round, Vec<u32>, Option<f32>) {
-        (self.round, self.lost.clone(), self.stated)
+        UnderWay {
+            sums: sums.clone(),
+            begun: begun.clone(),
+            early: early.clone(),
+            open,
+            round: *round,
+            lost: lost.clone(),
+            stated: *stated,
+            traced: traced.clone(),
+        }
     }
 
     /// Takes a snapshot up again; `None` if it is one of another picture.
-    pub fn restore(
-        &mut self,
-        sums: AllSums,
-        open: Vec<(u32, u32)>,
-        (round, lost, stated): (Round, Vec<u32>, Option<f32>),
-        traced: Option<Arc<LightSums>>,
-    ) -> Option<()> {
+    pub fn restore(&mut self, under_way: UnderWay) -> Option<()> {
+        let UnderWay { sums, begun, early, open, round, lost, stated, traced } = under_way;
         let whole = sums.is_empty() || sums.len() == self.tiles.len();
         let fits = |(at, sums): (usize, &Arc<TileSums>)| sums.tile as usize == at && sums.fits(&self.tiles);
         let all_fit = sums.iter().enumerate().all(|(at, sums)| sums.as_ref().is_none_or(|s| fits((at, s))));
+        let early_fit = early
+            .iter()
+            .all(|(key, block)| *key == (block.tile, block.first) && block.fits_as_block(&self.tiles));
         if traced.as_ref().is_some_and(|traced| !traced.fits(self.tiles.pixel_count())) {
             return None;
         }
-        if !whole || !all_fit || open.iter().any(|&(_, tile)| tile as usize >= sums.len()) {
+        let indexed = |tile: u32| (tile as usize) < sums.len();
+        let all_indexed = open.iter().all(|&(_, tile)| indexed(tile)) && early.keys().all(|k| indexed(k.0));
+        let sound = whole && all_fit && early_fit && all_indexed && begun.len() == sums.len();
+        if !sound || begun.iter().any(|begun| *begun >= SAMPLES_MAX) {
             return None;
         }
-        (self.sums, self.round, self.lost, self.stated) = (sums, round, lost, stated);
+        (self.sums, self.begun, self.early) = (sums, begun, early);
+        (self.round, self.lost, self.stated) = (round, lost, stated);
         self.traced = traced;
         self.errors.clear();
         self.open = open.into_iter().map(|(error, tile)| (error, Reverse(tile))).collect();
         Some(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::{Stream, hash};
+    use crate::splatting::tile_sums::PixelSample;
+    use glam::Vec3;
+
+    const RULES: Supersampling = Supersampling { noise: 1e-4, max_samples: 70 };
+
+    fn begun() -> Supersampler {
+        let mut supersampler = Supersampler::new(RULES, 20, 10);
+        supersampler.begin(None);
+        supersampler
+    }
+
+    /// What a block comes to: noise, so that no tile is done before it has all samples.
+    fn traced(block: Block) -> Arc<TileSums> {
+        let pixels = Tiles::of_size(20, 10).rect(block.tile).area() as usize;
+        let mut sums = TileSums::block(block.tile, pixels, block.first);
+        for n in block.first..block.first + block.count {
+            let mut stream = Stream::new(4, u64::from(block.tile), u64::from(n));
+            let mut sample = || {
+                let lobes = Vec3::splat(stream.next_f32());
+                PixelSample { parts: [lobes, Vec3::ZERO, Vec3::ZERO], ..PixelSample::default() }
+            };
+            sums.add(&(0..pixels).map(|_| sample()).collect::<Vec<_>>());
+        }
+        Arc::new(sums)
+    }
+
+    /// Until nothing is wanted: `window` blocks are out at a time, and come back in an order by chance. What each tile has.
+    fn refined(window: usize, seed: u64) -> Vec<TileSums> {
+        let (tone, mut supersampler) = (ToneMap::default(), begun());
+        let (mut out, mut drawn) = (Vec::new(), 0);
+        loop {
+            supersampler.end_round(&tone);
+            while out.len() < window {
+                let Some(block) = supersampler.next_block() else { break };
+                out.push(block);
+            }
+            if out.is_empty() {
+                break;
+            }
+            drawn += 1;
+            let which = hash(seed, drawn, 0) as usize % out.len();
+            supersampler.record(traced(out.swap_remove(which)), &tone);
+        }
+        supersampler.under_way().sums.iter().flatten().map(|sums| (**sums).clone()).collect()
+    }
+
+    #[test]
+    fn whoever_is_first_the_sums_are_the_same() {
+        let alone = refined(1, 0);
+        assert!(alone.len() == 2 && alone.iter().all(|sums| sums.samples == 70), "{}", alone.len());
+        for (window, seed) in [(3, 1), (8, 2), (8, 3), (100, 4)] {
+            assert!(refined(window, seed) == alone, "{window} blocks out at a time");
+        }
+    }
+
+    #[test]
+    fn a_tile_that_lost_a_block_stays_as_it_is() {
+        let (tone, mut supersampler) = (ToneMap::default(), begun());
+        supersampler.end_round(&tone);
+        let [lost, kept] = [(); 2].map(|()| supersampler.next_block().expect("two tiles"));
+        assert!(lost.tile != kept.tile && [lost.first, kept.first, lost.count, kept.count] == [0, 0, 8, 8]);
+        supersampler.lose(lost.tile);
+        assert!(supersampler.record(traced(lost), &tone).is_none(), "it comes all the same");
+        assert_eq!(supersampler.record(traced(kept), &tone).expect("more samples").samples, 8);
+        while supersampler.end_round(&tone).is_some() || !supersampler.is_exhausted() {
+            while let Some(block) = supersampler.next_block() {
+                assert_eq!(block.tile, kept.tile);
+                supersampler.record(traced(block), &tone);
+            }
+        }
+        let sums = supersampler.under_way().sums;
+        let samples = |tile: u32| sums[tile as usize].as_ref().map_or(0, |sums| sums.samples);
+        assert_eq!([samples(lost.tile), samples(kept.tile)], [0, 70]);
+    }
+
+    /// What is taken up in the middle of a round, with blocks that wait for others, ends as what was not.
+    #[test]
+    fn a_snapshot_is_gone_on_from() {
+        let (tone, mut supersampler) = (ToneMap::default(), begun());
+        let all = |supersampler: &mut Supersampler| {
+            supersampler.end_round(&tone);
+            std::iter::from_fn(|| supersampler.next_block()).collect::<Vec<_>>()
+        };
+        for _ in 0..3 {
+            for block in all(&mut supersampler) {
+                supersampler.record(traced(block), &tone);
+            }
+        }
+        // From 32 to 64: two blocks of each tile.
+        let blocks = all(&mut supersampler);
+        assert_eq!(blocks.len(), 4);
+        let late = *blocks.iter().min_by_key(|block| block.first).expect("a block");
+        for block in blocks.iter().filter(|block| **block != late) {
+            supersampler.record(traced(*block), &tone);
+        }
+        let mut again = Supersampler::new(RULES, 20, 10);
+        let under_way = supersampler.under_way();
+        assert_eq!(under_way.early.len(), 1);
+        let mut of_another = under_way.clone();
+        of_another.begun[0] = u32::MAX;
+        assert!(again.restore(of_another).is_none() && again.restore(under_way).is_some());
+        for supersampler in [&mut supersampler, &mut again] {
+            assert_eq!(supersampler.record(traced(late), &tone).expect("both blocks").samples, 64);
+        }
+        assert_eq!(supersampler.under_way().sums, again.under_way().sums);
     }
 }

@@ -23,7 +23,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::layer::level_of;
-use super::pull_push::{Alike, PullPush};
+use super::pull_push::{Alike, ENOUGH, PullPush};
 use super::{Footprint, SplatLayer};
 use crate::display::FrameBuffers;
 use crate::image::Map2d;
@@ -98,6 +98,22 @@ impl<'a> Reconstruction<'a> {
                 x >= self.objects.width() || y >= self.objects.height() || self.objects.at(x, y) != object;
             is_other || self.is_own(x, y)
         })
+    }
+
+    /// How much of what a pixel shows is the sample that lies on it: all of it where that is shown to the bit, nothing where
+    /// it lies between samples.
+    pub fn own_share(&self, x: usize, y: usize) -> f32 {
+        let (_, ranks, ..) = self.layer.maps();
+        let level = level_of(ranks.at(x, y));
+        let is_led = self.layer.guide_at(x, y).is_some();
+        match self.layer.footprint() {
+            _ if level.is_none() => 0.0,
+            Footprint::Tile | Footprint::Square => 1.0,
+            Footprint::Smooth if !is_led && self.is_dense(x, y) => 1.0,
+            Footprint::Smooth if !is_led && self.is_own(x, y) => 1.0 / ENOUGH,
+            Footprint::Smooth if !is_led => 0.0,
+            _ => f32::from(self.is_own(x, y)),
+        }
     }
 
     /// What a pixel without guide shows of all samples around: its own to the bit where those beside it have theirs.

@@ -5,8 +5,9 @@
 //! paths, on diffuse surfaces as on all others: edges are smoothed, noise falls, and what is wrong with the map goes. In the
 //! limit nothing of it is left (`transport::gather`).
 //!
-//! Each tile goes on from its own sums, one order at a time, so its bits depend neither on who traces nor on the order of
-//! tiles. What is shown of them is made of all tiles at once (`splatting::settled`).
+//! By blocks of samples of a tile, each a function of view, tile and its place in the sequence alone, whose sums are joined
+//! in that order: bits depend neither on who traces which, on another machine it may be, nor on who is done first. What
+//! is shown of them is made of all tiles at once (`splatting::settled`).
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -31,6 +32,15 @@ use crate::world::World;
 pub const TILE: u32 = 16;
 /// Most samples of a pixel: as many points as the sequence inside a pixel has.
 pub const SAMPLES_MAX: u32 = 1 << 16;
+
+/// Samples of each pixel in a block.
+pub const BLOCK: u32 = 16;
+
+/// Samples of each pixel in the block that begins after so many. The first two are halves, so that something is seen soon.
+pub fn block_after(samples: u32) -> u32 {
+    let size = if samples < BLOCK { BLOCK / 2 } else { BLOCK };
+    size - samples % size
+}
 
 /// How far a converged view is refined.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -123,6 +133,74 @@ fn sample(gather: &Gather<'_>, frame: &CameraFrame, seed: u64, [x, y]: [u32; 2],
     gather.seen(&ray, spread, stream.split(0)).into()
 }
 
+/// A block of a tile's samples, at most [`BLOCK`] of each pixel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Block {
+    /// Which tile.
+    pub tile: u32,
+    /// Samples of each pixel before it.
+    pub first: u32,
+    /// Samples of each pixel in it.
+    pub count: u32,
+}
+
+impl Block {
+    /// Whether there is such a block of a picture: what came from elsewhere must be one.
+    pub fn fits(&self, tiles: &Tiles) -> bool {
+        (self.tile as usize) < tiles.len()
+            && (1..=BLOCK).contains(&self.count)
+            && self.first < SAMPLES_MAX - self.count
+    }
+
+    /// Its pixels in a picture of this size, row by row.
+    pub fn pixels(&self, [width, height]: [u32; 2]) -> Vec<(usize, usize)> {
+        Tiles::of_size(width, height).pixels(self.tile).collect()
+    }
+
+    /// Traces it, as long as it goes on, which is asked before each sample of all pixels.
+    pub fn traced(
+        &self,
+        world: &World,
+        frame: &CameraFrame,
+        seed: u64,
+        goes_on: GoesOn<'_>,
+    ) -> Option<TileSums> {
+        self.traced_at(&self.pixels(frame.size), world, frame, seed, goes_on)
+    }
+
+    /// The part of it that belongs to some pixels of the tile, by their number.
+    pub fn traced_only(&self, only: &[usize], world: &World, frame: &CameraFrame, seed: u64) -> TileSums {
+        let all = self.pixels(frame.size);
+        let pixels: Vec<_> = only.iter().filter_map(|pixel| all.get(*pixel).copied()).collect();
+        let traced = self.traced_at(&pixels, world, frame, seed, &|| true);
+        traced.unwrap_or_else(|| TileSums::block(self.tile, 0, self.first))
+    }
+
+    fn traced_at(
+        &self,
+        pixels: &[(usize, usize)],
+        world: &World,
+        frame: &CameraFrame,
+        seed: u64,
+        goes_on: GoesOn<'_>,
+    ) -> Option<TileSums> {
+        let mut sums = TileSums::block(self.tile, pixels.len(), self.first);
+        let gather = world.gather_beyond_map();
+        let mut samples = Vec::with_capacity(pixels.len());
+        for number in self.first..self.first + self.count {
+            if !goes_on() {
+                return None;
+            }
+            samples.clear();
+            samples.extend(
+                pixels.iter().map(|&(x, y)| sample(&gather, frame, seed, [x as u32, y as u32], number)),
+            );
+            sums.add(&samples);
+        }
+        Some(sums)
+    }
+}
+
 /// Adds `count` samples to each pixel of a tile, going `on` from what it has.
 pub fn supersample(
     world: &World,
@@ -135,7 +213,7 @@ pub fn supersample(
     supersample_while(world, frame, tile, on, count, seed, &|| true)
 }
 
-/// The same, as long as it goes on, which is asked before each sample of all pixels.
+/// The same, as long as it goes on; what is begun of a block then is lost.
 pub fn supersample_while(
     world: &World,
     frame: &CameraFrame,
@@ -146,17 +224,14 @@ pub fn supersample_while(
     goes_on: GoesOn<'_>,
 ) -> TileSums {
     let [width, height] = frame.size;
-    let tiles = Tiles::of_size(width, height);
-    let area = tiles.rect(tile).area() as usize;
+    let area = Tiles::of_size(width, height).rect(tile).area() as usize;
     let mut sums = on.cloned().unwrap_or_else(|| TileSums::new(tile, area));
-    let gather = world.gather_beyond_map();
-    for number in sums.samples..sums.samples.saturating_add(count).min(SAMPLES_MAX - 1) {
-        if !goes_on() {
-            break;
-        }
-        let of_pixel = |(x, y)| sample(&gather, frame, seed, [x as u32, y as u32], number);
-        let samples: Vec<PixelSample> = tiles.pixels(tile).map(of_pixel).collect();
-        sums.add(&samples);
+    let all = sums.samples.saturating_add(count).min(SAMPLES_MAX - 1);
+    while sums.samples < all {
+        let first = sums.samples;
+        let block = Block { tile, first, count: block_after(first).min(all - first) };
+        let Some(block) = block.traced(world, frame, seed, goes_on) else { break };
+        sums.join(&block);
     }
     sums
 }
@@ -331,6 +406,26 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn blocks_end_where_they_would_whatever_was_there() {
+        let ends = |mut samples: u32| {
+            std::iter::from_fn(|| {
+                samples += block_after(samples);
+                Some(samples)
+            })
+            .take(4)
+            .collect::<Vec<_>>()
+        };
+        assert_eq!(ends(0), [8, 16, 32, 48]);
+        assert_eq!(ends(3), [8, 16, 32, 48]);
+        assert_eq!(ends(33), [48, 64, 80, 96]);
+        let tiles = Tiles::of_size(33, 17);
+        let fits = |tile, first, count| Block { tile, first, count }.fits(&tiles);
+        assert!(fits(5, 0, 8) && fits(0, SAMPLES_MAX - 17, 16));
+        assert!(!fits(6, 0, 8) && !fits(0, 0, 0) && !fits(0, 0, 17) && !fits(0, SAMPLES_MAX - 16, 16));
+        assert!(!fits(0, u32::MAX, 16));
+    }
+
+    #[test]
     fn sums_do_not_depend_on_how_they_were_ordered() {
         let world = world();
         let camera = Camera { eye: Vec3::new(0.1, 0.2, 3.0), target: Vec3::ZERO, up: Vec3::Y, fov_y: 0.5 };
@@ -338,12 +433,23 @@ pub(super) mod tests {
         let tiles = Tiles::of_size(33, 17);
         assert_eq!(tiles.len(), 6);
         assert_eq!(tiles.rect(5), Rect { x0: 32, y0: 16, x1: 33, y1: 17 });
+        let mut differ = 0;
         for tile in 0..6 {
-            let whole = supersample(&world, &frame, tile, None, 9, 3);
-            let first = supersample(&world, &frame, tile, None, 4, 3);
-            let second = supersample(&world, &frame, tile, Some(&first), 5, 3);
+            let whole = supersample(&world, &frame, tile, None, 41, 3);
+            let first = supersample(&world, &frame, tile, None, 8, 3);
+            let second = supersample(&world, &frame, tile, Some(&first), 33, 3);
             assert_eq!(whole, second);
             assert!(whole.fits(&tiles) && !whole.fits(&Tiles::of_size(15, 90)));
+            let block = Block { tile, first: 16, count: BLOCK };
+            let traced = block.traced(&world, &frame, 3, &|| true).expect("a block");
+            assert!(block.fits(&tiles) && traced.fits_as_block(&tiles) && !traced.fits(&tiles));
+            let only = [traced.len() - 1, 0];
+            assert!(traced.has(&only, &block.traced_only(&only, &world, &frame, 3)));
+            let all: Vec<usize> = (0..traced.len()).collect();
+            differ += u32::from(!traced.has(&all, &block.traced_only(&all, &world, &frame, 4)));
+            assert_eq!(block.traced(&world, &frame, 3, &|| false), None);
         }
+        // All but those that show nothing.
+        assert!(differ > 1, "{differ}");
     }
 }

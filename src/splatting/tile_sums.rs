@@ -106,10 +106,26 @@ struct PixelSums {
     largest: [[Vec3; BATCHES]; PARTS],
     /// Squares of the luminance of all others, by part and half.
     squares: [[f32; HALVES]; PARTS],
+    /// Squares of their largest bands.
+    sizes: [[f32; HALVES]; PARTS],
     /// Emission and D part under the map's light, and the squares of its luminance.
     shown: Vec3,
     shown_squares: f32,
     albedo: Vec3,
+}
+
+impl PixelSums {
+    /// Takes a sample of a part.
+    #[inline]
+    fn take(&mut self, part: usize, batch: usize, mut value: Vec3) {
+        let largest = &mut self.largest[part][batch];
+        if size(value) > size(*largest) {
+            std::mem::swap(largest, &mut value);
+        }
+        self.rest[part][batch] += value;
+        self.squares[part][half_of(batch)] += luminance(value).powi(2);
+        self.sizes[part][half_of(batch)] += size(value).powi(2);
+    }
 }
 
 /// Where the largest samples are cut, by part and half.
@@ -246,23 +262,28 @@ impl PixelMeans<'_> {
     }
 }
 
-/// Sums over the samples of a tile's pixels after the first.
+/// Sums over the samples of a tile's pixels after the one that it converged with: of all so far, or of a block of them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TileSums {
     /// Which tile.
     pub tile: u32,
+    /// Samples of each pixel before those in the sums: none, but of a block.
+    pub first: u32,
     /// Samples of each pixel in the sums.
     pub samples: u32,
     /// Row by row.
     pixels: Vec<PixelSums>,
-    /// Squares of the largest bands of all samples that are not the largest of their batch, by part and half.
-    found: [[f64; HALVES]; PARTS],
 }
 
 impl TileSums {
     /// Of a tile of so many pixels, without a sample.
     pub fn new(tile: u32, pixels: usize) -> Self {
-        Self { tile, samples: 0, pixels: vec![PixelSums::default(); pixels], found: [[0.0; HALVES]; PARTS] }
+        Self::block(tile, pixels, 0)
+    }
+
+    /// A block that begins after the `first` samples, without one.
+    pub fn block(tile: u32, pixels: usize, first: u32) -> Self {
+        Self { tile, first, samples: 0, pixels: vec![PixelSums::default(); pixels] }
     }
 
     /// Pixels of the tile.
@@ -277,6 +298,7 @@ impl TileSums {
 
     /// What is known of each pixel, row by row. Decides where samples are cut, which takes a look at all of them.
     pub fn pixels(&self) -> impl Iterator<Item = PixelMeans<'_>> + Clone {
+        debug_assert_eq!(self.first, 0, "a block says nothing alone");
         let bounds = self.bounds();
         self.pixels.iter().map(move |sums| PixelMeans { sums, bounds, samples: self.samples })
     }
@@ -287,23 +309,57 @@ impl TileSums {
     /// If there are not as many as pixels.
     pub fn add(&mut self, samples: &[PixelSample]) {
         assert_eq!(samples.len(), self.pixels.len(), "a sample for each pixel");
-        let batch = self.samples as usize % BATCHES;
-        let half = half_of(batch);
+        let batch = (self.first + self.samples) as usize % BATCHES;
         for (sums, sample) in self.pixels.iter_mut().zip(samples) {
             sums.shown += sample.shown;
             sums.shown_squares += luminance(sample.shown).powi(2);
             sums.albedo += sample.albedo;
-            for (part, mut value) in sample.parts.into_iter().enumerate() {
-                let largest = &mut sums.largest[part][batch];
-                if size(value) > size(*largest) {
-                    std::mem::swap(largest, &mut value);
-                }
-                sums.rest[part][batch] += value;
-                sums.squares[part][half] += luminance(value).powi(2);
-                self.found[part][half] += f64::from(size(value)).powi(2);
+            for (part, value) in sample.parts.into_iter().enumerate() {
+                sums.take(part, batch, value);
             }
         }
         self.samples += 1;
+    }
+
+    /// Goes on with the block that follows.
+    ///
+    /// # Panics
+    /// If it is one of another tile, or does not follow.
+    pub fn join(&mut self, block: &Self) {
+        let follows = block.tile == self.tile && block.first == self.first + self.samples;
+        assert!(follows && block.len() == self.len(), "the block that follows");
+        for (sums, block) in self.pixels.iter_mut().zip(&block.pixels) {
+            sums.shown += block.shown;
+            sums.shown_squares += block.shown_squares;
+            sums.albedo += block.albedo;
+            for part in 0..PARTS {
+                for half in 0..HALVES {
+                    sums.squares[part][half] += block.squares[part][half];
+                    sums.sizes[part][half] += block.sizes[part][half];
+                }
+                for batch in 0..BATCHES {
+                    sums.rest[part][batch] += block.rest[part][batch];
+                    sums.take(part, batch, block.largest[part][batch]);
+                }
+            }
+        }
+        self.samples += block.samples;
+    }
+
+    /// Whether these are, bit for bit, the sums of some of its pixels, of which `only` are the numbers.
+    pub fn has(&self, only: &[usize], these: &Self) -> bool {
+        let own = only.iter().filter_map(|pixel| self.pixels.get(*pixel)).map(bytemuck::bytes_of);
+        [self.tile, self.first, self.samples] == [these.tile, these.first, these.samples]
+            && own.eq(these.pixels.iter().map(bytemuck::bytes_of))
+    }
+
+    /// Mean of all samples of each pixel, uncut. Radiance.
+    pub fn uncut(&self) -> impl Iterator<Item = Vec3> {
+        let samples = self.samples.max(1) as f32;
+        self.pixels.iter().map(move |p| {
+            let parts = p.rest.as_flattened().iter().chain(p.largest.as_flattened());
+            (p.shown + parts.copied().sum::<Vec3>()) / samples
+        })
     }
 
     /// Where the samples so far are cut.
@@ -332,7 +388,8 @@ impl TileSums {
             .map(|value| f64::from(size(*value).min(usual)).powi(2))
             .sum();
         let samples = f64::from(samples_of_half(half, self.samples));
-        let mean_square = (self.found[part][half] + largest) / (samples * self.pixels.len() as f64).max(1.0);
+        let others: f64 = self.pixels.iter().map(|p| f64::from(p.sizes[part][half])).sum();
+        let mean_square = (others + largest) / (samples * self.pixels.len() as f64).max(1.0);
         (KAPPA * (mean_square * samples).sqrt()) as f32
     }
 
@@ -375,14 +432,21 @@ impl TileSums {
 
     /// Whether its columns fit a tile of the picture: what was read from a file must.
     pub fn fits(&self, tiles: &Tiles) -> bool {
-        let is_sound = |p: &PixelSums| {
-            bytemuck::cast_slice::<PixelSums, f32>(std::slice::from_ref(p)).iter().all(|v| v.is_finite())
-        };
+        self.first == 0 && self.fits_as_block(tiles)
+    }
+
+    /// The same for a block: what came from elsewhere must.
+    pub fn fits_as_block(&self, tiles: &Tiles) -> bool {
         (self.tile as usize) < tiles.len()
             && self.pixels.len() as u64 == tiles.rect(self.tile).area()
-            && self.samples < SAMPLES_MAX
-            && self.pixels.iter().all(is_sound)
-            && self.found.iter().flatten().all(|f| f.is_finite())
+            && self.first < SAMPLES_MAX
+            && self.samples < SAMPLES_MAX - self.first
+            && self.is_sound()
+    }
+
+    /// Whether all of it is finite.
+    pub fn is_sound(&self) -> bool {
+        bytemuck::cast_slice::<PixelSums, f32>(&self.pixels).iter().all(|v| v.is_finite())
     }
 
     /// Bytes of the sums.
@@ -393,9 +457,8 @@ impl TileSums {
     /// Hash of everything in it.
     pub fn digest(&self) -> u64 {
         let mut h = Xxh3::new();
-        h.update(bytemuck::cast_slice(&[self.tile, self.samples]));
+        h.update(bytemuck::cast_slice(&[self.tile, self.first, self.samples]));
         h.update(bytemuck::cast_slice(&self.pixels));
-        h.update(bytemuck::cast_slice(self.found.as_flattened()));
         h.digest()
     }
 }
@@ -504,6 +567,40 @@ mod tests {
         for (p, q) in a.pixels().zip(b.pixels()) {
             assert!(p.lobes(&[0, 1]) != q.lobes(&[0, 1]) && p.lobes(&[2, 3]) == q.lobes(&[2, 3]));
         }
+    }
+
+    /// Blocks joined in their order are the sums of all, but for what rounding does to the order of a sum; whatever pixels a
+    /// block is made of, each has its bits.
+    #[test]
+    fn blocks_join() {
+        let value = |n: usize, p: usize| {
+            let mut stream = Stream::new(8, n as u64, p as u64);
+            grey(1.0 / (0.01 + stream.next_f32()), stream.next_f32() - 0.5)
+        };
+        let block = |first: usize, samples: usize, pixels: &[usize]| {
+            let mut block = TileSums::block(0, pixels.len(), first as u32);
+            (first..first + samples)
+                .for_each(|n| block.add(&pixels.iter().map(|p| value(n, *p)).collect::<Vec<_>>()));
+            block
+        };
+        let all = [0, 1, 2, 3, 4];
+        let mut joined = TileSums::new(0, 5);
+        [(0, 8), (8, 8), (16, 16), (32, 3)]
+            .iter()
+            .for_each(|&(first, n)| joined.join(&block(first, n, &all)));
+        let whole = block(0, 35, &all);
+        assert_eq!((joined.first, joined.samples), (0, 35));
+        for (a, b) in joined.uncut().zip(whole.uncut()) {
+            assert!((a - b).abs().max_element() <= 1e-5 * b.max_element(), "{a} {b}");
+        }
+        for (a, b) in joined.pixels().zip(whole.pixels()) {
+            assert_eq!(a.sums.largest, b.sums.largest);
+            let near = |a: f32, b: f32| (a - b).abs() <= 1e-5 * a.abs().max(b.abs());
+            assert!(near(a.lobes_deviation(), b.lobes_deviation()) && near(a.bounds[0][0], b.bounds[0][0]));
+        }
+        let (part, of_all) = (block(16, 16, &[1, 3]), block(16, 16, &all));
+        assert!(of_all.has(&[1, 3], &part) && !of_all.has(&[1, 2], &part) && !of_all.has(&[1], &part));
+        assert!(!joined.has(&[1, 3], &part));
     }
 
     /// Samples added in two goes are those of one.

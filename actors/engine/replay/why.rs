@@ -6,10 +6,11 @@ use std::sync::Arc;
 
 use crossbeam_queue::SegQueue;
 use foveal::allocation::policy::bucket_of;
+use foveal::display::tone::ToneMap;
 use foveal::image::Map2d;
 use foveal::sampling::Lattice;
 use foveal::scene::{Camera, Scene};
-use foveal::splatting::{SampleBatch, SplatLayer, WarpedSample};
+use foveal::splatting::{Reconstruction, SampleBatch, SplatLayer, WarpedSample};
 use foveal_actors::message::{
     AllocatorMessage, AnalyzerMessage, CacheAgerMessage, DrawnView, FrameSnapshot, RendererInput,
     RendererMessage, SampleOrder, TraceJob,
@@ -202,6 +203,8 @@ struct Shown {
     /// Radiance of the base layer and of the splat on it.
     base: Vec3,
     splat: Vec3,
+    /// How much of what is shown is the sample that lies on the pixel.
+    own_share: f32,
 }
 
 /// The sample behind a splat.
@@ -286,8 +289,11 @@ pub fn explain(
         }
         let shown = runtime.inspect(actors.renderer, |r| {
             let (snapshot, drawn) = (r.shown()?.clone(), r.drawn()?.clone());
-            let base = drawn.buffers().color.at(px, py);
-            Some(Shown { snapshot, drawn, base, splat: r.layer().color(px, py) })
+            let (buffers, layer) = (drawn.buffers(), r.layer());
+            let (base, splat) = (buffers.color.at(px, py), layer.color(px, py));
+            let white = ToneMap::from(&drawn.world.scene.display).white();
+            let own_share = Reconstruction::new(layer, buffers, &drawn.frame, white).own_share(px, py);
+            Some(Shown { snapshot, drawn, base, splat, own_share })
         });
         let Some(shown) = shown.flatten() else {
             return Err(Failure::Check("nothing was shown".into()));
@@ -393,6 +399,21 @@ fn find(source: &Source, notes: &Notes, shown: &Shown, x: usize, y: usize) -> Op
     }
 }
 
+/// What is said of a sample that does not make up all that its pixel shows.
+fn mixed(own_share: f32) -> String {
+    match own_share {
+        1.0.. => String::new(),
+        share if share > 0.0 => {
+            format!(", {:.0} % of what is shown; the rest is of those around", share * 100.0)
+        }
+        _ => ", beside the pixel; what is shown is mixed from it and others around".to_owned(),
+    }
+}
+
+fn views(count: u32) -> String {
+    if count == 1 { "1 view".to_owned() } else { format!("{count} views") }
+}
+
 fn object_name(scene: &Scene, object: u32) -> String {
     scene.objects.get(object as usize).map_or_else(String::new, |o| o.name.clone())
 }
@@ -419,9 +440,12 @@ fn document(
             "its object's environment map: no sample has come yet".to_owned()
         }
         None => "base layer: no sample has come yet".to_owned(),
-        Some(found) if found.age == 0 => format!("a fresh sample of level set {}", found.level_set),
+        Some(found) if found.age == 0 => {
+            format!("a fresh sample of level set {}{}", found.level_set, mixed(shown.own_share))
+        }
         Some(found) => {
-            format!("a cached sample of level set {}, {} views old", found.level_set, found.age)
+            let of = mixed(shown.own_share);
+            format!("a cached sample of level set {}, {} old{of}", found.level_set, views(found.age))
         }
     };
     let view = drawn.view.0 - found.map_or(0, |f| f.age.min(drawn.view.0));
@@ -454,6 +478,7 @@ fn document(
         "name": object_name(&drawn.world.scene, object),
         "shows": what,
         "age": found.map(|f| f.age),
+        "own_share": found.map(|_| f64::from((shown.own_share * 1000.0).round()) / 1000.0),
         "rgb": rgb,
         "base": shown.base.to_array(),
         "splat": shown.splat.to_array(),
@@ -549,7 +574,7 @@ fn samples(source: &Source, notes: &Notes, shown: &Shown, found: &Found, chain: 
             notes.all.iter().rev().find(
                 |(_, (_, note))| matches!(note, Note::Aged { view, .. } if *view == shown.drawn.view.0),
             );
-        let text = format!("warped into view {}, {} views old", shown.drawn.view.0, found.age);
+        let text = format!("warped into view {}, {} old", shown.drawn.view.0, views(found.age));
         chain.push(link(source, "cache", aged.map(|(at, _)| *at), text));
     }
     let at = (source.renderer(), source.shown_in[shown.snapshot.index.0 as usize]);

@@ -27,8 +27,11 @@ const COMES: Duration = Duration::from_secs(60);
 /// Time that a view has to converge.
 const CONVERGES: Duration = Duration::from_secs(120);
 
-/// Time of a frame.
-const FRAME: Duration = Duration::from_millis(100);
+/// Time of a frame of a walk.
+const WALKED: Duration = Duration::from_millis(100);
+/// That of a still view: long, so that it is samples that are measured, not pictures, of which there are as many with guests
+/// as without.
+const STILL: Duration = Duration::from_secs(1);
 
 /// A guest's process, which ends with this value.
 pub(super) struct Guest(Child);
@@ -133,10 +136,12 @@ fn walked(
         let (began, before, camera) = (Instant::now(), cpu_ns(), aside(&start, number));
         let mut samples = 0.0;
         // In frames: what moves may be drawn sparsely, and is whole in the frame after.
+        let mut time = WALKED;
         loop {
             let is_done =
                 if until == Until::Converged { Renderer::is_converged } else { Renderer::is_refined };
-            let frame = engine.frame_until(&camera, FRAME, None, is_done)?;
+            let frame = engine.frame_until(&camera, time, None, is_done)?;
+            time = STILL;
             samples += f64::from(frame.counts.traced) + f64::from(frame.counts.refined);
             if frame.standing == Standing::Refined
                 || until == Until::Converged && frame.standing != Standing::Growing
@@ -218,7 +223,7 @@ fn killed(opened: &Opened, link: &str, apart: bool) -> Result<f64, Failure> {
     let (mut number, mut frames) = (0, 0);
     // Some frames, so that it is known how long its jobs take.
     while frames < 30 || out(&engine) == 0 {
-        let frame = engine.frame(&aside(&start, number), FRAME)?;
+        let frame = engine.frame(&aside(&start, number), WALKED)?;
         number += u32::from(frame.standing != Standing::Growing);
         frames += 1;
         if frames > 600 {

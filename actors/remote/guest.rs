@@ -173,6 +173,12 @@ pub fn stay(
     }
 }
 
+/// What is too long for a message is somebody else's.
+fn fitting(job: DoneJob) -> DoneJob {
+    let found = job.found.filter(|found| found.size_bytes() <= FOUND_BYTES_MAX - BUNDLE_BYTES);
+    DoneJob { found, ..job }
+}
+
 struct Stay<'a> {
     link: &'a mut dyn GuestLink,
     options: &'a Options,
@@ -354,7 +360,7 @@ impl Stay<'_> {
             while jobs.len() < JOBS_MAX && bytes < BUNDLE_BYTES {
                 let job = match crew.done() {
                     None => break,
-                    Some(Finished::Samples(job)) => job,
+                    Some(Finished::Samples(job)) => fitting(job),
                     Some(Finished::Piece { lease, micros, found }) => {
                         self.done.jobs += u64::from(found.is_some());
                         self.done.busy += Duration::from_micros(u64::from(micros));

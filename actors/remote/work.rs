@@ -12,6 +12,7 @@ use crossbeam_queue::SegQueue;
 use foveal::allocation::jobs::{GUIDES, pixels_as_told};
 use foveal::display::cpu_pass::PartlyDrawn;
 use foveal::sampling::Lattice;
+use foveal::splatting::light_tracing::trace_run;
 use foveal::splatting::trace::{trace_colors, trace_guides};
 use foveal::world::World;
 use foveal_actors::station::wire::{Body, Colors, DoneJob, JobSpec, Order, ViewSpec, round_of};
@@ -199,7 +200,7 @@ fn trace(
     found(&shared.world, &lattice, drawn, job, &is_wanted)
 }
 
-/// What a job finds in a view; nothing where a block is not to go on.
+/// What a job finds in a view; nothing where a block or run is not to go on.
 pub fn found(
     world: &World,
     lattice: &Lattice,
@@ -212,6 +213,7 @@ pub fn found(
         Order::Block(block) => {
             return block.traced(world, drawn.frame(), job.seed, goes_on).map(Body::Block);
         }
+        Order::Run(run) => return trace_run(world, drawn.frame(), *run, job.seed, goes_on).map(Body::Run),
     };
     let pixels = pixels_as_told(lattice, order, |x, y| drawn.object_at(world, x as usize, y as usize));
     let (frame, buffers) = (drawn.frame(), drawn.buffers());

@@ -4,13 +4,14 @@ use foveal::allocation::jobs::{GUIDES, guide_pixels, job_pixels};
 use foveal::image::luminance;
 use foveal::rng;
 use foveal::sampling::Lattice;
+use foveal::splatting::light_tracing::{Splats, trace_run};
 use foveal::splatting::tile_sums::TileSums;
 use foveal::splatting::trace::{Owner, samples_of_colors, trace_colors, trace_guides};
 use foveal::splatting::{Guides, SampleBatch};
 use glam::Vec3;
 
 use super::wire::{Body, Colors, Order};
-use crate::message::{DrawnView, SampleOrder, TileWork, TraceJob};
+use crate::message::{DrawnView, RunWork, SampleOrder, TileWork, TraceJob};
 
 /// The order for a guest that a job is, if it is one that can be done elsewhere; its view, and its seed.
 pub(super) fn order_of(job: &TraceJob) -> Option<(Order, &DrawnView, u64)> {
@@ -19,6 +20,7 @@ pub(super) fn order_of(job: &TraceJob) -> Option<(Order, &DrawnView, u64)> {
             Some((Order::Samples(*order), drawn, *seed))
         }
         TraceJob::Tile(TileWork { drawn, block, seed }) => Some((Order::Block(*block), drawn, *seed)),
+        TraceJob::Run(RunWork { drawn, run, seed }) => Some((Order::Run(*run), drawn, *seed)),
         _ => None,
     }
 }
@@ -28,6 +30,7 @@ pub(super) enum Answer {
     Samples(SampleBatch),
     Guides(Guides),
     Block(TileSums),
+    Run(Splats),
 }
 
 impl Answer {
@@ -40,6 +43,10 @@ impl Answer {
                 let is_wanted = [sums.tile, sums.first, sums.samples] == wanted;
                 let pixels = block.pixels(drawn.frame.size).len();
                 (is_wanted && sums.len() == pixels && sums.is_sound()).then(|| Self::Block(sums.clone()))
+            }
+            (TraceJob::Run(RunWork { drawn, run, .. }), Body::Run(splats)) => {
+                let pixels = drawn.frame.size.iter().map(|side| *side as usize).product();
+                (splats.run == *run && splats.fits(pixels)).then(|| Self::Run(splats.clone()))
             }
             _ => None,
         }
@@ -73,6 +80,9 @@ pub(super) fn traced_here(job: &TraceJob, lattice: &Lattice) -> Option<Body> {
         TraceJob::Samples(order) => Some(Body::Colors(colors_of(order, lattice, None))),
         TraceJob::Tile(TileWork { drawn, block, seed }) => {
             block.traced(&drawn.world, &drawn.frame, *seed, &|| true).map(Body::Block)
+        }
+        TraceJob::Run(RunWork { drawn, run, seed }) => {
+            trace_run(&drawn.world, &drawn.frame, *run, *seed, &|| true).map(Body::Run)
         }
         _ => None,
     }
@@ -127,7 +137,7 @@ impl Likeness {
 }
 
 /// How many of some samples of an answer, about `checked` and chosen by `salt`, are not what is traced here. Of a block those of
-/// a pixel count as one.
+/// a pixel count as one; a run is traced as a whole or not at all.
 pub(super) fn differing(
     job: &TraceJob,
     lattice: &Lattice,
@@ -160,6 +170,17 @@ pub(super) fn differing(
                     let means = |sums: &TileSums| sums.uncut().collect::<Vec<_>>();
                     differ(&which, &means(&here), &means(sums))
                 }
+            }
+        }
+        (TraceJob::Run(RunWork { drawn, run, seed }), Body::Run(splats)) => {
+            let drawn_by_lot = rng::hash(salt, u64::from(*run), 0) as u32 % body.samples().max(1);
+            if drawn_by_lot >= checked {
+                return 0;
+            }
+            let Some(here) = trace_run(&drawn.world, &drawn.frame, *run, *seed, &|| true) else { return 1 };
+            match likeness {
+                Likeness::Bits => u32::from(here != *splats),
+                Likeness::Near => differ(&[0], &[here.sum()], &[splats.sum()]),
             }
         }
         _ => 1,

@@ -21,12 +21,13 @@ use std::time::Duration;
 
 use foveal::allocation::jobs::SampleJob;
 use foveal::sampling::Lattice;
+use foveal::splatting::light_tracing::Splats;
 use foveal::splatting::tile_sums::TileSums;
 use foveal_runtime::{Actor, Address, Content, Cx, JobPool, Kept, Loader, Message, Saver, TimerId, Worker};
 use serde::{Deserialize, Serialize};
 
 use crate::message::{
-    AllocatorMessage, CacheAgerMessage, RendererMessage, SampleOrder, TileWork, TraceJob, View,
+    AllocatorMessage, CacheAgerMessage, RendererMessage, RunWork, SampleOrder, TileWork, TraceJob, View,
 };
 use crate::outbox::Outbox;
 use answer::{Answer, Likeness, differing, order_of, traced_here};
@@ -511,6 +512,10 @@ impl Station {
                 let TraceJob::Tile(TileWork { drawn, .. }) = &*job else { return };
                 return self.block_sampled(drawn.view, Some(block), cx);
             }
+            Answer::Run(splats) => {
+                let TraceJob::Run(RunWork { drawn, .. }) = &*job else { return };
+                return self.run_traced(drawn.view, Some(splats), cx);
+            }
         }
         if let TraceJob::Samples(order) = &*job {
             self.job_done(order, count, found.micros as f32 * 1e-6, cx);
@@ -522,6 +527,7 @@ impl Station {
         match job {
             TraceJob::Samples(order) => self.job_done(order, 0, 0.0, cx),
             TraceJob::Tile(TileWork { drawn, .. }) => self.block_sampled(drawn.view, None, cx),
+            TraceJob::Run(RunWork { drawn, .. }) => self.run_traced(drawn.view, None, cx),
             // Such a job never travels.
             _ => {}
         }
@@ -537,6 +543,12 @@ impl Station {
         let SampleJob { object, level, .. } = job.order;
         let done = AllocatorMessage::JobDone { view: job.drawn.view, object, level, samples, seconds };
         self.outbox.tell(cx, &self.to.allocator, done);
+    }
+
+    fn run_traced(&mut self, view: View, splats: Option<Splats>, cx: &mut Cx<'_, StationMessage>) {
+        let hash = splats.as_ref().map_or(0, Splats::digest);
+        let traced = AllocatorMessage::RunTraced { view, splats: splats.map(Arc::new), hash };
+        self.outbox.tell(cx, &self.to.allocator, traced);
     }
 
     /// The guest sent what is not in the scene: nothing that came from it stays.
@@ -703,7 +715,7 @@ impl Worker for Station {
 pub(crate) fn travels(job: &TraceJob) -> bool {
     match job {
         TraceJob::Samples(SampleOrder { order, .. }) => order.count <= SAMPLES_MAX,
-        TraceJob::Tile(_) => true,
+        TraceJob::Tile(_) | TraceJob::Run(_) => true,
         _ => false,
     }
 }

@@ -7,8 +7,10 @@
 use foveal::allocation::jobs::{GUIDES, SampleJob};
 use foveal::sampling::Lattice;
 use foveal::scene::camera::CameraFrame;
+use foveal::splatting::light_tracing::Splats;
 use foveal::splatting::supersampling::{Block, TILE, Tiles};
 use foveal::splatting::tile_sums::TileSums;
+use foveal::transport::caustic::RUN;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3;
@@ -175,6 +177,8 @@ pub enum Order {
     Samples(SampleJob),
     /// More samples of each pixel of a tile.
     Block(Block),
+    /// A run of light traced to the eye.
+    Run(u32),
 }
 
 impl Order {
@@ -183,6 +187,7 @@ impl Order {
         match self {
             Self::Samples(job) => job.count,
             Self::Block(block) => block.count * TILE * TILE,
+            Self::Run(_) => RUN as u32,
         }
     }
 }
@@ -267,6 +272,8 @@ pub enum Body {
     Colors(Colors),
     /// Of a block.
     Block(TileSums),
+    /// Of a run.
+    Run(Splats),
 }
 
 impl Body {
@@ -275,14 +282,16 @@ impl Body {
         match self {
             Self::Colors(colors) => colors.is_sound(),
             Self::Block(sums) => sums.is_sound(),
+            Self::Run(splats) => splats.is_sound(),
         }
     }
 
-    /// Samples, or guides.
+    /// Samples, guides, or particles.
     pub fn samples(&self) -> u32 {
         match self {
             Self::Colors(colors) => colors.colors.len() as u32,
             Self::Block(sums) => sums.samples.saturating_mul(sums.len() as u32),
+            Self::Run(_) => RUN as u32,
         }
     }
 
@@ -291,6 +300,7 @@ impl Body {
         match self {
             Self::Colors(colors) => size_of::<Vec3>() * (colors.colors.len() + colors.guides.len()),
             Self::Block(sums) => sums.size_bytes(),
+            Self::Run(splats) => splats.size_bytes(),
         }
     }
 
@@ -305,6 +315,7 @@ impl Body {
                 h.digest()
             }
             Self::Block(sums) => sums.digest(),
+            Self::Run(splats) => splats.digest(),
         }
     }
 }
@@ -352,6 +363,7 @@ impl JobSpec {
         let order = match self.order {
             Order::Samples(order) => order,
             Order::Block(block) => return block.fits(&Tiles::of_size(size[0], size[1])),
+            Order::Run(_) => return true,
         };
         let SampleJob { object: _, level, guided: _, rect, start, count } = order;
         let [width, height] = size.map(|side| side as i32);

@@ -4,6 +4,7 @@ use bolero::{TypeGenerator, check};
 use foveal::allocation::jobs::SampleJob;
 use foveal::sampling::{Cursor, Lattice, Rect};
 use foveal::scene::camera::CameraFrame;
+use foveal::splatting::light_tracing::Splats;
 use foveal::splatting::supersampling::{BLOCK, Block, Tiles};
 use foveal::splatting::tile_sums::TileSums;
 use foveal_actors::station::wire::*;
@@ -121,6 +122,7 @@ fn what_a_walk_says() {
                             assert!(block.first < foveal::splatting::supersampling::SAMPLES_MAX);
                             continue;
                         }
+                        Order::Run(_) => continue,
                     };
                     assert!(order.rect.x1 <= 512 && order.rect.y1 <= 512 && order.count <= SAMPLES_MAX);
                     // Whoever does it comes to an end, and looks at no pixel outside.
@@ -146,6 +148,8 @@ fn what_a_guest_says() {
             let numbers = |body: &Body| match body {
                 Body::Colors(colors) => 3 * (colors.colors.len() + colors.guides.len()),
                 Body::Block(sums) => (sums.size_bytes() - size_of::<TileSums>()) / 4,
+                // A pixel's number may take a byte, its colours take 24.
+                Body::Run(splats) => (splats.size_bytes() - size_of::<Splats>()) / 28 * 6,
             };
             let all: usize = jobs.iter().flat_map(|job| &job.found).map(numbers).sum();
             assert!(jobs.len() <= JOBS_MAX && 4 * all <= message.len());

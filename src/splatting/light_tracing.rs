@@ -67,6 +67,16 @@ impl Splats {
         h.digest()
     }
 
+    /// Whether all of it is finite.
+    pub fn is_sound(&self) -> bool {
+        self.splats.iter().all(|s| s.parts.iter().all(|part| part.is_finite()))
+    }
+
+    /// All that it adds to the picture, by the D part and by lobes.
+    pub fn sum(&self) -> Vec3 {
+        self.splats.iter().flat_map(|s| s.parts).sum()
+    }
+
     /// Whether it can be one of a picture of so many pixels: what came from elsewhere must.
     pub fn fits(&self, pixels: usize) -> bool {
         let fits = |s: &Splat| (s.pixel as usize) < pixels && s.parts.iter().all(|part| part.is_finite());

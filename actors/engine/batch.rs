@@ -10,6 +10,7 @@ use foveal::display::FrameBuffers;
 use foveal::display::cpu_pass;
 use foveal::geometry::Ray;
 use foveal::illumination::bake::orders::{Answer, Gatherers, Order};
+use foveal::illumination::bake::particles::{Arrived, PART};
 use foveal::illumination::bake::{BakeSettings, Baker};
 use foveal::illumination::stored::Illumination;
 use foveal::scene::camera::CameraFrame;
@@ -59,6 +60,7 @@ impl Task {
             (Piece::Run(run), Found::Run(splats)) => splats.run == *run && splats.fits(of),
             (Piece::Truth { pixels, .. }, Found::Truth(part)) => part.fits(pixels.len(), of),
             (Piece::Gather(order), Found::Gathered(answer)) => order.may_be_answered_by(answer),
+            (Piece::Particles(_), Found::Arrived(arrived)) => arrived.iter().all(Arrived::is_sound),
             _ => false,
         }
     }
@@ -99,6 +101,8 @@ pub enum Piece {
     },
     /// Light at sites of a bake.
     Gather(Order),
+    /// Particles of a bake's caustics, from this one on.
+    Particles(u64),
 }
 
 /// What a piece comes to.
@@ -114,6 +118,8 @@ pub enum Found {
     Truth(Part),
     /// Of sites.
     Gathered(Answer),
+    /// Of particles.
+    Arrived(Vec<Arrived>),
 }
 
 /// What pieces of a task are done with.
@@ -203,7 +209,7 @@ impl Picture<'_> {
                 let photons = (self.photons)(&paths, *pass);
                 Found::Truth(paths.part(seed, *pass, pixels.clone(), &photons))
             }
-            Piece::Gather(_) => return None,
+            Piece::Gather(_) | Piece::Particles(_) => return None,
         })
     }
 }
@@ -249,7 +255,9 @@ impl Ground<'_> {
             (Self::Picture(_), Piece::Run(_)) => true,
             (Self::Picture(p), Piece::Paths { pixels, .. } | Piece::Truth { pixels, .. }) => p.has(pixels),
             (Self::Bake { baker, .. }, Piece::Gather(order)) => baker.has(order),
-            (Self::Picture(_), Piece::Gather(_)) | (Self::Bake { .. }, _) => false,
+            // As many as a bake counts, and not at the end of numbers.
+            (Self::Bake { .. }, Piece::Particles(first)) => first.is_multiple_of(PART) && *first < 1 << 48,
+            (Self::Picture(_), Piece::Gather(_) | Piece::Particles(_)) | (Self::Bake { .. }, _) => false,
         }
     }
 
@@ -259,6 +267,9 @@ impl Ground<'_> {
             (Self::Picture(picture), piece) => picture.done(piece, goes_on),
             (Self::Bake { baker, indexed, map, bright, .. }, Piece::Gather(order)) => {
                 Some(Found::Gathered(baker.answer(*indexed, (map, bright), order)))
+            }
+            (Self::Bake { baker, indexed, .. }, Piece::Particles(first)) => {
+                Some(Found::Arrived(baker.arrived(*indexed, *first)))
             }
             (Self::Bake { .. }, _) => None,
         }
@@ -310,15 +321,24 @@ pub struct Handed<'a> {
     pub settings: &'a BakeSettings,
 }
 
+fn of_bake<'a>(settings: &'a BakeSettings, baker: &'a Baker, indexed: Indexed<'a>) -> Ground<'a> {
+    Ground::Bake { baker, indexed, map: baker.map(), bright: baker.bright(), settings }
+}
+
 impl Gatherers for Handed<'_> {
-    fn gather(&self, baker: &Baker, indexed: Indexed<'_>, orders: &[Order]) -> Vec<Answer> {
-        let ground = Ground::Bake {
-            baker,
-            indexed,
-            map: baker.map(),
-            bright: baker.bright(),
-            settings: self.settings,
+    fn trace(&self, baker: &Baker, indexed: Indexed<'_>, parts: &[u64]) -> Vec<Vec<Arrived>> {
+        let ground = of_bake(self.settings, baker, indexed);
+        let pieces = parts.iter().map(|part| Piece::Particles(*part)).collect();
+        let found = self.hands.each(&ground, pieces, &|| true).into_iter().zip(parts);
+        let arrived = |(found, part): (Option<Found>, &u64)| match found {
+            Some(Found::Arrived(arrived)) => arrived,
+            _ => baker.arrived(indexed, *part),
         };
+        found.map(arrived).collect()
+    }
+
+    fn gather(&self, baker: &Baker, indexed: Indexed<'_>, orders: &[Order]) -> Vec<Answer> {
+        let ground = of_bake(self.settings, baker, indexed);
         let pieces = orders.iter().cloned().map(Piece::Gather).collect();
         let answers = self.hands.each(&ground, pieces, &|| true).into_iter().zip(orders);
         let answer = |(found, order): (Option<Found>, &Order)| match found {

@@ -17,6 +17,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 pub mod orders;
+pub mod particles;
 mod rounds;
 
 use orders::{Gatherers, Here};
@@ -35,7 +36,7 @@ use super::stored::{Illumination, Summary, Value};
 use crate::image::luminance;
 use crate::scene::Scene;
 use crate::transport::Indexed;
-use crate::transport::caustic::{Caustics, Class, RUN, Sources};
+use crate::transport::caustic::Sources;
 use crate::transport::light::bright::BrightSurfaces;
 
 /// As many times more take those that the start view shows, in a round before and in all of them.
@@ -46,17 +47,12 @@ const FIRST_LOOK: u32 = 2;
 const UNSEEN: u32 = 8;
 /// Samples between two questions whether to go on.
 const BATCH: u64 = 1 << 16;
-/// Particles that one task follows.
-const TOGETHER: u64 = 1 << 10;
 /// Sites smoothed between two such questions.
 const SMOOTHED: usize = 1 << 14;
 /// Sites that share the decision whether light can reach them.
 const BLOCK: usize = 64;
 /// One in so many samples is taken where the map is tested; each follows its path to the end.
 const TESTED: u64 = 16;
-/// Particles of caustics before the first round, whole runs for each half; after the first one over all sites every later round
-/// doubles them.
-const PARTICLES: u64 = 1 << 16;
 /// Looks for what is in sight, at least and at most: one for each texel.
 const LOOKS: (u64, u64) = (1 << 14, 1 << 18);
 
@@ -173,7 +169,7 @@ pub struct Baker {
     /// Per element its front's and its back's site.
     site_of: Vec<[u32; 2]>,
     /// Where particles of caustics begin.
-    sources: Option<Sources>,
+    sources: OnceLock<Sources>,
     /// Particles traced.
     particles: u64,
     /// Per block of sites whether no light reaches it; decided by the first round.
@@ -258,7 +254,7 @@ impl Baker {
             rounds: Rounds::new(&is_ahead),
             ahead: is_ahead,
             site_of,
-            sources: None,
+            sources: OnceLock::new(),
             particles: 0,
             settings: settings.clone(),
             seen: sites.all().iter().map(|s| is_seen(s.element)).collect(),
@@ -433,51 +429,6 @@ impl Baker {
         // An even number for each: half of them belong to either half.
         let least = if self.round < self.rounds.early() { 1 } else { 2 };
         whole.min(2 * (0.5 * left).ceil().min(f64::from(whole)) as u32).max(least)
-    }
-
-    /// Whether particles of caustics are still to be traced before the round that has begun.
-    fn wants_particles(&mut self, indexed: Indexed<'_>) -> bool {
-        let most = self.settings.particles.map_or(u64::MAX, |most| most / 2);
-        // Not looked for before there is a first picture.
-        let look = || Sources::new(indexed.scene, indexed.accel, indexed.lights, Class::All);
-        self.sources.get_or_insert_with(look).is_possible()
-            && self.particles < (PARTICLES << self.whole_rounds()).min(most)
-    }
-
-    /// Traces a run of particles for each half.
-    fn trace(&mut self, indexed: Indexed<'_>, gatherers: &dyn Gatherers) {
-        let Some(sources) = &self.sources else { return };
-        let caustics = Caustics::new(indexed.scene, indexed.accel, indexed.lights, sources);
-        let (seed, begin, atlas, site_of) = (self.settings.seed, self.particles, &self.atlas, &self.site_of);
-        let mesh = &indexed.scene.mesh;
-        let traced: Vec<Vec<(u32, usize, Vec3, bool)>> = (0..2 * RUN / TOGETHER)
-            .into_par_iter()
-            .map(|part| {
-                let mut found = Vec::new();
-                if !gatherers.is_wanted() {
-                    return found;
-                }
-                for index in begin + part * TOGETHER..begin + (part + 1) * TOGETHER {
-                    caustics.trace(seed, index, &mut |deposit| {
-                        let at = deposit.at;
-                        let element = atlas.element_at(at.triangle, at.b1, at.b2);
-                        let site = site_of[element as usize][usize::from(at.back)];
-                        let normal = mesh.smooth_normal(at.triangle, at.b1, at.b2, at.geometric_normal);
-                        if site != u32::MAX {
-                            let half = (index / RUN % 2) as usize;
-                            found.push((site, half, deposit.on(normal), deposit.is_unfound));
-                        }
-                    });
-                }
-                found
-            })
-            .collect();
-        // In the order of particles: sums depend on it.
-        for (site, half, flux, is_unfound) in traced.into_iter().flatten() {
-            self.gathered[site as usize].deposit(half, flux, is_unfound);
-        }
-        self.particles += 2 * RUN;
-        self.paths += 2 * RUN;
     }
 
     /// The filter of what the round gathered.

@@ -8,6 +8,7 @@ use std::sync::OnceLock;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::particles::Arrived;
 use super::rounds::{FIRST_ROUND, ROUNDS_MAX};
 use super::{AHEAD, BATCH, BLOCK, Baker, Doing, FIRST_LOOK, UNSEEN};
 use crate::illumination::gathered::Gathered;
@@ -55,6 +56,12 @@ fn most(samples: u32) -> u32 {
 pub trait Gatherers: Sync {
     /// What these orders of a bake come to ([`Baker::answer`]), in the same order.
     fn gather(&self, baker: &Baker, indexed: Indexed<'_>, orders: &[Order]) -> Vec<Answer>;
+
+    /// What these parts of the particles of a bake bring ([`Baker::arrived`]), in the same order.
+    fn trace(&self, baker: &Baker, indexed: Indexed<'_>, parts: &[u64]) -> Vec<Vec<Arrived>> {
+        let of = |part: &u64| if self.is_wanted() { baker.arrived(indexed, *part) } else { Vec::new() };
+        parts.par_iter().map(of).collect()
+    }
 
     /// How much they do in the time that the threads of this machine take for 1.
     fn worth(&self) -> u64 {

@@ -16,6 +16,7 @@ fn walk(size: &str, out: &Path, wait: u32) -> (Running, PathBuf) {
     walk_over("tcp", size, out, wait)
 }
 
+/// `size` may be followed by more words.
 fn walk_over(link: &str, size: &str, out: &Path, wait: u32) -> (Running, PathBuf) {
     let key = out.join("key");
     let words = format!(
@@ -60,8 +61,9 @@ fn signal(name: &str, process: &Running) {
 
 #[test]
 fn two_guests_trace_for_a_walk_and_its_recording_replays_without_them() {
-    let (out, expected) = (folder("remote"), local("192x144"));
-    let (walk, key) = walk("192x144", &out, 2);
+    let refined = "192x144 --refine 0.001 --refine-samples 8";
+    let (out, expected) = (folder("remote"), local(refined));
+    let (walk, key) = walk(refined, &out, 2);
     let guests = [join(&key), join(&key)];
     let ended = walk.wait();
     assert_eq!(ended.code, Some(0), "{}", ended.err);

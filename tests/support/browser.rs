@@ -118,6 +118,11 @@ impl Drop for Browser {
 impl Page {
     /// Calls a method of DevTools.
     pub fn call(&mut self, method: &str, params: Value) -> Value {
+        self.ask(method, params).unwrap_or_else(|e| panic!("{method}: {e}"))
+    }
+
+    /// The same, which may be answered with an error.
+    fn ask(&mut self, method: &str, params: Value) -> Result<Value, Value> {
         self.last += 1;
         let id = self.last;
         let text = json!({"id": id, "method": method, "params": params}).to_string();
@@ -127,8 +132,8 @@ impl Page {
             let Message::Text(text) = message else { continue };
             let mut message: Value = serde_json::from_str(&text).expect("JSON");
             if message["id"] == id {
-                assert!(message["error"].is_null(), "{method}: {}", message["error"]);
-                return message["result"].take();
+                let error = message["error"].take();
+                return if error.is_null() { Ok(message["result"].take()) } else { Err(error) };
             }
             self.hear(&message);
         }
@@ -170,12 +175,11 @@ impl Page {
     /// Waits until an expression is true.
     pub fn wait(&mut self, expression: &str) {
         let until = Instant::now() + PATIENCE;
+        let asked = format!("(() => {{ try {{ return !!({expression}) }} catch {{ return false }} }})()");
         while Instant::now() < until {
-            // In the midst of a navigation there is nothing to ask.
-            if self
-                .eval(&format!("(() => {{ try {{ return !!({expression}) }} catch {{ return false }} }})()"))
-                == true
-            {
+            // In the midst of a navigation there is nothing to ask, or nobody.
+            let answer = self.ask("Runtime.evaluate", json!({"expression": asked, "returnByValue": true}));
+            if answer.is_ok_and(|answer| answer["result"]["value"] == true) {
                 return;
             }
             std::thread::sleep(Duration::from_millis(20));

@@ -308,9 +308,12 @@ fn views_of(
         let gains: Vec<f64> = with.seconds.iter().map(|seconds| own / seconds).collect();
         let gain = Row::new(format!("{name}: gain"), "×", &gains);
         rows.push(if guests == 1 { gain.aim(Aim::AtLeast(1.8)) } else { gain });
-        rows.push(Row::new(format!("{name}: share of samples"), "", &[remote / with.samples]));
-        let time = Row::new(format!("{name}: host's time a sample from there"), "CPU µs", &[host]);
-        rows.push(time.aim(Aim::AtMost(0.7)));
+        // Of a refined view particles are counted among them, which cost another time.
+        if until == Until::Converged {
+            rows.push(Row::new(format!("{name}: share of samples"), "", &[remote / with.samples]));
+            let time = Row::new(format!("{name}: host's time a sample from there"), "CPU µs", &[host]);
+            rows.push(time.aim(Aim::AtMost(0.7)));
+        }
         rows.push(Row::new(
             format!("{name}: jobs handed back, late or twice"),
             "",

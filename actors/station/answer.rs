@@ -8,6 +8,7 @@ use foveal::splatting::light_tracing::{Splats, trace_run};
 use foveal::splatting::tile_sums::TileSums;
 use foveal::splatting::trace::{Owner, samples_of_colors, trace_colors, trace_guides};
 use foveal::splatting::{Guides, SampleBatch};
+use foveal::transport::caustic::RUN;
 use glam::Vec3;
 
 use super::wire::{Body, Colors, Order};
@@ -136,6 +137,33 @@ impl Likeness {
     }
 }
 
+/// Which of three kinds it is: colours, a block, a run.
+pub(super) fn kind_of(body: &Body) -> usize {
+    match body {
+        Body::Colors(_) => 0,
+        Body::Block(_) => 1,
+        Body::Run(_) => 2,
+    }
+}
+
+/// Whether a run is one of those that are traced here, where so many of its particles are to be checked.
+fn is_drawn(run: u32, (checked, salt): (u32, u64)) -> bool {
+    let lot = rng::hash(salt, u64::from(run), 0) % RUN;
+    lot < u64::from(checked)
+}
+
+/// How many comparisons [`differing`] makes.
+pub(super) fn compared_of(job: &TraceJob, body: &Body, (checked, salt): (u32, u64)) -> u32 {
+    match (job, body) {
+        (TraceJob::Samples(_), Body::Colors(traced)) => checked.min(traced.colors.len() as u32),
+        (TraceJob::Tile(TileWork { block, .. }), Body::Block(sums)) => {
+            checked.div_ceil(block.count.max(1)).min(sums.len() as u32)
+        }
+        (TraceJob::Run(RunWork { run, .. }), Body::Run(_)) => u32::from(is_drawn(*run, (checked, salt))),
+        _ => 0,
+    }
+}
+
 /// How many of some samples of an answer, about `checked` and chosen by `salt`, are not what is traced here. Of a block those of
 /// a pixel count as one; a run is traced as a whole or not at all.
 pub(super) fn differing(
@@ -173,8 +201,7 @@ pub(super) fn differing(
             }
         }
         (TraceJob::Run(RunWork { drawn, run, seed }), Body::Run(splats)) => {
-            let drawn_by_lot = rng::hash(salt, u64::from(*run), 0) as u32 % body.samples().max(1);
-            if drawn_by_lot >= checked {
+            if !is_drawn(*run, (checked, salt)) {
                 return 0;
             }
             let Some(here) = trace_run(&drawn.world, &drawn.frame, *run, *seed, &|| true) else { return 1 };

@@ -30,7 +30,7 @@ use crate::message::{
     AllocatorMessage, CacheAgerMessage, RendererMessage, RunWork, SampleOrder, TileWork, TraceJob, View,
 };
 use crate::outbox::Outbox;
-use answer::{Answer, Likeness, differing, order_of, traced_here};
+use answer::{Answer, Likeness, compared_of, differing, kind_of, order_of, traced_here};
 use board::Board;
 use estimate::Estimate;
 use wire::{Body, JobSpec, SAMPLES_MAX, ToGuest, ViewSpec};
@@ -47,8 +47,8 @@ const PROVING: u32 = 4;
 const SHARED: u64 = 20;
 /// One sample of so many is checked, or one answer, unless something else is said.
 pub const CHECKED: u32 = 64;
-/// Of a guest whose numbers have other bits, one checked sample in so many may come to something else, and some beside that:
-/// where rounding tips a choice over, a path goes elsewhere.
+/// Of a guest whose numbers have other bits, one comparison in so many may come to something else, and some beside that: where
+/// rounding tips a choice over, a path goes elsewhere.
 const DIFFERING: u32 = 20;
 const DIFFERING_ANYHOW: u32 = 4;
 
@@ -179,8 +179,9 @@ struct Guest {
     came: u64,
     answered: u64,
     samples: u64,
-    /// Whether its numbers have other bits; samples of it that were checked then, and that came to something else.
-    other: Option<[u32; 2]>,
+    /// Where its numbers have other bits, what of it was compared, and what of that came to something else: of samples, of
+    /// pixels of blocks, of runs.
+    other: Option<[[u32; 2]; 3]>,
 }
 
 /// How a station stands.
@@ -398,7 +399,7 @@ impl Station {
             came,
             answered: came,
             samples: 0,
-            other: has_other_bits.then_some([0; 2]),
+            other: has_other_bits.then_some([[0; 2]; 3]),
         });
         self.tell_credits(cx);
     }
@@ -459,7 +460,7 @@ impl Station {
             // Nobody kept it: it is what anybody traces.
             None => match traced_here(&job, &self.lattice) {
                 Some(body) => Arc::new(body),
-                None => return,
+                None => return cx.hand_back(&self.pool, out.job),
             },
         };
         let checked = if proving { count } else { count.div_ceil(self.checked) };
@@ -474,13 +475,16 @@ impl Station {
         };
         let right = match other {
             None => cx.observe(u64::from(differ(Likeness::Bits) == 0)) == 1,
-            Some([compared, differed]) => {
+            Some(mut others) => {
                 let differ = cx.observe(u64::from(differ(Likeness::Near))).min(u64::from(u32::MAX)) as u32;
-                let all = [compared.saturating_add(checked), differed.saturating_add(differ)];
+                let [compared, differed] = &mut others[kind_of(&traced)];
+                *compared = compared.saturating_add(compared_of(&job, &traced, (checked, salt)));
+                *differed = differed.saturating_add(differ);
+                let few = *differed <= *compared / DIFFERING + DIFFERING_ANYHOW;
                 if let Some(guest) = &mut self.guest {
-                    guest.other = Some(all);
+                    guest.other = Some(others);
                 }
-                all[1] <= all[0] / DIFFERING + DIFFERING_ANYHOW
+                few
             }
         };
         if !right {

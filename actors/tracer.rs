@@ -109,9 +109,7 @@ impl Tracer {
     }
 
     fn block_sampled(&mut self, view: View, block: Option<TileSums>, cx: &mut Cx<'_, TracerMessage>) {
-        let hash = block.as_ref().map_or(0, TileSums::digest);
-        let sampled = AllocatorMessage::BlockSampled { view, block: block.map(Arc::new), hash };
-        self.outbox.tell(cx, &self.allocator, sampled);
+        self.outbox.tell(cx, &self.allocator, AllocatorMessage::block_sampled(view, block));
     }
 
     fn settle(&mut self, work: &SettleWork, cx: &mut Cx<'_, TracerMessage>) {
@@ -140,9 +138,7 @@ impl Tracer {
     }
 
     fn run_traced(&mut self, view: View, splats: Option<Splats>, cx: &mut Cx<'_, TracerMessage>) {
-        let hash = splats.as_ref().map_or(0, Splats::digest);
-        let traced = AllocatorMessage::RunTraced { view, splats: splats.map(Arc::new), hash };
-        self.outbox.tell(cx, &self.allocator, traced);
+        self.outbox.tell(cx, &self.allocator, AllocatorMessage::run_traced(view, splats));
     }
 
     fn not_settled(&mut self, view: View, cx: &mut Cx<'_, TracerMessage>) {

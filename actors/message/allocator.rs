@@ -157,3 +157,17 @@ pub enum AllocatorMessage {
         credits: u32,
     },
 }
+
+impl AllocatorMessage {
+    /// A block of a tile was sampled, or came back.
+    pub(crate) fn block_sampled(view: View, block: Option<TileSums>) -> Self {
+        let hash = block.as_ref().map_or(0, TileSums::digest);
+        Self::BlockSampled { view, block: block.map(Arc::new), hash }
+    }
+
+    /// A run of light was traced to the eye, or came back.
+    pub(crate) fn run_traced(view: View, splats: Option<Splats>) -> Self {
+        let hash = splats.as_ref().map_or(0, Splats::digest);
+        Self::RunTraced { view, splats: splats.map(Arc::new), hash }
+    }
+}

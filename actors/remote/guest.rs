@@ -173,9 +173,9 @@ pub fn stay(
     }
 }
 
-/// What is too long for a message is somebody else's.
+/// What is too long for a message, beside what is bundled with it and how all of it is told, is somebody else's.
 fn fitting(job: DoneJob) -> DoneJob {
-    let found = job.found.filter(|found| found.size_bytes() <= FOUND_BYTES_MAX - BUNDLE_BYTES);
+    let found = job.found.filter(|found| found.size_bytes() <= MESSAGE_BYTES_MAX - 2 * BUNDLE_BYTES);
     DoneJob { found, ..job }
 }
 

@@ -12,7 +12,9 @@ mod answer;
 pub mod bits;
 pub mod board;
 mod estimate;
+mod heard;
 mod saved;
+mod status;
 pub mod wire;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -21,18 +23,18 @@ use std::time::Duration;
 
 use foveal::allocation::jobs::SampleJob;
 use foveal::sampling::Lattice;
-use foveal::splatting::light_tracing::Splats;
-use foveal::splatting::tile_sums::TileSums;
-use foveal_runtime::{Actor, Address, Content, Cx, JobPool, Kept, Loader, Message, Saver, TimerId, Worker};
+use foveal_runtime::{Actor, Address, Content, Cx, JobPool, Kept, Loader, Saver, TimerId, Worker};
 use serde::{Deserialize, Serialize};
 
 use crate::message::{
-    AllocatorMessage, CacheAgerMessage, RendererMessage, RunWork, SampleOrder, TileWork, TraceJob, View,
+    AllocatorMessage, CacheAgerMessage, RendererMessage, RunWork, SampleOrder, TileWork, TraceJob,
 };
 use crate::outbox::Outbox;
 use answer::{Answer, Likeness, compared_of, differing, kind_of, order_of, traced_here};
 use board::Board;
 use estimate::Estimate;
+pub use heard::{Found, Heard, StationMessage};
+pub use status::{Stands, StationCounts, StationStatus};
 use wire::{Body, JobSpec, SAMPLES_MAX, ToGuest, ViewSpec};
 
 /// Stations of a walk, at most: with the tracers they share the places of the pool.
@@ -69,101 +71,6 @@ impl Outlet for Silent {
     fn send(&mut self, _: u64, _: ToGuest) {}
 }
 
-/// What reaches a station from outside: recorded.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub enum Heard {
-    /// A guest came. One that was there is gone.
-    Joined {
-        /// Names its stay.
-        incarnation: u64,
-        /// Its cores.
-        cores: u16,
-        /// Its name, for people.
-        name: String,
-    },
-    /// Jobs are done.
-    Done {
-        /// Whose stay it was.
-        incarnation: u64,
-        /// Decides which samples are checked; the guest cannot know it.
-        salt: u64,
-        /// Which jobs, and what was found.
-        jobs: Vec<Found>,
-    },
-    /// The guest left, or sent what makes no sense.
-    Left {
-        /// Whose stay is over.
-        incarnation: u64,
-        /// Whether it may not come back.
-        banned: bool,
-    },
-    /// A guest came whose numbers have other bits.
-    OtherJoined {
-        /// Names its stay.
-        incarnation: u64,
-        /// Its cores.
-        cores: u16,
-        /// Its name, for people.
-        name: String,
-    },
-    /// Jobs are done by one whose numbers have other bits, or what was found is to be kept anyway: it is recorded.
-    Told {
-        /// Whose stay it was.
-        incarnation: u64,
-        /// Decides which samples are checked; the guest cannot know it.
-        salt: u64,
-        /// Which jobs, and what was found.
-        jobs: Vec<(Found, Option<Body>)>,
-    },
-}
-
-/// An answer.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Found {
-    /// The job.
-    pub lease: u64,
-    /// Time of one core, µs, as the guest says.
-    pub micros: u32,
-    /// Samples found; none where the job was not begun.
-    pub count: Option<u32>,
-    /// Hash of them.
-    pub hash: u64,
-    /// What was found itself. Not recorded: whoever replays traces it.
-    #[serde(skip)]
-    pub body: Option<Arc<Body>>,
-}
-
-/// What a station can be told.
-#[derive(Clone, Debug, Message)]
-pub enum StationMessage {
-    /// From outside.
-    #[message(kind = _0.kind())]
-    Heard(Heard),
-    /// From its own timer: a job is overdue.
-    Overdue,
-    /// From its own timer: send what was not accepted.
-    SendAgain,
-}
-
-impl Heard {
-    /// The variant's name, for reports.
-    pub fn kind(&self) -> &'static str {
-        match self {
-            Self::Joined { .. } => "Joined",
-            Self::Done { .. } => "Done",
-            Self::Left { .. } => "Left",
-            Self::OtherJoined { .. } => "OtherJoined",
-            Self::Told { .. } => "Told",
-        }
-    }
-}
-
-impl From<Heard> for StationMessage {
-    fn from(heard: Heard) -> Self {
-        Self::Heard(heard)
-    }
-}
-
 /// A guest, while it is there.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Guest {
@@ -184,32 +91,6 @@ struct Guest {
     other: Option<[[u32; 2]; 3]>,
 }
 
-/// How a station stands.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Stands {
-    /// It has no guest.
-    #[default]
-    Vacant,
-    /// The first answers of its guest are checked in full.
-    Proving,
-    /// Its guest traces.
-    Serving,
-    /// Its guest does not answer.
-    Suspect,
-}
-
-impl Stands {
-    /// For people.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Vacant => "vacant",
-            Self::Proving => "proving",
-            Self::Serving => "serving",
-            Self::Suspect => "suspect",
-        }
-    }
-}
-
 /// A job that the guest has.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Out {
@@ -227,54 +108,6 @@ impl Out {
     /// When somebody has to look at it.
     fn next(&self) -> u64 {
         if self.shared { self.due } else { self.slow.min(self.due) }
-    }
-}
-
-/// What became of a station's jobs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct StationCounts {
-    /// Samples and guides that came.
-    pub samples: u64,
-    /// Jobs that were done.
-    pub jobs: u64,
-    /// Answers that came too late, twice or for nothing.
-    pub late: u64,
-    /// Jobs that went to others.
-    pub returned: u64,
-    /// Jobs that others were given as well.
-    pub shared: u64,
-    /// Samples that were traced here as well, to compare.
-    pub checked: u64,
-    /// Guests that were banned.
-    pub banned: u64,
-}
-
-/// A station as people see it.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct StationStatus {
-    /// The guest's name; none where there is no guest.
-    pub guest: Option<String>,
-    /// Whether its numbers have other bits than this machine's.
-    pub other_bits: bool,
-    /// Its cores.
-    pub cores: u16,
-    /// How it stands.
-    pub stands: Stands,
-    /// Samples a second that came from the guest, between its coming and its last answer.
-    pub rate: f32,
-    /// Jobs that it has, and may have.
-    pub jobs: [u32; 2],
-    /// The way there and back, seconds.
-    pub round_trip: f32,
-    /// What became of its jobs so far.
-    pub counts: StationCounts,
-}
-
-impl StationStatus {
-    /// How it stands, for people.
-    pub fn told(&self) -> String {
-        let of_bits = if self.other_bits { ", other bits" } else { "" };
-        format!("{}{of_bits}", self.stands.name())
     }
 }
 
@@ -514,11 +347,13 @@ impl Station {
             }
             Answer::Block(block) => {
                 let TraceJob::Tile(TileWork { drawn, .. }) = &*job else { return };
-                return self.block_sampled(drawn.view, Some(block), cx);
+                let sampled = AllocatorMessage::block_sampled(drawn.view, Some(block));
+                return self.outbox.tell(cx, &self.to.allocator, sampled);
             }
             Answer::Run(splats) => {
                 let TraceJob::Run(RunWork { drawn, .. }) = &*job else { return };
-                return self.run_traced(drawn.view, Some(splats), cx);
+                let traced = AllocatorMessage::run_traced(drawn.view, Some(splats));
+                return self.outbox.tell(cx, &self.to.allocator, traced);
             }
         }
         if let TraceJob::Samples(order) = &*job {
@@ -530,29 +365,21 @@ impl Station {
     fn came_back(&mut self, job: &TraceJob, cx: &mut Cx<'_, StationMessage>) {
         match job {
             TraceJob::Samples(order) => self.job_done(order, 0, 0.0, cx),
-            TraceJob::Tile(TileWork { drawn, .. }) => self.block_sampled(drawn.view, None, cx),
-            TraceJob::Run(RunWork { drawn, .. }) => self.run_traced(drawn.view, None, cx),
+            TraceJob::Tile(TileWork { drawn, .. }) => {
+                self.outbox.tell(cx, &self.to.allocator, AllocatorMessage::block_sampled(drawn.view, None));
+            }
+            TraceJob::Run(RunWork { drawn, .. }) => {
+                self.outbox.tell(cx, &self.to.allocator, AllocatorMessage::run_traced(drawn.view, None));
+            }
             // Such a job never travels.
             _ => {}
         }
-    }
-
-    fn block_sampled(&mut self, view: View, block: Option<TileSums>, cx: &mut Cx<'_, StationMessage>) {
-        let hash = block.as_ref().map_or(0, TileSums::digest);
-        let sampled = AllocatorMessage::BlockSampled { view, block: block.map(Arc::new), hash };
-        self.outbox.tell(cx, &self.to.allocator, sampled);
     }
 
     fn job_done(&mut self, job: &SampleOrder, samples: u32, seconds: f32, cx: &mut Cx<'_, StationMessage>) {
         let SampleJob { object, level, .. } = job.order;
         let done = AllocatorMessage::JobDone { view: job.drawn.view, object, level, samples, seconds };
         self.outbox.tell(cx, &self.to.allocator, done);
-    }
-
-    fn run_traced(&mut self, view: View, splats: Option<Splats>, cx: &mut Cx<'_, StationMessage>) {
-        let hash = splats.as_ref().map_or(0, Splats::digest);
-        let traced = AllocatorMessage::RunTraced { view, splats: splats.map(Arc::new), hash };
-        self.outbox.tell(cx, &self.to.allocator, traced);
     }
 
     /// The guest sent what is not in the scene: nothing that came from it stays.

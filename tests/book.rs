@@ -38,38 +38,123 @@ fn words(line: &str) -> Vec<String> {
     words
 }
 
-/// Commands of the program in a text: lines of code that begin with its name, or with how cargo runs it.
-fn commands(text: &str) -> Vec<String> {
+/// A command line without how the program is called; nothing where another one is.
+fn of_foveal(code: &str) -> Option<&str> {
+    let code = code.strip_prefix("$ ").unwrap_or(code);
+    let ways = ["foveal ", "target/release/foveal ", "cargo run --release -- "];
+    // What follows a pipe is another program.
+    let line = ways.iter().find_map(|way| code.strip_prefix(way))?;
+    Some(line.split(" | ").next().unwrap_or_default().split(" && ").next().unwrap_or_default())
+}
+
+/// Commands of the program in a text, each with the lines that stand beneath it: indented, or in a block of ```.
+fn commands(text: &str) -> Vec<(String, Vec<String>)> {
     let text = text.replace("\\\n", " ");
-    let of_line = |line: &str| {
-        let code = line.strip_prefix("    ").or_else(|| line.strip_prefix("$ "))?.trim_start();
-        let ways = ["foveal ", "target/release/foveal ", "cargo run --release -- "];
-        ways.iter().find_map(|way| code.strip_prefix(way)).map(str::to_owned)
+    let mut commands: Vec<(String, Vec<String>)> = Vec::new();
+    let (mut in_block, mut follows) = (false, false);
+    for line in text.lines() {
+        if line.starts_with("```") {
+            (in_block, follows) = (!in_block, false);
+            continue;
+        }
+        let code = if in_block { Some(line) } else { line.strip_prefix("    ") };
+        match (code, code.and_then(of_foveal)) {
+            (_, Some(command)) => {
+                // Only after a prompt is what follows known to be printed.
+                follows = code.is_some_and(|code| code.starts_with("$ "));
+                commands.push((command.to_owned(), Vec::new()));
+            }
+            (Some(printed), None) if follows => {
+                commands.last_mut().expect("a command").1.push(printed.to_owned());
+            }
+            _ => follows = false,
+        }
+    }
+    commands
+}
+
+/// Commands in the midst of a sentence, but for those that name a kind of thing: `SCENE`, `…`.
+fn mentioned(text: &str) -> Vec<String> {
+    let is_placeholder = |word: &str| {
+        word.contains('…') || word.starts_with('@') || word.len() > 1 && !word.chars().any(char::is_lowercase)
     };
-    text.lines().filter_map(of_line).collect()
+    let spans = text.split('`').skip(1).step_by(2).filter_map(of_foveal);
+    let spans = spans.filter(|line| !line.contains('\n') && !line.split_whitespace().any(is_placeholder));
+    spans.map(str::to_owned).collect()
+}
+
+/// The command of a line of a text.
+fn command_of(line: &str) -> Foveal {
+    words(line).into_iter().fold(Foveal::new(""), Foveal::arg)
 }
 
 #[test]
 fn every_command_that_people_read_is_taken() {
     let mut count = 0;
     for (file, text) in texts() {
-        for line in commands(&text) {
-            // What follows a pipe is another program.
-            let line = line.split(" | ").next().unwrap_or_default().split(" && ").next().unwrap_or_default();
+        let of_blocks = commands(&text).into_iter().map(|(line, _)| line);
+        for line in of_blocks.chain(mentioned(&text)) {
             if line.contains('…') || line.contains("...") || line.contains('$') {
                 continue;
             }
             count += 1;
             // Help is what comes of it where all before makes sense.
-            let mut command = Foveal::new("");
-            for word in words(line) {
-                command = command.arg(word);
-            }
-            let ended = command.arg("--help").run();
+            let ended = command_of(&line).arg("--help").run();
             assert_eq!(ended.code, Some(0), "{}: foveal {line}\n{}", file.display(), ended.err);
         }
     }
-    assert!(count > 50, "{count} commands were found");
+    assert!(count > 100, "{count} commands were found");
+}
+
+/// A folder in which the README and the chapter on recordings can be followed: scenes, and recordings of the names used there.
+fn with_recordings(name: &str) -> PathBuf {
+    let folder = folder(name);
+    for part in ["scenes", "traces"] {
+        std::os::unix::fs::symlink(root().join(part), folder.join(part)).expect("a link");
+    }
+    std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_foveal"), folder.join("foveal-of-before")).expect("a link");
+    let walk = "walk scenes/gallery/gallery.toml --fps 100 --size 320x240";
+    for (frames, file) in [(12, "g.fvl"), (16, "walk.fvl")] {
+        Foveal::new(&format!("{walk} --frames {frames} --record {file}")).inside(&folder).ok();
+    }
+    folder
+}
+
+/// What reads recordings is run as it stands there. Where the text shows what is printed, lines that begin so are printed, in that
+/// order; what follows their first word differs from machine to machine.
+#[test]
+fn what_is_told_of_recordings_is_so() {
+    let folder = with_recordings("book");
+    let (mut ran, mut compared) = (0, 0);
+    for file in ["README.md", "traces/README.md", "docs/src/replay.md"] {
+        let text = fs::read_to_string(root().join(file)).expect("a text");
+        for (line, shown) in commands(&text) {
+            let of_recordings = line.starts_with("replay ") || line.starts_with("log ");
+            // Windows stay open, and rerun's files are another program's.
+            if !of_recordings || ["--view", "--serve", "rerun", "…"].iter().any(|no| line.contains(no)) {
+                continue;
+            }
+            // What follows `--step` is read.
+            let (reads, shown) =
+                if line.contains("--step") { (shown.join("\n"), Vec::new()) } else { (String::new(), shown) };
+            let ended = command_of(&line).inside(&folder).input(&reads).run();
+            let printed = format!("{}{}", ended.out, ended.err);
+            let may_end = ended.code == Some(0) || printed.contains("never comes about");
+            assert!(may_end, "{file}: foveal {line}: {:?}\n{printed}", ended.code);
+            let first = |line: &str| line.split_whitespace().next().map(shape).unwrap_or_default();
+            let mut begun = printed.lines().map(first);
+            for wanted in shown.iter().filter(|line| !line.contains('…')) {
+                let wanted = first(wanted);
+                assert!(
+                    begun.by_ref().any(|word| word == wanted),
+                    "{file}: foveal {line} prints no line of `{wanted}` there but\n{printed}"
+                );
+                compared += 1;
+            }
+            ran += 1;
+        }
+    }
+    assert!(ran >= 20 && compared >= 30, "{ran} commands, {compared} lines");
 }
 
 /// A line without what differs from run to run: numbers, and where files are.

@@ -33,7 +33,7 @@ fn packages_hold_what_they_need() {
     const BYTES_MAX: u64 = 1 << 18;
     let licences = ["LICENSE-MIT", "LICENSE-APACHE"];
     for (package, folder, needed) in [
-        ("foveal", ".", &["README.md", "src/lib.rs"][..]),
+        ("foveal-core", ".", &["src/README.md", "src/lib.rs"][..]),
         ("foveal-files", "actors/files", &["lib.rs", "load/gltf/document.rs"]),
         ("foveal-runtime-derive", "actors/runtime/derive", &["lib.rs"]),
         ("foveal-runtime", "actors/runtime", &["README.md", "build.rs", "examples/jobs.rs"]),
@@ -45,7 +45,7 @@ fn packages_hold_what_they_need() {
         ("foveal-window", "actors/window", &["gpu/base.wgsl"]),
         ("foveal-remote", "actors/remote", &["lib.rs"]),
         ("foveal-bench", "actors/bench", &["lib.rs"]),
-        ("foveal-program", "actors/program", &["main.rs"]),
+        ("foveal", "actors/program", &["main.rs", "README.md", "build.rs"]),
     ] {
         let list = format!("package --list --allow-dirty --offline --package {package}");
         let list = cargo(&list);

@@ -284,7 +284,7 @@ fn packages_depend_one_way() {
             ][..],
         ),
         ("actors/files/Cargo.toml", &["foveal-runtime", "foveal-actors", "foveal-engine", "wgpu", "clap"]),
-        ("actors/runtime/Cargo.toml", &["foveal", "foveal-actors", "wgpu", "image", "glam"]),
+        ("actors/runtime/Cargo.toml", &["foveal-core", "foveal-actors", "wgpu", "image", "glam"]),
         ("actors/Cargo.toml", &["foveal-engine", "wgpu", "egui", "clap", "image"]),
         (
             "actors/engine/Cargo.toml",

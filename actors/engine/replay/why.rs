@@ -406,7 +406,7 @@ fn mixed(own_share: f32) -> String {
         share if share > 0.0 => {
             format!(", {:.0} % of what is shown; the rest is of those around", share * 100.0)
         }
-        _ => ", beside the pixel; what is shown is mixed from it and others around".to_owned(),
+        _ => ", near the pixel; the colour is interpolated from it and its neighbours".to_owned(),
     }
 }
 

@@ -60,7 +60,7 @@ fn light(drawn: &DrawnView, at: &Interaction) -> Value {
         "irradiance": all.to_array(),
         // Of its luminance at this place. A first estimate holds none: nothing was held back to find it by.
         "stated_error": stored
-            .filter(|map| map.summary.rounds > 0)
+            .filter(|map| map.summary.rounds > 0 && all != Vec3::ZERO)
             .map(|map| map.lookup(at.triangle, at.b1, at.b2, at.back).w),
         "direct": lamps.collect::<Vec<_>>(),
         // What the map has beyond that, and where it errs; nothing where nothing is stored, as on metal.
@@ -128,18 +128,21 @@ pub fn told(surface: &Value) -> Vec<String> {
         || ", its error not known".to_owned(),
         |error| format!(", ± {error:.4} stated at this place"),
     );
-    lines.push(format!("light     {} W/m²{stated}", band(&light["irradiance"])));
+    let is_stored = !light["indirect"].is_null();
+    lines.push(match is_stored {
+        true => format!("light     {} W/m²{stated}", band(&light["irradiance"])),
+        false => "light     none is stored on this surface".to_owned(),
+    });
     for lamp in light["direct"].as_array().into_iter().flatten() {
         let noise = lamp["noise"].as_f64().unwrap_or_default();
         let (is, name) = (text(&lamp["is"]), text(&lamp["lamp"]));
         lines.push(format!("  straight  {} ± {noise:.4} from {is} \"{name}\"", band(&lamp["irradiance"])));
     }
-    lines.push(match light["indirect"].is_null() {
-        true => "  indirect  unknown: no light is stored on this surface".to_owned(),
-        false => format!("  indirect  {}: the rest of what the map says", band(&light["indirect"])),
-    });
+    if is_stored {
+        lines.push(format!("  indirect  {}: the rest of what the map holds", band(&light["indirect"])));
+    }
     let map = &light["map"];
-    if !map.is_null() {
+    if is_stored && !map.is_null() {
         let of = match map["stated_error"].as_f64() {
             Some(error) => {
                 format!(

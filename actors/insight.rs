@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crossbeam_queue::ArrayQueue;
-use foveal::allocation::supersampling::Standing;
+use foveal::allocation::supersampling::RefinementProgress;
 use foveal::display::environment_map::texel_count;
 
 use crate::message::View;
@@ -89,7 +89,7 @@ pub struct Insight {
     /// Textures, where they are limited, and the limit in bytes.
     pub textures: Option<(TextureReport, u64)>,
     /// How far the converged view is refined, once that has begun.
-    pub refinement: Option<Standing>,
+    pub refinement: Option<RefinementProgress>,
     /// Q per pixel (Dumont 2003, Eq. (1)): −1 × the mean visible error of rays that are still to come and of texture levels
     /// that are missing, just noticeable differences. 0 is the gold standard; −∞ while nothing is known.
     pub quality: f32,

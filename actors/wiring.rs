@@ -26,7 +26,7 @@ use std::time::Duration;
 
 use foveal::display::cpu_pass::Passes;
 use foveal::display::first_approximation::{FirstApproximation, Probes};
-use foveal::scene::plan::{Part, ScenePlan};
+use foveal::scene::plan::{ScenePlan, Subsystem};
 use foveal::world::World;
 use foveal_runtime::{Bounds, Declared, Handle, JobPool, OnPanic, Port, Wiring};
 
@@ -37,7 +37,7 @@ use crate::analyzer::Analyzer;
 use crate::cache_ager::CacheAger;
 use crate::illuminator::{Illuminator, Refinement};
 use crate::insight::InsightSlot;
-use crate::message::saved::Surroundings;
+use crate::message::saved::SnapshotContext;
 use crate::message::{AllocatorMessage, RendererInput, RendererMessage, TraceJob};
 use crate::renderer::{FrameSink, Neighbours, Renderer};
 use crate::settings::Settings;
@@ -83,8 +83,8 @@ impl Parts {
         let plan = ScenePlan::new(&world.scene, &world.scene.budget);
         Self {
             settings,
-            passes: Passes { texture_ids: plan.needs(Part::TextureIdPass) },
-            corrects: plan.needs(Part::Tracers),
+            passes: Passes { texture_ids: plan.needs(Subsystem::TextureIdPass) },
+            corrects: plan.needs(Subsystem::Tracers),
             world,
             probes: None,
             textures: None,
@@ -157,7 +157,7 @@ pub fn wire(wiring: &mut Wiring, parts: Parts) -> Actors {
     let batches = batches_on_their_way(&settings);
     let look_around = || probes.unwrap_or_else(|| Arc::new(Probes::of_world(&world)));
     let probes = corrects.then(look_around);
-    wiring.context(Surroundings {
+    wiring.context(SnapshotContext {
         world: world.clone(),
         passes,
         probes: probes.clone(),

@@ -3,8 +3,8 @@
 use foveal::geometry::Accel;
 use foveal::illumination::Irradiance;
 use foveal::illumination::bake::{BakeSettings, Baker, Step};
+use foveal::illumination::reference::{ReferencePoint, reference_points, relative_error};
 use foveal::illumination::seen::in_sight;
-use foveal::illumination::truth::{Truth, relative_error, truth};
 use foveal::image::luminance;
 use foveal::scene::{Model, Reflectance, Scene};
 use foveal::transport::Indexed;
@@ -35,13 +35,13 @@ fn points_in_sight(
     baker: &Baker,
     count: usize,
     samples: u32,
-) -> (Vec<Truth>, f64) {
+) -> (Vec<ReferencePoint>, f64) {
     let counts = |e: u32| {
         let e = &baker.atlas().elements[e as usize];
         in_sight(world.0, world.1, e.position, e.normal)
     };
-    let known = truth(world, baker.atlas(), &counts, count, samples, 1);
-    let squares = |of: &dyn Fn(&Truth) -> f32| known.iter().map(|t| f64::from(of(t))).sum::<f64>();
+    let known = reference_points(world, baker.atlas(), &counts, count, samples, 1);
+    let squares = |of: &dyn Fn(&ReferencePoint) -> f32| known.iter().map(|t| f64::from(of(t))).sum::<f64>();
     let noise = (squares(&|t| t.variance) / squares(&|t| luminance(t.irradiance).powi(2))).sqrt();
     (known, noise)
 }
@@ -67,7 +67,7 @@ fn bundled_scenes_are_lit_as_paths_light_them() {
         let (error, stated) = (relative_error(&*map, &known), f64::from(map.summary.relative_error));
         assert!(error < 0.05, "{name}: {error} ± {noise}");
         assert!(stated >= 0.7 * error, "{name}: {error} ± {noise} stated as {stated}");
-        let sum = |of: &dyn Fn(&Truth) -> Vec3| known.iter().map(|t| luminance(of(t))).sum::<f32>();
+        let sum = |of: &dyn Fn(&ReferencePoint) -> Vec3| known.iter().map(|t| luminance(of(t))).sum::<f32>();
         let found = sum(&|t| map.irradiance(t.triangle, t.b1, t.b2, false));
         let ratio = found / sum(&|t| t.irradiance);
         assert!((ratio - 1.0).abs() < 0.02, "{name}: {ratio}");
@@ -83,7 +83,7 @@ fn the_box_is_lit_as_paths_light_it() {
     let indexed = Indexed { scene: &scene, accel: &accel, lights: &lights };
     let settings = BakeSettings { error: None, particles: None, ..BakeSettings::default() };
     let mut baker = Baker::new(indexed, &settings);
-    // Errors below the noise of the truth cannot be told from none.
+    // Errors below the noise of the reference cannot be told from none.
     let (known, noise) = points_in_sight((&scene, &accel, &lights), &baker, 200, 1024);
     assert!(noise < 0.02, "{noise}");
     // After the first round, the fourth and the sixth.

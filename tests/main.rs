@@ -20,6 +20,7 @@ mod misfits;
 mod packages;
 #[cfg(unix)]
 mod recorder;
+mod reference;
 mod remote;
 mod replay;
 #[cfg(feature = "serve")]
@@ -34,7 +35,6 @@ mod support;
 mod system;
 mod textures;
 mod tidy;
-mod truth;
 mod walk;
 #[cfg(all(feature = "window", target_os = "linux"))]
 mod window;

@@ -6,7 +6,7 @@ use foveal::display::cpu_pass::{Passes, draw};
 use foveal::display::{FrameBuffers, TextureLevel};
 use foveal::geometry::{Accel, Ray};
 use foveal::scene::Budget;
-use foveal::scene::plan::{Part, ScenePlan};
+use foveal::scene::plan::{ScenePlan, Subsystem};
 use foveal::splatting::trace::{Owner, trace_samples};
 use foveal_actors::settings::Settings;
 use foveal_actors::stages::Stage;
@@ -197,7 +197,7 @@ fn shadow_rays_stop_at_the_first_hit() {
         load(&folder.join("walls.obj")).unwrap_or_else(|e| panic!("{e}")).scene
     };
     let scene = walls("wall");
-    assert!(!ScenePlan::new(&scene, &scene.budget).needs(Part::TransparentShadows));
+    assert!(!ScenePlan::new(&scene, &scene.budget).needs(Subsystem::TransparentShadows));
     let accel = Accel::build(&scene);
     let ray = Ray { t_max: 1e3, ..Ray::new(Vec3::new(0.1, 0.2, -1.0), Vec3::Z) };
     let visits = |blocks: bool| {
@@ -220,9 +220,9 @@ fn textures_that_fit_have_no_pass() {
     let frame = world.scene.cameras[0].camera.frame(40, 30);
     let drawn = |limit: Option<u64>| {
         let plan = ScenePlan::new(&world.scene, &Budget { texture_bytes: limit, fps: None });
-        assert_eq!(plan.needs(Part::ElevationMaps), plan.needs(Part::TextureIdPass));
+        assert_eq!(plan.needs(Subsystem::ElevationMaps), plan.needs(Subsystem::TextureIdPass));
         let mut buffers = FrameBuffers::new(40, 30);
-        draw(&world, &frame, Passes { texture_ids: plan.needs(Part::TextureIdPass) }, &mut buffers);
+        draw(&world, &frame, Passes { texture_ids: plan.needs(Subsystem::TextureIdPass) }, &mut buffers);
         buffers.texture.data().iter().filter(|t| **t != TextureLevel::NONE).count()
     };
     assert_eq!((drawn(None), drawn(Some(1 << 30))), (0, 0));

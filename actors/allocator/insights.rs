@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use foveal::allocation::ray_order::Standing;
+use foveal::allocation::ray_order::ObjectProgress;
 use foveal::allocation::supersampling::Supersampler;
 use foveal::perception::importance::importance;
 use foveal_runtime::{DeadJob, Incident};
@@ -33,7 +33,7 @@ impl Allocator {
                 ..ObjectInsight::default()
             })
             .collect();
-        for Standing { object, level, priority, error } in self.order.standings() {
+        for ObjectProgress { object, level, priority, error } in self.order.object_progress() {
             if let Some(object) = objects.get_mut(object as usize) {
                 (object.level, object.priority, object.error) = (level, priority, error);
             }
@@ -45,7 +45,7 @@ impl Allocator {
             map_bytes: [self.environments.bytes(), self.settings.environment_bytes],
             map_price_per_mib: self.environments.price_per_mib(),
             textures: self.textures.as_ref().map(|t| (t.current(), t.residency().limit())),
-            refinement: self.supersampler.as_ref().and_then(Supersampler::standing),
+            refinement: self.supersampler.as_ref().and_then(Supersampler::progress),
             quality: self.quality(),
         }
     }

@@ -29,12 +29,12 @@ impl Allocator {
                 ("price_per_mib", Content::of(&report.price_per_mib)),
             ])
         });
-        let refinement = refinement.map(|standing| {
+        let refinement = refinement.map(|progress| {
             Content::fields([
-                ("tiles", Content::of(&standing.tiles)),
-                ("quiet", Content::of(&standing.quiet)),
-                ("error", Content::of(&standing.error)),
-                ("stated", Content::of(&standing.stated)),
+                ("tiles", Content::of(&progress.tiles)),
+                ("quiet", Content::of(&progress.quiet)),
+                ("error", Content::of(&progress.error)),
+                ("stated", Content::of(&progress.stated)),
             ])
         });
         let none = || Content::Name("none".into());

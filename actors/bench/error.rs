@@ -6,7 +6,7 @@ use clap::Args;
 use foveal::allocation::policy::Policy;
 use foveal::metrics::curve::ErrorCurve;
 
-use super::error_curves::{Against, CSV_HEAD, Judge, Kind, Point, Way, csv};
+use super::error_curves::{Against, CSV_HEAD, Judge, Point, ReferenceKind, Way, csv};
 use super::error_light::LightArguments;
 use super::error_page::{Axes, Panel, sections_of, write_page};
 use super::made::Subject;
@@ -85,7 +85,7 @@ pub struct ErrorArguments {
 }
 
 /// What views converge to, as they are held against it.
-pub(super) const CONVERGED: Against = Against { kind: Kind::Traced, spp: 1 };
+pub(super) const CONVERGED: Against = Against { kind: ReferenceKind::Traced, spp: 1 };
 
 /// Whose error is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]

@@ -11,7 +11,7 @@ use glam::Vec3;
 
 /// Which gold standard pictures are held against, named as `foveal reference --kind` does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum ReferenceKind {
     /// What still views converge to: the base light, and everything that is not diffuse traced.
     Traced,
     /// Unbiased paths, which know of no base light.
@@ -21,11 +21,11 @@ pub(super) enum Kind {
 /// A reference of so many samples per pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Against {
-    pub kind: Kind,
+    pub kind: ReferenceKind,
     pub spp: u32,
 }
 
-impl Kind {
+impl ReferenceKind {
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Traced => "traced",
@@ -210,7 +210,7 @@ mod tests {
         let point = Judge { objects: &ids, tone: &tone, keeps: false }.point(&picture, 0.5, &picture);
         let of =
             |kind, spp| Way { runs: vec![vec![point.clone()]], ..Way::new("a, b", Against { kind, spp }) };
-        let lines = csv("s", "still", &[of(Kind::Traced, 1), of(Kind::Path, 256)]);
+        let lines = csv("s", "still", &[of(ReferenceKind::Traced, 1), of(ReferenceKind::Path, 256)]);
         let lines: Vec<&str> = lines.lines().collect();
         assert!(lines[0].ends_with(",traced,1") && lines[1].ends_with(",path,256"), "{lines:?}");
         // The way's name has a comma of its own.

@@ -41,7 +41,7 @@ use foveal_engine::interrupt::{interrupted, uninterrupted};
 use foveal_engine::light::BakeOptions;
 use foveal_engine::opened::{camera, load_scene};
 use foveal_engine::process::cpu_ns;
-use foveal_engine::reference::{Enough, sampled_truth, traced_picture};
+use foveal_engine::reference::{Enough, sampled_bidirectional, traced_picture};
 use foveal_terminal::arguments::{duration, share};
 use foveal_terminal::progress::Progress;
 use foveal_terminal::table::{Aim, Row, finish};
@@ -50,8 +50,8 @@ use foveal_terminal::table::{Aim, Row, finish};
 const BLOCK: usize = 8;
 /// Relative error that a picture of errors shows in full colour.
 const FULL: f32 = 0.3;
-/// Standard errors of a judge that 95 % are within.
-const SURE: f64 = 1.96;
+/// Standard errors of a judge at 95 % confidence, two-sided.
+const Z_95_TWO_SIDED: f64 = 1.96;
 /// Seed of all random numbers but the judges'.
 const SEED: u64 = 0;
 /// Seed of the judges.
@@ -88,13 +88,13 @@ fn seconds() -> f64 {
 }
 
 /// A picture that a view should be, and how unsure its blocks are.
-struct Judge {
+struct ReferencePicture {
     picture: Map2d<Vec3>,
     noise: f64,
     batches: Option<Batches>,
 }
 
-impl Judge {
+impl ReferencePicture {
     /// The one that is kept, or a new one, which is kept.
     fn of(a: &ErrorArguments, world: &World, frame: &CameraFrame, name: &str) -> Result<Self, Failure> {
         let file = a.light.judges.as_ref().map(|folder| folder.join(format!("{name}.exr")));
@@ -116,7 +116,7 @@ impl Judge {
             error: Some(f64::from(a.light.judge_error)),
             time: Some(a.light.judge_time),
         };
-        let sampled = sampled_truth(world, frame, JUDGE_SEED, &enough, &|| !interrupted());
+        let sampled = sampled_bidirectional(world, frame, JUDGE_SEED, &enough, &|| !interrupted());
         uninterrupted()?;
         if let Some(file) = file {
             make_folder(file.parent().unwrap_or(Path::new(".")))?;
@@ -160,7 +160,7 @@ impl Judge {
         let batches =
             self.batches.as_ref().filter(|b| b.size == BLOCK && b.means.len() == intervals.len())?;
         let within = |(interval, (mean, error)): (&Interval, (f64, f64))| {
-            let reach = f64::from(interval.reach).hypot(SURE * error);
+            let reach = f64::from(interval.reach).hypot(Z_95_TWO_SIDED * error);
             (f64::from(interval.mean) - mean).abs() <= reach
         };
         let count = intervals.iter().zip(batches.statistics()).filter(|pair| within(*pair)).count();
@@ -277,7 +277,7 @@ impl Report<'_> {
     fn add(
         &mut self,
         (view, stage): (&str, &str),
-        (world, judge): (&World, &Judge),
+        (world, judge): (&World, &ReferencePicture),
         picture: &Map2d<Vec3>,
         took: f64,
         stated: f32,
@@ -315,8 +315,8 @@ impl Report<'_> {
     }
 }
 
-/// Shown, true, and the relative error of blocks side by side, red where too dark, blue where too bright.
-fn beside(world: &World, shown: &Map2d<Vec3>, truth: &Map2d<Vec3>) -> Vec<u8> {
+/// Shown, reference, and the relative error of blocks side by side, red where too dark, blue where too bright.
+fn beside(world: &World, shown: &Map2d<Vec3>, reference: &Map2d<Vec3>) -> Vec<u8> {
     let tone = foveal::display::tone::ToneMap::from(&world.scene.display);
     let (width, height) = (shown.width(), shown.height());
     let mean = |of: &Map2d<Vec3>, x: usize, y: usize| {
@@ -327,14 +327,14 @@ fn beside(world: &World, shown: &Map2d<Vec3>, truth: &Map2d<Vec3>) -> Vec<u8> {
     };
     let mut bytes = Vec::with_capacity(9 * width * height);
     for y in 0..height {
-        for of in [shown, truth] {
+        for of in [shown, reference] {
             bytes.extend((0..width).flat_map(|x| tone.to_rgb8(of.at(x, y))));
         }
         for x in 0..width {
-            let (s, t) = (mean(shown, x, y), mean(truth, x, y));
-            let r = ((s - t) / t.max(1e-9) / FULL).clamp(-1.0, 1.0);
+            let (s, r) = (mean(shown, x, y), mean(reference, x, y));
+            let off = ((s - r) / r.max(1e-9) / FULL).clamp(-1.0, 1.0);
             let byte = |v: f32| (255.0 * v) as u8;
-            bytes.extend(if r < 0.0 { [byte(-r), 0, 0] } else { [0, byte(0.3 * r), byte(r)] });
+            bytes.extend(if off < 0.0 { [byte(-off), 0, 0] } else { [0, byte(0.3 * off), byte(off)] });
         }
     }
     bytes
@@ -361,7 +361,7 @@ pub(super) fn run(a: &ErrorArguments, scenes: &[String], progress: Progress) -> 
         for view in cameras {
             let name = format!("{}-{}", Subject::name(word), view.name);
             let frame = view.camera.frame(a.size.width, a.size.height);
-            let judge = Judge::of(a, &world, &frame, &name)?;
+            let judge = ReferencePicture::of(a, &world, &frame, &name)?;
             report.rows.push(Row::new(format!("{name}: noise of the judge"), "", &[judge.noise]));
             let converged = traced_picture(&world, &frame, SEED, 1, &|| !interrupted()).picture;
             let with = (&world, &judge);
@@ -394,7 +394,7 @@ fn refined(
     a: &ErrorArguments,
     report: &mut Report<'_>,
     name: &str,
-    with: (&World, &Judge),
+    with: (&World, &ReferencePicture),
     (frame, converged): (&CameraFrame, Map2d<Vec3>),
 ) -> Result<(), Failure> {
     let mut view = Refining::new(with.0, *frame, converged, SEED);
@@ -444,12 +444,13 @@ mod tests {
     use foveal::illumination::first::first_picture;
     use foveal::metrics::BATCHES;
 
-    /// What is stated of the pictures of these rooms, under their first light and refined, held against truth of so many samples
-    /// in each batch: how many statements there were, how many of these hold, and the share of blocks in their intervals.
+    /// What is stated of the pictures of these rooms, under their first light and refined, held against a reference of so
+    /// many samples in each batch: how many statements there were, how many of these hold, and the share of blocks in their
+    /// intervals.
     fn stated(
         rooms: &[&str],
         size: [u32; 2],
-        truth: u32,
+        reference: u32,
         (samples, seeds): (&[u32], u64),
     ) -> (u32, u32, f64) {
         let (mut all, mut hold, mut covered, mut pictures) = (0, 0, 0.0, 0.0);
@@ -459,9 +460,9 @@ mod tests {
             let first = first_picture(Indexed { scene: &scene, accel: &accel, lights: &lights }, 1);
             let world = World::new(scene.clone(), Arc::new(first));
             let frame = camera(&scene, None).expect("a camera").camera.frame(size[0], size[1]);
-            let enough = Enough::samples(truth * BATCHES as u32);
-            let sampled = sampled_truth(&world, &frame, JUDGE_SEED, &enough, &|| true);
-            let judge = Judge { noise: 0.0, picture: sampled.picture, batches: sampled.batches };
+            let enough = Enough::samples(reference * BATCHES as u32);
+            let sampled = sampled_bidirectional(&world, &frame, JUDGE_SEED, &enough, &|| true);
+            let judge = ReferencePicture { noise: 0.0, picture: sampled.picture, batches: sampled.batches };
             for seed in 0..seeds {
                 let converged = traced_picture(&world, &frame, seed, 1, &|| true).picture;
                 let mut view = Refining::new(&world, frame, converged, seed);

@@ -278,7 +278,7 @@ fn section(panel: &Panel<'_>, tone: &ToneMap) -> Result<Section, Failure> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::error_curves::{Against, Kind};
+    use super::super::error_curves::{Against, ReferenceKind};
     use super::*;
 
     /// Two runs whose errors fall with the square root of time.
@@ -290,7 +290,7 @@ mod tests {
             picture: (i == 0).then(|| Map2d::new(4, 3, Vec3::ONE)),
         };
         let runs = [0.2, 0.3].map(|s| (0..9).map(|i| point(s, i)).collect()).to_vec();
-        Way { runs, ..Way::new(name, Against { kind: Kind::Path, spp: 8 }) }
+        Way { runs, ..Way::new(name, Against { kind: ReferenceKind::Path, spp: 8 }) }
     }
 
     #[test]

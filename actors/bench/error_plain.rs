@@ -13,7 +13,7 @@ use foveal::rng::hash;
 use glam::Vec3;
 
 use super::error::ErrorArguments;
-use super::error_curves::{Against, CSV_HEAD, Judge, Kind, Point, Way, csv, time_to};
+use super::error_curves::{Against, CSV_HEAD, Judge, Point, ReferenceKind, Way, csv, time_to};
 use super::error_page::{Axes, Panel, sections_of, write_page};
 use super::error_paths;
 use super::error_plain_rows::{overall, rows_of};
@@ -166,10 +166,10 @@ fn panels(
     let last = points.and_then(|points| points.last()).map_or(0.0, |p| p.seconds);
     let right = if right.is_finite() { right } else { last };
     let end = f64::from(a.frames - 1) / f64::from(FRAMES_PER_SECOND);
-    let of = |ways: &'static str, kind: Option<Kind>| {
+    let of = |ways: &'static str, kind: Option<ReferenceKind>| {
         let all = if ways == "still" { &measured.still } else { &measured.walking };
         // Of its own kind is what a correction has been held against first.
-        let corrects = |w: &&Way| w.against.kind == Kind::Traced || w.name == PATHS;
+        let corrects = |w: &&Way| w.against.kind == ReferenceKind::Traced || w.name == PATHS;
         let own = |w: &&Way| corrects(w) && (ways == "still" || w.name != PATHS);
         all.iter().filter(|w| kind.map_or(own(w), |k| w.against.kind == k)).collect::<Vec<_>>()
     };
@@ -190,7 +190,7 @@ fn panels(
             title: format!("{name}, standing still: everything against path"),
             file: format!("error-{name}-still-path"),
             against: path.to_string(),
-            ways: of("still", Some(Kind::Path)),
+            ways: of("still", Some(ReferenceKind::Path)),
             axes: Axes::Until(NEAR * measured.floor()),
             at: right,
             references: vec![of_still],
@@ -211,7 +211,7 @@ fn panels(
             title: format!("{name}, walking: everything against path"),
             file: format!("error-{name}-walking-path"),
             against: path.to_string(),
-            ways: of("walking", Some(Kind::Path)),
+            ways: of("walking", Some(ReferenceKind::Path)),
             axes: Axes::Walking,
             at: end,
             references: vec![picture(path, by_paths)],
@@ -332,7 +332,7 @@ fn stood(
 }
 
 /// A walk in every way.
-struct Walked {
+struct WalkResults {
     runs: Vec<Vec<Point>>,
     jod: Vec<f64>,
     paths_per_frame: f64,
@@ -345,7 +345,7 @@ fn walked(
     orders: &[Entrant],
     run: u64,
     keeps: bool,
-) -> Result<Walked, Failure> {
+) -> Result<WalkResults, Failure> {
     let (share, by_paths) = (f64::from(a.share), &references.walking.pictures);
     let (mut traced, mut beside_paths) = (Vec::new(), Vec::new());
     for order in orders.iter().map(Some).chain([None]) {
@@ -370,7 +370,7 @@ fn walked(
     beside_paths.push(judged(study, by_paths, &paths, keeps));
     beside_paths.push(judged(study, by_paths, &references.converged, keeps));
     let (runs, jod): (Vec<_>, Vec<_>) = traced.into_iter().chain(beside_paths).unzip();
-    Ok(Walked { runs, jod: jod.into_iter().collect::<Result<_, _>>()?, paths_per_frame })
+    Ok(WalkResults { runs, jod: jod.into_iter().collect::<Result<_, _>>()?, paths_per_frame })
 }
 
 fn judge<'s>(view: &'s Traced, study: &'s Study, keeps: bool) -> Judge<'s> {

@@ -2,7 +2,7 @@
 //! times as long plain ways take.
 
 use super::error::ErrorArguments;
-use super::error_curves::{Kind, Point, Way, time_to};
+use super::error_curves::{Point, ReferenceKind, Way, time_to};
 use super::error_plain::{FLOOR, HALVES, Measured, NEAR, PATHS, RIGHT, SCAN};
 use foveal_terminal::table::{Aim, Row, figure, median};
 
@@ -14,7 +14,7 @@ pub(super) fn rows_of(name: &str, a: &ErrorArguments, measured: &Measured) -> Ve
     let mut rows = Vec::new();
     let floor = measured.floor();
     let (own, near): (Vec<&Way>, Vec<&Way>) =
-        measured.still.iter().filter(|w| !w.is_floor).partition(|w| w.against.kind == Kind::Traced);
+        measured.still.iter().filter(|w| !w.is_floor).partition(|w| w.against.kind == ReferenceKind::Traced);
     let paths = near.iter().filter(|w| w.name == PATHS);
     for way in own.iter().chain(paths) {
         rows.extend(waited(name, way, RIGHT, ""));
@@ -138,7 +138,7 @@ fn own_quotient(measured: &Measured, peer: &str) -> Option<f64> {
 
 /// How many times as long as our order path tracing takes at least until it is as near to paths as our order comes.
 fn near_quotient(measured: &Measured) -> Option<f64> {
-    let beside_paths = |w: &&Way| w.against.kind == Kind::Path;
+    let beside_paths = |w: &&Way| w.against.kind == ReferenceKind::Path;
     let ours = measured.still.iter().find(beside_paths)?;
     let theirs = measured.still.iter().find(|w| w.name == PATHS)?;
     quotient(ours, theirs, NEAR * measured.floor())

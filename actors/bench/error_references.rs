@@ -12,7 +12,7 @@ use foveal::world::World;
 use glam::Vec3;
 
 use super::error::ErrorArguments;
-use super::error_curves::{Against, Kind};
+use super::error_curves::{Against, ReferenceKind};
 use super::study::Study;
 use foveal_engine::failure::Failure;
 use foveal_engine::interrupt::{interrupted, uninterrupted};
@@ -69,12 +69,12 @@ impl References {
 
     /// What corrections of the still view become.
     pub(super) fn traced_still(&self) -> Against {
-        Against { kind: Kind::Traced, spp: self.traced_spp }
+        Against { kind: ReferenceKind::Traced, spp: self.traced_spp }
     }
 
     /// What corrections of each view of a walk would become.
     pub(super) fn traced_walking(&self) -> Against {
-        Against { kind: Kind::Traced, spp: 1 }
+        Against { kind: ReferenceKind::Traced, spp: 1 }
     }
 }
 
@@ -107,12 +107,12 @@ impl Paths {
     }
 
     pub(super) fn against(&self) -> Against {
-        Against { kind: Kind::Path, spp: self.spp }
+        Against { kind: ReferenceKind::Path, spp: self.spp }
     }
 
     /// What one half is held against: the other.
     pub(super) fn against_half(&self) -> Against {
-        Against { kind: Kind::Path, spp: self.spp.div_ceil(2) }
+        Against { kind: ReferenceKind::Path, spp: self.spp.div_ceil(2) }
     }
 }
 

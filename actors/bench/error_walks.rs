@@ -22,7 +22,7 @@ const FOOTPRINTS: [(Footprint, &str); 2] = [(Footprint::Smooth, "smooth"), (Foot
 
 /// What walks with one footprint at one frame time came to, by run.
 #[derive(Default)]
-struct Walked {
+struct FootprintResults {
     /// Mean FLIP of the corrected pixels over the frames.
     flip: Vec<f64>,
     /// Just objectionable differences of the whole walk: 10 is the same.
@@ -30,7 +30,7 @@ struct Walked {
     curves: Vec<Vec<Point>>,
 }
 
-impl Walked {
+impl FootprintResults {
     fn add(
         &mut self,
         study: &Study,
@@ -68,7 +68,8 @@ pub(super) fn run(a: &ErrorArguments, scenes: &[String], progress: Progress) -> 
             Err(Failure::Interrupted(_)) => break,
             study => study?,
         };
-        let mut walked: Vec<[Walked; 2]> = a.frame_time.iter().map(|_| Default::default()).collect();
+        let mut walked: Vec<[FootprintResults; 2]> =
+            a.frame_time.iter().map(|_| Default::default()).collect();
         for _ in 0..runs {
             for (time, walked) in a.frame_time.iter().zip(&mut walked) {
                 for ((footprint, _), walked) in FOOTPRINTS.into_iter().zip(walked) {

@@ -11,9 +11,9 @@ use std::time::Instant;
 use foveal::geometry::Accel;
 use foveal::illumination::bake::{BakeSettings, Baker, Step};
 use foveal::illumination::error_map::ErrorMap;
+use foveal::illumination::reference::{ReferencePoint, reference_points, relative_error};
 use foveal::illumination::seen::{in_sight, seen};
 use foveal::illumination::stored::Illumination;
-use foveal::illumination::truth::{Truth, relative_error, truth};
 use foveal::radiosity::of_scene::SceneRadiosity;
 use foveal::scene::{Model, Reflectance, Scene};
 use foveal::transport::Indexed;
@@ -59,13 +59,13 @@ fn without_reflections(scene: &Scene) -> Scene {
 }
 
 /// How the error fell.
-struct Curve {
+struct ConvergenceCurve {
     name: String,
     /// Seconds of all cores, relative root mean square error against the truth, and the error claimed.
     points: Vec<(f64, f64, f64)>,
 }
 
-impl Curve {
+impl ConvergenceCurve {
     /// The first time at or below `error`.
     fn time_to(&self, error: f64) -> Option<f64> {
         self.points.iter().find(|p| p.1 <= error).map(|p| p.0)
@@ -109,7 +109,7 @@ pub fn run(scenes: &[String], time: f64, a: &CommonArguments, progress: Progress
             let element = &atlas.elements[e as usize];
             watched[element.triangle as usize] && in_sight(scene, &accel, element.position, element.normal)
         };
-        let known = truth((scene, &accel, &lights), atlas, &counts, POINTS, SAMPLES, 1);
+        let known = reference_points((scene, &accel, &lights), atlas, &counts, POINTS, SAMPLES, 1);
         let noise = known.iter().map(|t| f64::from(t.variance)).sum::<f64>().sqrt()
             / known.iter().map(|t| f64::from(t.irradiance.y).powi(2)).sum::<f64>().sqrt().max(1e-30);
         rows.push(Row::new(format!("{name}: noise of the truth itself"), "", &[noise]));
@@ -167,9 +167,9 @@ fn by_gathering(
     name: &str,
     indexed: Indexed<'_>,
     settings: &BakeSettings,
-    known: &[Truth],
+    known: &[ReferencePoint],
     time: f64,
-) -> (Curve, Illumination) {
+) -> (ConvergenceCurve, Illumination) {
     let start = Instant::now();
     let (mut apart, mut points) = (seconds(start), Vec::new());
     let mut baker = Baker::new(indexed, settings);
@@ -183,13 +183,22 @@ fn by_gathering(
         points.push((taken, relative_error(&*map, known), f64::from(map.summary.relative_error)));
         apart += seconds(start) - now;
         if taken >= time || interrupted() {
-            return (Curve { name: format!("{name} by gathering"), points }, Illumination::clone(&map));
+            return (
+                ConvergenceCurve { name: format!("{name} by gathering"), points },
+                Illumination::clone(&map),
+            );
         }
     }
 }
 
 /// `None` where radiosity cannot light the scene.
-fn by_radiosity(name: &str, scene: &Scene, accel: &Accel, known: &[Truth], time: f64) -> Option<Curve> {
+fn by_radiosity(
+    name: &str,
+    scene: &Scene,
+    accel: &Accel,
+    known: &[ReferencePoint],
+    time: f64,
+) -> Option<ConvergenceCurve> {
     let start = Instant::now();
     let mut before = seconds(start);
     let mut solution = SceneRadiosity::new(scene, accel).ok()?;
@@ -200,7 +209,7 @@ fn by_radiosity(name: &str, scene: &Scene, accel: &Accel, known: &[Truth], time:
         points.push((gathered, relative_error(&solution.mesh(scene), known), f64::from(claimed)));
         before = seconds(start);
     }
-    Some(Curve { name: format!("{name} by radiosity"), points })
+    Some(ConvergenceCurve { name: format!("{name} by radiosity"), points })
 }
 
 /// Paths per second in a large interior.
@@ -224,7 +233,7 @@ fn paths() -> Result<Row, Failure> {
 }
 
 /// The curves as CSV and as a plot with logarithmic axes.
-fn write(out: &Path, curves: &[Curve]) -> Result<(), Failure> {
+fn write(out: &Path, curves: &[ConvergenceCurve]) -> Result<(), Failure> {
     let points = curves.iter().flat_map(|c| c.points.iter().map(|p| (&c.name, p)));
     write_csv(&out.join("illumination-error.csv"), "what,seconds,error,claimed", points)?;
     if let Some(svg) = plot(curves) {
@@ -233,7 +242,7 @@ fn write(out: &Path, curves: &[Curve]) -> Result<(), Failure> {
     Ok(())
 }
 
-fn plot(curves: &[Curve]) -> Option<String> {
+fn plot(curves: &[ConvergenceCurve]) -> Option<String> {
     let all = || curves.iter().flat_map(|c| &c.points).filter(|p| p.0 > 0.0 && p.1 > 0.0);
     let range = |of: fn(&(f64, f64, f64)) -> f64| {
         let (low, high) =
@@ -291,7 +300,7 @@ mod tests {
     fn a_plot_names_its_curves_and_has_short_ticks() {
         let curve = |name: &str, scale: f64| {
             let points = (0..9).map(|i| 3f64.powi(i - 5)).map(|t| (t, scale / t.cbrt(), 0.0)).collect();
-            Curve { name: name.to_owned(), points }
+            ConvergenceCurve { name: name.to_owned(), points }
         };
         let svg = plot(&[curve("one by particles", 0.02), curve("two by radiosity", 0.1)]).expect("a plot");
         for said in ["one by particles", "two by radiosity", "10 %", "seconds of all cores"] {

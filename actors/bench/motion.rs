@@ -20,7 +20,7 @@ const FRAMES: u32 = 24;
 const FPS: f32 = 10.0;
 
 /// One frame as it was shown.
-struct Shown {
+struct ShownFrame {
     frame: CameraFrame,
     rgb8: Map2d<[u8; 3]>,
     depth: Map2d<f32>,
@@ -46,7 +46,7 @@ pub fn measure() -> Result<Vec<Row>, Failure> {
 }
 
 /// The frames of a walk along the scene's path.
-fn walk(made: &MadeScene, converges: bool) -> Result<Vec<Shown>, Failure> {
+fn walk(made: &MadeScene, converges: bool) -> Result<Vec<ShownFrame>, Failure> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
     let light = Light { quick: true, ..Light::default() };
     let recipe = Recipe { light, ..Recipe::new(made.path(), Settings::new(320, 240, cores)) };
@@ -65,7 +65,7 @@ fn walk(made: &MadeScene, converges: bool) -> Result<Vec<Shown>, Failure> {
     Ok(frames)
 }
 
-fn shown(renderer: &Renderer) -> Option<Shown> {
+fn shown(renderer: &Renderer) -> Option<ShownFrame> {
     let (snapshot, drawn, layer) = (renderer.shown()?, renderer.drawn()?, renderer.layer());
     let object = &drawn.buffers().object;
     let (width, height) = (object.width(), object.height());
@@ -82,11 +82,11 @@ fn shown(renderer: &Renderer) -> Option<Shown> {
         }
     });
     let rgb8 = (*snapshot.rgb8).clone();
-    Some(Shown { frame: drawn.frame, rgb8, depth: drawn.buffers().depth.clone(), places })
+    Some(ShownFrame { frame: drawn.frame, rgb8, depth: drawn.buffers().depth.clone(), places })
 }
 
 /// Mean FLIP of carried and shown frames, over pixels of a kind that were in sight before.
-fn mean(frames: &[Shown], place: u8) -> Option<f64> {
+fn mean(frames: &[ShownFrame], place: u8) -> Option<f64> {
     let (mut sum, mut count) = (0.0, 0u32);
     for pair in frames.windows(2) {
         let (before, now) = (&pair[0], &pair[1]);
@@ -108,7 +108,7 @@ fn mean(frames: &[Shown], place: u8) -> Option<f64> {
 }
 
 /// What the frame before showed where a pixel sees now.
-fn carry(before: &Shown, now: &Shown, x: usize, y: usize) -> Option<[u8; 3]> {
+fn carry(before: &ShownFrame, now: &ShownFrame, x: usize, y: usize) -> Option<[u8; 3]> {
     let depth = now.depth.at(x, y);
     let direction = now.frame.direction(x as f32 + 0.5, y as f32 + 0.5);
     let point = now.frame.eye + direction * (depth / direction.dot(now.frame.forward));

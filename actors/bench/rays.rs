@@ -54,13 +54,13 @@ const CHUNK: usize = 4096;
 
 /// What the rays are for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
+enum RayKind {
     Primary,
     Bounce,
     Shadow,
 }
 
-impl Kind {
+impl RayKind {
     const ALL: [Self; 3] = [Self::Primary, Self::Bounce, Self::Shadow];
 
     const fn name(self) -> &'static str {
@@ -76,7 +76,7 @@ impl Kind {
 struct Job {
     name: String,
     scene: Scene,
-    sets: Vec<(Kind, Vec<Ray>)>,
+    sets: Vec<(RayKind, Vec<Ray>)>,
 }
 
 /// Runs the benchmark.
@@ -110,7 +110,7 @@ pub fn run(a: &RaysArguments, progress: Progress) -> Result<(), Failure> {
                 let (rate, sum) = ours(pool, &job.scene, &accel, *kind, rays);
                 rates[s][p][0].push(rate);
                 sums[s] = sum;
-                if *kind == Kind::Shadow {
+                if *kind == RayKind::Shadow {
                     let (rate, together) = shadows_together(pool, &job.scene, &accel, rays);
                     if together != sum {
                         return Err(Failure::Check("shadow rays find other things together".to_owned()));
@@ -147,14 +147,14 @@ pub fn run(a: &RaysArguments, progress: Progress) -> Result<(), Failure> {
             {
                 let _ = of;
                 let row = Row::new(&what, "Mrays per CPU s", own).against(label, Some(*rate));
-                let aim = if *kind == Kind::Primary { 0.6 } else { 1.0 };
+                let aim = if *kind == RayKind::Primary { 0.6 } else { 1.0 };
                 rows.push(row.aim(Aim::RatioAtLeast(aim)));
-                if *kind == Kind::Shadow {
+                if *kind == RayKind::Shadow {
                     let row = Row::new(format!("{what}, sixteen together"), "Mrays per CPU s", together);
                     rows.push(row.against(label, Some(*rate)).aim(Aim::RatioAtLeast(1.0)));
                 }
             }
-            if *kind == Kind::Shadow {
+            if *kind == RayKind::Shadow {
                 let row = Row::new(format!("{what}, sixteen together"), "Mrays per CPU s", together);
                 rows.push(row.against("one by one", median(own)));
             }
@@ -189,11 +189,11 @@ fn digest(found: &[u64]) -> u64 {
 }
 
 /// Our rate, and a checksum of all hits.
-fn ours(pool: &rayon::ThreadPool, scene: &Scene, accel: &Accel, kind: Kind, rays: &[Ray]) -> (f64, u64) {
+fn ours(pool: &rayon::ThreadPool, scene: &Scene, accel: &Accel, kind: RayKind, rays: &[Ray]) -> (f64, u64) {
     let of_hit =
         |hit: Option<Hit>| hit.map_or(0, |h| (u64::from(h.triangle) + 1) << 32 | u64::from(h.t.to_bits()));
     let (rate, found) = match kind {
-        Kind::Primary => rate(pool, rays, |chunk| {
+        RayKind::Primary => rate(pool, rays, |chunk| {
             let mut sum = 0u64;
             for rays in chunk.chunks(LANES) {
                 let one_eye = rays.len() == LANES && rays.iter().all(|r| r.origin == rays[0].origin);
@@ -210,10 +210,10 @@ fn ours(pool: &rayon::ThreadPool, scene: &Scene, accel: &Accel, kind: Kind, rays
             }
             sum
         }),
-        Kind::Bounce => rate(pool, rays, |chunk| {
+        RayKind::Bounce => rate(pool, rays, |chunk| {
             chunk.iter().fold(0u64, |sum, ray| sum.rotate_left(5) ^ of_hit(accel.intersect(scene, ray)))
         }),
-        Kind::Shadow => rate(pool, rays, |chunk| {
+        RayKind::Shadow => rate(pool, rays, |chunk| {
             chunk.iter().fold(0u64, |sum, ray| sum.rotate_left(5) ^ u64::from(accel.occluded(scene, ray)))
         }),
     };
@@ -241,12 +241,12 @@ fn shadows_together(pool: &rayon::ThreadPool, scene: &Scene, accel: &Accel, rays
     (rate, digest(&found))
 }
 
-fn theirs(pool: &rayon::ThreadPool, peer: &Peer, kind: Kind, rays: &[Ray]) -> f64 {
+fn theirs(pool: &rayon::ThreadPool, peer: &Peer, kind: RayKind, rays: &[Ray]) -> f64 {
     let (rate, found) = match kind {
-        Kind::Primary | Kind::Bounce => rate(pool, rays, |chunk| {
+        RayKind::Primary | RayKind::Bounce => rate(pool, rays, |chunk| {
             chunk.iter().map(|ray| f64::from(peer.intersect(ray).min(1e9))).sum::<f64>()
         }),
-        Kind::Shadow => {
+        RayKind::Shadow => {
             rate(pool, rays, |chunk| chunk.iter().filter(|ray| peer.occluded(ray)).count() as f64)
         }
     };
@@ -257,10 +257,10 @@ fn theirs(pool: &rayon::ThreadPool, peer: &Peer, kind: Kind, rays: &[Ray]) -> f6
 fn from_files(soup: &Path, rays: &Path) -> Result<Job, Failure> {
     let scene = read_soup(soup)?;
     let text = rays.to_string_lossy();
-    let kinds = Kind::ALL.into_iter();
-    let files: Vec<(Kind, PathBuf)> = if text.ends_with(".rays") {
+    let kinds = RayKind::ALL.into_iter();
+    let files: Vec<(RayKind, PathBuf)> = if text.ends_with(".rays") {
         let kind = kinds.filter(|k| text.ends_with(&format!("{}.rays", k.name()))).collect::<Vec<_>>();
-        vec![(kind.first().copied().unwrap_or(Kind::Bounce), rays.to_path_buf())]
+        vec![(kind.first().copied().unwrap_or(RayKind::Bounce), rays.to_path_buf())]
     } else {
         kinds.map(|k| (k, PathBuf::from(format!("{text}.{}.rays", k.name())))).collect()
     };
@@ -356,9 +356,9 @@ fn read_rays(file: &Path) -> Result<Vec<Ray>, Failure> {
 }
 
 /// Label, kind and number of threads, millions of rays per second of processor time.
-type Beside = (String, (String, usize), f64);
+type PeerRate = (String, (String, usize), f64);
 
-fn read_beside(file: &Path, scene: &str) -> Result<Vec<Beside>, Failure> {
+fn read_beside(file: &Path, scene: &str) -> Result<Vec<PeerRate>, Failure> {
     let bytes = read(file)?;
     let beside = beside_of(&String::from_utf8_lossy(&bytes), scene);
     if beside.is_empty() {
@@ -371,7 +371,7 @@ fn read_beside(file: &Path, scene: &str) -> Result<Vec<Beside>, Failure> {
 }
 
 /// The medians of the lines that are of a scene.
-fn beside_of(lines: &str, scene: &str) -> Vec<Beside> {
+fn beside_of(lines: &str, scene: &str) -> Vec<PeerRate> {
     let mut by_key = std::collections::BTreeMap::<_, Vec<f64>>::new();
     for line in lines.lines() {
         let cells: Vec<&str> = line.split(',').collect();
@@ -421,7 +421,7 @@ fn from_hall() -> Result<Job, Failure> {
             shadow.push(Ray { t_max: light.distance * 0.999, ..Ray::new(p, light.wi) });
         }
     }
-    let sets = vec![(Kind::Primary, primary), (Kind::Bounce, bounce), (Kind::Shadow, shadow)];
+    let sets = vec![(RayKind::Primary, primary), (RayKind::Bounce, bounce), (RayKind::Shadow, shadow)];
     let sets = sets.into_iter().filter(|s| !s.1.is_empty()).collect();
     let scene = plain_scene(scene.mesh.positions.clone(), scene.mesh.triangles.clone());
     Ok(Job { name: "hall".into(), scene, sets })

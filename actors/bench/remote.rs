@@ -73,7 +73,7 @@ pub(super) fn keep_apart(guests: u32) -> bool {
 }
 
 /// Views until each has converged.
-struct Walked {
+struct ConvergedViews {
     /// Seconds of each.
     seconds: Vec<f64>,
     /// Samples of all of them.
@@ -110,7 +110,7 @@ fn walked(
     (link, guests): (&str, u32),
     views: u32,
     apart: bool,
-) -> Result<Walked, Failure> {
+) -> Result<ConvergedViews, Failure> {
     let start = camera(&opened.world.scene, None)?.camera;
     let supersampling = match until {
         Until::Converged => None,
@@ -131,7 +131,7 @@ fn walked(
         door.attach(engine.station_inputs());
         come = self::guests(guests, door.invitation(), apart, || door.serving())?;
     }
-    let mut walked = Walked { seconds: Vec::new(), samples: 0.0, cpu_ns: 0.0, stations: Vec::new() };
+    let mut walked = ConvergedViews { seconds: Vec::new(), samples: 0.0, cpu_ns: 0.0, stations: Vec::new() };
     for number in 0..=views {
         let (began, before, camera) = (Instant::now(), cpu_ns(), aside(&start, number));
         let mut samples = 0.0;

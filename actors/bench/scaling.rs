@@ -73,7 +73,7 @@ pub fn slope(points: &[(f64, f64)]) -> f64 {
 }
 
 /// One quantity against one size.
-struct Curve {
+struct ScalingCurve {
     what: String,
     unit: &'static str,
     /// Size and median.
@@ -82,7 +82,7 @@ struct Curve {
     aim: Option<f64>,
 }
 
-impl Curve {
+impl ScalingCurve {
     fn new(what: &str, unit: &'static str, aim: Option<f64>) -> Self {
         Self { what: what.into(), unit, points: Vec::new(), aim }
     }
@@ -170,13 +170,13 @@ fn hall_rays() -> Vec<Ray> {
         .collect()
 }
 
-fn triangles(a: &ScalingArguments) -> Result<Vec<Curve>, Failure> {
-    let mut load = Curve::new("reading, triangles", "ms", None);
-    let mut build = Curve::new("BVH, triangles", "ms", None);
-    let mut size = Curve::new("memory of scene and BVH, triangles", "MiB", None);
-    let mut display = Curve::new("display 512 × 512, triangles", "ms", None);
-    let mut random = Curve::new("random rays, triangles", "ns per ray", Some(0.25));
-    let mut shadow = Curve::new("shadow rays, triangles", "ns per ray", Some(0.25));
+fn triangles(a: &ScalingArguments) -> Result<Vec<ScalingCurve>, Failure> {
+    let mut load = ScalingCurve::new("reading, triangles", "ms", None);
+    let mut build = ScalingCurve::new("BVH, triangles", "ms", None);
+    let mut size = ScalingCurve::new("memory of scene and BVH, triangles", "MiB", None);
+    let mut display = ScalingCurve::new("display 512 × 512, triangles", "ms", None);
+    let mut random = ScalingCurve::new("random rays, triangles", "ns per ray", Some(0.25));
+    let mut shadow = ScalingCurve::new("shadow rays, triangles", "ns per ray", Some(0.25));
     let rays = hall_rays();
     for &count in &a.triangles {
         let before = memory_bytes();
@@ -219,10 +219,10 @@ fn triangles(a: &ScalingArguments) -> Result<Vec<Curve>, Failure> {
     Ok(vec![load, build, size, display, random, shadow])
 }
 
-fn pixels(a: &ScalingArguments) -> Result<Vec<Curve>, Failure> {
-    let mut display = Curve::new("display, pixels", "ms", Some(1.05));
-    let mut attention = Curve::new("attention, pixels", "ms", Some(1.05));
-    let mut encode = Curve::new("tone mapping, pixels", "ms", Some(1.05));
+fn pixels(a: &ScalingArguments) -> Result<Vec<ScalingCurve>, Failure> {
+    let mut display = ScalingCurve::new("display, pixels", "ms", Some(1.05));
+    let mut attention = ScalingCurve::new("attention, pixels", "ms", Some(1.05));
+    let mut encode = ScalingCurve::new("tone mapping, pixels", "ms", Some(1.05));
     let world = quick_world(MadeScene::bundled("table")?.path())?;
     let view = camera(&world.scene, None)?.camera;
     for &side in &a.sides {
@@ -251,10 +251,10 @@ fn pixels(a: &ScalingArguments) -> Result<Vec<Curve>, Failure> {
     Ok(vec![display, encode, attention])
 }
 
-fn samples(a: &ScalingArguments) -> Result<Vec<Curve>, Failure> {
-    let mut ageing = Curve::new("ageing, samples", "ms", Some(1.05));
-    let mut warping = Curve::new("warp, samples", "ms", Some(1.05));
-    let mut splatting = Curve::new("splat of warped samples, samples", "ms", Some(1.05));
+fn samples(a: &ScalingArguments) -> Result<Vec<ScalingCurve>, Failure> {
+    let mut ageing = ScalingCurve::new("ageing, samples", "ms", Some(1.05));
+    let mut warping = ScalingCurve::new("warp, samples", "ms", Some(1.05));
+    let mut splatting = ScalingCurve::new("splat of warped samples, samples", "ms", Some(1.05));
     let world = quick_world(MadeScene::bundled("table")?.path())?;
     let first = camera(&world.scene, None)?.camera;
     let size = Size { width: 1024, height: 1024 };
@@ -298,9 +298,9 @@ fn samples(a: &ScalingArguments) -> Result<Vec<Curve>, Failure> {
     Ok(vec![ageing, warping, splatting])
 }
 
-fn objects(a: &ScalingArguments) -> Result<Vec<Curve>, Failure> {
-    let mut ranking = Curve::new("ranking at 512 × 512, objects", "ms", Some(1.05));
-    let mut deciding = Curve::new("deciding on textures, textures", "ms", Some(1.15));
+fn objects(a: &ScalingArguments) -> Result<Vec<ScalingCurve>, Failure> {
+    let mut ranking = ScalingCurve::new("ranking at 512 × 512, objects", "ms", Some(1.05));
+    let mut deciding = ScalingCurve::new("deciding on textures, textures", "ms", Some(1.15));
     let mut scan = ObjectScan::default();
     let (mut statistics, mut out) = (Vec::new(), Vec::new());
     for count in [10u32, 100, 1000, 10_000] {
@@ -332,7 +332,7 @@ fn objects(a: &ScalingArguments) -> Result<Vec<Curve>, Failure> {
 /// Seconds until a view has converged: on the wall, and of all processors.
 fn convergence(world: &World, tracers: u32, runs: u32) -> Result<[f64; 2], Failure> {
     let start = camera(&world.scene, None)?.camera;
-    // Maps of the surroundings are work that is not repeated; without them every run has the same.
+    // Environment maps are work that is not repeated; without them every run has the same.
     let settings = Settings { environment_bytes: 0, ..Settings::new(384, 384, tracers) };
     // A frame a second has time to be drawn whole.
     let options = Options { fps: Some(1.0), ..Options::new(settings) };
@@ -385,7 +385,7 @@ mod tests {
 
     #[test]
     fn exponents_are_those_of_powers() {
-        let mut curve = Curve::new("x", "ms", None);
+        let mut curve = ScalingCurve::new("x", "ms", None);
         curve.points = [1.0f64, 10.0, 100.0].map(|x| (x, 3.0 * x.powf(0.7))).to_vec();
         assert!((curve.exponent() - 0.7).abs() < 1e-9);
         assert!((slope(&[(0.0, 1.0), (1.0, 3.0), (2.0, 5.0)]) - 2.0).abs() < 1e-12);

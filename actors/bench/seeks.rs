@@ -219,12 +219,12 @@ fn open(recording: &Path, cache: &Path, frames: &[u32]) -> Result<Vec<Row>, Fail
 }
 
 /// Beside another build.
-trait Beside {
+trait AgainstAnother {
     /// The second of these values is another build's, where there is one.
     fn against_another(self, values: &[f64]) -> Self;
 }
 
-impl Beside for Row {
+impl AgainstAnother for Row {
     fn against_another(self, values: &[f64]) -> Self {
         match values.get(1) {
             Some(other) => self.against("before", Some(*other)),

@@ -139,13 +139,14 @@ pub fn run(a: &ServeArguments, progress: Progress) -> Result<(), Failure> {
     let jpeg = Coding::Jpeg { quality: 80, half: false };
     let bytes: Vec<f64> = one.iter().flat_map(|walked| &walked.bytes).map(|b| b / 1024.0).collect();
     // At so many frames a second, whatever this machine makes of them.
-    let cpu =
-        |walks: &[Walked]| -> Vec<f64> { walks.iter().filter_map(|w| Some(w.cpu? * FPS * 100.0)).collect() };
+    let cpu = |walks: &[ViewerResults]| -> Vec<f64> {
+        walks.iter().filter_map(|w| Some(w.cpu? * FPS * 100.0)).collect()
+    };
     let (by_one, by_all) = (cpu(&one), cpu(&crowd));
     // One of them reads nothing.
     let further: Vec<f64> =
         by_one.iter().zip(&by_all).map(|(one, all)| (all - one) / (VIEWERS - 2) as f64).collect();
-    let p99s = |walks: &[Walked]| walks.iter().map(|walked| walked.p99).collect::<Vec<f64>>();
+    let p99s = |walks: &[ViewerResults]| walks.iter().map(|walked| walked.p99).collect::<Vec<f64>>();
     let high = |values: &[f64]| vec![quantile(values.iter().copied(), 0.95)];
     let mut notes = vec!["viewers are threads of this process and take their part of its cores".to_owned()];
     let window = window.map_err(|e| notes.push(format!("no window to hold it against: {e}"))).ok();
@@ -255,7 +256,7 @@ fn look_at(engine: &EngineThread, number: u32, picture: &mut Picture) -> Result<
 }
 
 /// Walks while seven more look on, of whom one reads nothing.
-fn walk_in_a_crowd(served: &Served, driver: &mut Viewer, time: Duration) -> Result<Walked, Failure> {
+fn walk_in_a_crowd(served: &Served, driver: &mut Viewer, time: Duration) -> Result<ViewerResults, Failure> {
     let _stalled = served.viewer()?;
     let stops = Arc::new(AtomicBool::new(false));
     let others = (2..VIEWERS).map(|_| Ok(served.viewer()?.looks_on(&stops)));
@@ -360,7 +361,7 @@ struct Viewer {
 }
 
 /// What a walk was like to a viewer.
-struct Walked {
+struct ViewerResults {
     bytes: Vec<f64>,
     p99: f64,
     /// Seconds of the server's processor time for each frame.
@@ -435,7 +436,7 @@ impl Viewer {
 
     /// Walks to and fro from one place, since that would else lead out of the room in the end, where nothing is to be
     /// seen; with eyes shut where it does not `look`.
-    fn walk(&mut self, time: Duration, look: bool) -> Result<Walked, Failure> {
+    fn walk(&mut self, time: Duration, look: bool) -> Result<ViewerResults, Failure> {
         self.looks = look;
         if look {
             self.see()?;
@@ -460,7 +461,7 @@ impl Viewer {
         self.see()?;
         let (bytes, p99) = (std::mem::take(&mut self.bytes), self.p99);
         let cpu = door_cpu().zip(taken).map(|(now, then)| (now - then) / bytes.len().max(1) as f64);
-        Ok(Walked { bytes, p99, cpu })
+        Ok(ViewerResults { bytes, p99, cpu })
     }
 
     /// Draws what comes until it `stops`.

@@ -53,7 +53,7 @@ pub struct SimplifyArguments {
 }
 
 /// A mesh and what its views look like.
-struct Shown {
+struct ShownMesh {
     name: &'static str,
     solution: SceneRadiosity,
     mesh: Arc<RadiosityMesh>,
@@ -90,7 +90,7 @@ pub fn run(a: &SimplifyArguments, progress: Progress) -> Result<(), Failure> {
     let shown = |name, solution: SceneRadiosity, elements| {
         let mesh = Arc::new(solution.mesh(&scene));
         let lit = world.with_illumination(mesh.clone());
-        Shown {
+        ShownMesh {
             name,
             views: cameras.iter().map(|c| drawn(&lit, c, size).0).collect(),
             solution,
@@ -170,8 +170,8 @@ fn drawn(world: &World, camera: &Camera, [width, height]: [u32; 2]) -> (Map2d<Ve
 fn side_by_side(
     world: &World,
     scene: &Scene,
-    all: &Shown,
-    cut: &[Shown],
+    all: &ShownMesh,
+    cut: &[ShownMesh],
     maps: &[Vec<Map2d<f32>>],
     (view, camera): (usize, &Camera),
     size: [u32; 2],

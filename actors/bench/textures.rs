@@ -55,7 +55,7 @@ pub fn run(a: &TexturesArguments, progress: Progress) -> Result<(), Failure> {
     let gallery = MadeScene::bundled("gallery")?;
     rows.extend(walks(&gallery, a.size, &a.common)?);
     bar.inc(1);
-    let study = Study::new(quick_world(gallery.path())?);
+    let study = TextureStudy::new(quick_world(gallery.path())?);
     let (under_limit, points) = under_limits(&study, a);
     rows.extend(under_limit);
     bar.inc(1);
@@ -77,7 +77,7 @@ pub fn run(a: &TexturesArguments, progress: Progress) -> Result<(), Failure> {
 }
 
 /// A world with all textures, and what its metric needs.
-struct Study {
+struct TextureStudy {
     world: World,
     bytes: Vec<Vec<u64>>,
     spatial: Vec<SpatialErrors>,
@@ -85,7 +85,7 @@ struct Study {
     tone: ToneMap,
 }
 
-impl Study {
+impl TextureStudy {
     fn new(world: World) -> Self {
         let display = world.scene.display;
         let settings = SpatialSettings::new(10.8, display.white_cd_m2);
@@ -149,7 +149,7 @@ fn cameras(world: &World, count: u32) -> Vec<Camera> {
 type Quality = (u64, &'static str, f64, f64);
 
 /// Pictures under several limits, ours and the baselines'.
-fn under_limits(study: &Study, a: &TexturesArguments) -> (Vec<Row>, Vec<Quality>) {
+fn under_limits(study: &TextureStudy, a: &TexturesArguments) -> (Vec<Row>, Vec<Quality>) {
     let cameras = cameras(&study.world, a.views);
     let full: Vec<Map2d<Vec3>> = cameras.iter().map(|c| study.picture(&study.world, c, a.size)).collect();
     let uses: Vec<Vec<TextureUse>> = cameras.iter().map(|c| study.uses(c, a.size)).collect();
@@ -299,7 +299,7 @@ fn agreement(a: &TexturesArguments) -> Result<Row, Failure> {
     let size = Size { width: a.size.width / 2, height: a.size.height / 2 };
     let (mut predicted, mut measured) = (Vec::new(), Vec::new());
     for name in ["gallery", "duck", "table"] {
-        let study = Study::new(quick_world(MadeScene::bundled(name)?.path())?);
+        let study = TextureStudy::new(quick_world(MadeScene::bundled(name)?.path())?);
         for camera in study.world.scene.cameras.iter().map(|c| c.camera).take(2) {
             let full = study.picture(&study.world, &camera, size);
             let uses = study.uses(&camera, size);

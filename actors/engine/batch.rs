@@ -58,7 +58,7 @@ impl Task {
                 sums.tile == tile && sums.samples == samples.min(SAMPLES_MAX - 1) && sums.fits(&tiles)
             }
             (Piece::Run(run), Found::Run(splats)) => splats.run == *run && splats.fits(of),
-            (Piece::Truth { pixels, .. }, Found::Truth(part)) => part.fits(pixels.len(), of),
+            (Piece::Bidirectional { pixels, .. }, Found::Bidirectional(part)) => part.fits(pixels.len(), of),
             (Piece::Gather(order), Found::Gathered(answer)) => order.may_be_answered_by(answer),
             (Piece::Particles(_), Found::Arrived(arrived)) => arrived.iter().all(Arrived::is_sound),
             _ => false,
@@ -93,7 +93,7 @@ pub enum Piece {
         pixels: Range<u32>,
     },
     /// A part of a pass of bidirectional paths.
-    Truth {
+    Bidirectional {
         /// Which pass.
         pass: u64,
         /// Which pixels' subpaths.
@@ -115,7 +115,7 @@ pub enum Found {
     /// Of a run.
     Run(Splats),
     /// Of a pass.
-    Truth(Part),
+    Bidirectional(Part),
     /// Of sites.
     Gathered(Answer),
     /// Of particles.
@@ -204,10 +204,10 @@ impl Picture<'_> {
             Piece::Paths { sample, pixels } => {
                 Found::Colors(pixels.clone().map(|pixel| self.path(*sample, pixel)).collect())
             }
-            Piece::Truth { pass, pixels } => {
+            Piece::Bidirectional { pass, pixels } => {
                 let paths = world.bidirectional(frame);
                 let photons = (self.photons)(&paths, *pass);
-                Found::Truth(paths.part(seed, *pass, pixels.clone(), &photons))
+                Found::Bidirectional(paths.part(seed, *pass, pixels.clone(), &photons))
             }
             Piece::Gather(_) | Piece::Particles(_) => return None,
         })
@@ -253,7 +253,9 @@ impl Ground<'_> {
                 (*tile as usize) < Tiles::of_size(width, height).len() && *samples <= SAMPLES_MAX
             }
             (Self::Picture(_), Piece::Run(_)) => true,
-            (Self::Picture(p), Piece::Paths { pixels, .. } | Piece::Truth { pixels, .. }) => p.has(pixels),
+            (Self::Picture(p), Piece::Paths { pixels, .. } | Piece::Bidirectional { pixels, .. }) => {
+                p.has(pixels)
+            }
             (Self::Bake { baker, .. }, Piece::Gather(order)) => baker.has(order),
             // As many as a bake counts, and not at the end of numbers.
             (Self::Bake { .. }, Piece::Particles(first)) => first.is_multiple_of(PART) && *first < 1 << 48,

@@ -19,7 +19,7 @@ use crate::source::{ActorStatus, Controls};
 const ERROR_MAX: f32 = 4.0;
 
 /// What is to be shown, and how.
-pub struct Shown<'a> {
+pub struct DisplayInput<'a> {
     /// Whose picture it is.
     pub renderer: &'a Renderer,
     /// Everything that was splatted in a view, in order, and which view that is.
@@ -37,7 +37,7 @@ pub struct Shown<'a> {
 /// A display that draws by itself what the renderer shows, as a graphics adapter does.
 pub trait Mirror {
     /// Draws it. `false`, and nothing changes, where there is nothing to show or no room for it.
-    fn show(&mut self, shown: &Shown<'_>) -> bool;
+    fn show(&mut self, shown: &DisplayInput<'_>) -> bool;
 }
 
 /// The renderer's last picture as `controls` want it seen; `between_frames` the picture as it has become since.
@@ -79,7 +79,7 @@ pub fn draw_on(
 ) -> bool {
     let (tone, overlay) = (controls.set.tone, controls.overlay);
     let values = &values(overlay, renderer, insight);
-    let shown = Shown { renderer, splats: (view, splats), footprint, tone, overlay, values };
+    let shown = DisplayInput { renderer, splats: (view, splats), footprint, tone, overlay, values };
     mirror.show(&shown)
 }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use foveal::display::cpu_pass::Passes;
 use foveal::display::first_approximation::Probes;
-use foveal::scene::plan::{Part, ScenePlan};
+use foveal::scene::plan::{ScenePlan, Subsystem};
 use foveal_actors::insight::InsightSlot;
 use foveal_actors::renderer::FrameSink;
 use foveal_actors::settings::Settings;
@@ -28,11 +28,14 @@ impl Machine {
     /// What a plan needs, or all of it.
     pub fn new(opened: &Opened, settings: &Settings, plan: &ScenePlan, whole: bool) -> Self {
         // The overlay of mip levels shows the texture ids.
-        let texture_ids =
-            if whole { !opened.world.scene.textures.is_empty() } else { plan.needs(Part::TextureIdPass) };
+        let texture_ids = if whole {
+            !opened.world.scene.textures.is_empty()
+        } else {
+            plan.needs(Subsystem::TextureIdPass)
+        };
         // Textures under pressure need somebody to decide and to load, edges somebody to smooth them.
         let corrects = whole
-            || plan.needs(Part::Tracers)
+            || plan.needs(Subsystem::Tracers)
             || opened.textures.is_some()
             || settings.supersampling.is_some();
         Self { settings: *settings, passes: Passes { texture_ids }, corrects }

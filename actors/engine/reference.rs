@@ -230,18 +230,18 @@ pub fn sampled_paths_by(
 }
 
 /// The same by bidirectional paths ([`foveal::transport::bidirectional`]).
-pub fn sampled_truth(
+pub fn sampled_bidirectional(
     world: &World,
     frame: &CameraFrame,
     seed: u64,
     enough: &Enough,
     goes_on: GoesOn<'_>,
 ) -> Sampled {
-    sampled_truth_by(&Alone, world, frame, seed, enough, goes_on)
+    sampled_bidirectional_by(&Alone, world, frame, seed, enough, goes_on)
 }
 
 /// The same, by whoever is at hand.
-pub fn sampled_truth_by(
+pub fn sampled_bidirectional_by(
     hands: &dyn Hands,
     world: &World,
     frame: &CameraFrame,
@@ -256,12 +256,12 @@ pub fn sampled_truth_by(
             passes.clone().map(|pass| Arc::new(paths.photons(seed, pass))).collect();
         let of_pass = |_: &Bidirectional<'_>, pass: u64| Arc::clone(&photons[(pass - first) as usize]);
         let ground = Ground::Picture(Picture { world, frame, seed, base: None, photons: &of_pass });
-        let of = |pass| strips(frame).map(move |pixels| Piece::Truth { pass, pixels });
+        let of = |pass| strips(frame).map(move |pixels| Piece::Bidirectional { pass, pixels });
         let found = hands.each(&ground, passes.flat_map(of).collect(), goes_on);
         let parts: Vec<Part> = found
             .into_iter()
             .map(|found| match found {
-                Some(Found::Truth(part)) => Some(part),
+                Some(Found::Bidirectional(part)) => Some(part),
                 _ => None,
             })
             .collect::<Option<_>>()?;

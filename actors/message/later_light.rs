@@ -7,7 +7,7 @@ use foveal::illumination::{Irradiance, Unnamed};
 use foveal_runtime::{Loader, Saver};
 use glam::Vec3;
 
-use super::saved::{Saved, Surroundings};
+use super::saved::{Saved, SnapshotContext};
 use crate::light_book::LightBook;
 
 /// Where a map is found again.
@@ -71,7 +71,7 @@ impl Saved for Arc<LaterLight> {
     /// What is to be read later must be there now.
     fn restore(loader: &mut Loader<'_>) -> Option<Self> {
         loader.shared(|loader| {
-            let book = loader.context::<Surroundings>()?.book.clone()?;
+            let book = loader.context::<SnapshotContext>()?.book.clone()?;
             let place = loader.take()?;
             let held = match place {
                 Place::Published(digest) => book.is_whole(digest).then(Vec::new)?,
@@ -84,7 +84,7 @@ impl Saved for Arc<LaterLight> {
 
 impl Saved for Arc<Illumination> {
     fn save(&self, saver: &mut Saver) {
-        let book = saver.context::<Surroundings>().and_then(|surroundings| surroundings.book.clone());
+        let book = saver.context::<SnapshotContext>().and_then(|context| context.book.clone());
         saver.shared(self, |map, saver| {
             let digest = map.digest();
             let Some(book) = book else { return saver.refuse() };

@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 use foveal::illumination::stored::Illumination;
 use foveal_runtime::{Content, Loader, Saver};
 
-use super::saved::{Saved, Surroundings, Told};
+use super::saved::{Saved, SnapshotContext, Told};
 use crate::light_book::LightBook;
 
 /// A map of the light: at hand, or, in a replay that began at a snapshot, read when it is first asked for. Most looks at a
@@ -52,7 +52,7 @@ impl Told for Arc<PublishedLight> {
 
 impl Saved for Arc<PublishedLight> {
     fn save(&self, saver: &mut Saver) {
-        let book = saver.context::<Surroundings>().and_then(|surroundings| surroundings.book.clone());
+        let book = saver.context::<SnapshotContext>().and_then(|context| context.book.clone());
         saver.shared(self, |light, saver| {
             let is_in_book = book.is_some_and(|book| book.has(light.digest));
             saver.put(&(light.digest, light.bytes as u64, is_in_book));
@@ -73,7 +73,7 @@ impl Saved for Arc<PublishedLight> {
                 let map = OnceLock::from(Arc::<Illumination>::restore(loader)?);
                 return Some(PublishedLight { digest, bytes, map, book: None });
             }
-            let book = loader.context::<Surroundings>()?.book.clone();
+            let book = loader.context::<SnapshotContext>()?.book.clone();
             let is_whole = book.as_ref().is_some_and(|book| book.is_whole(digest));
             is_whole.then_some(PublishedLight { digest, bytes, map: OnceLock::new(), book })
         })

@@ -24,7 +24,7 @@ use crate::light_book::LightBook;
 use crate::textures::TextureStore;
 
 /// What everything that is saved refers to.
-pub struct Surroundings {
+pub struct SnapshotContext {
     /// Scene and illumination.
     pub world: World,
     /// What the display pass fills.
@@ -157,7 +157,7 @@ impl Saved for Arc<DrawnView> {
                 return None;
             }
             let world = World::restore(loader)?;
-            let passes = loader.context::<Surroundings>()?.passes;
+            let passes = loader.context::<SnapshotContext>()?.passes;
             let object_count = world.scene.objects.len().max(1);
             let shown_in = world.clone();
             let draw = move || {

@@ -11,7 +11,7 @@ use foveal::world::World;
 use foveal_runtime::{Loader, Saver};
 
 use super::later_light::LaterLight;
-use super::saved::{Saved, Surroundings};
+use super::saved::{Saved, SnapshotContext};
 
 /// The light that the walk began with.
 const AS_IT_BEGAN: u8 = 0;
@@ -19,11 +19,11 @@ const AS_IT_BEGAN: u8 = 0;
 const GROWN: u8 = 1;
 
 impl Saved for World {
-    /// Geometry, lights and materials are those of the surroundings.
+    /// Geometry, lights and materials are those of the context.
     fn save(&self, saver: &mut Saver) {
         let Self { scene, illumination, .. } = self;
-        let Some(surroundings) = saver.context::<Surroundings>() else { return saver.refuse() };
-        let began = &surroundings.world;
+        let Some(context) = saver.context::<SnapshotContext>() else { return saver.refuse() };
+        let began = &context.world;
         if std::ptr::addr_eq(Arc::as_ptr(illumination), Arc::as_ptr(&began.illumination)) {
             saver.put(&AS_IT_BEGAN);
         } else {
@@ -51,23 +51,23 @@ impl Saved for World {
     }
 
     fn restore(loader: &mut Loader<'_>) -> Option<Self> {
-        let surroundings = loader.context::<Surroundings>()?;
-        let mut world = surroundings.world.clone();
+        let context = loader.context::<SnapshotContext>()?;
+        let mut world = context.world.clone();
         if loader.take::<u8>()? == GROWN {
             world = world.with_illumination(Arc::<LaterLight>::restore(loader)?);
         }
         let is_as_it_began: bool = loader.take()?;
         if !is_as_it_began {
-            world.scene = loader.shared(|loader| scene(loader, &surroundings))?;
+            world.scene = loader.shared(|loader| scene(loader, &context))?;
         }
         Some(world)
     }
 }
 
 /// The scene with the levels of textures that it had, which are read again.
-fn scene(loader: &mut Loader<'_>, surroundings: &Surroundings) -> Option<Scene> {
-    let store = surroundings.textures.as_ref()?;
-    let began = &surroundings.world.scene;
+fn scene(loader: &mut Loader<'_>, context: &SnapshotContext) -> Option<Scene> {
+    let store = context.textures.as_ref()?;
+    let began = &context.world.scene;
     let textures: Option<Vec<Texture>> = began
         .textures
         .iter()

@@ -12,7 +12,7 @@ use foveal::splatting::supersampling::Block;
 use foveal::world::World;
 use foveal_runtime::{Content, Digest, Job, Loader, Message, Saver};
 
-use super::saved::{Hashed, Saved, Surroundings, Told};
+use super::saved::{Hashed, Saved, SnapshotContext, Told};
 use super::{DrawnView, View};
 use crate::textures::TextureStore;
 
@@ -396,13 +396,13 @@ impl Job for TraceJob {
             }
             5 => {
                 let drawn = Saved::restore(loader)?;
-                let store = loader.context::<Surroundings>()?.textures.clone()?;
+                let store = loader.context::<SnapshotContext>()?.textures.clone()?;
                 return Some(Self::Prediction(PredictionOrder { drawn, store }));
             }
             6 => {
                 let (texture, level) = loader.take()?;
                 let like = Saved::restore(loader)?;
-                let store = loader.context::<Surroundings>()?.textures.clone()?;
+                let store = loader.context::<SnapshotContext>()?.textures.clone()?;
                 let facts = store.facts.get(texture as usize)?;
                 if level as usize >= facts.bytes.len() {
                     return None;
@@ -411,8 +411,8 @@ impl Job for TraceJob {
             }
             _ => return None,
         }
-        let surroundings = loader.context::<Surroundings>()?;
-        let (world, probes) = (surroundings.world.clone(), surroundings.probes.clone()?);
+        let context = loader.context::<SnapshotContext>()?;
+        let (world, probes) = (context.world.clone(), context.probes.clone()?);
         let (object, side, exponent) = loader.take()?;
         let work = if loader.take::<u8>()? == 0 {
             let (first, count) = loader.take()?;

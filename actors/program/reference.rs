@@ -13,7 +13,7 @@ use foveal_engine::files::{exr_bytes, png_bytes, write_atomic, write_batches};
 use foveal_engine::interrupt::interrupted;
 use foveal_engine::opened::{self, camera};
 use foveal_engine::reference::{
-    Enough, Sampled, sampled_paths_by, sampled_truth_by, steps, traced_picture_by,
+    Enough, Sampled, sampled_bidirectional_by, sampled_paths_by, steps, traced_picture_by,
 };
 use foveal_engine::{Failure, Light};
 use foveal_remote::hands::Helped;
@@ -116,7 +116,9 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
                 (Some(refined.stated).filter(|s| s.is_finite()), (refined.picture, None))
             }
             Kind::Path => (None, parted(sampled_paths_by(hands, &world, &frame, a.seed, &enough, &goes_on))),
-            Kind::Truth => (None, parted(sampled_truth_by(hands, &world, &frame, a.seed, &enough, &goes_on))),
+            Kind::Truth => {
+                (None, parted(sampled_bidirectional_by(hands, &world, &frame, a.seed, &enough, &goes_on)))
+            }
         };
         if !hands.doubts() || interrupted() {
             break;

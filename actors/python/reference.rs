@@ -10,7 +10,7 @@ use foveal::image::Map2d;
 use foveal::metrics::Batches;
 use foveal::world::World;
 use foveal_engine::opened::{self, camera};
-use foveal_engine::reference::{Enough, Sampled, sampled_paths, sampled_truth, traced_picture};
+use foveal_engine::reference::{Enough, Sampled, sampled_bidirectional, sampled_paths, traced_picture};
 use foveal_engine::{Failure, Light};
 use glam::Vec3;
 use numpy::PyArray3;
@@ -142,7 +142,7 @@ pub fn reference(
                 (refined.picture, samples, Some(f64::from(refined.stated)).filter(|e| e.is_finite()))
             }
             Kind::Path => parted(sampled_paths(&world, &frame, seed, &enough, &goes_on)),
-            Kind::Truth => parted(sampled_truth(&world, &frame, seed, &enough, &goes_on)),
+            Kind::Truth => parted(sampled_bidirectional(&world, &frame, seed, &enough, &goes_on)),
         };
         if !wanted.is() {
             return Err(Failure::Interrupted("interrupted".into()));

@@ -313,7 +313,7 @@ fn found(job: DoneJob) -> (Found, Option<Body>) {
 }
 
 /// What door, stations and walk share.
-struct Shared {
+struct DoorShared {
     /// By station, with the incarnation of the guest.
     outlets: Vec<ArrayQueue<(u64, ToGuest)>>,
     /// What leads to the stations, on its way to the door.
@@ -325,7 +325,7 @@ struct Shared {
 /// An outlet that leads to the door.
 struct ToDoor {
     station: usize,
-    shared: Arc<Shared>,
+    shared: Arc<DoorShared>,
     waker: Waker,
 }
 
@@ -376,7 +376,7 @@ pub(crate) fn serving<T: Send + 'static>(
 
 /// A door that is open.
 pub struct Door {
-    shared: Arc<Shared>,
+    shared: Arc<DoorShared>,
     waker: Waker,
     invitation: Invitation,
     thread: Option<Serving<()>>,
@@ -396,7 +396,7 @@ impl Door {
         letting: Letting,
     ) -> Result<Self, Failure> {
         let stations = stations.min(STATIONS_MAX);
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(DoorShared {
             outlets: (0..stations).map(|_| ArrayQueue::new(AHEAD)).collect(),
             inputs: ArrayQueue::new(1),
             closing: AtomicBool::new(false),
@@ -461,7 +461,7 @@ impl Drop for Door {
 /// What a station could not be told yet, in order.
 type Waiting = VecDeque<Heard>;
 
-fn serve(mut link: Box<dyn HostLink>, mut hall: Hall, shared: &Shared) {
+fn serve(mut link: Box<dyn HostLink>, mut hall: Hall, shared: &DoorShared) {
     let mut effects = Vec::new();
     let mut inputs: Vec<Port<Heard, StationMessage>> = Vec::new();
     let mut waiting: Vec<Waiting> = shared.outlets.iter().map(|_| Waiting::new()).collect();

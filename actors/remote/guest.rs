@@ -23,7 +23,7 @@ use crate::hands::MAP_KEY;
 use crate::link::{Gone, GuestLink};
 use crate::package::{Arriving, MANIFEST_BYTES_MAX, Manifest, Stock, open};
 use crate::program;
-use crate::work::{Crew, Done as Finished, VIEW_PIXELS_MAX};
+use crate::work::{Crew, Finished, VIEW_PIXELS_MAX};
 
 /// How a guest traces.
 #[derive(Clone, Debug)]
@@ -129,7 +129,7 @@ impl Bench {
         };
         let piece = postcard::from_bytes::<Piece>(piece).ok().filter(|piece| ground.has(piece));
         let Some(piece) = piece else { return false };
-        let Piece::Truth { pass, .. } = &piece else {
+        let Piece::Bidirectional { pass, .. } = &piece else {
             crew.take_piece(lease, ground, Pass::default(), piece);
             return true;
         };

@@ -26,7 +26,7 @@ pub(crate) const MAP_KEY: [u8; 32] = [0; 32];
 
 /// What the door and who works share.
 #[derive(Default)]
-struct Shared {
+struct HelpedShared {
     /// Pieces that are to be done, on their way to the door.
     rounds: SegQueue<Arc<Round>>,
     liars: SegQueue<Liar>,
@@ -38,7 +38,7 @@ struct Shared {
 
 /// The threads of this machine, and guests.
 pub struct Helped {
-    shared: Arc<Shared>,
+    shared: Arc<HelpedShared>,
     waker: Waker,
     invitation: Invitation,
     thread: Serving<Vec<HelperStatus>>,
@@ -67,7 +67,7 @@ impl Helped {
         check: u32,
     ) -> Result<Self, Failure> {
         let guests = guests.min(STATIONS_MAX);
-        let shared = Arc::new(Shared::default());
+        let shared = Arc::new(HelpedShared::default());
         let (inside, package_bytes, package) = (Arc::clone(&shared), package.bytes(), Arc::new(package));
         let serve = move |link| {
             let foreman = Foreman::new(guests, u64::from(check), door::random);
@@ -180,7 +180,7 @@ fn serve(
     mut link: Box<dyn HostLink>,
     mut hall: Hall,
     mut foreman: Foreman,
-    shared: &Shared,
+    shared: &HelpedShared,
 ) -> Vec<HelperStatus> {
     let mut effects = Vec::new();
     while !shared.closing.load(Ordering::SeqCst) {

@@ -16,7 +16,7 @@ use foveal_engine::batch::{Alone, Handed, Hands, Piece};
 use foveal_engine::glam::Vec3;
 use foveal_engine::light::Reading;
 use foveal_engine::opened::Opened;
-use foveal_engine::reference::{Enough, sampled_paths_by, sampled_truth_by, traced_picture_by};
+use foveal_engine::reference::{Enough, sampled_bidirectional_by, sampled_paths_by, traced_picture_by};
 use foveal_files::bakes::decode;
 
 use crate::ground::{OwnGround, Pass};
@@ -231,7 +231,9 @@ fn made(kind: u64, hands: &dyn Hands, opened: &Opened, frame: &CameraFrame) -> V
         0 => bits(traced_picture_by(hands, world, frame, 3, 1, &goes_on).picture.data()),
         1 => bits(traced_picture_by(hands, world, frame, 3, 5, &goes_on).picture.data()),
         2 => bits(sampled_paths_by(hands, world, frame, 3, &Enough::samples(5), &goes_on).picture.data()),
-        3 => bits(sampled_truth_by(hands, world, frame, 3, &Enough::samples(3), &goes_on).picture.data()),
+        3 => bits(
+            sampled_bidirectional_by(hands, world, frame, 3, &Enough::samples(3), &goes_on).picture.data(),
+        ),
         _ => {
             let settings = BakeSettings { texels: 600, particles: Some(1 << 16), ..BakeSettings::default() };
             let mut baker = Baker::new(world.indexed(), &settings);

@@ -22,7 +22,7 @@ use crate::work;
 
 /// What a simulated guest does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Nature {
+enum Behaviour {
     Honest,
     /// Answers at times not at all.
     Slow,
@@ -35,9 +35,9 @@ enum Nature {
 }
 
 /// A guest without threads: it answers when it is asked, and a network stands between.
-struct Played {
+struct SimGuest {
     peer: u64,
-    nature: Nature,
+    behaviour: Behaviour,
     incarnation: Option<u64>,
     views: Vec<(ViewSpec, PartlyDrawn)>,
     refused: Option<Refusal>,
@@ -65,7 +65,7 @@ struct SimNetwork {
     others: bool,
     way: Vec<OnTheWay>,
     hall: Hall,
-    guests: Vec<Played>,
+    guests: Vec<SimGuest>,
     peers: u64,
     /// Until then nothing gets through.
     cut: u64,
@@ -109,18 +109,18 @@ impl SimNetwork {
         self.way.push(OnTheWay { at: self.step + delay, what });
     }
 
-    fn join(&mut self, nature: Nature, tell: &mut dyn FnMut(usize, Heard)) {
+    fn join(&mut self, behaviour: Behaviour, tell: &mut dyn FnMut(usize, Heard)) {
         let peer = self.peers;
         self.peers += 1;
-        self.guests.push(Played {
+        self.guests.push(SimGuest {
             peer,
-            nature,
+            behaviour,
             incarnation: None,
             views: Vec::new(),
             refused: None,
             lied: false,
         });
-        let mut hello = hello(1 + self.number(3) as u16, format!("{nature:?} {peer}"));
+        let mut hello = hello(1 + self.number(3) as u16, format!("{behaviour:?} {peer}"));
         if let (FromGuest::Hello { bits, .. }, true) = (&mut hello, self.others) {
             *bits ^= 1;
         }
@@ -198,7 +198,7 @@ impl SimNetwork {
                 Vec::new()
             }
             ToGuest::Jobs(jobs) => {
-                if faults && guest.nature == Nature::Slow && draw.is_multiple_of(3) {
+                if faults && guest.behaviour == Behaviour::Slow && draw.is_multiple_of(3) {
                     return Vec::new();
                 }
                 let mut done = Vec::new();
@@ -210,7 +210,7 @@ impl SimNetwork {
                     };
                     let lattice = Lattice::new(k_max, view.frame.size.map(|side| side as i32 / 2));
                     assert!(job.fits(&lattice, view.frame.size));
-                    let lies = guest.nature == Nature::Liar && (draw ^ job.lease) % 4 == 0;
+                    let lies = guest.behaviour == Behaviour::Liar && (draw ^ job.lease) % 4 == 0;
                     // A block of other samples looks as likely as the one that was asked for.
                     let is_block = matches!(job.order, Order::Block(_));
                     let told = if lies && is_block { JobSpec { seed: job.seed ^ 1, ..job } } else { job };
@@ -224,7 +224,7 @@ impl SimNetwork {
                         {
                             color.x += 0.25;
                         }
-                        if guest.nature == Nature::Other {
+                        if guest.behaviour == Behaviour::Other {
                             // As functions that round in other ways: nearly the same, and now and then another path.
                             for (i, color) in found.colors.iter_mut().enumerate() {
                                 *color *= 1.0 + f32::EPSILON;
@@ -236,7 +236,7 @@ impl SimNetwork {
                     }
                     done.push(DoneJob { lease: job.lease, micros: 300, found });
                 }
-                if guest.nature == Nature::Corrupt && draw.is_multiple_of(5) {
+                if guest.behaviour == Behaviour::Corrupt && draw.is_multiple_of(5) {
                     return vec![vec![0xff; 1 + draw as usize % 40]];
                 }
                 let Some(incarnation) = guest.incarnation else { return Vec::new() };
@@ -309,24 +309,26 @@ fn simulated(
         inputs[station].send(heard).expect("room for what a guest can say");
     };
     for _ in 0..stations {
-        let nature = match network.number(6) {
-            _ if letting.any_bits && seed.is_multiple_of(5) => Nature::Liar,
-            _ if letting.any_bits => Nature::Other,
-            0 => Nature::Slow,
-            1 | 2 => Nature::Liar,
-            3 => Nature::Corrupt,
-            _ => Nature::Honest,
+        let behaviour = match network.number(6) {
+            _ if letting.any_bits && seed.is_multiple_of(5) => Behaviour::Liar,
+            _ if letting.any_bits => Behaviour::Other,
+            0 => Behaviour::Slow,
+            1 | 2 => Behaviour::Liar,
+            3 => Behaviour::Corrupt,
+            _ => Behaviour::Honest,
         };
-        network.join(nature, &mut tell);
+        network.join(behaviour, &mut tell);
     }
     let world = &opened.world;
     let cameras = [1, 2, 0].map(|i| world.scene.cameras[i].camera);
     let (mut liars, mut unnoticed, mut banned) = (0, 0, 0);
-    let mut count = |guests: &[Played]| {
-        let is_banned = |guest: &&Played| guest.refused == Some(Refusal::Banned);
+    let mut count = |guests: &[SimGuest]| {
+        let is_banned = |guest: &&SimGuest| guest.refused == Some(Refusal::Banned);
         liars += guests.iter().filter(|guest| guest.lied).count();
         unnoticed += guests.iter().filter(|guest| guest.lied && !is_banned(guest)).count();
-        let wrongly = |guest: &Played| matches!(guest.nature, Nature::Honest | Nature::Slow | Nature::Other);
+        let wrongly = |guest: &SimGuest| {
+            matches!(guest.behaviour, Behaviour::Honest | Behaviour::Slow | Behaviour::Other)
+        };
         assert!(
             !guests.iter().any(|guest| is_banned(&guest) && wrongly(guest)),
             "seed {seed}: an honest one is banned"
@@ -353,7 +355,7 @@ fn simulated(
                 let which = network.number(network.guests.len() as u64) as usize;
                 count(&network.guests[which..=which]);
                 network.leave(which, &mut tell);
-                network.join(Nature::Honest, &mut tell);
+                network.join(Behaviour::Honest, &mut tell);
             }
             let frame = engine.end().expect("a frame");
             frames += 1;

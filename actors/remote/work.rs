@@ -33,7 +33,7 @@ enum Task {
 }
 
 /// What a thread has done.
-pub enum Done {
+pub enum Finished {
     /// A walk's job.
     Samples(DoneJob),
     /// A piece of work.
@@ -48,11 +48,11 @@ pub enum Done {
 }
 
 /// What the threads share.
-struct Shared {
+struct CrewShared {
     world: World,
     k_max: u32,
     tasks: SegQueue<Task>,
-    done: SegQueue<Done>,
+    done: SegQueue<Finished>,
     /// Jobs of views before this one are not begun, nor pieces of rounds before it.
     below: AtomicU32,
     ending: AtomicBool,
@@ -61,7 +61,7 @@ struct Shared {
 
 /// Threads that trace.
 pub struct Crew {
-    shared: Arc<Shared>,
+    shared: Arc<CrewShared>,
     threads: Vec<(JoinHandle<()>, Thread)>,
     next: usize,
 }
@@ -72,7 +72,7 @@ impl Crew {
     /// # Errors
     /// If threads cannot be started.
     pub fn new(world: World, k_max: u32, cores: u16, hears: Waker) -> Result<Self, String> {
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(CrewShared {
             world,
             k_max,
             tasks: SegQueue::new(),
@@ -115,7 +115,7 @@ impl Crew {
     }
 
     /// What was done.
-    pub fn done(&self) -> Option<Done> {
+    pub fn done(&self) -> Option<Finished> {
         self.shared.done.pop()
     }
 
@@ -140,7 +140,7 @@ impl Drop for Crew {
     }
 }
 
-fn work(shared: &Shared) {
+fn work(shared: &CrewShared) {
     let mut views: VecDeque<(u32, PartlyDrawn)> = VecDeque::new();
     while !shared.ending.load(Ordering::SeqCst) {
         let Some(task) = shared.tasks.pop() else {
@@ -160,7 +160,7 @@ fn work(shared: &Shared) {
                 }
                 let found = traced.and_then(Result::ok).flatten();
                 let micros = if is_wanted { micros() } else { 0 };
-                Done::Samples(DoneJob { lease: job.lease, micros, found })
+                Finished::Samples(DoneJob { lease: job.lease, micros, found })
             }
             Task::Piece { lease, ground, pass, piece } => {
                 let is_wanted = || {
@@ -170,7 +170,7 @@ fn work(shared: &Shared) {
                 let done = || ground.with(&pass, |ground| ground.done(&piece, &is_wanted));
                 let found =
                     is_wanted().then(|| catch_unwind(AssertUnwindSafe(done)).ok().flatten()).flatten();
-                Done::Piece { lease, micros: micros(), found }
+                Finished::Piece { lease, micros: micros(), found }
             }
         };
         shared.done.push(done);
@@ -179,7 +179,7 @@ fn work(shared: &Shared) {
 }
 
 fn trace(
-    shared: &Shared,
+    shared: &CrewShared,
     views: &mut VecDeque<(u32, PartlyDrawn)>,
     view: &ViewSpec,
     job: &JobSpec,

@@ -356,7 +356,7 @@ pub(crate) fn post<N: Message>(
         journal.says(to.id(), lane, digest);
         let inbound = Inbound { from, lane, sent_in, message };
         match journal.holds_back() {
-            true => journal.hold_back(Box::new(HeldBack { to: to.clone(), inbound })),
+            true => journal.hold_back(Box::new(HeldMessage { to: to.clone(), inbound })),
             false => to.mailbox.accept_replayed(inbound, thread),
         }
         return Ok(());
@@ -386,12 +386,12 @@ pub(crate) fn post<N: Message>(
 }
 
 /// A message of a replay, before it is known that its sender does as recorded.
-struct HeldBack<N: Message> {
+struct HeldMessage<N: Message> {
     to: Address<N>,
     inbound: Inbound<N>,
 }
 
-impl<N: Message> Held for HeldBack<N> {
+impl<N: Message> Held for HeldMessage<N> {
     fn tell(&self) -> Said {
         let message = &self.inbound.message;
         let says = guarded(|| message.content()).unwrap_or_default();

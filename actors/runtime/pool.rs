@@ -536,7 +536,7 @@ impl<M: Message> Cx<'_, M> {
         let pushed_in = self.journal.index;
         let entry = Entry { id, attempt: 0, epoch, bucket, pushed_in, job: Carried::Alone(job), rival: None };
         if self.journal.holds_back() {
-            self.journal.hold_back(Box::new(HeldBack { shared: Arc::clone(shared), entry }));
+            self.journal.hold_back(Box::new(HeldJob { shared: Arc::clone(shared), entry }));
         } else if self.journal.replaying() {
             shared.route(entry, self.thread);
         } else {
@@ -564,12 +564,12 @@ impl<M: Message> Cx<'_, M> {
 }
 
 /// A job of a replay, before it is known that its maker does as recorded.
-struct HeldBack<J: Job> {
+struct HeldJob<J: Job> {
     shared: Arc<Shared<J>>,
     entry: Entry<J>,
 }
 
-impl<J: Job> Held for HeldBack<J> {
+impl<J: Job> Held for HeldJob<J> {
     fn tell(&self) -> Said {
         let Carried::Alone(job) = &self.entry.job else { return Said::default() };
         let says = guarded(|| job.content()).unwrap_or_default();

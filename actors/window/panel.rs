@@ -2,7 +2,7 @@
 
 use egui::{Color32, Pos2, Rect, Response, RichText, Sense, Shape, Slider, Stroke, Ui, Vec2};
 use foveal::allocation::policy::Policy;
-use foveal::allocation::supersampling::Standing;
+use foveal::allocation::supersampling::RefinementProgress;
 use foveal::display::tone::ToneCurve;
 use foveal::splatting::supersampling::Supersampling;
 
@@ -182,7 +182,7 @@ fn state(ui: &mut Ui, shown: &Shown<'_>) {
     ui.label(format!("{} traced, {} reused, {} expired", status.traced, status.reused, status.expired));
     let quality = shown.quality.map_or_else(|| "not known".to_owned(), |quality| format!("{quality:.3}"));
     ui.label(format!("speed {:.3} per second, quality {quality}", shown.speed));
-    if let Some(Standing { tiles, quiet, error: Some(error), stated }) = refinement {
+    if let Some(RefinementProgress { tiles, quiet, error: Some(error), stated }) = refinement {
         ui.label(format!("{quiet} of {tiles} tiles below the noise bound, worst {error:.4}"));
         if let Some(stated) = stated {
             let stated = 100.0 * stated;

@@ -41,9 +41,9 @@ const JOB_SECONDS: f32 = 2e-3;
 /// after it that would want to know more.
 const MEASURED_LAST: usize = 16;
 
-/// Where an object stands.
+/// How far an object has come.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Standing {
+pub struct ObjectProgress {
     /// Object id.
     pub object: u32,
     /// Level of its next job, or of that of its coarsest part; 0 where every sample is handed out.
@@ -132,9 +132,9 @@ impl RayOrder {
         self.ledger.displayed_error(part.id, part.level, all.saturating_sub(part.handed))
     }
 
-    /// Where each visible object stands.
-    pub fn standings(&self) -> Vec<Standing> {
-        let mut all: Vec<Standing> = Vec::new();
+    /// How far each visible object has come.
+    pub fn object_progress(&self) -> Vec<ObjectProgress> {
+        let mut all: Vec<ObjectProgress> = Vec::new();
         for part in self.jobs.parts() {
             // A whole object comes before its parts, which then speak for it.
             let is_whole = part.id == part.object;
@@ -142,7 +142,7 @@ impl RayOrder {
                 let level = if part.is_done() { 0 } else { part.level };
                 let priority = if part.is_done() { 0.0 } else { part.priority };
                 let error = self.shown_error(part);
-                all.push(Standing { object: part.object, level, priority, error });
+                all.push(ObjectProgress { object: part.object, level, priority, error });
             } else if let Some(of) = all.iter_mut().find(|s| s.object == part.object) {
                 let pixels = self.statistics.get(part.object as usize).map_or(1, |s| s.pixels.max(1));
                 let share = part.pixels as f32 / pixels as f32;

@@ -21,7 +21,7 @@ const SAMPLES_MIN: u32 = 16;
 
 /// How far a view is refined.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Standing {
+pub struct RefinementProgress {
     /// Tiles of the picture.
     pub tiles: u32,
     /// Tiles whose standard error is below the bound.
@@ -292,9 +292,9 @@ impl Supersampler {
     }
 
     /// How far the view is refined; `None` before that has begun.
-    pub fn standing(&self) -> Option<Standing> {
+    pub fn progress(&self) -> Option<RefinementProgress> {
         let known = || self.errors.iter().filter(|error| error.is_finite());
-        self.has_begun().then(|| Standing {
+        self.has_begun().then(|| RefinementProgress {
             tiles: self.tiles.len() as u32,
             quiet: known().filter(|error| **error < self.rules.noise).count() as u32,
             error: known().copied().reduce(f32::max),

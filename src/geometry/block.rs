@@ -142,7 +142,7 @@ impl Block {
     /// is hit with `t_min < t <= t_max`.
     /// `None` where it is none of them.
     #[inline(always)]
-    pub fn intersect<E: Simd<8>>(&self, e: E, s: &Shear<E>, t_min: f32, t_max: f32) -> Option<Lanes> {
+    pub fn intersect<E: Simd<8>>(&self, e: E, s: &Shear<E>, t_min: f32, t_max: f32) -> Option<BlockHits> {
         let (ax, ay, az) = s.sheared(e, &self.corner[0]);
         let (bx, by, bz) = s.sheared(e, &self.corner[1]);
         let (cx, cy, cz) = s.sheared(e, &self.corner[2]);
@@ -162,7 +162,7 @@ impl Block {
         let along = e.add(e.add(e.mul(u, az), e.mul(v, bz)), e.mul(w, cz));
         let t = e.mul(e.mul(along, e.splat(s.z)), r);
         let inside = e.and(e.below(e.splat(t_min), t), e.at_most(t, e.splat(t_max)));
-        let mut lanes = Lanes {
+        let mut lanes = BlockHits {
             mask: e.bits(e.and(candidates, inside)) & !on_edge,
             t: e.store(t),
             b1: e.store(e.mul(v, r)),
@@ -179,7 +179,7 @@ impl Block {
 }
 
 /// The result for eight triangles; lanes outside of `mask` hold nothing of use.
-pub(super) struct Lanes {
+pub(super) struct BlockHits {
     pub mask: u32,
     pub t: [f32; LEAF],
     pub b1: [f32; LEAF],
@@ -189,7 +189,7 @@ pub(super) struct Lanes {
 /// A sheared corner of eight triangles, axis by axis.
 type Corners = [[f32; LEAF]; 3];
 
-impl Lanes {
+impl BlockHits {
     #[cold]
     #[expect(clippy::too_many_arguments, reason = "all of them what the test in f32 had at hand")]
     fn add_exact(

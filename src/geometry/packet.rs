@@ -75,7 +75,7 @@ impl<F: Fn(u32, f32, f32) -> bool> Work for Through<'_, F> {
 impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
     #[inline(always)]
     fn go<V: Vectors>(&self, v: V, stack: &mut impl Stack) -> PacketHit {
-        let mut hits = Hits::new(v);
+        let mut hits = ClosestHits::new(v);
         if self.wide.is_empty() || !self.origin.is_finite() {
             return hits.store(v);
         }
@@ -94,10 +94,10 @@ impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
     #[cold]
     #[inline(never)]
     fn one_by_one<V: Vectors>(&self, v: V, stack: &mut impl Stack) -> PacketHit {
-        let mut found = Hits::new(v).store(v);
+        let mut found = ClosestHits::new(v).store(v);
         let is_direction = |d: &Vec3| d.is_finite() && *d != Vec3::ZERO;
         for (lane, &d) in self.directions.iter().enumerate().filter(|(_, d)| is_direction(d)) {
-            let mut hits = Hits::new(v);
+            let mut hits = ClosestHits::new(v);
             self.all(v, &[d; LANES], dominant_axis(d), &mut hits, stack);
             let one = hits.store(v);
             (found.t[lane], found.triangle[lane]) = (one.t[0], one.triangle[0]);
@@ -113,7 +113,7 @@ impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
         v: V,
         directions: &[Vec3; LANES],
         axis: usize,
-        hits: &mut Hits<V>,
+        hits: &mut ClosestHits<V>,
         stack: &mut impl Stack,
     ) {
         let packet = Packet::new(v, directions, axis);
@@ -145,7 +145,7 @@ impl<F: Fn(u32, f32, f32) -> bool> Through<'_, F> {
         packet: &Packet<V>,
         beam: &Beam<V>,
         reach: <V as Simd<16>>::Lanes,
-        hits: &mut Hits<V>,
+        hits: &mut ClosestHits<V>,
         stack: &mut impl Stack,
     ) {
         let (nodes, blocks) = self.wide.parts();
@@ -254,7 +254,7 @@ impl<S: Simd<16>> Packet<S> {
         s: S,
         corners: [[f32; 3]; 3],
         index: u32,
-        hits: &mut Hits<S>,
+        hits: &mut ClosestHits<S>,
         is_there: &impl Fn(u32, f32, f32) -> bool,
     ) -> bool {
         let zero = s.splat(0.0);
@@ -349,7 +349,7 @@ fn lower_ties(mut t: [f32; LANES], found: [f32; LANES], triangle: u32, ties: u32
 }
 
 /// What the rays have found so far.
-struct Hits<S: Simd<16>> {
+struct ClosestHits<S: Simd<16>> {
     t: S::Lanes,
     /// Triangles, as bits.
     triangle: S::Lanes,
@@ -357,7 +357,7 @@ struct Hits<S: Simd<16>> {
     b2: S::Lanes,
 }
 
-impl<S: Simd<16>> Hits<S> {
+impl<S: Simd<16>> ClosestHits<S> {
     #[inline(always)]
     fn new(s: S) -> Self {
         let zero = s.splat(0.0);

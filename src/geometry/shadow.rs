@@ -308,7 +308,7 @@ struct Group<S: Simd<16>> {
 }
 
 /// Where rays meet one triangle; of use where the mask has a bit.
-struct Hits {
+struct TriangleHits {
     mask: u32,
     t: [f32; LANES],
     b1: [f32; LANES],
@@ -353,7 +353,7 @@ impl<S: Simd<16>> Group<S> {
 
     /// Where those of the rays that `open` has a bit for meet a triangle; `None` where none does.
     #[inline(always)]
-    fn meet(&self, s: S, block: &Block, lane: usize, open: u32) -> Option<Hits> {
+    fn meet(&self, s: S, block: &Block, lane: usize, open: u32) -> Option<TriangleHits> {
         let [ax, ay, az] = self.sheared(s, block, 0, lane);
         let [bx, by, bz] = self.sheared(s, block, 1, lane);
         let [cx, cy, cz] = self.sheared(s, block, 2, lane);
@@ -376,7 +376,8 @@ impl<S: Simd<16>> Group<S> {
         if mask | on_edge == 0 {
             return None;
         }
-        let mut hits = Hits { mask, t: s.store(t), b1: s.store(s.mul(v, r)), b2: s.store(s.mul(w, r)) };
+        let mut hits =
+            TriangleHits { mask, t: s.store(t), b1: s.store(s.mul(v, r)), b2: s.store(s.mul(w, r)) };
         if on_edge != 0 {
             let corner = |x, y, z| [s.store(x), s.store(y), s.store(z)];
             let corners = [corner(ax, ay, az), corner(bx, by, bz), corner(cx, cy, cz)];
@@ -387,7 +388,7 @@ impl<S: Simd<16>> Group<S> {
     }
 }
 
-impl Hits {
+impl TriangleHits {
     /// Where products of f32 do not tell the side of an edge.
     #[cold]
     #[inline(never)]

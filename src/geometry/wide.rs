@@ -149,7 +149,7 @@ impl Wide {
         {
             return;
         }
-        self.level.run(Walk::<ORDERED, _> { tree: self, ray, on_hit });
+        self.level.run(Traversal::<ORDERED, _> { tree: self, ray, on_hit });
     }
 }
 
@@ -253,13 +253,13 @@ fn fetch<T: Pod>(all: &[T], index: usize) {
 }
 
 /// A ray on its way.
-struct Walk<'a, const ORDERED: bool, F> {
+struct Traversal<'a, const ORDERED: bool, F> {
     tree: &'a Wide,
     ray: &'a Ray,
     on_hit: F,
 }
 
-impl<const ORDERED: bool, F: FnMut(LeafHit) -> Option<f32>> Work for Walk<'_, ORDERED, F> {
+impl<const ORDERED: bool, F: FnMut(LeafHit) -> Option<f32>> Work for Traversal<'_, ORDERED, F> {
     type Output = ();
     const SIXTEEN: bool = false;
 
@@ -274,7 +274,7 @@ impl<const ORDERED: bool, F: FnMut(LeafHit) -> Option<f32>> Work for Walk<'_, OR
     }
 }
 
-impl<const ORDERED: bool, F: FnMut(LeafHit) -> Option<f32>> Walk<'_, ORDERED, F> {
+impl<const ORDERED: bool, F: FnMut(LeafHit) -> Option<f32>> Traversal<'_, ORDERED, F> {
     #[inline(always)]
     fn go<V: Vectors>(mut self, v: V, stack: &mut impl Stack) {
         let (tree, ray) = (self.tree, self.ray);

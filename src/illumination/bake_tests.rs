@@ -389,7 +389,7 @@ fn shadows_of_named_lights_are_sharp_whatever_the_texels() {
 }
 
 #[test]
-fn the_first_picture_is_near_the_truth() {
+fn the_first_picture_is_near_the_closed_form() {
     let mut scene = light_over_floor(0.5);
     scene.cameras[0].camera.eye = Vec3::new(0.0, 0.7, 2.0);
     let map = with(&scene, |indexed| first_picture(indexed, 1));

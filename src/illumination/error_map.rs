@@ -4,7 +4,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::Irradiance;
-use super::truth::{Truth, at_point};
+use super::reference::{ReferencePoint, at_point};
 use crate::geometry::{Accel, Ray};
 use crate::image::luminance;
 use crate::math;
@@ -24,7 +24,7 @@ pub struct ErrorMap {
     /// Rows.
     pub height: u32,
     /// Per pixel what is shown, W/m², and what `samples` paths find.
-    pub pixels: Vec<Option<(Vec3, Truth)>>,
+    pub pixels: Vec<Option<(Vec3, ReferencePoint)>>,
 }
 
 impl ErrorMap {
@@ -53,7 +53,7 @@ impl ErrorMap {
     }
 
     /// Root of the mean squared error of the luminance of all squares of `side` pixels, relative to the root mean
-    /// square; the variance of the truth is taken off.
+    /// square; the variance of the reference is taken off.
     pub fn relative_error(&self, side: u32) -> f64 {
         let side = side.max(1);
         let (columns, rows) = (self.width.div_ceil(side), self.height.div_ceil(side));
@@ -63,10 +63,10 @@ impl ErrorMap {
             let (mut difference, mut known, mut variance, mut n) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
             for y in y0..(y0 + side).min(self.height) {
                 for x in x0..(x0 + side).min(self.width) {
-                    if let Some((shown, truth)) = &self.pixels[(y * self.width + x) as usize] {
-                        difference += f64::from(luminance(*shown - truth.irradiance));
-                        known += f64::from(luminance(truth.irradiance));
-                        variance += f64::from(truth.variance);
+                    if let Some((shown, reference)) = &self.pixels[(y * self.width + x) as usize] {
+                        difference += f64::from(luminance(*shown - reference.irradiance));
+                        known += f64::from(luminance(reference.irradiance));
+                        variance += f64::from(reference.variance);
                         n += 1.0;
                     }
                 }
@@ -93,7 +93,7 @@ impl ErrorMap {
                     let color = match (panel, pixel) {
                         (_, None) => Vec3::splat(0.01),
                         (0, Some((shown, _))) => shown * scale,
-                        (1, Some((_, truth))) => truth.irradiance * scale,
+                        (1, Some((_, reference))) => reference.irradiance * scale,
                         (_, Some(_)) => self.colour(x, y),
                     };
                     bytes.extend(color.to_array().map(srgb));
@@ -107,9 +107,9 @@ impl ErrorMap {
         let (mut difference, mut known) = (0.0, 0.0);
         for y in y.saturating_sub(1)..(y + 2).min(self.height) {
             for x in x.saturating_sub(1)..(x + 2).min(self.width) {
-                if let Some((shown, truth)) = &self.pixels[(y * self.width + x) as usize] {
-                    difference += luminance(*shown - truth.irradiance);
-                    known += luminance(truth.irradiance);
+                if let Some((shown, reference)) = &self.pixels[(y * self.width + x) as usize] {
+                    difference += luminance(*shown - reference.irradiance);
+                    known += luminance(reference.irradiance);
                 }
             }
         }

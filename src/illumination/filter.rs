@@ -542,7 +542,7 @@ mod tests {
 
     /// Both halves found a light by chance: they agree on a spot, and nothing around does. A lit square stays.
     #[test]
-    fn lone_spots_go_and_what_is_wider_stays() {
+    fn fireflies_go_and_what_is_wider_stays() {
         let light = |x: usize, y: usize| match (x, y) {
             (10, 10) => 9.0,
             (40..44, 40..44) => 9.0,

@@ -13,6 +13,7 @@ pub mod gathered;
 pub mod packed;
 pub mod points;
 mod raster;
+pub mod reference;
 pub mod seen;
 pub mod sites;
 mod smoothing;
@@ -20,7 +21,6 @@ pub mod statement;
 pub mod stored;
 #[cfg(test)]
 pub(crate) mod test_scenes;
-pub mod truth;
 
 use std::any::Any;
 

@@ -39,8 +39,8 @@ const BRIGHT: f64 = 4.0;
 const DARK: f64 = 1e-2;
 /// Surfaces that a look passes at most.
 const PASSED_MAX: u32 = 16;
-/// Standard errors for certain: one side, 5 %.
-const CERTAIN: f64 = 1.65;
+/// Standard errors at 95 % confidence, one-sided.
+const Z_95: f64 = 1.65;
 /// Sets these points apart from those of other seeds.
 const TEST: u64 = 0x7e57;
 
@@ -56,12 +56,12 @@ pub struct Statement {
 impl Statement {
     /// The error that there certainly is.
     pub fn at_least(&self) -> f32 {
-        (self.squared - CERTAIN * self.doubt).max(0.0).sqrt() as f32
+        (self.squared - Z_95 * self.doubt).max(0.0).sqrt() as f32
     }
 
     /// The error that there is at most.
     pub fn at_most(&self) -> f32 {
-        (self.squared + CERTAIN * self.doubt).max(0.0).sqrt() as f32
+        (self.squared + Z_95 * self.doubt).max(0.0).sqrt() as f32
     }
 }
 
@@ -228,9 +228,9 @@ mod tests {
         let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
         let albedo = scene.materials[0].clone();
         let crate::scene::Model::Lambert { albedo } = albedo.model else { panic!("grey") };
-        let truth = std::f32::consts::PI * 0.3 / (1.0 - albedo.color.x);
+        let exact = std::f32::consts::PI * 0.3 / (1.0 - albedo.color.x);
         let of = |share: f32| {
-            let map = Uniform(Vec3::splat(share * truth));
+            let map = Uniform(Vec3::splat(share * exact));
             statement(Indexed { scene: &scene, accel: &accel, lights: &lights }, &map, 1).expect("points")
         };
         let (right, half, more) = (of(1.0), of(0.5), of(1.2));

@@ -17,8 +17,8 @@ const SKY: Vec3 = Vec3::new(0.45, 0.55, 0.7);
 /// Irradiance of the sun of a scene without light, W/m².
 const SUN: Vec3 = Vec3::new(1.6, 1.5, 1.35);
 
-/// Directions in which the surrounding of a point is felt out.
-const FEELERS: usize = 96;
+/// Directions in which rays probe what is around a point.
+const PROBE_DIRECTIONS: usize = 96;
 
 /// A surface met by a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -116,11 +116,11 @@ fn meet(origin: Vec3, [a, b, c]: [Vec3; 3], directions: &[Vec3], hits: &mut [Opt
 }
 
 /// Directions spread over the sphere (Fibonacci lattice, González 2010).
-pub(super) fn feelers() -> Vec<Vec3> {
+pub(super) fn probe_directions() -> Vec<Vec3> {
     let golden = PI * (3.0 - 5f32.sqrt());
-    (0..FEELERS)
+    (0..PROBE_DIRECTIONS)
         .map(|i| {
-            let z = 1.0 - (2.0 * i as f32 + 1.0) / FEELERS as f32;
+            let z = 1.0 - (2.0 * i as f32 + 1.0) / PROBE_DIRECTIONS as f32;
             let (s, c) = math::sin_cos(golden * i as f32);
             let r = (1.0 - z * z).sqrt();
             Vec3::new(r * c, z, r * s)
@@ -137,8 +137,8 @@ fn axes(up: Vec3) -> [Vec3; 3] {
 /// Whether the start view stands in the open, so that light from outside is expected.
 pub fn is_open(scene: &Scene) -> bool {
     let eye = scene.cameras.first().map_or_else(|| default_camera(scene).0.eye, |c| c.camera.eye);
-    let hits = nearest(&scene.mesh, eye, &feelers());
-    hits.iter().flatten().count() * 20 < FEELERS * 19
+    let hits = nearest(&scene.mesh, eye, &probe_directions());
+    hits.iter().flatten().count() * 20 < PROBE_DIRECTIONS * 19
 }
 
 /// Adds what is missing: light (`glows` says that what there is only glows), a camera, a path. Returns what to tell the user.
@@ -178,10 +178,10 @@ fn default_camera(scene: &Scene) -> (Camera, bool) {
     let [low, high] = scene.bounds;
     let centre = (low + high) * 0.5;
     let [right, up, back] = axes(scene.up);
-    let directions = feelers();
+    let directions = probe_directions();
     let hits = nearest(&scene.mesh, centre, &directions);
     let inner = hits.iter().flatten().filter(|h| h.front).count();
-    if inner * 20 >= FEELERS * 17 {
+    if inner * 20 >= PROBE_DIRECTIONS * 17 {
         // The farthest wall about level with the eye.
         let level = directions.iter().zip(&hits).filter(|(d, _)| d.dot(scene.up).abs() < 0.25);
         let longest =
@@ -210,10 +210,10 @@ fn add_light(scene: &mut Scene) -> String {
     let Some(view) = scene.cameras.first().map(|c| c.camera) else {
         return "no light; a sky and a sun are made up".to_owned();
     };
-    let directions = feelers();
+    let directions = probe_directions();
     let hits = nearest(&scene.mesh, view.eye, &directions);
     let met: Vec<f32> = hits.iter().flatten().map(|h| h.distance).collect();
-    if met.len() * 20 < FEELERS * 19 {
+    if met.len() * 20 < PROBE_DIRECTIONS * 19 {
         return "no light; a sky and a sun are made up (Ke in the MTL, or a sidecar's [[light]] or \
                 [environment], give others)"
             .to_owned();
@@ -221,7 +221,7 @@ fn add_light(scene: &mut Scene) -> String {
     let ceiling = nearest(&scene.mesh, view.eye, &[scene.up]);
     let height = ceiling.first().copied().flatten().map_or(0.0, |h| h.distance);
     let position = view.eye + scene.up * (0.8 * height);
-    // The surroundings at their mean distance get π W/m², so that white is at radiance 1.
+    // What is around, at its mean distance, gets π W/m², so that white is at radiance 1.
     let mean = met.iter().sum::<f32>() / met.len() as f32;
     scene.lights.push(Light::Point {
         position,
@@ -264,18 +264,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn feelers_cover_the_sphere_evenly() {
-        let sum: Vec3 = feelers().iter().sum();
+    fn probe_directions_cover_the_sphere_evenly() {
+        let sum: Vec3 = probe_directions().iter().sum();
         assert!(sum.length() < 1.0, "{sum}");
-        let second: f32 = feelers().iter().map(|d| d.x * d.x).sum::<f32>() / FEELERS as f32;
+        let second: f32 = probe_directions().iter().map(|d| d.x * d.x).sum::<f32>() / PROBE_DIRECTIONS as f32;
         assert!((second - 1.0 / 3.0).abs() < 0.01);
-        assert!(feelers().iter().all(|d| (d.length() - 1.0).abs() < 1e-5));
+        assert!(probe_directions().iter().all(|d| (d.length() - 1.0).abs() < 1e-5));
     }
 
     /// Triangles that are passed over are met by no direction.
     #[test]
     fn what_lies_between_directions_is_met_by_none() {
-        let directions = feelers();
+        let directions = probe_directions();
         let apart = Apart::of(&directions);
         let mut passed = 0;
         for i in 0..20_000 {

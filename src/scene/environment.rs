@@ -1,4 +1,4 @@
-//! The surrounding: radiance that arrives from outside the scene.
+//! The environment: radiance that arrives from outside the scene.
 
 use std::f32::consts::{PI, TAU};
 
@@ -7,7 +7,7 @@ use glam::Vec3;
 use crate::image::Map2d;
 use crate::math;
 
-/// The surrounding: a constant radiance, or an equirectangular map times `radiance`.
+/// The environment: a constant radiance, or an equirectangular map times `radiance`.
 #[derive(Clone, Debug)]
 pub struct Environment {
     /// Radiance where there is no map, and the factor of the map otherwise.

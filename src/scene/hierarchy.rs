@@ -35,14 +35,14 @@ pub struct Grouping {
 
 /// Bounds, surface area and triangles of a part.
 #[derive(Clone, Debug)]
-struct Part {
+struct Cluster {
     low: Vec3,
     high: Vec3,
     area: f32,
     triangles: Vec<TriangleIndex>,
 }
 
-impl Part {
+impl Cluster {
     fn empty() -> Self {
         Self { low: Vec3::INFINITY, high: Vec3::NEG_INFINITY, area: 0.0, triangles: Vec::new() }
     }
@@ -87,7 +87,7 @@ pub fn group<'a>(
     };
     let diffuse: Vec<bool> = materials.iter().map(Material::is_diffuse).collect();
     let mut of_material: Vec<Vec<TriangleIndex>> = vec![Vec::new(); materials.len()];
-    let mut zero = Part::empty();
+    let mut zero = Cluster::empty();
     for (t, m) in mesh.materials.iter().enumerate() {
         let m = m.0 as usize;
         if diffuse.get(m).copied().unwrap_or(true) {
@@ -96,13 +96,13 @@ pub fn group<'a>(
             of_material[m].push(t as u32);
         }
     }
-    let mut groups: Vec<(MaterialId, Part)> = of_material
+    let mut groups: Vec<(MaterialId, Cluster)> = of_material
         .par_iter()
         .enumerate()
         .flat_map_iter(|(m, triangles)| {
             let parts = connected(mesh, triangles, WELD * diagonal);
             let merged = merge(parts);
-            let split: Vec<Part> = merged.into_iter().flat_map(|p| split(mesh, p)).collect();
+            let split: Vec<Cluster> = merged.into_iter().flat_map(|p| split(mesh, p)).collect();
             split.into_iter().map(move |p| (MaterialId(m as u32), p))
         })
         .collect();
@@ -131,15 +131,15 @@ pub fn group<'a>(
     Grouping { objects, of_triangle }
 }
 
-fn object(name: String, material: MaterialId, part: Part, parent: Option<u32>) -> Object {
+fn object(name: String, material: MaterialId, part: Cluster, parent: Option<u32>) -> Object {
     let bounds = if part.triangles.is_empty() { [Vec3::ZERO; 2] } else { [part.low, part.high] };
     Object { name, material, bounds, area: part.area, parent, triangles: part.triangles }
 }
 
 /// Union by the smaller root, so that the result does not depend on the order of unions.
-struct Forest(Vec<u32>);
+struct DisjointSets(Vec<u32>);
 
-impl Forest {
+impl DisjointSets {
     fn new(n: usize) -> Self {
         Self((0..n as u32).collect())
     }
@@ -160,7 +160,7 @@ impl Forest {
 }
 
 /// Parts whose triangles share vertices, or vertices within `weld` of each other.
-fn connected(mesh: &Mesh, triangles: &[TriangleIndex], weld: f32) -> Vec<Part> {
+fn connected(mesh: &Mesh, triangles: &[TriangleIndex], weld: f32) -> Vec<Cluster> {
     if triangles.is_empty() {
         return Vec::new();
     }
@@ -173,20 +173,20 @@ fn connected(mesh: &Mesh, triangles: &[TriangleIndex], weld: f32) -> Vec<Part> {
     for (i, v) in vertices.iter().enumerate() {
         rank[(v - base) as usize] = i as u32;
     }
-    let mut forest = Forest::new(vertices.len());
-    weld_vertices(mesh, &vertices, weld, &mut forest);
+    let mut sets = DisjointSets::new(vertices.len());
+    weld_vertices(mesh, &vertices, weld, &mut sets);
     for &t in triangles {
         let [a, b, c] = mesh.triangles[t as usize].map(|v| rank[(v - base) as usize]);
-        forest.join(a, b);
-        forest.join(b, c);
+        sets.join(a, b);
+        sets.join(b, c);
     }
     let mut part_of = vec![u32::MAX; vertices.len()];
-    let mut parts: Vec<Part> = Vec::new();
+    let mut parts: Vec<Cluster> = Vec::new();
     for &t in triangles {
-        let root = forest.root(rank[(mesh.triangles[t as usize][0] - base) as usize]);
+        let root = sets.root(rank[(mesh.triangles[t as usize][0] - base) as usize]);
         if part_of[root as usize] == u32::MAX {
             part_of[root as usize] = parts.len() as u32;
-            parts.push(Part::empty());
+            parts.push(Cluster::empty());
         }
         parts[part_of[root as usize] as usize].add(mesh, t);
     }
@@ -199,7 +199,7 @@ const CELL_FULL: usize = 64;
 
 /// Joins vertices within `weld` of each other, by a hashed grid of cells four times as large: the
 /// cube around a vertex reaches into 3.4 cells on average. Returns the number of comparisons.
-fn weld_vertices(mesh: &Mesh, vertices: &[u32], weld: f32, forest: &mut Forest) -> usize {
+fn weld_vertices(mesh: &Mesh, vertices: &[u32], weld: f32, sets: &mut DisjointSets) -> usize {
     let mut comparisons = 0;
     if weld <= 0.0 {
         return comparisons;
@@ -217,7 +217,7 @@ fn weld_vertices(mesh: &Mesh, vertices: &[u32], weld: f32, forest: &mut Forest) 
         let p = mesh.positions[v as usize];
         let q = p.as_dvec3() / cell;
         let (low, high) = ((q - 0.25).floor().as_i64vec3(), (q + 0.25).floor().as_i64vec3());
-        let mut twin = false;
+        let mut is_duplicate = false;
         for x in low.x..=high.x {
             for y in low.y..=high.y {
                 for z in low.z..=high.z {
@@ -226,8 +226,8 @@ fn weld_vertices(mesh: &Mesh, vertices: &[u32], weld: f32, forest: &mut Forest) 
                         comparisons += 1;
                         let other = mesh.positions[vertices[at as usize] as usize];
                         if other.distance_squared(p) <= weld * weld {
-                            forest.join(at, i as u32);
-                            twin |= other == p;
+                            sets.join(at, i as u32);
+                            is_duplicate |= other == p;
                         }
                         at = next[at as usize];
                     }
@@ -235,7 +235,7 @@ fn weld_vertices(mesh: &Mesh, vertices: &[u32], weld: f32, forest: &mut Forest) 
             }
         }
         // Of vertices at the same place one stands for all: a thousand of them would be a long chain.
-        if !twin {
+        if !is_duplicate {
             let c = q.floor().as_i64vec3();
             let s = slot(c.x, c.y, c.z);
             let some = |at: u32| (at != u32::MAX).then_some(at);
@@ -249,7 +249,7 @@ fn weld_vertices(mesh: &Mesh, vertices: &[u32], weld: f32, forest: &mut Forest) 
                 let mut same = chain().filter(|&at| cell_of(at) == c);
                 let first = same.next();
                 if let (Some(first), Some(_)) = (first, same.nth(CELL_FULL - 2)) {
-                    forest.join(first, i as u32);
+                    sets.join(first, i as u32);
                     continue;
                 }
             }
@@ -261,12 +261,12 @@ fn weld_vertices(mesh: &Mesh, vertices: &[u32], weld: f32, forest: &mut Forest) 
 }
 
 /// Distance of two boxes; 0 where they overlap.
-fn gap(a: &Part, b: &Part) -> f32 {
+fn gap(a: &Cluster, b: &Cluster) -> f32 {
     (a.low - b.high).max(b.low - a.high).max(Vec3::ZERO).length()
 }
 
 /// What merging two parts costs, if they may merge: the gap, then the surface of the common bounds.
-fn cost(a: &Part, b: &Part) -> Option<(f32, f32)> {
+fn cost(a: &Cluster, b: &Cluster) -> Option<(f32, f32)> {
     let distance = gap(a, b);
     // Strictly below, or a gap of 0 between flat parts; touching boxes merge however thin they are.
     if distance > 0.0 && distance >= GAP * a.diagonal().min(b.diagonal()) {
@@ -288,14 +288,14 @@ fn spread(v: u64) -> u64 {
 
 /// Merges neighbouring parts of one material: rounds in which each pair that prefers each other
 /// merges, the neighbours being those near on the Morton curve (as PLOC, Meister & Bittner 2018).
-fn merge(mut parts: Vec<Part>) -> Vec<Part> {
+fn merge(mut parts: Vec<Cluster>) -> Vec<Cluster> {
     if parts.len() < 2 {
         return parts;
     }
     let low = parts.iter().fold(Vec3::INFINITY, |a, p| a.min(p.low));
     let high = parts.iter().fold(Vec3::NEG_INFINITY, |a, p| a.max(p.high));
     let extent = (high - low).max_element().max(f32::MIN_POSITIVE);
-    let code = |p: &Part| {
+    let code = |p: &Cluster| {
         let c = ((p.low + p.high) * 0.5 - low) / extent * 2_097_151.0;
         spread(c.x as u64) | (spread(c.y as u64) << 1) | (spread(c.z as u64) << 2)
     };
@@ -321,7 +321,7 @@ fn merge(mut parts: Vec<Part>) -> Vec<Part> {
                     .map_or(usize::MAX, |(.., j)| j)
             })
             .collect();
-        let mut kept: Vec<Option<Part>> = parts.into_iter().map(Some).collect();
+        let mut kept: Vec<Option<Cluster>> = parts.into_iter().map(Some).collect();
         let mut merged = 0;
         for i in 0..n {
             let j = best[i];
@@ -345,7 +345,7 @@ fn merge(mut parts: Vec<Part>) -> Vec<Part> {
     parts
 }
 
-fn join(a: Part, b: Part) -> Part {
+fn join(a: Cluster, b: Cluster) -> Cluster {
     // The lowest triangle stays first: it orders parts of the same code.
     let (mut a, b) = if a.triangles[0] < b.triangles[0] { (a, b) } else { (b, a) };
     a.low = a.low.min(b.low);
@@ -357,7 +357,7 @@ fn join(a: Part, b: Part) -> Part {
 
 /// Splits a part that is mostly air, as a frame or a string of lights, at the largest gap between
 /// the centres of its triangles, as long as that makes the bounds much smaller.
-fn split(mesh: &Mesh, part: Part) -> Vec<Part> {
+fn split(mesh: &Mesh, part: Cluster) -> Vec<Cluster> {
     let mut done = Vec::new();
     let mut open = vec![(part, 0)];
     while let Some((part, depth)) = open.pop() {
@@ -387,7 +387,7 @@ fn split(mesh: &Mesh, part: Part) -> Vec<Part> {
         let halves = planes.into_iter().find_map(|(axis, at)| {
             let (near, far): (Vec<u32>, Vec<u32>) =
                 part.triangles.iter().partition(|&&t| centre(t)[axis] < at);
-            let (near, far) = (Part::of(mesh, &near), Part::of(mesh, &far));
+            let (near, far) = (Cluster::of(mesh, &near), Cluster::of(mesh, &far));
             let smaller = surface(near.low, near.high) + surface(far.low, far.high);
             let good = !near.triangles.is_empty() && !far.triangles.is_empty() && smaller <= 0.7 * whole;
             good.then_some((near, far))
@@ -401,12 +401,12 @@ fn split(mesh: &Mesh, part: Part) -> Vec<Part> {
 }
 
 /// For each group the one whose top holds the middle of its lower side, if there is one.
-fn supports(groups: &[(MaterialId, Part)], up: Vec3, tolerance: f32) -> Vec<Option<u32>> {
+fn supports(groups: &[(MaterialId, Cluster)], up: Vec3, tolerance: f32) -> Vec<Option<u32>> {
     let axis = up.abs().max_position();
     let sign = if up[axis] < 0.0 { -1.0 } else { 1.0 };
     let flat = [(axis + 1) % 3, (axis + 2) % 3];
     // Height of top and bottom along up.
-    let ends = |p: &Part| {
+    let ends = |p: &Cluster| {
         let (a, b) = (sign * p.low[axis], sign * p.high[axis]);
         (a.min(b), a.max(b))
     };
@@ -541,10 +541,10 @@ mod tests {
                 })
                 .collect();
             let vertices: Vec<u32> = (0..count as u32).collect();
-            let mut forest = Forest::new(count);
-            let comparisons = weld_vertices(&mesh, &vertices, 10.0, &mut forest);
+            let mut sets = DisjointSets::new(count);
+            let comparisons = weld_vertices(&mesh, &vertices, 10.0, &mut sets);
             assert!(comparisons < 8 * (CELL_FULL + 1) * count, "{comparisons} for {count} in {size}");
-            let roots = (0..count as u32).filter(|&i| forest.root(i) == i).count();
+            let roots = (0..count as u32).filter(|&i| sets.root(i) == i).count();
             assert!(size > 10.0 || roots == 1, "{roots} grains");
         }
     }

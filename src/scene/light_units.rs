@@ -5,7 +5,7 @@
 
 use std::f32::consts::PI;
 
-use super::defaults::{feelers, nearest};
+use super::defaults::{nearest, probe_directions};
 use super::{Light, Scene};
 use crate::image::luminance;
 
@@ -35,7 +35,7 @@ pub fn doubt(scene: &Scene) -> Option<String> {
 fn brightness(scene: &Scene, light: &Light) -> Option<f32> {
     let (position, towards, intensity) = match light {
         Light::Directional { irradiance, .. } => return Some(luminance(*irradiance) / PI),
-        Light::Point { position, intensity, .. } => (*position, feelers(), *intensity),
+        Light::Point { position, intensity, .. } => (*position, probe_directions(), *intensity),
         Light::Spot { position, direction, intensity, .. } => (*position, vec![*direction], *intensity),
     };
     let found = nearest(&scene.mesh, position, &towards);

@@ -64,14 +64,14 @@ pub struct MetalRough {
 
 /// A clear coat of index 1.5.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Coat {
+pub struct Clearcoat {
     /// How much of it is there, in [0, 1].
     pub strength: f32,
     /// r.
     pub roughness: f32,
 }
 
-impl Coat {
+impl Clearcoat {
     /// Reflectance at normal incidence.
     pub const F0: f32 = 0.04;
 
@@ -110,15 +110,15 @@ impl Grain {
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Over {
     /// A clear coat over everything.
-    pub coat: Option<Coat>,
+    pub coat: Option<Clearcoat>,
     /// Fibres below the coat.
     pub sheen: Option<Sheen>,
     mean: f32,
 }
 
 impl Over {
-    /// Coat and fibres; `None` where there are neither.
-    pub fn new(coat: Option<Coat>, sheen: Option<Sheen>) -> Option<Self> {
+    /// Clearcoat and fibres; `None` where there are neither.
+    pub fn new(coat: Option<Clearcoat>, sheen: Option<Sheen>) -> Option<Self> {
         let coat = coat.filter(|c| c.strength > 0.0);
         let sheen = sheen.filter(|s| s.color.max_element() > 0.0);
         let below = sheen.map_or(1.0, |s| 1.0 - s.color.max_element() * Sheen::mean(s.alpha()));
@@ -127,13 +127,13 @@ impl Over {
     }
 
     /// [`Self::new`] with means from tables.
-    pub fn quick(coat: Option<Coat>, sheen: Option<Sheen>) -> Option<Self> {
+    pub fn quick(coat: Option<Clearcoat>, sheen: Option<Sheen>) -> Option<Self> {
         let coat = coat.filter(|c| c.strength > 0.0);
         let sheen = sheen.filter(|s| s.color.max_element() > 0.0);
         let below = sheen.map_or(1.0, |s| 1.0 - s.color.max_element() * Sheen::quick_mean(s.alpha()));
         let table = LobeAlbedo::table();
         let reflected =
-            |c: Coat| c.strength * table.quick_mean(Coat::F0, 1.0, MetalRough::alpha(c.roughness));
+            |c: Clearcoat| c.strength * table.quick_mean(Clearcoat::F0, 1.0, MetalRough::alpha(c.roughness));
         let mean = coat.map_or(1.0, |c| 1.0 - reflected(c)) * below;
         (coat.is_some() || sheen.is_some()).then_some(Self { coat, sheen, mean })
     }

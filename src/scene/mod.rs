@@ -295,7 +295,7 @@ pub struct SceneParts {
     pub materials: Vec<Material>,
     /// Lights without area.
     pub lights: Vec<Light>,
-    /// The surrounding.
+    /// Light from outside the scene.
     pub environment: Option<Environment>,
     /// Cameras; never empty, the first is the start view.
     pub cameras: Vec<NamedCamera>,

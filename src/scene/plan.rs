@@ -4,9 +4,9 @@ use std::collections::BTreeSet;
 
 use super::{Budget, Model, Scene};
 
-/// A part that may be skipped.
+/// A part of the machine that may be skipped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Part {
+pub enum Subsystem {
     /// The actors that trace samples.
     Tracers,
     /// The model of attention.
@@ -33,38 +33,38 @@ pub enum Part {
     EnvironmentMaps,
 }
 
-impl Part {
+impl Subsystem {
     /// Every part.
-    pub const ALL: [Part; 12] = [
-        Part::Tracers,
-        Part::Analyzer,
-        Part::SampleCache,
-        Part::IdPass,
-        Part::DistributedRays,
-        Part::TransparentShadows,
-        Part::ShadowRays,
-        Part::Illumination,
-        Part::Textures,
-        Part::TextureIdPass,
-        Part::ElevationMaps,
-        Part::EnvironmentMaps,
+    pub const ALL: [Subsystem; 12] = [
+        Subsystem::Tracers,
+        Subsystem::Analyzer,
+        Subsystem::SampleCache,
+        Subsystem::IdPass,
+        Subsystem::DistributedRays,
+        Subsystem::TransparentShadows,
+        Subsystem::ShadowRays,
+        Subsystem::Illumination,
+        Subsystem::Textures,
+        Subsystem::TextureIdPass,
+        Subsystem::ElevationMaps,
+        Subsystem::EnvironmentMaps,
     ];
 
     /// Its name in reports.
     pub const fn name(self) -> &'static str {
         match self {
-            Part::Tracers => "tracers",
-            Part::Analyzer => "analyzer",
-            Part::SampleCache => "sample cache",
-            Part::IdPass => "object-id pass",
-            Part::DistributedRays => "distributed rays",
-            Part::TransparentShadows => "transparent shadows",
-            Part::ShadowRays => "shadow rays",
-            Part::Illumination => "illumination bake",
-            Part::Textures => "textures",
-            Part::TextureIdPass => "texture-id pass",
-            Part::ElevationMaps => "elevation maps",
-            Part::EnvironmentMaps => "environment maps",
+            Subsystem::Tracers => "tracers",
+            Subsystem::Analyzer => "analyzer",
+            Subsystem::SampleCache => "sample cache",
+            Subsystem::IdPass => "object-id pass",
+            Subsystem::DistributedRays => "distributed rays",
+            Subsystem::TransparentShadows => "transparent shadows",
+            Subsystem::ShadowRays => "shadow rays",
+            Subsystem::Illumination => "illumination bake",
+            Subsystem::Textures => "textures",
+            Subsystem::TextureIdPass => "texture-id pass",
+            Subsystem::ElevationMaps => "elevation maps",
+            Subsystem::EnvironmentMaps => "environment maps",
         }
     }
 }
@@ -83,7 +83,7 @@ pub struct PlanPart {
 /// What a scene needs within a budget.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ScenePlan {
-    /// One entry per [`Part`], in the order of [`Part::ALL`].
+    /// One entry per [`Subsystem`], in the order of [`Subsystem::ALL`].
     pub parts: Vec<PlanPart>,
 }
 
@@ -91,7 +91,7 @@ impl ScenePlan {
     /// The plan for a scene within a budget (usually [`SceneParts::budget`](super::SceneParts::budget), changed by the command line).
     pub fn new(scene: &Scene, budget: &Budget) -> Self {
         let facts = Facts::of(scene, budget);
-        let parts = Part::ALL.map(|part| {
+        let parts = Subsystem::ALL.map(|part| {
             let (needed, why) = facts.decide(part);
             PlanPart { part: part.name(), needed, why }
         });
@@ -99,7 +99,7 @@ impl ScenePlan {
     }
 
     /// Whether a part is needed.
-    pub fn needs(&self, part: Part) -> bool {
+    pub fn needs(&self, part: Subsystem) -> bool {
         self.parts.iter().any(|p| p.part == part.name() && p.needed)
     }
 
@@ -146,14 +146,16 @@ impl Facts {
         }
     }
 
-    fn decide(&self, part: Part) -> (bool, String) {
+    fn decide(&self, part: Subsystem) -> (bool, String) {
         let samples = (self.objects > 0, count(self.objects, "non-diffuse object"));
         match part {
-            Part::Tracers | Part::Analyzer | Part::SampleCache | Part::IdPass | Part::EnvironmentMaps => {
-                samples
-            }
-            Part::DistributedRays => (self.glossy > 0, count(self.glossy, "rough glossy material")),
-            Part::TransparentShadows => {
+            Subsystem::Tracers
+            | Subsystem::Analyzer
+            | Subsystem::SampleCache
+            | Subsystem::IdPass
+            | Subsystem::EnvironmentMaps => samples,
+            Subsystem::DistributedRays => (self.glossy > 0, count(self.glossy, "rough glossy material")),
+            Subsystem::TransparentShadows => {
                 let why = format!(
                     "{}, {}",
                     count(self.transparent, "transparent material"),
@@ -161,8 +163,8 @@ impl Facts {
                 );
                 (self.transparent + self.cut_outs > 0, why)
             }
-            Part::ShadowRays => (self.lights > 0, count(self.lights, "light")),
-            Part::Illumination => {
+            Subsystem::ShadowRays => (self.lights > 0, count(self.lights, "light")),
+            Subsystem::Illumination => {
                 let why = format!(
                     "{}, {}",
                     count(self.diffuse_triangles, "diffuse triangle"),
@@ -170,8 +172,8 @@ impl Facts {
                 );
                 (self.diffuse_triangles > 0 && self.lights > 0, why)
             }
-            Part::Textures => (self.textured > 0, count(self.textured, "texture")),
-            Part::TextureIdPass | Part::ElevationMaps => match self.texture_limit {
+            Subsystem::Textures => (self.textured > 0, count(self.textured, "texture")),
+            Subsystem::TextureIdPass | Subsystem::ElevationMaps => match self.texture_limit {
                 _ if self.textured == 0 => (false, "no texture".to_owned()),
                 None => (false, "no limit on texture memory".to_owned()),
                 Some(limit) => {
@@ -193,11 +195,11 @@ mod tests {
     use super::super::{Mesh, Reflectance, Roughness, Texture};
     use super::*;
 
-    fn check(scene: &Scene, needed: &[Part]) {
+    fn check(scene: &Scene, needed: &[Subsystem]) {
         let plan = ScenePlan::new(scene, &scene.budget);
-        let found: Vec<Part> = Part::ALL.into_iter().filter(|p| plan.needs(*p)).collect();
+        let found: Vec<Subsystem> = Subsystem::ALL.into_iter().filter(|p| plan.needs(*p)).collect();
         assert_eq!(found, needed, "{plan:#?}");
-        assert_eq!(plan.skipped(), Part::ALL.len() - needed.len());
+        assert_eq!(plan.skipped(), Subsystem::ALL.len() - needed.len());
     }
 
     fn two_boxes(second: super::super::Material) -> Scene {
@@ -216,7 +218,7 @@ mod tests {
 
     #[test]
     fn mirrors_need_samples_but_no_distributed_rays() {
-        use Part::*;
+        use Subsystem::*;
         let samples = [Tracers, Analyzer, SampleCache, IdPass, ShadowRays, Illumination, EnvironmentMaps];
         check(&two_boxes(mirror()), &samples);
         check(&two_boxes(grey()), &[ShadowRays, Illumination]);
@@ -228,11 +230,11 @@ mod tests {
         let metal = Model::Metal { specular: Reflectance::constant(Vec3::ONE), roughness: rough };
         let plan = |m| ScenePlan::new(&two_boxes(material("m", m)), &Budget::default());
         let p = plan(metal);
-        assert!(p.needs(Part::DistributedRays) && !p.needs(Part::TransparentShadows));
+        assert!(p.needs(Subsystem::DistributedRays) && !p.needs(Subsystem::TransparentShadows));
         let smooth = Roughness { alpha_x: 0.0, alpha_y: 0.0, ..rough };
         let p =
             plan(Model::Dielectric { ior: 1.5, transmittance: Vec3::ONE, thin: false, roughness: smooth });
-        assert!(!p.needs(Part::DistributedRays) && p.needs(Part::TransparentShadows));
+        assert!(!p.needs(Subsystem::DistributedRays) && p.needs(Subsystem::TransparentShadows));
     }
 
     #[test]
@@ -241,7 +243,7 @@ mod tests {
         s.textures.push(Texture::new("t", MipChain::from_rgba8(16, 16, vec![[0; 4]; 256], true)));
         let needs = |limit: Option<u64>| {
             let p = ScenePlan::new(&s, &Budget { texture_bytes: limit, fps: None });
-            (p.needs(Part::Textures), p.needs(Part::ElevationMaps))
+            (p.needs(Subsystem::Textures), p.needs(Subsystem::ElevationMaps))
         };
         assert_eq!(needs(None), (true, false));
         assert_eq!(needs(Some(1 << 20)), (true, false));

@@ -3,7 +3,7 @@
 
 use glam::Vec3;
 
-use super::metal_rough::{Coat, Film, Grain, MetalRough, Over};
+use super::metal_rough::{Clearcoat, Film, Grain, MetalRough, Over};
 use super::{LobeAlbedo, Reflectance, Sheen, TextureId};
 use crate::math;
 
@@ -159,7 +159,7 @@ impl Recipe {
         let alpha = MetalRough::alpha(r);
         let layer_f0 = dielectric.max_element();
         let mean = LobeAlbedo::table().quick_mean(layer_f0, strength, alpha).min(0.98);
-        let coat = self.coat.map(|[k, r]| Coat { strength: k.at(texel), roughness: r.at(texel) });
+        let coat = self.coat.map(|[k, r]| Clearcoat { strength: k.at(texel), roughness: r.at(texel) });
         let sheen = self.sheen.as_ref().map(|(c, r)| Sheen { color: unit(c), roughness: r.at(texel) });
         let over = Over::quick(coat, sheen);
         let kept = over.map_or(1.0, |o| o.kept_mean()) * coverage;

@@ -36,10 +36,10 @@ use crate::world::World;
 
 /// Pixels along an edge of the blocks whose errors are told.
 const BLOCK: usize = 8;
-/// Standard errors for certain: one side, 5 %.
-const CERTAIN: f64 = 1.65;
+/// Standard errors at 95 % confidence, one-sided.
+const Z_95: f64 = 1.65;
 /// Of noise that is known by two batches only, and where it matters may be that of one block.
-const CERTAIN_BY_NOISE: f64 = 6.0;
+const Z_BY_NOISE: f64 = 6.0;
 /// Least albedo that is divided by.
 const ALBEDO_MIN: f32 = 1e-3;
 /// So many paths of a pixel are worth as much as the first sample, which branches.
@@ -225,8 +225,8 @@ impl<'a> Pixels<'a> {
                 None => 0.0,
             })
         });
-        let (truth, noise) = mean_and_noise(&a, &b);
-        Some(squared_errors(&shown, (&truth, &noise)))
+        let (reference, noise) = mean_and_noise(&a, &b);
+        Some(squared_errors(&shown, (&reference, &noise)))
     }
 
     /// Variance of the luminance of one sample of lobes, in the mean of the pixels around each that have any. Of a pixel
@@ -302,12 +302,12 @@ fn mean_and_noise(a: &[f64], b: &[f64]) -> (Vec<f64>, Vec<f64>) {
 }
 
 /// Squared errors of what is `shown`, from an independent estimate of the truth that has such variances.
-fn squared_errors(shown: &[f64], (truth, noise): (&[f64], &[f64])) -> Vec<f64> {
+fn squared_errors(shown: &[f64], (reference, noise): (&[f64], &[f64])) -> Vec<f64> {
     shown
         .iter()
-        .zip(truth)
+        .zip(reference)
         .zip(noise)
-        .map(|((shown, truth), noise)| (shown - truth).powi(2) - noise)
+        .map(|((shown, reference), noise)| (shown - reference).powi(2) - noise)
         .collect()
 }
 
@@ -338,17 +338,17 @@ impl Gain {
     fn by_blocks(&self) -> (f64, f64) {
         let (mean, apart) = mean_and_error(&self.errors);
         let noise = self.doubts.iter().sum::<f64>().sqrt() / self.doubts.len().max(1) as f64;
-        (mean, (CERTAIN * apart).min(CERTAIN_BY_NOISE * noise))
+        (mean, (Z_95 * apart).min(Z_BY_NOISE * noise))
     }
 
-    /// Whether it certainly is one.
-    fn is_certain(&self) -> bool {
+    /// Whether it is one, 95 % certain.
+    fn is_significant(&self) -> bool {
         let (mean, doubt) = self.by_blocks();
         mean + doubt < 0.0
     }
 
-    /// Whether it certainly is none.
-    fn is_denied(&self) -> bool {
+    /// Whether it is none, 95 % certain.
+    fn is_refuted(&self) -> bool {
         let (mean, doubt) = self.by_blocks();
         mean - doubt > 0.0
     }
@@ -395,13 +395,16 @@ impl Beside {
         let [a, b] = parts.each_ref().map(|[near, deep]| -> Vec<f64> {
             near.iter().zip(deep).map(|(near, deep)| near + deep).collect()
         });
-        let (near_truth, near_noise) = mean_and_noise(&parts[0][0], &parts[1][0]);
+        let (near_reference, near_noise) = mean_and_noise(&parts[0][0], &parts[1][0]);
         let (r, noise) = mean_and_noise(&a, &b);
         let all: Vec<f64> = near.iter().zip(&deep).map(|(near, deep)| near + deep).collect();
         let map = vec![0.0; near.len()];
         let error = |z: &[f64]| squared_errors(z, (&r, &noise));
         Some(Self {
-            near: [Gain::of(&near, &map, (&near_truth, &near_noise)), Gain::of(&near, &map, (&r, &noise))],
+            near: [
+                Gain::of(&near, &map, (&near_reference, &near_noise)),
+                Gain::of(&near, &map, (&r, &noise)),
+            ],
             all: [Gain::of(&all, &map, (&r, &noise)), Gain::of(&deep, &near, (&r, &noise))],
             errors: [error(&map), error(&near), error(&all)],
         })
@@ -422,10 +425,10 @@ impl Beside {
     fn corrects(&self) -> Option<Reach> {
         let [by_near, by_all] = &self.near;
         let [beside_map, beside_near] = &self.all;
-        if by_near.is_certain() && !by_all.is_denied() {
-            Some(if beside_near.is_certain() { Reach::Deep } else { Reach::Near })
+        if by_near.is_significant() && !by_all.is_refuted() {
+            Some(if beside_near.is_significant() { Reach::Deep } else { Reach::Near })
         } else {
-            beside_map.is_certain().then_some(Reach::Deep)
+            beside_map.is_significant().then_some(Reach::Deep)
         }
     }
 
@@ -470,7 +473,7 @@ pub fn settled(
     let errors: Vec<f64> = (0..errors.len()).map(|i| errors[i] + of_lobes[i] + edges[i]).collect();
     let (squared, doubt) = mean_and_error(&errors);
     // A mean below zero is noise: it takes nothing from the doubt.
-    let limit = (squared.max(0.0) + CERTAIN * doubt).sqrt();
+    let limit = (squared.max(0.0) + Z_95 * doubt).sqrt();
     let known = pixels.at.iter().all(Option::is_some) && light > 0.0 && limit.is_finite();
     let enough = |t: &&Arc<TileSums>| t.samples as usize >= BATCHES;
     let samples = tiles.iter().map(|t| t.as_ref().filter(enough).map_or(0, |t| t.samples)).collect();
@@ -573,9 +576,9 @@ mod tests {
         settled(&world, &frame, &buffers, &tiles, None, &|| true).expect("it goes on")
     }
 
-    fn error(shown: &Settled, truth: f32) -> f32 {
+    fn error(shown: &Settled, exact: f32) -> f32 {
         let values = shown.diffuse.data();
-        (values.iter().map(|v| (v.x - truth).powi(2)).sum::<f32>() / values.len() as f32).sqrt()
+        (values.iter().map(|v| (v.x - exact).powi(2)).sum::<f32>() / values.len() as f32).sqrt()
     }
 
     /// Samples three times as bright or dark as the mean: what a map is off by 20 % is shown, to a fraction of it; a map
@@ -612,10 +615,10 @@ mod tests {
             [(0.2, 3.0, 16), (0.2, 3.0, 256), (0.02, 1.0, 64), (0.0, 1.0, 64)]
         {
             let shown = of(residual, deviation, samples, 7);
-            let truth = error(&shown, 1.0 + residual) / (1.0 + residual);
-            assert!(shown.stated >= truth, "{residual}: {truth} stated below {}", shown.stated);
+            let off = error(&shown, 1.0 + residual) / (1.0 + residual);
+            assert!(shown.stated >= off, "{residual}: {off} stated below {}", shown.stated);
             let noise = deviation / (samples as f32).sqrt() / 8.0;
-            assert!(shown.stated < 3.0 * truth + 2.0 * noise, "{residual}: {truth}, {}", shown.stated);
+            assert!(shown.stated < 3.0 * off + 2.0 * noise, "{residual}: {off}, {}", shown.stated);
         }
     }
 
@@ -718,12 +721,12 @@ mod tests {
             let tiles = of_lobes(32, seed, |x, y| (bright, if is_there(x, y) { chance } else { 0.0 }));
             let shown = settled(&world, &frame, &buffers, &tiles, None, &|| true).expect("it goes on");
             let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
-            let truth = blocks(width, height, |i| {
+            let exact = blocks(width, height, |i| {
                 0.2 + if is_there(i % width, i / width) { bright * chance } else { 0.0 }
             });
             let is = blocks(width, height, |i| luminance(shown.lobes.data()[i]));
-            let squared = truth.iter().zip(&is).map(|(truth, is)| (truth - is).powi(2)).sum::<f64>();
-            let (blocks, light) = (truth.len() as f64, is.iter().sum::<f64>());
+            let squared = exact.iter().zip(&is).map(|(exact, is)| (exact - is).powi(2)).sum::<f64>();
+            let (blocks, light) = (exact.len() as f64, is.iter().sum::<f64>());
             let off = (squared / blocks).sqrt() * blocks / light;
             held += u32::from(f64::from(shown.stated) >= off);
         }
@@ -744,6 +747,6 @@ mod tests {
             errors: (0..192).map(|i| if i == 77 { -2.0 } else { -1e-5 }).collect(),
             doubts: vec![noise * noise; 192],
         };
-        assert!(gain(0.01).is_certain() && !gain(0.1).is_certain() && !gain(0.1).is_denied());
+        assert!(gain(0.01).is_significant() && !gain(0.1).is_significant() && !gain(0.1).is_refuted());
     }
 }

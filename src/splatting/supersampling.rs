@@ -341,12 +341,12 @@ pub(super) mod tests {
         let world = |irradiance: f32| World::new(scene.clone(), Arc::new(Uniform(Vec3::splat(irradiance))));
         let nobody = world(0.0);
         let paths = Gather::new(&nobody.scene, &nobody.accel, &nobody.lights, Trust::Nobody);
-        let truth = Map2d::from_fn(48, 32, |x, y| {
+        let reference = Map2d::from_fn(48, 32, |x, y| {
             let of = |n| sample(&paths, &frame, 77, [x as u32, y as u32], n);
             (0..1024).map(of).map(|s| s.shown + s.parts.into_iter().sum::<Vec3>()).sum::<Vec3>() / 1024.0
         });
-        let truth = blocks(&truth);
-        let mean = truth.iter().sum::<f64>() / 24.0;
+        let reference = blocks(&reference);
+        let mean = reference.iter().sum::<f64>() / 24.0;
         let (mut runs, mut above, mut near) = (0, 0, 0);
         for map in [0.0, 2.0, 3.0, 8.0] {
             let world = world(map);
@@ -355,7 +355,7 @@ pub(super) mod tests {
             for (samples, seed) in [(16, 1), (16, 2), (64, 3), (64, 4), (64, 5)] {
                 let shown = supersampled(&world, &frame, &buffers, seed, samples, &buffers.color);
                 let off =
-                    blocks(&shown.picture).iter().zip(&truth).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+                    blocks(&shown.picture).iter().zip(&reference).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
                 let (off, stated) = ((off / 24.0).sqrt() / mean, f64::from(shown.stated));
                 println!("map {map}, {samples} samples: {off:.4}, stated below {stated:.4}");
                 (runs, above, near) =

@@ -30,8 +30,8 @@ pub const HALVES: usize = 2;
 const PER_HALF: usize = BATCHES / HALVES;
 /// Standard errors that one sample may move a mean by.
 const KAPPA: f64 = 4.0;
-/// One in so many of the largest samples of all pixels may be lone.
-const LONE: usize = 16;
+/// One in so many of the largest samples of all pixels may be a firefly.
+const PIXELS_PER_FIREFLY: usize = 16;
 
 /// Which half a batch belongs to.
 fn half_of(batch: usize) -> usize {
@@ -380,7 +380,7 @@ impl TileSums {
         if sizes.is_empty() {
             return f32::INFINITY;
         }
-        let usual = (sizes.len() - 1).saturating_sub((sizes.len() / LONE).max(1));
+        let usual = (sizes.len() - 1).saturating_sub((sizes.len() / PIXELS_PER_FIREFLY).max(1));
         let usual = *sizes.select_nth_unstable_by(usual, f32::total_cmp).1;
         // In the order of the pixels, whatever the selection did to it.
         let largest: f64 = (self.pixels.iter())
@@ -502,7 +502,7 @@ mod tests {
 
     /// One sample of 10⁶ among 1,000 of 1: it moves the mean by at most κ standard errors, and what is missing is known.
     #[test]
-    fn a_lone_bright_sample_moves_a_mean_by_few_standard_errors() {
+    fn a_firefly_moves_a_mean_by_few_standard_errors() {
         for part in [LOBES, RESIDUAL] {
             let sums = of(1, 1000, |n, _| {
                 let value = if n == 700 { 1e6 } else { 1.0 };
@@ -533,8 +533,8 @@ mod tests {
         assert!((mean / 3.0 - 1.0).abs() < 0.05, "{mean}");
     }
 
-    /// A floor that reflects a window: one sample in ten is 200 times as bright as the others. Nothing of that is lone, in
-    /// few samples or many, early ones or late.
+    /// A floor that reflects a window: one sample in ten is 200 times as bright as the others. No firefly is among
+    /// them, in few samples or many, early ones or late.
     #[test]
     fn what_many_pixels_find_now_and_then_is_not_cut() {
         for samples in [4, 8, 16, 64, 256] {
@@ -629,8 +629,8 @@ mod tests {
         assert_eq!(one(&[5.0, 9.0]).error(&tone)[0], 0.0);
     }
 
-    /// The filter is the same for what lies near and beyond: noise of either counts alike, whole in a lone pixel, by its square in
-    /// 64 of them.
+    /// The filter is the same for what lies near and beyond: noise of either counts alike, whole in a single pixel, by its
+    /// square in 64 of them.
     #[test]
     fn noise_near_and_beyond_counts_alike() {
         let tone = ToneMap::default();

@@ -131,7 +131,7 @@ pub(super) struct Found {
 }
 
 impl Found {
-    /// Weight of the light seen along unit `wi`, at `hit` or in the surrounding, beside light samples, none of which goes
+    /// Weight of the light seen along unit `wi`, at `hit` or in the environment, beside light samples, none of which goes
     /// behind the surface.
     pub fn weight(&self, scene: &Scene, lights: &Lights, (wi, hit): (Vec3, Option<&Hit>)) -> f32 {
         if self.m == 0 || self.from.normal.dot(wi) <= 0.0 {

@@ -85,7 +85,7 @@ impl Arriving {
 /// A sample of what a ray sees.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Seen {
-    /// Emission of the surface, or the surrounding. Radiance.
+    /// Emission of the surface, or the environment. Radiance.
     pub emission: Vec3,
     /// Reflectance of its D part towards the ray, times π: albedo and coat.
     pub albedo: Vec3,
@@ -110,7 +110,7 @@ impl Seen {
 }
 
 /// S surfaces in a row that every path meets before roulette begins.
-const CERTAIN: u32 = 4;
+const ROULETTE_AFTER: u32 = 4;
 /// Most that a path goes on with, also between surfaces that lose nothing.
 const SURVIVAL_MAX: f32 = 0.95;
 /// No path is longer; roulette ends nearly all long before.
@@ -443,7 +443,7 @@ impl<'a> Gather<'a> {
         true
     }
 
-    /// Adds the light that a path meets at `hit` or in the surrounding, weighed beside light samples of the vertex it
+    /// Adds the light that a path meets at `hit` or in the environment, weighed beside light samples of the vertex it
     /// comes from.
     fn shine(&self, light: Vec3, path: &Path, hit: Option<&Hit>, sum: &mut Arriving) {
         if light == Vec3::ZERO || self.drops_caustics && !path.straight && path.narrow {
@@ -579,7 +579,7 @@ impl<'a> Gather<'a> {
         }
         path.specular += 1;
         path.vertices += 1;
-        if path.specular > CERTAIN {
+        if path.specular > ROULETTE_AFTER {
             let survival = path.since.max_element().min(SURVIVAL_MAX);
             // Also ends what is black or not a number.
             if survival.is_nan() || roulette >= survival {

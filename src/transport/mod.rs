@@ -2,7 +2,7 @@
 //!
 //! In: a scene, its geometry index and (for the tracer) stored illumination. Out: radiance along rays, in
 //! W·sr⁻¹·m⁻² per band; [`tracer`] for corrections, [`gather`] and [`caustic`] for stored light, references and refinement,
-//! [`bidirectional`] for the truth.
+//! [`bidirectional`] for the reference.
 
 pub mod arrivals;
 pub mod bidirectional;

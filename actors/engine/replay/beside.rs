@@ -34,7 +34,7 @@ enum Wish {
 }
 
 /// What it shows.
-struct Shown {
+struct PlayerState {
     timeline: TimelineShown,
     picture: Option<Map2d<[u8; 3]>>,
     insight: Option<Insight>,
@@ -62,9 +62,9 @@ impl Asked {
 /// A recording that is looked at from another thread than the one that replays it.
 pub struct Beside {
     asked: Arc<Asked>,
-    newest: Arc<ArrayQueue<Shown>>,
+    newest: Arc<ArrayQueue<PlayerState>>,
     thread: Option<JoinHandle<()>>,
-    shown: Shown,
+    shown: PlayerState,
     /// Wishes so far.
     wishes: Cell<u64>,
     /// The last frame that was asked for, and which wish that was.
@@ -170,8 +170,8 @@ impl Drop for Beside {
     }
 }
 
-fn shown(player: &mut Player, done: u64, goes_on: bool) -> Shown {
-    Shown {
+fn shown(player: &mut Player, done: u64, goes_on: bool) -> PlayerState {
+    PlayerState {
         picture: player.picture(),
         timeline: Timeline::shown(player),
         insight: player.insight().map(|(insight, _)| insight.clone()),
@@ -184,7 +184,7 @@ fn shown(player: &mut Player, done: u64, goes_on: bool) -> Shown {
 }
 
 /// Does what is asked for until that ends.
-fn serve(mut player: Player, asked: &Asked, newest: &ArrayQueue<Shown>) {
+fn serve(mut player: Player, asked: &Asked, newest: &ArrayQueue<PlayerState>) {
     let (mut done, mut goes_on) = (0, true);
     let mut indexing = player.source().indexing();
     while !asked.ends.load(Ordering::Acquire) {

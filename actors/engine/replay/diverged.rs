@@ -26,7 +26,7 @@ pub struct Diverged {
 }
 
 /// What a replay finds at a place.
-struct Found {
+struct Observation {
     says: Content,
     state: Content,
     answers: Vec<Said>,
@@ -59,7 +59,7 @@ pub fn look_at(
     if differs.is_empty() {
         differs = first.state.differences(&second.state);
     }
-    let Found { says, state, answers } = first;
+    let Observation { says, state, answers } = first;
     Ok(Some(Diverged { says, state, answers, differs }))
 }
 
@@ -68,7 +68,7 @@ fn joined(kind: &str, path: &str) -> String {
 }
 
 /// What a replay of all of it finds where it comes to the place.
-fn seen(source: &Source, divergence: &Divergence, workers: usize) -> Result<Option<Found>, Failure> {
+fn seen(source: &Source, divergence: &Divergence, workers: usize) -> Result<Option<Observation>, Failure> {
     let found: Arc<SegQueue<(Content, Content)>> = Arc::default();
     let (sink, actor, index) = (Arc::clone(&found), divergence.actor, divergence.index);
     let observer: Observer = Arc::new(move |d: &Delivery<'_>| {
@@ -83,5 +83,5 @@ fn seen(source: &Source, divergence: &Divergence, workers: usize) -> Result<Opti
     let here = runtime.replay_report().divergence;
     let here = here.filter(|d| (d.actor, d.index) == (actor, index));
     let answers = here.and_then(|d| d.said).unwrap_or_default();
-    Ok(found.pop().map(|(says, state)| Found { says, state, answers }))
+    Ok(found.pop().map(|(says, state)| Observation { says, state, answers }))
 }

@@ -46,7 +46,7 @@ struct Kind {
 }
 
 /// What is noted of one actor.
-struct Notes {
+struct ActorNotes {
     begin: u64,
     next: u64,
     state: Writer,
@@ -61,7 +61,7 @@ struct Notes {
     is_broken: bool,
 }
 
-impl Notes {
+impl ActorNotes {
     fn new(begin: u64) -> Self {
         Self {
             begin,
@@ -143,7 +143,7 @@ impl Notes {
 /// Listens to a replay.
 pub(super) struct Listener {
     /// Notes of each actor, which whoever delivers to it has meanwhile.
-    seats: Vec<ArrayQueue<Notes>>,
+    seats: Vec<ArrayQueue<ActorNotes>>,
     records: SegQueue<Record>,
 }
 
@@ -152,7 +152,7 @@ impl Listener {
     pub(super) fn new(begin: &[u64]) -> Arc<Self> {
         let seats = begin.iter().map(|begin| {
             let seat = ArrayQueue::new(1);
-            let _ = seat.push(Notes::new(*begin));
+            let _ = seat.push(ActorNotes::new(*begin));
             seat
         });
         Arc::new(Self { seats: seats.collect(), records: SegQueue::new() })

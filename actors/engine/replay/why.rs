@@ -107,8 +107,8 @@ impl Notes {
     /// Whether they reach back to all that is told of a pixel.
     fn tell_all(
         &self,
-        shown: &Shown,
-        found: Option<&Found>,
+        shown: &ShownPixel,
+        found: Option<&SampleOrigin>,
         is_diffuse: bool,
         moved: Option<(At, u32)>,
     ) -> bool {
@@ -197,7 +197,7 @@ fn note(d: &Delivery<'_>) -> Option<Note> {
 }
 
 /// What the pixel shows.
-struct Shown {
+struct ShownPixel {
     snapshot: Arc<FrameSnapshot>,
     drawn: Arc<DrawnView>,
     /// Radiance of the base layer and of the splat on it.
@@ -208,7 +208,7 @@ struct Shown {
 }
 
 /// The sample behind a splat.
-struct Found {
+struct SampleOrigin {
     /// The batch and where it was delivered to whom it was found with; none where it came before the replay began.
     batch: Option<(At, Arc<SampleBatch>)>,
     /// Pixel it was traced through, in its own view.
@@ -293,7 +293,7 @@ pub fn explain(
             let (base, splat) = (buffers.color.at(px, py), layer.color(px, py));
             let white = ToneMap::from(&drawn.world.scene.display).white();
             let own_share = Reconstruction::new(layer, buffers, &drawn.frame, white).own_share(px, py);
-            Some(Shown { snapshot, drawn, base, splat, own_share })
+            Some(ShownPixel { snapshot, drawn, base, splat, own_share })
         });
         let Some(shown) = shown.flatten() else {
             return Err(Failure::Check("nothing was shown".into()));
@@ -318,7 +318,7 @@ pub fn explain(
 }
 
 /// The sample behind a splat, traced again as its job says.
-fn traced(notes: &Notes, found: &Found) -> Option<Traced> {
+fn traced(notes: &Notes, found: &SampleOrigin) -> Option<Traced> {
     let ((delivered, batch), pixel) = (found.batch.as_ref()?, found.pixel?);
     let Note::Job { job } = notes.note(notes.cause(*delivered)?)? else { return None };
     let sample = batch.pixels.iter().zip(&batch.colors).find(|(p, _)| **p == pixel).map(|(_, c)| *c)?;
@@ -326,7 +326,7 @@ fn traced(notes: &Notes, found: &Found) -> Option<Traced> {
 }
 
 /// Repeats the splats of the view on a layer of its own and sees which one painted the pixel last.
-fn find(source: &Source, notes: &Notes, shown: &Shown, x: usize, y: usize) -> Option<Found> {
+fn find(source: &Source, notes: &Notes, shown: &ShownPixel, x: usize, y: usize) -> Option<SampleOrigin> {
     let settings = &source.recorded.settings;
     let (width, height) = (settings.width as usize, settings.height as usize);
     let mut layer = SplatLayer::new(width, height, settings.k_max, settings.footprint);
@@ -368,7 +368,7 @@ fn find(source: &Source, notes: &Notes, shown: &Shown, x: usize, y: usize) -> Op
             };
             let mut pairs = batch.pixels.iter().zip(&batch.colors).rev();
             let pixel = pairs.find(|(p, c)| same(c) && painted(p)).map(|(p, _)| *p);
-            Some(Found { batch: Some((painter?, batch.clone())), pixel, level_set, age: 0 })
+            Some(SampleOrigin { batch: Some((painter?, batch.clone())), pixel, level_set, age: 0 })
         }
         Note::Aged { samples, .. } => {
             let covers = |s: &&WarpedSample| {
@@ -393,7 +393,7 @@ fn find(source: &Source, notes: &Notes, shown: &Shown, x: usize, y: usize) -> Op
                 let mut pairs = batch.pixels.iter().zip(&batch.colors);
                 pairs.find(|(_, c)| same(c)).map(|(p, _)| *p)
             });
-            Some(Found { batch: kept, pixel, level_set: u32::from(sample.k), age })
+            Some(SampleOrigin { batch: kept, pixel, level_set: u32::from(sample.k), age })
         }
         _ => None,
     }
@@ -426,8 +426,8 @@ fn link(source: &Source, step: &str, at: Option<At>, text: String) -> Value {
 fn document(
     source: &Source,
     notes: &Notes,
-    shown: &Shown,
-    found: Option<&Found>,
+    shown: &ShownPixel,
+    found: Option<&SampleOrigin>,
     (x, y): (usize, usize),
     moved: Option<(At, u32)>,
 ) -> Value {
@@ -487,7 +487,7 @@ fn document(
 }
 
 /// The link to the turn of the illuminator whose map the view shows, if it came since the notes began.
-fn light(source: &Source, notes: &Notes, shown: &Shown, chain: &mut Vec<Value>) {
+fn light(source: &Source, notes: &Notes, shown: &ShownPixel, chain: &mut Vec<Value>) {
     let Some(stored) = shown.drawn.world.illumination.stored() else { return };
     let rounds = stored.summary.rounds;
     let came =
@@ -506,7 +506,7 @@ fn light(source: &Source, notes: &Notes, shown: &Shown, chain: &mut Vec<Value>) 
 }
 
 /// The last word of the illuminator before the frame was shown, as the recording has it.
-fn newest_map(source: &Source, shown: &Shown) -> Option<At> {
+fn newest_map(source: &Source, shown: &ShownPixel) -> Option<At> {
     let (renderer, illuminator) = (source.renderer(), source.trace.find("illuminator")?);
     let end = *source.shown_in.get(shown.snapshot.index.0 as usize)?;
     let told = source.trace.events(renderer).filter_map(|event| match event {
@@ -517,7 +517,7 @@ fn newest_map(source: &Source, shown: &Shown) -> Option<At> {
 }
 
 /// The links from what the analyzer saw to the sample.
-fn samples(source: &Source, notes: &Notes, shown: &Shown, found: &Found, chain: &mut Vec<Value>) {
+fn samples(source: &Source, notes: &Notes, shown: &ShownPixel, found: &SampleOrigin, chain: &mut Vec<Value>) {
     let Some((delivered, batch)) = &found.batch else {
         chain.push(link(source, "sample", None, "traced before this replay began".into()));
         return;

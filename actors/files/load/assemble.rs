@@ -7,7 +7,7 @@ use glam::Vec3;
 
 use super::Library;
 use super::error::{Place, SceneError, Warning};
-use super::gltf::surround::Surround;
+use super::gltf::image_based::CubeMap;
 use super::obj::ObjFile;
 use foveal::scene::thing::{ThingSource, Things, escaped};
 use foveal::scene::{CameraPath, ExtensionUse, Light, MaterialId, Mesh, NamedCamera, TriangleIndex};
@@ -72,7 +72,7 @@ pub(super) struct Own {
     pub paths: Vec<CameraPath>,
     pub extensions: Vec<ExtensionUse>,
     /// What is all around in the first file that says it, and where that is said.
-    pub surround: Option<(Surround, Place)>,
+    pub cube_map: Option<(CubeMap, Place)>,
 }
 
 /// What is known of triangles besides the mesh.

@@ -8,9 +8,9 @@ use super::*;
 use foveal::math;
 
 /// A folder that is removed when the test ends.
-pub(super) struct Place(pub PathBuf);
+pub(super) struct TempFolder(pub PathBuf);
 
-impl Place {
+impl TempFolder {
     pub fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("foveal-load-{name}-{}", std::process::id()));
         let _ = std::fs::remove_dir_all(&path);
@@ -26,7 +26,7 @@ impl Place {
     }
 }
 
-impl Drop for Place {
+impl Drop for TempFolder {
     fn drop(&mut self) {
         let _ = std::fs::remove_dir_all(&self.0);
     }
@@ -95,7 +95,7 @@ fn said(loaded: &Loaded, part: &str) -> usize {
 
 #[test]
 fn obj_mtl_and_texture() {
-    let place = Place::new("plain");
+    let place = TempFolder::new("plain");
     place.write("m.mtl", "newmtl wood\nKd 1 1 1\nmap_Kd maps\\Wood 1.PNG\nnewmtl unused\nmap_Kd none.png\n");
     place.write("maps/wood 1.png", png(4, 2, [255, 0, 0, 255]));
     let path = place.write("s.obj", format!("mtllib m.mtl\nusemtl wood\n{TRIANGLE}"));
@@ -114,7 +114,7 @@ fn obj_mtl_and_texture() {
 /// Names of OBJ files are things, diffuse or not; the same name later in a file is the same thing, in another file another.
 #[test]
 fn names_of_obj_files_are_things() {
-    let place = Place::new("things");
+    let place = TempFolder::new("things");
     place.write("a.obj", format!("o chair\n{TRIANGLE}g seat\nf 1 2 3\no chair\nf 1 2 3\n"));
     place.write("b.obj", format!("{TRIANGLE}o chair\nf 1 2 3\n"));
     let toml = place.write("s.toml", "format = 1\n[geometry]\nfiles = [\"a.obj\", \"b.obj\"]\n");
@@ -128,7 +128,7 @@ fn names_of_obj_files_are_things() {
 
 #[test]
 fn a_sidecar_beside_or_instead() {
-    let place = Place::new("sidecar");
+    let place = TempFolder::new("sidecar");
     let obj = place.write("s.obj", format!("usemtl a\n{TRIANGLE}"));
     let toml = place.write(
         "s.toml",
@@ -156,7 +156,7 @@ fn a_sidecar_beside_or_instead() {
 
 #[test]
 fn missing_things_are_named_with_who_asked() {
-    let place = Place::new("missing");
+    let place = TempFolder::new("missing");
     let toml = place.write("s.toml", "format = 1\n[geometry]\nfiles = [\n \"gone.obj\"]\n");
     let error = load(&toml).unwrap_err().to_string();
     assert!(error.contains("s.toml:4") && error.contains("gone.obj"), "{error}");
@@ -186,7 +186,7 @@ fn missing_things_are_named_with_who_asked() {
 
 #[test]
 fn several_libraries_in_one_line_and_one_with_blanks() {
-    let place = Place::new("libraries");
+    let place = TempFolder::new("libraries");
     place.write("a.mtl", "newmtl a\nKd 1 0 0\n");
     place.write("b b.mtl", "newmtl b\nKd 0 1 0\n");
     let path = place.write(
@@ -204,7 +204,7 @@ fn several_libraries_in_one_line_and_one_with_blanks() {
 
 #[test]
 fn pictures_that_lie_or_end_early() {
-    let place = Place::new("pictures");
+    let place = TempFolder::new("pictures");
     let mut cut = png(64, 64, [9, 8, 7, 255]);
     cut.truncate(cut.len() / 2);
     place.write("cut.png", cut);
@@ -227,7 +227,7 @@ fn pictures_that_lie_or_end_early() {
 
 #[test]
 fn pictures_share_the_limit_on_memory() {
-    let place = Place::new("limit");
+    let place = TempFolder::new("limit");
     place.write("a.png", png(8, 8, [1; 4]));
     place.write("b.png", png(8, 8, [2; 4]));
     place.write("m.mtl", "newmtl a\nmap_Kd a.png\nmap_Ks a.png\nmap_Ke b.png\n");
@@ -245,7 +245,7 @@ fn pictures_share_the_limit_on_memory() {
 
 #[test]
 fn environment_maps_are_cleaned() {
-    let place = Place::new("sky");
+    let place = TempFolder::new("sky");
     place.write("s.obj", TRIANGLE);
     let values = [1.0f32, 2.0, 3.0, f32::NAN, 1.0, 1.0, f32::INFINITY, 0.0, 0.0, -1.0, 5.0, 5.0];
     let sky = image::Rgb32FImage::from_vec(2, 2, values.to_vec()).unwrap();
@@ -264,7 +264,7 @@ fn environment_maps_are_cleaned() {
 
 #[test]
 fn glass_filters_become_absorption_by_length() {
-    let place = Place::new("glass");
+    let place = TempFolder::new("glass");
     place.write("m.mtl", "newmtl g\nillum 7\nNi 1.5\nTf 0.25 0.25 0.25\n");
     // A cube of side 2: mean chord 4 · 8 / 24 = 4 / 3.
     let cube = "v 0 0 0\nv 2 0 0\nv 2 2 0\nv 0 2 0\nv 0 0 2\nv 2 0 2\nv 2 2 2\nv 0 2 2\nf 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
@@ -397,7 +397,7 @@ fn unpacked_shared_scenes_load() {
 /// A light whose winding says "up" and whose normals say "down" shines down.
 #[test]
 fn faces_wound_against_their_normals_are_turned() {
-    let place = Place::new("winding");
+    let place = TempFolder::new("winding");
     let obj = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 -1\nvn 0 0 1\nf 1//1 2//1 3//1\nf 1//2 2//2 3//2\nf 1//1 2//2 3//2\n";
     let loaded = load(&place.write("a.obj", obj)).unwrap();
     let mesh = &loaded.scene.mesh;

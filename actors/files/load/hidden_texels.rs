@@ -1,8 +1,8 @@
 //! Colours of texels that a mask cuts away.
 //!
 //! What lies in a picture beside a cut-out leaf is often white or black. Nobody sees it close by; but coarser levels of the
-//! picture mix it with the leaf, and from afar the leaf turns pale. So texels that are mostly cut away take the colour of
-//! those around that are not: that of the smallest square of 2ᵏ × 2ᵏ texels that has some.
+//! picture mix it with the leaf, and a distant leaf turns pale. So texels that are mostly cut away take the colour of those
+//! around that are not: that of the smallest square of 2ᵏ × 2ᵏ texels that has some.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn a_leaf_is_as_green_from_afar() {
+    fn a_distant_leaf_is_as_green() {
         let mut textures = leaf().to_vec();
         let close = textures[0].texel(0, 8, 8);
         assert!(textures[0].mean()[0] > 0.3);

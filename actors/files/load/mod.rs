@@ -170,11 +170,11 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     // Pictures that others were made of are gone by now, and their coarser levels were never made.
     complete(&mut textures, |_| true);
     let mut environment = environment(&sidecar, &mut folder, options, &mut warnings);
-    let mut is_surrounded = false;
-    if let (None, Some((surround, place))) = (&environment, own.surround) {
-        match gltf::surround::environment(surround, sidecar.up, &mut folder, options) {
-            Ok(made) => (environment, is_surrounded) = (Some(made), true),
-            Err(why) => warnings.push(Warning::new(place, format!("surroundings {why}; not shown"))),
+    let mut has_cube_map = false;
+    if let (None, Some((cube_map, place))) = (&environment, own.cube_map) {
+        match gltf::image_based::environment(cube_map, sidecar.up, &mut folder, options) {
+            Ok(made) => (environment, has_cube_map) = (Some(made), true),
+            Err(why) => warnings.push(Warning::new(place, format!("the environment {why}; not shown"))),
         }
     }
 
@@ -210,9 +210,9 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     }
     // Lights of glTF are photometric, and nobody chose them for an exposure of 1.
     let emits = own.any && scene.materials.iter().any(Material::is_emissive);
-    // What glows in the open (labels, screens, coals) is no lighting: viewers show such files in surroundings of their own.
+    // What glows in the open (labels, screens, coals) is no lighting: viewers show such files in environments of their own.
     let glows = emits && scene.lights.is_empty() && scene.environment.is_none() && defaults::is_open(&scene);
-    scene.display.metered = (has_lights || emits || is_surrounded) && !glows && !sidecar.exposure_given;
+    scene.display.metered = (has_lights || emits || has_cube_map) && !glows && !sidecar.exposure_given;
     let doubt = if has_lights && emits { light_units::doubt(&scene) } else { None };
     for message in doubt.into_iter().chain(defaults::complete(&mut scene, glows)) {
         warnings.push(Warning::new(Place::new(path, 0), message));
@@ -317,8 +317,8 @@ fn read_mesh(
         joined.own.cameras.extend(file.cameras);
         joined.own.paths.extend(file.paths);
         joined.own.extensions.extend(file.extensions);
-        let surround = file.surround.map(|surround| (surround, Place::new(&shown, 0)));
-        joined.own.surround = joined.own.surround.take().or(surround);
+        let cube_map = file.cube_map.map(|cube_map| (cube_map, Place::new(&shown, 0)));
+        joined.own.cube_map = joined.own.cube_map.take().or(cube_map);
         let library =
             Library { relative, shown: shown.clone(), materials: Definitions::Gltf(file.materials) };
         joined.add(file.mesh, shown, base, vec![library]);

@@ -137,9 +137,9 @@ fn assemble(models: Vec<tobj::Model>, segments: &[Segment], file: &mut ObjFile) 
 /// Gives corners without a normal, in runs with a smoothing group, the mean normal of the faces of
 /// that group and name which meet there, weighted by their angle (Thürmer & Wüthrich 1998).
 fn smooth(file: &mut ObjFile, smoothing: &[u32]) {
-    type Key = ([u32; 3], u32, u32);
-    let mut sums: HashMap<Key, Vec3> = HashMap::new();
-    let key = |p: Vec3, name: u32, group: u32| -> Key {
+    type CornerKey = ([u32; 3], u32, u32);
+    let mut sums: HashMap<CornerKey, Vec3> = HashMap::new();
+    let key = |p: Vec3, name: u32, group: u32| -> CornerKey {
         ((p + Vec3::ZERO).to_array().map(f32::to_bits), name, group)
     };
     let runs = file.runs.clone();

@@ -33,14 +33,14 @@ struct Request {
 #[derive(Default)]
 pub(super) struct TextureRequests {
     list: Vec<Request>,
-    known: HashMap<Key, u32>,
+    known: HashMap<RequestKey, u32>,
     /// Pictures that are no files, by what stands for their path.
     in_memory: HashMap<PathBuf, Arc<Vec<u8>>>,
 }
 
 /// What makes two requests the same: where the picture is, or its name where it is nowhere, and how
 /// it is read.
-type Key = (PathBuf, bool, bool, [u32; 7]);
+type RequestKey = (PathBuf, bool, bool, [u32; 7]);
 
 impl TextureRequests {
     /// Asks for a picture of `folder`, looked for in `bases` in turn.
@@ -322,7 +322,7 @@ fn decode(
     Ok((MipChain::alone(w, h, pixels), alpha))
 }
 
-/// Decodes a face of surroundings: with an alpha channel, colours are divided by it (RGBD), else they are as bright as they look.
+/// Decodes a face of a cube map: with an alpha channel, colours are divided by it (RGBD), else they are as bright as they look.
 pub(super) fn radiance_face(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<Map2d<Vec3>, String> {
     // Six of them are held at once.
     let options = LoadOptions { picture_bytes_max: options.picture_bytes_max / 8, ..options.clone() };

@@ -1,5 +1,5 @@
-// The base layer: emission + albedo / pi x irradiance, with depth, object id and texture level. Twin of
-// foveal::display; names as there.
+// The base layer: emission + albedo / pi x irradiance, with depth, object id and texture level. The CPU
+// pass is foveal::display; names as there.
 //
 // First the rasteriser finds out which triangle each pixel shows and nothing else; then every pixel is shaded once, by
 // the run of triangles (of one set of textures) that it shows.
@@ -275,7 +275,7 @@ fn shade(in: Run) -> Pixel {
     return out;
 }
 
-// The surrounding, where no triangle is.
+// The environment, where no triangle is.
 
 // The CPU pass is scene::environment::Environment::radiance.
 fn environment(direction: vec3f) -> vec3f {

@@ -169,8 +169,8 @@ fn assert_base_layers_equal(
 }
 
 #[test]
-fn base_layer_matches_its_twin() {
-    let Some(gpu) = gpu("base_layer_matches_its_twin") else { return };
+fn base_layer_matches_the_cpu_pass() {
+    let Some(gpu) = gpu("base_layer_matches_the_cpu_pass") else { return };
     let scene = Arc::new(test_scene::room(20));
     let mut display =
         GpuDisplay::new(passes(gpu), Arc::clone(&scene), &Waves, [160, 120], 4, Footprint::Tile);
@@ -180,8 +180,8 @@ fn base_layer_matches_its_twin() {
 }
 
 #[test]
-fn base_layers_of_the_bundled_scenes_match_their_twins() {
-    let Some(gpu) = gpu("base_layers_of_the_bundled_scenes_match_their_twins") else { return };
+fn base_layers_of_the_bundled_scenes_match_the_cpu_pass() {
+    let Some(gpu) = gpu("base_layers_of_the_bundled_scenes_match_the_cpu_pass") else { return };
     let passes = passes(gpu);
     let scenes = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes");
     for name in ["box", "chess", "diffuse", "duck", "furnace", "gallery", "table"] {
@@ -382,9 +382,9 @@ fn assert_layers_equal(display: &GpuDisplay, layer: &SplatLayer) {
 }
 
 #[test]
-fn splat_layer_matches_its_twin() {
+fn splat_layer_matches_the_cpu_pass() {
     for footprint in [Footprint::Smooth, Footprint::Linear, Footprint::Tile, Footprint::Square] {
-        let Some(gpu) = gpu("splat_layer_matches_its_twin") else { return };
+        let Some(gpu) = gpu("splat_layer_matches_the_cpu_pass") else { return };
         let (mut display, buffers) = splat_view(gpu, footprint);
         let lattice = Lattice::new(4, [60, 45]);
         let mut layer = SplatLayer::new(120, 90, 4, footprint);
@@ -445,8 +445,8 @@ fn assert_reconstructions_equal(display: &GpuDisplay, layer: &SplatLayer, buffer
 }
 
 #[test]
-fn composition_and_overlays_match_their_twins() {
-    let Some(gpu) = gpu("composition_and_overlays_match_their_twins") else { return };
+fn composition_and_overlays_match_the_cpu_pass() {
+    let Some(gpu) = gpu("composition_and_overlays_match_the_cpu_pass") else { return };
     let (mut display, mut buffers) = splat_view(gpu, Footprint::Smooth);
     let colors = halves(&readback::read(display.gpu(), &display.targets().color).unwrap());
     let textures = words(&readback::read(display.gpu(), &display.targets().texture).unwrap());

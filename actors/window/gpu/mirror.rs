@@ -18,7 +18,7 @@ use super::display::{Drawn, GpuDisplay, Passes};
 use foveal_actors::message::{DrawnView, View};
 use foveal_actors::renderer::overlay::tile_error;
 use foveal_actors::renderer::{Renderer, Splats};
-use foveal_engine::look::Shown;
+use foveal_engine::look::DisplayInput;
 
 /// A renderer's picture on an adapter.
 pub struct Mirror {
@@ -64,7 +64,7 @@ impl Mirror {
     }
 
     /// Shows what the renderer shows. `None`, and nothing changes, where it shows nothing or the adapter cannot hold it.
-    pub fn draw(&mut self, shown: &Shown<'_>) -> Option<Drawn> {
+    pub fn draw(&mut self, shown: &DisplayInput<'_>) -> Option<Drawn> {
         let drawn = shown.renderer.drawn()?;
         self.take_scene(drawn, shown.renderer.k_max(), shown.footprint)?;
         let scene = self.scene.as_mut()?;
@@ -144,7 +144,7 @@ impl Mirror {
 }
 
 impl foveal_engine::look::Mirror for Mirror {
-    fn show(&mut self, shown: &Shown<'_>) -> bool {
+    fn show(&mut self, shown: &DisplayInput<'_>) -> bool {
         self.draw(shown).is_some()
     }
 }

@@ -1,5 +1,5 @@
-// The splat layer: squares and tiles that replace what has a lower or equal rank, on pixels of their object. Twin of
-// foveal::splatting::layer; names as there.
+// The splat layer: squares and tiles that replace what has a lower or equal rank, on pixels of their object. The CPU
+// pass is foveal::splatting::layer; names as there.
 //
 // Three passes over the new splats, each for all of them: the highest rank of each pixel, the last splat of that rank, its
 // colour and place. So the outcome is that of one splat after the other, in the order of their numbers.

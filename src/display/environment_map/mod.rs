@@ -37,7 +37,7 @@ use crate::world::World;
 pub struct Seen {
     /// Radiance towards the object.
     pub radiance: Vec3,
-    /// Distance to what was seen; infinite for the surrounding.
+    /// Distance to what was seen; infinite for the environment.
     pub distance: f32,
 }
 

@@ -13,7 +13,7 @@ use super::vertex::{End, Vertex, geometric_cosine, receiver};
 
 impl Bidirectional<'_> {
     /// Weight of a light that a subpath from the eye has met after `vertices` others, the last of them `from` if lights
-    /// were sampled there, along the unit `wi`: at a hit with its distance from there, or in the surrounding.
+    /// were sampled there, along the unit `wi`: at a hit with its distance from there, or in the environment.
     pub(super) fn weight_of_found(
         &self,
         vertices: u32,

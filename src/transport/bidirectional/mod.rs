@@ -1,4 +1,4 @@
-//! The truth: bidirectional path tracing, which finds light that [`super::gather`] finds rarely or never.
+//! The reference: bidirectional path tracing, which finds light that [`super::gather`] finds rarely or never.
 //!
 //! One pass traces for each pixel a subpath from the eye and one from a light, and joins them in every way: lights that
 //! are met, lights that are sampled, all pairs of vertices, and each vertex from the light with the pinhole (Veach 1997;
@@ -14,8 +14,8 @@
 mod connect;
 mod odds;
 mod photons;
+mod subpath;
 mod vertex;
-mod walk;
 
 use std::ops::Range;
 
@@ -34,10 +34,10 @@ use super::light::{Lights, VisibleSky};
 use super::medium::Media;
 use photons::Photon;
 pub use photons::Photons;
+use subpath::Seen;
 use vertex::Vertex;
 pub(crate) use vertex::geometric_cosine;
 pub(super) use vertex::{End, scattering};
-use walk::Seen;
 
 /// Radius of the first pass's disks, widths of a pixel where they lie.
 const FIRST_RADIUS: f32 = 2.0;

@@ -35,7 +35,7 @@ impl View {
 }
 
 /// Batches by bidirectional paths; how much of it was merged, at the radius and at 1/√2 of it.
-fn truth(scene: &Scene, view: View, passes: u64, seed: u64) -> (Batches, [f64; 2]) {
+fn estimate(scene: &Scene, view: View, passes: u64, seed: u64) -> (Batches, [f64; 2]) {
     let (accel, lights, frame) = (Accel::build(scene), Lights::build(scene), view.frame());
     let paths = Bidirectional::new(scene, &accel, &lights, &frame);
     let side = view.side as usize;
@@ -86,7 +86,7 @@ fn closed_furnace() {
         let wall = b.emitter(lambert(rho), Vec3::splat(FRAC_1_PI));
         b.cube(Vec3::ZERO, -1.0, wall);
         let view = View::new(Vec3::new(0.1, 0.2, -0.3), Vec3::new(0.4, 0.7, 0.7), 1.2);
-        let (found, _) = truth(&b.scene(), view, 32, seed);
+        let (found, _) = estimate(&b.scene(), view, 32, seed);
         assert_agree(&found, &even(view, FRAC_1_PI / (1.0 - rho)), &format!("ρ {rho}"));
         // A test that cannot fail would pass a percent less, too.
         if rho > 0.6 {
@@ -117,7 +117,7 @@ fn furnace_with_mirrors_and_glass() {
         b.cube(Vec3::ZERO, -1.0, wall);
         b.cube(Vec3::new(0.3, 0.2, 0.4), 0.3, body);
         let view = View::new(Vec3::new(-0.6, -0.2, -0.7), Vec3::new(0.3, 0.2, 0.4), 1.0);
-        let (found, _) = truth(&b.scene(), view, 32, 40 + i as u64);
+        let (found, _) = estimate(&b.scene(), view, 32, 40 + i as u64);
         assert_agree(&found, &even(view, 1.0), &format!("{model:?}"));
     }
 }
@@ -135,7 +135,7 @@ fn a_furnace_with_metal_and_rough_dielectric() {
         b.cube(Vec3::ZERO, -1.0, wall);
         b.cube(Vec3::new(0.3, 0.2, 0.4), 0.3, body);
         let view = View::new(Vec3::new(-0.6, -0.2, -0.7), Vec3::new(0.3, 0.2, 0.4), 0.5);
-        let (found, _) = truth(&b.scene(), view, 32, 60 + i as u64);
+        let (found, _) = estimate(&b.scene(), view, 32, 60 + i as u64);
         assert_near(&found, 1.0, 0.01, &format!("m {metal}, r {r}"));
     }
 }
@@ -150,7 +150,7 @@ fn irradiance_under_a_square_light() {
         b.rectangle(Vec3::ZERO, Vec3::X * 4.0, Vec3::Y * 4.0, floor);
         b.rectangle(Vec3::Z, Vec3::Y * 0.5, Vec3::X * 0.5, light);
         let view = View::new(Vec3::new(x, -0.9, 0.5), Vec3::X * x, 0.01);
-        let (found, _) = truth(&b.scene(), view, 32, 7);
+        let (found, _) = estimate(&b.scene(), view, 32, 7);
         // L = ρ / π · E with E = π F.
         assert_near(&found, 0.5 * factor, 1e-3, &format!("x {x}"));
     }
@@ -171,7 +171,7 @@ fn the_sun_through_panes() {
         let mut scene = b.scene();
         scene.lights = vec![Light::Directional { direction, irradiance: Vec3::ONE }];
         let view = View::new(Vec3::new(0.0, -0.5, 0.5), Vec3::ZERO, 0.02);
-        let (found, _) = truth(&scene, view, 16, 3);
+        let (found, _) = estimate(&scene, view, 16, 3);
         // Light between two panes: 1 + r² + …, r = 2R / (1 + R).
         let r = 2.0 * 0.04 / 1.04;
         let through = [1.0, 1.0 - r, (1.0 - r) * (1.0 - r)][panes];
@@ -190,7 +190,7 @@ fn tilted_normals_under_the_sky() {
         let normal = Vec3::new(math::sin(tilt), 0.0, math::cos(tilt));
         b.surface(1, floor, |u, v| (Vec3::new(u - 0.5, v - 0.5, 0.0) * 4.0, normal));
         let view = View::new(Vec3::Z * 2.0, Vec3::ZERO, 0.5);
-        let (found, _) = truth(&b.under_sky(Vec3::ONE), view, 32, 5);
+        let (found, _) = estimate(&b.under_sky(Vec3::ONE), view, 32, 5);
         assert_near(&found, f64::from(0.25 * (1.0 + math::cos(tilt))), 1e-4, &format!("{tilt}"));
     }
 }
@@ -230,7 +230,7 @@ fn a_lamp_over_a_mirror() {
     let mut scene = b.scene();
     scene.lights = vec![Light::Point { position: Vec3::Z, intensity: Vec3::ONE, range: f32::INFINITY }];
     let view = View { side: 16, ..View::new(Vec3::new(0.3, 0.2, 0.5), Vec3::new(0.1, 0.0, 2.0), 0.9) };
-    let (found, merged) = truth(&scene, view, 800, 4);
+    let (found, merged) = estimate(&scene, view, 800, 4);
     let exact = plane(view, 2.0, None, |p| {
         let r = p.truncate().length();
         SCREEN * FRAC_1_PI * (by_lamp(1.0, r) + 0.8 * by_lamp(3.0, r))
@@ -264,12 +264,12 @@ fn a_paraboloid_straight_and_in_a_mirror() {
     let caustic = |p: Vec3| 0.9 / (1.0 + 0.25 * p.truncate().length_squared()).powi(2);
     let all = |p: Vec3| SCREEN * FRAC_1_PI * (by_lamp(3.0, p.truncate().length()) + caustic(p));
     let view = View { side: 16, ..View::new(Vec3::new(0.3, 0.2, 2.0), Vec3::new(0.2, 0.1, 4.0), 0.5) };
-    let (found, merged) = truth(&scene(None), view, 800, 4);
+    let (found, merged) = estimate(&scene(None), view, 800, 4);
     assert_agree(&found, &plane(view, 4.0, None, all), "straight");
     assert_eq!(merged, [0.0; 2]);
     // The mirror's image of the screen.
     let view = View { side: 16, ..View::new(Vec3::new(1.8, 0.0, 1.5), Vec3::new(4.2, 0.0, 4.0), 0.2) };
-    let (found, merged) = truth(&scene(Some(2.2)), view, 800, 4);
+    let (found, merged) = estimate(&scene(Some(2.2)), view, 800, 4);
     assert_agree(&found, &plane(view, 4.0, Some(2.2), all), "in a mirror");
     let layer = total(&plane(view, 4.0, Some(2.2), |p| SCREEN * FRAC_1_PI * caustic(p)));
     assert!((merged[0] / layer - 1.0).abs() < 0.02, "{merged:?}, {layer}");
@@ -300,7 +300,7 @@ fn a_slab_absorbs_whoever_goes_through_it() {
             let way = inside(Vec3::Z * lamp, p) + inside(at, p);
             SCREEN * FRAC_1_PI * light * math::powf(tau, way)
         });
-        let (found, merged) = truth(&scene, view, 800, 6);
+        let (found, merged) = estimate(&scene, view, 800, 6);
         assert_agree(&found, &exact, &format!("lamp at {lamp}, eye at {eye}"));
         assert_eq!(merged[0] > 0.0, eye > 0.5);
     }
@@ -315,11 +315,11 @@ fn threads_do_not_matter_and_nothing_panics_in_the_dark() {
     let view = View::new(Vec3::ZERO, Vec3::ONE, 1.0);
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        pool.install(|| truth(&scene, view, 16, 1).0)
+        pool.install(|| estimate(&scene, view, 16, 1).0)
     };
     assert_eq!(on(1), on(3));
     let mut empty = Builder::default().scene();
-    assert_eq!(total(&truth(&empty, view, 16, 1).0), 0.0);
+    assert_eq!(total(&estimate(&empty, view, 16, 1).0), 0.0);
     empty.environment = Some(Environment::constant(Vec3::ONE));
-    assert!((total(&truth(&empty, view, 16, 1).0) - 1.0).abs() < 1e-6);
+    assert!((total(&estimate(&empty, view, 16, 1).0) - 1.0).abs() < 1e-6);
 }

@@ -233,7 +233,7 @@ impl Bsdf {
         if let Some(over) = around.over {
             if let Some(coat) = over.coat {
                 let gain = coat.strength * there;
-                let f0 = Vec3::splat(metal_rough::Coat::F0 * gain);
+                let f0 = Vec3::splat(metal_rough::Clearcoat::F0 * gain);
                 let facet = Facet::Between { f0, f90: Vec3::splat(gain) };
                 push(reflecting(facet, &isotropic(MetalRough::alpha(coat.roughness))));
             }

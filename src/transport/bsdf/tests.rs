@@ -318,8 +318,8 @@ fn half_a_metal_is_the_mean_of_metal_and_dielectric() {
 
 #[test]
 fn coat_fibres_veils_and_what_passes_keep_the_light_there_is() {
-    use crate::scene::metal_rough::{Coat, Over};
-    let coat = |roughness| Some(Coat { strength: 0.8, roughness });
+    use crate::scene::metal_rough::{Clearcoat, Over};
+    let coat = |roughness| Some(Clearcoat { strength: 0.8, roughness });
     let fibres = Some(crate::scene::Sheen { color: Vec3::splat(0.7), roughness: 0.6 });
     let overs = [
         None,
@@ -363,9 +363,9 @@ fn coat_fibres_veils_and_what_passes_keep_the_light_there_is() {
 /// Sampling and evaluating of several lobes agree: the mean weight is the integral.
 #[test]
 fn layered_lobes_are_sampled_as_they_are_evaluated() {
-    use crate::scene::metal_rough::{Coat, Over};
+    use crate::scene::metal_rough::{Clearcoat, Over};
     let over = Over::new(
-        Some(Coat { strength: 1.0, roughness: 0.3 }),
+        Some(Clearcoat { strength: 1.0, roughness: 0.3 }),
         Some(crate::scene::Sheen { color: Vec3::splat(0.5), roughness: 0.5 }),
     );
     let m = crate::scene::MetalRough { over, ..white_metal_rough(1.0, 0.6) };

@@ -39,30 +39,30 @@ fn into_the_corner() -> Ray {
 #[test]
 fn end_values_change_the_noise_and_not_the_mean() {
     let rho = 0.7;
-    let truth = 1.0 / (1.0 - rho);
+    let expected = 1.0 / (1.0 - rho);
     let mut b = Builder::default();
     let wall = b.emitter(lambert(rho as f32), Vec3::splat(FRAC_1_PI));
     b.cube(Vec3::ZERO, -1.0, wall);
     let scene = b.scene();
     let of = |trust: Trust<'_>| irradiance(&scene, trust, &into_the_corner(), 20_000);
-    let right = uniform(truth as f32);
+    let right = uniform(expected as f32);
     let (nothing, all, thrice) = (
         of(Trust::EndValue(&uniform(0.0))),
         of(Trust::EndValue(&right)),
-        of(Trust::EndValue(&uniform(3.0 * truth as f32))),
+        of(Trust::EndValue(&uniform(3.0 * expected as f32))),
     );
     for (found, what) in [(nothing, "0"), (all, "true"), (thrice, "3 × true"), (of(Trust::Nobody), "nobody")]
     {
-        check(found, truth, what);
+        check(found, expected, what);
     }
     // A share of the light is counted by light samples beside directions, so each alone has noise; both together have
     // that of the geometry term only, which the first step shares with all end values.
     let [e0, e1, e3] = [nothing.1, all.1, thrice.1];
     assert!(e1 < 0.7 * e0 && e1 < e3, "{e0} {e1} {e3}");
     // Believed wholly, the map is right where it is.
-    check(of(Trust::Map(&right)), truth, "map");
-    let half = uniform(0.5 * truth as f32);
-    check(of(Trust::Map(&half)), 1.0 + 0.7 * 0.5 * truth, "half of the map");
+    check(of(Trust::Map(&right)), expected, "map");
+    let half = uniform(0.5 * expected as f32);
+    check(of(Trust::Map(&half)), 1.0 + 0.7 * 0.5 * expected, "half of the map");
 }
 
 /// A room with a lamp, a mirror, a coated floor, a rough metal and a glass ball: a map that is wrong changes nothing.
@@ -108,7 +108,7 @@ fn wrong_maps_leave_no_trace_among_all_kinds_of_surfaces() {
 /// what that is off by.
 #[test]
 fn samples_tell_apart_what_lies_beyond_the_next_diffuse_surface() {
-    let (rho, truth) = (0.7, 1.0 / 0.3);
+    let (rho, expected) = (0.7, 1.0 / 0.3);
     let mut b = Builder::default();
     let wall = b.emitter(lambert(rho), Vec3::splat(FRAC_1_PI));
     let mirror = b.material(Model::Mirror { specular: Reflectance::constant(Vec3::splat(0.5)) });
@@ -117,7 +117,7 @@ fn samples_tell_apart_what_lies_beyond_the_next_diffuse_surface() {
     let scene = b.scene();
     let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
     let at = hit_by(&scene, &accel, &into_the_corner());
-    let map = uniform(0.5 * truth);
+    let map = uniform(0.5 * expected);
     let sample = |trust: Trust<'_>, i: u64| {
         Gather::new(&scene, &accel, &lights, trust).arriving(&at, Media::EMPTY, Stream::new(7, i, 0))
     };
@@ -129,7 +129,7 @@ fn samples_tell_apart_what_lies_beyond_the_next_diffuse_surface() {
         missing += f64::from(all.deep.x) / 4000.0;
     }
     // Half of the light of the walls times their albedo; a mirror is in the way now and then.
-    assert!((missing / f64::from(0.5 * rho * truth) - 1.0).abs() < 0.1, "{missing}");
+    assert!((missing / f64::from(0.5 * rho * expected) - 1.0).abs() < 0.1, "{missing}");
 }
 
 /// Half of a floor lies in the shadow of a board. What looks at it sees the shadow's edge where it is, however coarse the map
@@ -154,11 +154,14 @@ fn maps_are_read_with_sharp_shadows() {
     let mut scene = b.scene();
     scene.lights = vec![Light::Directional { direction: -Vec3::Z, irradiance: Vec3::splat(2.0) }];
     let up = Ray::new(Vec3::new(0.0, 0.0, 0.1), Vec3::Z);
-    let (truth, e) = irradiance(&scene, Trust::Nobody, &up, 20_000);
+    let (expected, e) = irradiance(&scene, Trust::Nobody, &up, 20_000);
     let (found, f) = irradiance(&scene, Trust::Map(&Coarse), &up, 20_000);
-    assert!(truth > 0.1 && (truth - found).abs() < 4.0 * (e + f), "{truth} ± {e}, not {found} ± {f}");
+    assert!(
+        expected > 0.1 && (expected - found).abs() < 4.0 * (e + f),
+        "{expected} ± {e}, not {found} ± {f}"
+    );
     let (wrong, _) = irradiance(&scene, Trust::Map(&uniform(1.0)), &up, 20_000);
-    assert!((truth - wrong).abs() > 8.0 * (e + f), "{wrong}");
+    assert!((expected - wrong).abs() > 8.0 * (e + f), "{wrong}");
 }
 
 /// A floor whose smooth normal is tilted sees the part of the sky above the floor: E = π (1 + cos θ) / 2.

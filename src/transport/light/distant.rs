@@ -12,7 +12,7 @@ use crate::scene::Scene;
 use crate::transport::bsdf::cosine_hemisphere;
 
 impl Lights {
-    /// Whether there are directional lights or a surrounding.
+    /// Whether there are directional lights or an environment.
     pub fn has_distant(&self) -> bool {
         self.distant.total() > 0.0
     }
@@ -22,7 +22,7 @@ impl Lights {
         self.near.total()
     }
 
-    /// A direction in which light of directional lights or of the surrounding arrives, chosen by what it would bring
+    /// A direction in which light of directional lights or of the environment arrives, chosen by what it would bring
     /// if nothing hid it. `visible`: what is known of how much of the sky is seen.
     pub fn sample_distant(
         &self,

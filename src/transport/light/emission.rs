@@ -45,7 +45,7 @@ impl Lights {
     /// A particle with its light: its ray and its flux per band in W, divided by the density of its choice, so that the mean
     /// flux of many is the power of all lights. `None` is a particle without flux.
     ///
-    /// Lights are chosen by power; triangles emit by area and cosine; the surrounding and directional lights
+    /// Lights are chosen by power; triangles emit by area and cosine; the environment and directional lights
     /// through a disk around the scene's bounds.
     pub(in crate::transport) fn begin(
         &self,

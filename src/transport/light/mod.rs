@@ -1,4 +1,4 @@
-//! Lights: emissive triangles, lights without area, the surrounding.
+//! Lights: emissive triangles, lights without area, the environment.
 //!
 //! In: a scene. Out: directions towards light with their densities ([`Lights::sample_towards`]), the densities of
 //! directions found otherwise ([`Lights::pdf_towards`]), and particles that leave the lights
@@ -34,7 +34,7 @@ use tree::{Bounds, LightTree};
 pub use sky::VisibleSky;
 pub use towards::Receiver;
 
-/// Least and largest share of next-event samples that go to the surrounding and directional lights where there
+/// Least and largest share of next-event samples that go to the environment and directional lights where there
 /// are others too: seen from a room, their power is mostly outside of it.
 const DISTANT_SHARE: (f32, f32) = (0.25, 0.75);
 
@@ -43,7 +43,7 @@ const DISTANT_SHARE: (f32, f32) = (0.25, 0.75);
 pub struct LightSample {
     /// Unit direction to the light.
     pub wi: Vec3,
-    /// Distance to it, scene units; infinite for the surrounding and directional lights.
+    /// Distance to it, scene units; infinite for the environment and directional lights.
     pub distance: f32,
     /// Radiance from there; for `delta` lights the irradiance at perpendicular incidence.
     pub radiance: Vec3,
@@ -54,7 +54,7 @@ pub struct LightSample {
 }
 
 impl LightSample {
-    /// Whether it comes from the surrounding or a directional light.
+    /// Whether it comes from the environment or a directional light.
     pub fn is_distant(&self) -> bool {
         self.distance.is_infinite()
     }
@@ -175,7 +175,7 @@ impl Lights {
             }
         }
         if let Some(d) = &lights.environment {
-            // An empty scene still has a surrounding.
+            // An empty scene still has an environment.
             let flux = d.integral * (PI * radius * radius).max(f32::MIN_POSITIVE);
             add(&mut lights, Emitter::Environment, flux);
         }

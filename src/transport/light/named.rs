@@ -20,14 +20,14 @@ pub(in crate::transport) fn named_sample(scene: &Scene, number: u32, point: Vec3
 
 impl Lights {
     fn has_named(&self) -> bool {
-        let surroundings = usize::from(self.environment.is_some());
-        self.emitters.len() - self.triangle_count - surroundings <= NAMED_MAX
+        let environments = usize::from(self.environment.is_some());
+        self.emitters.len() - self.triangle_count - environments <= NAMED_MAX
     }
 
     /// Whether there are lights that have names.
     pub fn has_any_named(&self) -> bool {
-        let surroundings = usize::from(self.environment.is_some());
-        self.has_named() && self.emitters.len() > self.triangle_count + surroundings
+        let environments = usize::from(self.environment.is_some());
+        self.has_named() && self.emitters.len() > self.triangle_count + environments
     }
 
     /// The light that each named light sends to `point`.
@@ -96,7 +96,7 @@ impl Lights {
     }
 
     /// Density per solid angle with which [`Self::sample_unnamed`] draws the unit direction `wi`, where a ray along it
-    /// ends at `hit`, or in the surrounding. 0 where that is no light.
+    /// ends at `hit`, or in the environment. 0 where that is no light.
     pub fn pdf_unnamed(
         &self,
         scene: &Scene,

@@ -114,7 +114,7 @@ fn irradiance_of_lights_without_area() {
 fn irradiance_of_the_environment() {
     let mut s = square_light();
     s.environment = Some(Environment::constant(Vec3::splat(2.0)));
-    // The light hides a part of the surrounding and adds its own.
+    // The light hides a part of the environment and adds its own.
     let (e, error) = irradiance(&s, Vec3::new(0.0, 5.0, 0.0), 20_000, true);
     assert!((e - 2.0 * std::f64::consts::PI).abs() < 4.0 * error, "{e} ± {error}");
     let map = Map2d::from_fn(32, 16, |_, y| Vec3::splat(if y < 8 { 1.0 } else { 0.0 }));
@@ -158,7 +158,7 @@ fn mean_flux_of_particles_is_the_power() {
             square += flux.as_dvec3() * flux.as_dvec3() / n as f64;
         }
     }
-    // Square, point, spot, sun, surrounding: in closed form.
+    // Square, point, spot, sun, environment: in closed form.
     let pi = std::f64::consts::PI;
     let radius = f64::from(lights.radius);
     let disk = pi * radius * radius;

@@ -46,7 +46,7 @@ impl Lights {
     }
 
     /// Density per solid angle with which [`Self::sample_towards`] draws the unit direction `wi` for `at`, where a ray
-    /// along it ends at `hit`, or in the surrounding. 0 where that is no light.
+    /// along it ends at `hit`, or in the environment. 0 where that is no light.
     pub fn pdf_towards(
         &self,
         scene: &Scene,
@@ -92,7 +92,7 @@ impl Lights {
         usable.then_some((emitter, sample))
     }
 
-    /// The light that a ray found, at `hit` or in the surrounding; `None` where no sample is drawn there.
+    /// The light that a ray found, at `hit` or in the environment; `None` where no sample is drawn there.
     pub(in crate::transport) fn met(&self, scene: &Scene, hit: Option<&Hit>) -> Option<Emitter> {
         let Some(hit) = hit else { return self.environment.is_some().then_some(Emitter::Environment) };
         let material = scene.mesh.materials[hit.triangle as usize].0 as usize;
@@ -110,7 +110,7 @@ impl Lights {
         self.emitters.iter().any(|e| self.is_dirac(*e))
     }
 
-    /// Whether a light is the surrounding or directional.
+    /// Whether a light is the environment or directional.
     pub(in crate::transport) fn is_distant(&self, emitter: Emitter) -> bool {
         self.place(emitter).is_some_and(|i| i >= self.near_count)
     }

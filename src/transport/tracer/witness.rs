@@ -49,7 +49,7 @@ pub enum Event {
         /// Surfaces before it.
         depth: u32,
     },
-    /// Nothing is met: the surroundings are seen.
+    /// Nothing is met: the environment is seen.
     Escaped {
         /// Direction of the ray.
         direction: Vec3,

@@ -67,19 +67,19 @@ pub(super) struct RootExtensions {
     #[serde(rename = "KHR_materials_variants")]
     pub variants: Option<Variants>,
     #[serde(rename = "EXT_lights_image_based")]
-    pub surrounds: Option<Surrounds>,
+    pub image_based: Option<ImageBasedLights>,
 }
 
 #[derive(Debug, Deserialize)]
-pub(super) struct Surrounds {
+pub(super) struct ImageBasedLights {
     #[serde(default)]
-    pub lights: List<Surround>,
+    pub lights: List<ImageBasedLight>,
 }
 
 /// Radiance from all around as the faces of cubes, the finest first.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub(super) struct Surround {
+pub(super) struct ImageBasedLight {
     #[serde(default = "one")]
     pub intensity: f32,
     #[serde(default = "unturned")]
@@ -95,7 +95,7 @@ fn unturned() -> [f32; 4] {
 #[derive(Debug, Default, Deserialize)]
 pub(super) struct SceneExtensions {
     #[serde(rename = "EXT_lights_image_based")]
-    pub surround: Option<NodeLight>,
+    pub image_based: Option<NodeLight>,
 }
 
 #[derive(Debug, Deserialize)]

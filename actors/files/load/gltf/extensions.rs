@@ -9,7 +9,7 @@ use foveal::scene::ExtensionUse;
 
 /// Extensions that are known, in order, and what becomes of them.
 const KNOWN: [(&str, &str); 31] = [
-    ("EXT_lights_image_based", "the finest pictures are the surroundings; light is computed from them"),
+    ("EXT_lights_image_based", "the finest pictures are the environment; light is computed from them"),
     ("EXT_mesh_gpu_instancing", "shown"),
     ("EXT_meshopt_compression", "decoded"),
     ("EXT_texture_webp", "shown"),

@@ -12,7 +12,7 @@ use super::materials::{FilmSource, Maps, MetalRoughSource};
 use super::surfaces::{Pending, Veil};
 use super::texels::mean_of;
 use foveal::image::luminance;
-use foveal::scene::metal_rough::{Coat, Layer, MetalRough, Over};
+use foveal::scene::metal_rough::{Clearcoat, Layer, MetalRough, Over};
 use foveal::scene::recipe::{Channel, FilmMaps, Recipe, Scalar};
 use foveal::scene::{Reflectance, Sheen, Texture, TextureId};
 
@@ -39,7 +39,7 @@ pub(super) fn surface(
     }
     let roughness = if source.is_gloss { 1.0 - source.roughness } else { source.roughness };
     let layer = Layer::new(f0.max_element(), source.strength);
-    let coat = source.coat.map(|[strength, roughness]| Coat { strength, roughness });
+    let coat = source.coat.map(|[strength, roughness]| Clearcoat { strength, roughness });
     let sheen = source.sheen.map(|(color, roughness)| Sheen { color, roughness });
     let over = Over::new(coat, sheen);
     let (metallic, through) = (source.metallic, source.through);

@@ -65,7 +65,7 @@ pub(super) fn camera(of: &CameraObject, world: &DMat4, odd: &mut Oddities) -> Op
     let (eye, fov_y) = match (of.kind.as_str(), &of.perspective, &of.orthographic) {
         ("perspective", Some(p), _) if p.yfov.is_finite() => (eye, fov(p.yfov)),
         ("orthographic", _, Some(o)) if o.ymag.is_finite() && o.ymag != 0.0 => {
-            odd.count("an orthographic camera", "shown by one of 2 degrees from afar");
+            odd.count("an orthographic camera", "shown by a distant one of 2 degrees");
             (eye - forward * (o.ymag.abs() / math::tan(FAR_HALF_VIEW)), 2.0 * FAR_HALF_VIEW)
         }
         _ => {

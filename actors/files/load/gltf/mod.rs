@@ -12,6 +12,7 @@ mod document;
 #[cfg(feature = "draco")]
 mod draco;
 mod extensions;
+pub(super) mod image_based;
 mod joined;
 mod joined_maps;
 mod lights;
@@ -26,7 +27,6 @@ mod pointers;
 mod reader;
 mod skins;
 pub(super) mod surfaces;
-pub(super) mod surround;
 mod tangents;
 #[cfg(test)]
 mod tests;
@@ -150,7 +150,7 @@ pub(super) struct GltfFile {
     /// Of cameras that an animation moves, by their names.
     pub paths: Vec<CameraPath>,
     /// What is all around.
-    pub surround: Option<surround::Surround>,
+    pub cube_map: Option<image_based::CubeMap>,
     /// Its extensions.
     pub extensions: Vec<ExtensionUse>,
 }

@@ -17,7 +17,7 @@ use super::number::Index;
 use super::paths::{Above, named};
 use super::pictures::{Coordinates, Pictures};
 use super::tangents::{self, Along};
-use super::{Choices, GltfFile, Oddities, Problem, get, lights, materials, nodes, skins, surround};
+use super::{Choices, GltfFile, Oddities, Problem, get, image_based, lights, materials, nodes, skins};
 use foveal::scene::camera::PathKey;
 use foveal::scene::{CameraPath, NamedCamera};
 
@@ -80,9 +80,9 @@ impl<'d, 'o> Reader<'d, 'o> {
         let roots: &[Index] = match self.scene()? {
             Some(scene) => {
                 let scene = get(&document.scenes, scene, "scenes")?;
-                if let Some(of) = &scene.extensions.surround {
-                    self.out.surround =
-                        surround::read(document, of.light, &self.pictures, buffers, self.odd)?;
+                if let Some(of) = &scene.extensions.image_based {
+                    self.out.cube_map =
+                        image_based::read(document, of.light, &self.pictures, buffers, self.odd)?;
                 }
                 &scene.nodes
             }

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 
 use glam::{Vec2, Vec3};
 
-use super::super::file_tests::{Place, png, promises};
+use super::super::file_tests::{TempFolder, png, promises};
 use super::super::{LoadOptions, Loaded, load, load_with};
 use super::SceneError;
 use foveal::scene::{Light, Model, Scene};
@@ -105,7 +105,7 @@ fn quad(maker: &mut Maker) -> String {
     )
 }
 
-fn loaded(place: &Place, text: impl AsRef<[u8]>) -> Loaded {
+fn loaded(place: &TempFolder, text: impl AsRef<[u8]>) -> Loaded {
     let loaded = load(&place.write("a.gltf", text)).unwrap_or_else(|e| panic!("{e}"));
     promises(&loaded.scene);
     loaded
@@ -113,7 +113,7 @@ fn loaded(place: &Place, text: impl AsRef<[u8]>) -> Loaded {
 
 /// The quad with these materials (and whatever keys follow them), in one node.
 fn with_materials(name: &str, materials: &str) -> Loaded {
-    let place = Place::new(name);
+    let place = TempFolder::new(name);
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let rest = format!(r#"{mesh}, "nodes": [{{"mesh": 0, "name": "thing"}}], "materials": {materials}"#);
@@ -122,7 +122,7 @@ fn with_materials(name: &str, materials: &str) -> Loaded {
 
 /// The same with both sides of the quad apart, so that it encloses a body, if a flat one.
 fn with_body(name: &str, materials: &str) -> Loaded {
-    let place = Place::new(name);
+    let place = TempFolder::new(name);
     let mut maker = Maker::default();
     let position = maker.vec3(&CORNERS);
     let uv = maker.vec2(&CORNERS.map(|p| Vec2::new(p.x, p.y)));

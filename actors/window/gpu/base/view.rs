@@ -1,4 +1,4 @@
-//! What the shaders know of a view: camera, sizes, the surrounding.
+//! What the shaders know of a view: camera, sizes, the environment.
 
 use bytemuck::{Pod, Zeroable};
 use foveal::scene::Environment;

@@ -31,7 +31,7 @@ fn paths(scene: &Scene, view: View, samples: u64, seed: u64) -> Batches {
 /// Both find the same.
 fn check(scene: &Scene, view: View, samples: [u64; 2], seeds: std::ops::Range<u64>, what: &str) {
     for seed in seeds {
-        let (found, _) = truth(scene, view, samples[0], seed);
+        let (found, _) = estimate(scene, view, samples[0], seed);
         let known = paths(scene, view, samples[1], 100 + seed);
         let Some(z) = Agreement::new(&found, &known) else { panic!("{what}: nothing is seen") };
         assert!(z.holds(), "{what}, seed {seed}: {z:?}; {} and {}", total(&found), total(&known));

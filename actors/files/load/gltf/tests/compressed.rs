@@ -61,7 +61,7 @@ fn packed(bytes: &[u8], vertices: u32, corners: u32) -> String {
 #[cfg(feature = "draco")]
 #[test]
 fn a_mesh_of_draco_is_the_one_that_was_compressed() {
-    let place = Place::new("draco");
+    let place = TempFolder::new("draco");
     let scene = loaded(&place, packed(&sheet(), 11, 24)).scene;
     assert_eq!(scene.mesh.triangles.len(), 8);
     assert!((area(&scene) - 4.0).abs() < 0.01, "{}", area(&scene));
@@ -78,7 +78,7 @@ fn a_mesh_of_draco_is_the_one_that_was_compressed() {
 #[cfg(feature = "draco")]
 #[test]
 fn a_broken_mesh_of_draco_is_an_error_that_says_what_to_do() {
-    let place = Place::new("draco-broken");
+    let place = TempFolder::new("draco-broken");
     let refused = |bytes: &[u8], vertices, corners| {
         let why = load(&place.write("a.gltf", packed(bytes, vertices, corners))).err()?.to_string();
         assert!(why.contains("without Draco compression"), "{why}");

@@ -13,7 +13,7 @@ use foveal::world::World;
 
 /// The quad with a second set of coordinates, which is the first one turned over: (y, x) from the lower left.
 fn with_two_sets(name: &str, materials: &str) -> Loaded {
-    let place = Place::new(name);
+    let place = TempFolder::new(name);
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let other = maker.vec2(&CORNERS.map(|p| Vec2::new(p.y, 1.0 - p.x)));
@@ -190,7 +190,7 @@ fn backs_are_seen_through_and_lit_all_the_same() {
         "KHR_materials_volume": {"thicknessFactor": 1}}}]"#,
     );
     assert!(!glass.scene.materials[0].culled && single.materials[0].culled);
-    let place = Place::new("gltf-no-cull");
+    let place = TempFolder::new("gltf-no-cull");
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     place.write("a.toml", "format = 1\n[gltf]\ncull = false\n");
@@ -268,10 +268,10 @@ fn pictures_all_around_light_the_scene() {
             ),
         )
     };
-    let loaded = scene("gltf-surround", "", &faces.join(","));
+    let loaded = scene("gltf-cube-map", "", &faces.join(","));
     assert!(!loaded.warnings.iter().any(|w| w.message.contains("no light")), "{:?}", loaded.warnings);
     assert!(loaded.scene.display.metered);
-    let around = loaded.scene.environment.as_ref().expect("surroundings");
+    let around = loaded.scene.environment.as_ref().expect("an environment");
     let axes = [Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z];
     // What is upright there, or behind where up is looked at, and what is to the right of both.
     let ups = [Vec3::Y, Vec3::Y, Vec3::NEG_Z, Vec3::Z, Vec3::Y, Vec3::Y];
@@ -285,14 +285,14 @@ fn pictures_all_around_light_the_scene() {
     // A quarter turn about y brings what was at +z to +x.
     let h = 0.5f32.sqrt();
     let turned =
-        scene("gltf-surround-turned", &format!(r#""rotation": [0, {h}, 0, {h}],"#), &faces.join(","));
-    let turned = turned.scene.environment.as_ref().expect("surroundings");
+        scene("gltf-cube-map-turned", &format!(r#""rotation": [0, {h}, 0, {h}],"#), &faces.join(","));
+    let turned = turned.scene.environment.as_ref().expect("an environment");
     let seen = |around: &foveal::scene::Environment, d: Vec3| around.radiance(d + d.cross(Vec3::NEG_Y) * 0.6);
     assert!((seen(turned, Vec3::X) - seen(around, Vec3::Z)).length() < 0.02);
     // Pictures that are no cube are told, and a sky is made up.
     let mut odd = faces.clone();
     odd[3] = data_png_of(1, &[[9; 4]; 2]);
-    let broken = scene("gltf-surround-odd", "", &odd.join(","));
+    let broken = scene("gltf-cube-map-odd", "", &odd.join(","));
     assert!(broken.warnings.iter().any(|w| w.message.contains("six squares")), "{:?}", broken.warnings);
     assert!(broken.scene.environment.as_ref().is_some_and(|e| e.map.is_none()));
 }
@@ -313,7 +313,7 @@ fn normals_lean_along_tangents_of_the_file_or_made_ones() {
     // The second set's u goes up.
     close(lean(&with_two_sets("gltf-lean-v", &materials(r#", "texCoord": 1"#)).scene), Vec3::new(0.0, h, h));
     // The file's own tangents count before that.
-    let place = Place::new("gltf-lean-own");
+    let place = TempFolder::new("gltf-lean-own");
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let own: Vec<f32> = [-1.0, 0.0, 0.0, 1.0].repeat(4);

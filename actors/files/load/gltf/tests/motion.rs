@@ -4,7 +4,7 @@ use super::*;
 
 #[test]
 fn lights_and_cameras_come_after_those_of_the_sidecar() {
-    let place = Place::new("gltf-lights");
+    let place = TempFolder::new("gltf-lights");
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let rest = format!(
@@ -34,7 +34,7 @@ fn lights_and_cameras_come_after_those_of_the_sidecar() {
 
 #[test]
 fn a_camera_that_moves_is_a_path_and_a_time_poses_things() {
-    let place = Place::new("gltf-path");
+    let place = TempFolder::new("gltf-path");
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let times = maker.accessor(bytemuck::cast_slice(&[1.0f32, 3.0]), 5126, 2, "SCALAR", "");
@@ -69,7 +69,7 @@ fn a_camera_that_moves_is_a_path_and_a_time_poses_things() {
 
 #[test]
 fn a_skin_of_one_joint_is_the_nodes_transform_and_targets_move_by_their_weights() {
-    let place = Place::new("gltf-skin");
+    let place = TempFolder::new("gltf-skin");
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let plain = format!(
@@ -110,7 +110,7 @@ fn a_skin_of_one_joint_is_the_nodes_transform_and_targets_move_by_their_weights(
 
 #[test]
 fn lights_colours_and_weights_are_those_of_the_shown_time() {
-    let place = Place::new("gltf-pointers");
+    let place = TempFolder::new("gltf-pointers");
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let times = maker.accessor(bytemuck::cast_slice(&[0.0f32, 2.0]), 5126, 2, "SCALAR", "");
@@ -170,7 +170,7 @@ fn one_candela_at_one_metre_is_one_lux_and_a_range_ends_it() {
     for (name, range, expected) in
         [("none", "", 1.0), ("two", r#", "range": 2"#, 0.9375), ("one", r#", "range": 1"#, 0.0)]
     {
-        let place = Place::new(&format!("gltf-candela-{name}"));
+        let place = TempFolder::new(&format!("gltf-candela-{name}"));
         let mut maker = Maker::default();
         let mesh = quad(&mut maker);
         let scene = loaded(
@@ -196,7 +196,7 @@ fn one_candela_at_one_metre_is_one_lux_and_a_range_ends_it() {
 #[test]
 fn lamps_in_other_units_than_what_glows_are_told() {
     let said = |name: &str, intensity: f64| {
-        let place = Place::new(name);
+        let place = TempFolder::new(name);
         let mut maker = Maker::default();
         let mesh = quad(&mut maker);
         let loaded = loaded(

@@ -4,7 +4,7 @@ use super::*;
 
 #[test]
 fn variants_and_required_extensions_are_chosen_by_name() {
-    let place = Place::new("gltf-variants");
+    let place = TempFolder::new("gltf-variants");
     let mut maker = Maker::default();
     let mesh = quad(&mut maker).replace(
         r#""material": 0"#,
@@ -34,7 +34,7 @@ fn variants_and_required_extensions_are_chosen_by_name() {
 
 #[test]
 fn no_name_leads_out_of_the_folder_or_to_a_device() {
-    let place = Place::new("gltf-escapes");
+    let place = TempFolder::new("gltf-escapes");
     let secret = place.write("secret.bin", vec![0u8; 48]);
     let inner = place.0.join("inner");
     std::fs::create_dir_all(&inner).unwrap();
@@ -85,7 +85,7 @@ fn no_name_leads_out_of_the_folder_or_to_a_device() {
 
 #[test]
 fn numbers_that_leave_the_bytes_end_with_the_place() {
-    let place = Place::new("gltf-hostile");
+    let place = TempFolder::new("gltf-hostile");
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let good = maker.text(&format!(r#"{mesh}, "nodes": [{{"mesh": 0}}], "materials": [{{}}]"#));
@@ -147,7 +147,7 @@ fn numbers_that_leave_the_bytes_end_with_the_place() {
 
 #[test]
 fn what_a_file_does_not_draw_is_not_read() {
-    let place = Place::new("gltf-unused");
+    let place = TempFolder::new("gltf-unused");
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let text = maker.text(&format!(r#"{mesh}, "nodes": [{{"mesh": 0}}], "materials": [{{}}]"#));

@@ -4,7 +4,7 @@ use super::*;
 
 #[test]
 fn an_obj_and_a_gltf_of_one_scene_have_the_same_bits() {
-    let place = Place::new("gltf-pair");
+    let place = TempFolder::new("gltf-pair");
     let mut obj = String::from("o fan\nusemtl m\n");
     for i in 0..5 {
         let (x, y) = (i as f32 * 0.37 - 0.81, (i * i) as f32 * 0.13);
@@ -52,7 +52,7 @@ fn every_way_to_say_a_quad_gives_the_same() {
         ("4.0", &[0, 1, 2, 2, 3, 0]),
     ];
     for (mode, indices) in ways {
-        let place = Place::new(&format!("gltf-mode-{mode}-{}", indices.len() + indices[3] as usize));
+        let place = TempFolder::new(&format!("gltf-mode-{mode}-{}", indices.len() + indices[3] as usize));
         for indexed in [true, false] {
             let mut maker = Maker::default();
             let points: Vec<Vec3> = indices.iter().map(|&i| CORNERS[i as usize]).collect();
@@ -71,7 +71,7 @@ fn every_way_to_say_a_quad_gives_the_same() {
 
 #[test]
 fn sparse_and_quantised_positions_are_those_of_floats() {
-    let place = Place::new("gltf-sparse");
+    let place = TempFolder::new("gltf-sparse");
     let scene_of = |maker: &Maker, position: usize, node: &str| {
         let rest = format!(
             r#""meshes": [{{"primitives": [{{"attributes": {{"POSITION": {position}}}, "mode": 6}}]}}],
@@ -109,7 +109,7 @@ fn sparse_and_quantised_positions_are_those_of_floats() {
 
 #[test]
 fn instances_stand_where_their_nodes_are_and_bear_their_names() {
-    let place = Place::new("gltf-instances");
+    let place = TempFolder::new("gltf-instances");
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let shifts = maker.vec3(&[Vec3::ZERO, Vec3::new(0.0, 0.0, 7.0)]);
@@ -149,7 +149,7 @@ fn instances_stand_where_their_nodes_are_and_bear_their_names() {
 /// Diffuse things are things too, whatever hangs from what; a name that is there twice means two of them.
 #[test]
 fn diffuse_nodes_are_things_with_paths_and_parents() {
-    let place = Place::new("gltf-things");
+    let place = TempFolder::new("gltf-things");
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let rest = format!(
@@ -181,7 +181,7 @@ fn diffuse_nodes_are_things_with_paths_and_parents() {
 /// A chain of nodes makes paths no longer than a few names.
 #[test]
 fn paths_of_deep_nodes_are_short() {
-    let place = Place::new("gltf-deep");
+    let place = TempFolder::new("gltf-deep");
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let name = "n".repeat(300);
@@ -202,7 +202,7 @@ fn paths_of_deep_nodes_are_short() {
 
 #[test]
 fn compressed_views_are_those_that_they_were_made_of() {
-    let place = Place::new("gltf-meshopt");
+    let place = TempFolder::new("gltf-meshopt");
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let rest = format!(r#"{mesh}, "nodes": [{{"mesh": 0}}], "materials": [{{}}]"#);
@@ -241,7 +241,7 @@ fn compressed_views_are_those_that_they_were_made_of() {
 
 #[test]
 fn seventy_thousand_nodes_of_few_meshes_load() {
-    let place = Place::new("gltf-many");
+    let place = TempFolder::new("gltf-many");
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let nodes: Vec<String> = (0..70_000)
@@ -262,7 +262,7 @@ fn seventy_thousand_nodes_of_few_meshes_load() {
 
 #[test]
 fn colours_of_vertices_are_factors_of_the_base_colour() {
-    let place = Place::new("gltf-colors");
+    let place = TempFolder::new("gltf-colors");
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let half = [1.0f32, 0.5, 0.0];

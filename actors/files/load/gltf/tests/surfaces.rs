@@ -85,7 +85,7 @@ fn alpha_cuts_out_where_it_is_below_the_cutoff() {
 /// The radiance that a camera straight above sees of an unlit thing behind a sheet.
 fn seen_through(name: &str, sheet: &str) -> Vec3 {
     use foveal::geometry::Ray;
-    let place = Place::new(name);
+    let place = TempFolder::new(name);
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
     let position = maker.vec3(&CORNERS.map(|p| p * 4.0 - Vec3::new(2.0, 2.0, 1.0)));
@@ -250,7 +250,7 @@ fn a_picture_that_is_not_there_shows_a_checker() {
     );
     assert!(says(&found, "leads out") && says(&found, "none.png"));
     assert!(found.scene.materials[0].normal_map.is_none());
-    let place = Place::new("gltf-beside");
+    let place = TempFolder::new("gltf-beside");
     place.write("maps/a b.png", png(2, 2, [255, 0, 0, 255]));
     let mut maker = Maker::default();
     let mesh = quad(&mut maker);
@@ -265,7 +265,7 @@ fn a_picture_that_is_not_there_shows_a_checker() {
 #[test]
 fn what_only_glows_in_the_open_stands_under_a_sky() {
     let of = |name: &str, more: &str| {
-        let place = Place::new(name);
+        let place = TempFolder::new(name);
         let mut maker = Maker::default();
         let mesh = quad(&mut maker);
         let rest = format!(

@@ -1,5 +1,5 @@
-//! Surroundings as the faces of a cube (`EXT_lights_image_based`). Only the finest pictures count: what rough surfaces see of
-//! them, and what falls on others, is computed.
+//! An environment as the faces of a cube (`EXT_lights_image_based`). Only the finest pictures count: what rough surfaces see
+//! of them, and what falls on others, is computed.
 
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ const SIDES: [usize; 2] = [64, 512];
 
 /// Pictures all around, still to be read.
 #[derive(Clone, Debug)]
-pub(in super::super) struct Surround {
+pub(in super::super) struct CubeMap {
     /// Towards +x, −x, +y, −y, +z, −z, with their names.
     faces: [(String, Picture); 6],
     intensity: f32,
@@ -31,20 +31,20 @@ pub(in super::super) struct Surround {
     turn: DMat3,
 }
 
-/// What a scene says of its surroundings; `None` where that shows nothing.
+/// What a scene says of its environment; `None` where that shows nothing.
 pub(super) fn read(
     document: &Document,
     light: Index,
     pictures: &Pictures<'_>,
     buffers: &mut Buffers<'_>,
     odd: &mut Oddities,
-) -> Result<Option<Surround>, Problem> {
+) -> Result<Option<CubeMap>, Problem> {
     const NAME: &str = "extensions/EXT_lights_image_based/lights";
     let none = super::number::List::default();
-    let lights = document.extensions.surrounds.as_ref().map_or(&none, |s| &s.lights);
+    let lights = document.extensions.image_based.as_ref().map_or(&none, |s| &s.lights);
     let light = get(lights, light, NAME)?;
     let Some(faces) = light.specular_images.first() else {
-        odd.count("surroundings without pictures", "not shown");
+        odd.count("an environment without pictures", "not shown");
         return Ok(None);
     };
     let mut read = Vec::with_capacity(6);
@@ -55,12 +55,12 @@ pub(super) fn read(
     let turn = DMat3::from_mat4(nodes::transform([0.0; 3], light.rotation, [1.0; 3]));
     let intensity = if light.intensity.is_finite() { light.intensity.clamp(0.0, 1e6) } else { 1.0 };
     let turn = if turn.is_finite() && turn.determinant() > 0.5 { turn } else { DMat3::IDENTITY };
-    Ok((intensity > 0.0).then_some(Surround { faces, intensity, turn }))
+    Ok((intensity > 0.0).then_some(CubeMap { faces, intensity, turn }))
 }
 
-/// The pictures as one map; else what completes "surroundings …".
+/// The pictures as one map; else what completes "the environment …".
 pub(in super::super) fn environment(
-    of: Surround,
+    of: CubeMap,
     up: Vec3,
     folder: &mut Folder,
     options: &LoadOptions,
@@ -70,18 +70,18 @@ pub(in super::super) fn environment(
         let bytes = match picture {
             Picture::Bytes(bytes) => bytes,
             Picture::File(path) => Arc::new(folder.read(&path).map_err(|p: FileProblem| p.to_string())?),
-            Picture::Broken(why) => return Err(format!("have a picture \"{name}\" that {why}")),
+            Picture::Broken(why) => return Err(format!("has a picture \"{name}\" that {why}")),
         };
         encoded.push((name, bytes));
     }
     let read = |(name, bytes): &(String, Arc<Vec<u8>>)| {
         textures::radiance_face(bytes, name.as_ref(), options)
-            .map_err(|why| format!("have a picture \"{name}\" that {why}"))
+            .map_err(|why| format!("has a picture \"{name}\" that {why}"))
     };
     let faces: Vec<Map2d<Vec3>> = encoded.par_iter().map(read).collect::<Result<_, _>>()?;
     let side = faces[0].width();
     if faces.iter().any(|face| (face.width(), face.height()) != (side, side)) {
-        return Err("have pictures that are no six squares of one size".to_owned());
+        return Err("has pictures that are no six squares of one size".to_owned());
     }
     let mut environment = Environment { up, ..Environment::constant(Vec3::splat(of.intensity)) };
     let back = of.turn.transpose();

@@ -17,7 +17,7 @@ use crate::scene::Scene;
 
 /// A point of the front of a surface with its irradiance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Truth {
+pub struct ReferencePoint {
     /// Triangle.
     pub triangle: u32,
     /// Barycentric coordinate at its second corner.
@@ -32,14 +32,14 @@ pub struct Truth {
 
 /// Irradiance on the front of about `count` elements of `atlas` that `counts` accepts, drawn in proportion to their
 /// area, from `samples` paths each.
-pub fn truth(
+pub fn reference_points(
     (scene, accel, lights): (&Scene, &Accel, &Lights),
     atlas: &Atlas,
     counts: &dyn Fn(u32) -> bool,
     count: usize,
     samples: u32,
     seed: u64,
-) -> Vec<Truth> {
+) -> Vec<ReferencePoint> {
     let elements: Vec<u32> = (0..atlas.elements.len() as u32)
         .filter(|&e| atlas.elements[e as usize].area > 0.0 && counts(e))
         .collect();
@@ -77,7 +77,7 @@ pub fn at_point(
     b2: f32,
     samples: u32,
     key: u64,
-) -> Truth {
+) -> ReferencePoint {
     let [a, b, c] = scene.mesh.corners(triangle);
     let normal = (b - a).cross(c - a).normalize_or_zero();
     let p = a * (1.0 - b1 - b2) + b * b1 + c * b2;
@@ -92,14 +92,14 @@ pub fn at_point(
     let n = f64::from(samples.max(1));
     let irradiance = (sum / n).as_vec3();
     let variance = ((squares / n - f64::from(luminance(irradiance)).powi(2)) / n).max(0.0) as f32;
-    Truth { triangle, b1, b2, irradiance, variance }
+    ReferencePoint { triangle, b1, b2, irradiance, variance }
 }
 
-/// Root of the mean squared error of `found` against the truth, relative to the root mean square irradiance; the
-/// variance that the truth itself has is taken off (it is an upper bound, as its samples are stratified).
-pub fn relative_error(found: &dyn Irradiance, truth: &[Truth]) -> f64 {
+/// Root of the mean squared error of `found` against the reference, relative to the root mean square irradiance; the
+/// variance that the reference itself has is taken off (it is an upper bound, as its samples are stratified).
+pub fn relative_error(found: &dyn Irradiance, reference: &[ReferencePoint]) -> f64 {
     let (mut error, mut energy) = (0.0f64, 0.0f64);
-    for t in truth {
+    for t in reference {
         let e = found.irradiance(t.triangle, t.b1, t.b2, false);
         let difference = f64::from(luminance(e - t.irradiance));
         error += difference * difference - f64::from(t.variance);

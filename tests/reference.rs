@@ -38,9 +38,9 @@ fn truth_and_paths_differ_by_noise_alone() {
     assert_eq!(Foveal::new(line).arg(out.join("no.exr")).arg(scene("diffuse")).run().code, Some(2));
 }
 
-/// What the views of the bundled scenes, refined with 16 samples of each pixel, are off the truth: blocks of 8 × 8 pixels on
-/// average, and all light together. The gold of the atelier, the sheen of the finishes and the table's glass are noisy in
-/// so few samples.
+/// What the views of the bundled scenes, refined with 16 samples of each pixel, are off their references: blocks of 8 × 8
+/// pixels on average, and all light together. The gold of the atelier, the sheen of the finishes and the table's glass are
+/// noisy in so few samples.
 const GAPS: [(&str, f64, f64); 9] = [
     ("atelier", 0.0460, 0.0033),
     ("box", 0.0150, -0.0009),
@@ -53,11 +53,11 @@ const GAPS: [(&str, f64, f64); 9] = [
     ("table", 0.0690, -0.0395),
 ];
 
-/// The truths are `foveal reference SCENE --kind truth --spp 256 --size 64x48 --out tests/truth/NAME.exr`, whose blocks are
-/// sure to 0.1 to 2 %. Views have the same bits everywhere, so what makes a figure larger is a change of what is
+/// The references are `foveal reference SCENE --kind truth --spp 256 --size 64x48 --out tests/truth/NAME.exr`, whose
+/// blocks are sure to 0.1 to 2 %. Views have the same bits everywhere, so what makes a figure larger is a change of what is
 /// computed: one that is meant to be better in all brings smaller ones, which then stand here.
 #[test]
-fn no_bundled_scene_is_farther_from_the_truth_than_it_was() {
+fn no_bundled_scene_is_farther_from_its_reference_than_it_was() {
     let mut grown = Vec::new();
     for (name, was_off, was_dark) in GAPS {
         let view = folder("gap").join("view.exr");

@@ -20,12 +20,12 @@ use super::photons::Photons;
 use super::vertex::{End, Vertex, geometric_cosine, receiver, scattering};
 
 /// Surfaces that every subpath meets before roulette begins.
-const CERTAIN: u32 = 4;
+const ROULETTE_AFTER: u32 = 4;
 /// No subpath is longer; roulette ends nearly all long before.
 const BOUNCES_MAX: u32 = 1000;
 
 /// A subpath on its way.
-struct Walk {
+struct Subpath {
     ray: Ray,
     throughput: Vec3,
     /// Squared refractive indices crossed, kept apart so that roulette does not end paths inside of glass.
@@ -37,7 +37,7 @@ struct Walk {
     stream: Stream,
 }
 
-impl Walk {
+impl Subpath {
     fn new(ray: Ray, throughput: Vec3, media: Media, odds: Odds, stream: Stream) -> Self {
         Self { ray, throughput, scale: 1.0, media, odds, distance: 0.0, stream }
     }
@@ -50,7 +50,7 @@ impl Walk {
 
     /// Roulette at vertex `n`; `relative` is what is left of the throughput. Also ends what is black or not a number.
     fn survives(&mut self, n: u32, relative: f32) -> bool {
-        if n < CERTAIN {
+        if n < ROULETTE_AFTER {
             return relative > 0.0;
         }
         let survival = relative.min(0.95);
@@ -72,11 +72,11 @@ pub(super) struct Seen {
 }
 
 impl Bidirectional<'_> {
-    fn hit(&self, walk: &mut Walk) -> Option<(crate::geometry::Hit, Interaction, Bsdf)> {
-        let hit = self.accel.intersect(self.scene, &walk.ray)?;
-        let at = Interaction::at(self.scene, &walk.ray, &hit);
-        walk.distance += hit.t;
-        walk.throughput *= walk.media.transmittance_to(self.scene, &at, hit.t);
+    fn hit(&self, subpath: &mut Subpath) -> Option<(crate::geometry::Hit, Interaction, Bsdf)> {
+        let hit = self.accel.intersect(self.scene, &subpath.ray)?;
+        let at = Interaction::at(self.scene, &subpath.ray, &hit);
+        subpath.distance += hit.t;
+        subpath.throughput *= subpath.media.transmittance_to(self.scene, &at, hit.t);
         Some((hit, at, Bsdf::at(self.scene, &at)))
     }
 
@@ -93,38 +93,39 @@ impl Bidirectional<'_> {
         let odds =
             Odds { vcm: squared(self.light_paths() / f64::from(self.frame.density(direction))), vc: 0.0 };
         let ray = Ray::new(self.frame.eye, direction);
-        let mut walk = Walk::new(ray, Vec3::ONE, self.around_eye, odds, stream);
+        let mut subpath = Subpath::new(ray, Vec3::ONE, self.around_eye, odds, stream);
         // The last vertex, as far as lights were sampled there.
         let mut from: Option<Receiver> = None;
         let (mut vertices, mut dirac, mut length) = (0, true, 0.0);
         for _ in 0..BOUNCES_MAX {
-            let Some((hit, at, bsdf)) = self.hit(&mut walk) else {
-                let light = self.lights.escaped(self.scene, walk.ray.direction);
+            let Some((hit, at, bsdf)) = self.hit(&mut subpath) else {
+                let light = self.lights.escaped(self.scene, subpath.ray.direction);
                 if light != Vec3::ZERO {
-                    let weight = self.weight_of_found(vertices, &walk.odds, from, walk.ray.direction, None);
-                    seen.connected += walk.throughput * light * (walk.scale * weight);
+                    let weight =
+                        self.weight_of_found(vertices, &subpath.odds, from, subpath.ray.direction, None);
+                    seen.connected += subpath.throughput * light * (subpath.scale * weight);
                 }
                 break;
             };
-            let arrived = walk.odds.arrived(walk.distance, geometric_cosine(&at, at.wo));
+            let arrived = subpath.odds.arrived(subpath.distance, geometric_cosine(&at, at.wo));
             let emitted = at.point().emission(self.scene);
             if emitted != Vec3::ZERO {
-                let found = Some((&hit, walk.distance));
+                let found = Some((&hit, subpath.distance));
                 let weight = self.weight_of_found(vertices, &arrived, from, -at.wo, found);
-                seen.connected += walk.throughput * emitted * (walk.scale * weight);
+                seen.connected += subpath.throughput * emitted * (subpath.scale * weight);
             }
-            let (u, u_lobe) = (walk.stream.next_2d(), walk.stream.next_f32());
+            let (u, u_lobe) = (subpath.stream.next_2d(), subpath.stream.next_f32());
             let sample = bsdf.sample_all(at.wo, u, u_lobe);
             if let Some(through) = sample.filter(|s| goes_straight(self.scene, &at, s)) {
-                walk.leave(&at, through.wi, through.weight);
+                subpath.leave(&at, through.wi, through.weight);
                 continue;
             }
-            length += walk.distance;
-            (walk.odds, walk.distance) = (arrived, 0.0);
-            let throughput = walk.throughput * walk.scale;
-            let vertex = Vertex { at, bsdf, throughput, media: walk.media, odds: walk.odds };
+            length += subpath.distance;
+            (subpath.odds, subpath.distance) = (arrived, 0.0);
+            let throughput = subpath.throughput * subpath.scale;
+            let vertex = Vertex { at, bsdf, throughput, media: subpath.media, odds: subpath.odds };
             if bsdf.is_connectible() {
-                let (choice, u) = (walk.stream.next_f64(), walk.stream.next_2d());
+                let (choice, u) = (subpath.stream.next_f64(), subpath.stream.next_2d());
                 seen.connected += self.sampled(&vertex, choice, u);
                 for y in light {
                     seen.connected += self.connected(&vertex, y);
@@ -139,19 +140,19 @@ impl Bidirectional<'_> {
             }
             let Some(sample) = sample else { break };
             let cosine = geometric_cosine(&at, sample.wi);
-            walk.odds = if sample.delta {
+            subpath.odds = if sample.delta {
                 from = None;
-                walk.odds.mirrored(cosine, at.is_reversible(&bsdf, &sample))
+                subpath.odds.mirrored(cosine, at.is_reversible(&bsdf, &sample))
             } else {
                 let Some(s) = scattering(self.scene, &at, &bsdf, End::Eye, sample.wi) else { break };
-                walk.odds.scattered(cosine, sample.pdf, s.to_eye)
+                subpath.odds.scattered(cosine, sample.pdf, s.to_eye)
             };
             if sample.transmitted {
-                walk.scale *= sample.radiance_scale;
-                walk.media = walk.media.crossed(self.scene, &at);
+                subpath.scale *= sample.radiance_scale;
+                subpath.media = subpath.media.crossed(self.scene, &at);
             }
-            walk.leave(&at, sample.wi, sample.weight);
-            if !walk.survives(vertices, walk.throughput.max_element()) {
+            subpath.leave(&at, sample.wi, sample.weight);
+            if !subpath.survives(vertices, subpath.throughput.max_element()) {
                 break;
             }
             (vertices, dirac) = (vertices + 1, dirac && sample.delta);
@@ -169,33 +170,38 @@ impl Bidirectional<'_> {
         } else {
             Media::EMPTY
         };
-        let mut walk = Walk::new(ray, flux, around, Odds::default(), stream);
+        let mut subpath = Subpath::new(ray, flux, around, Odds::default(), stream);
         let (only_alone, mut alone) = (alone, self.lights.is_dirac(emitter));
         let (mut vertices, mut beside) = (0, true);
-        let lamp = self.lights.ending_lamp(walk.ray.origin);
+        let lamp = self.lights.ending_lamp(subpath.ray.origin);
         for _ in 0..BOUNCES_MAX {
-            let Some((_, at, bsdf)) = self.hit(&mut walk) else { return };
-            let sample = bsdf.sample_all(at.wo, walk.stream.next_2d(), walk.stream.next_f32());
+            let Some((_, at, bsdf)) = self.hit(&mut subpath) else { return };
+            let sample = bsdf.sample_all(at.wo, subpath.stream.next_2d(), subpath.stream.next_f32());
             if let Some(through) = sample.filter(|s| goes_straight(self.scene, &at, s)) {
-                walk.leave(&at, through.wi, through.weight);
+                subpath.leave(&at, through.wi, through.weight);
                 continue;
             }
             if let Some((position, range)) = lamp.filter(|_| vertices == 0) {
-                walk.throughput *= Light::window(range, position.distance(at.position));
-                if walk.throughput.max_element() <= 0.0 {
+                subpath.throughput *= Light::window(range, position.distance(at.position));
+                if subpath.throughput.max_element() <= 0.0 {
                     return;
                 }
             }
             let cosine = geometric_cosine(&at, at.wo);
-            walk.odds = if vertices == 0 {
-                self.odds_of_first(emitter, &at, walk.distance)
+            subpath.odds = if vertices == 0 {
+                self.odds_of_first(emitter, &at, subpath.distance)
             } else {
-                walk.odds.arrived(walk.distance, cosine)
+                subpath.odds.arrived(subpath.distance, cosine)
             };
-            walk.distance = 0.0;
+            subpath.distance = 0.0;
             if bsdf.is_connectible() {
-                let vertex =
-                    Vertex { at, bsdf, throughput: walk.throughput, media: walk.media, odds: walk.odds };
+                let vertex = Vertex {
+                    at,
+                    bsdf,
+                    throughput: subpath.throughput,
+                    media: subpath.media,
+                    odds: subpath.odds,
+                };
                 visit(&vertex, alone && !beside);
             }
             let Some(sample) = sample else { return };
@@ -207,21 +213,21 @@ impl Bidirectional<'_> {
                 // Particles see shading normals from the other end than paths (Veach 1997, eq 5.19).
                 let shading = |w: Vec3| at.shading_normal.dot(w).abs();
                 let weight = sample.weight * (shading(at.wo) / cosine * out / shading(sample.wi));
-                walk.odds = walk.odds.mirrored(out, true);
+                subpath.odds = subpath.odds.mirrored(out, true);
                 if sample.transmitted {
-                    walk.media = walk.media.crossed(self.scene, &at);
+                    subpath.media = subpath.media.crossed(self.scene, &at);
                 }
-                walk.leave(&at, sample.wi, weight);
+                subpath.leave(&at, sample.wi, weight);
             } else {
                 let Some(s) = scattering(self.scene, &at, &bsdf, End::Light, sample.wi) else { return };
-                walk.odds = walk.odds.scattered(out, sample.pdf, s.to_light);
-                walk.leave(&at, sample.wi, s.f * (out / sample.pdf));
+                subpath.odds = subpath.odds.scattered(out, sample.pdf, s.to_light);
+                subpath.leave(&at, sample.wi, s.f * (out / sample.pdf));
                 alone &= !beside;
             }
             beside = !sample.delta;
             if only_alone && !alone
-                || !walk.throughput.is_finite()
-                || !walk.survives(vertices, (walk.throughput / flux.max_element()).max_element())
+                || !subpath.throughput.is_finite()
+                || !subpath.survives(vertices, (subpath.throughput / flux.max_element()).max_element())
             {
                 return;
             }

@@ -23,25 +23,25 @@ use foveal_terminal::table::{Aim, CommonArguments, Row, finish, median};
 /// Arguments of `foveal bench error`.
 #[derive(Args, Debug)]
 pub struct ErrorArguments {
-    /// Whose error
+    /// Which error to measure
     #[arg(long, value_enum, default_value_t = What::Corrections)]
     what: What,
-    /// Seconds of all cores for each scene and method; of a bake: --what illumination and light
+    /// With --what illumination: time on all cores for each scene and method; with --what light: time of a bake
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = foveal_terminal::arguments::duration)]
     pub(super) time: Duration,
-    /// Picture size; with --plain 128x96 if none is given, since references by paths take long
+    /// Picture size (default with --plain 128x96, since path-traced references take long, with --what light 256x192)
     #[arg(long, value_name = "WxH", default_value = "400x300",
         default_value_ifs([("plain", "true", "128x96"), ("what", "light", "256x192")]))]
     pub(super) size: Size,
-    /// Scene files, or names of bundled scenes (default: box duck table gallery chess; of the illumination
-    /// box diffuse table; of light these, and small rooms of many kinds)
+    /// Scene files or names of bundled scenes (default: box duck table gallery chess; with --what illumination: box
+    /// diffuse table; with --what light: most of these and many small rooms)
     #[arg(value_name = "SCENE")]
     subjects: Vec<String>,
-    /// The same with commas between
+    /// The same, separated by commas
     #[arg(long, value_name = "SCENES", value_delimiter = ',')]
     scenes: Vec<String>,
-    /// Policies to compare; all: the first paper's, black mirrors and all; its attention on
-    /// environment maps; attention as here, uniform, utility
+    /// Policies to compare; all: Haber 2001 as published (uncorrected mirrors are black), its attention over
+    /// environment maps, and attention, uniform and utility as in this program
     #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "all")]
     pub(super) policies: Vec<String>,
     /// Frames of the walk, a tenth of a second apart
@@ -50,32 +50,31 @@ pub struct ErrorArguments {
     /// Share of a view's samples that one frame of the walk has time for
     #[arg(long, value_name = "SHARE", default_value = "0.1", value_parser = foveal_terminal::arguments::unit)]
     pub(super) share: f32,
-    /// Processor time of one frame of a walk, for everything that is done; 200 ms are two cores at ten frames a second:
-    /// --what walks
+    /// With --what walks: processor time per frame, for everything; 200 ms are two cores at ten frames per second
     #[arg(long, value_name = "TIMES", value_delimiter = ',', default_value = "50ms,200ms", value_parser = foveal_terminal::arguments::duration)]
     pub(super) frame_time: Vec<Duration>,
     /// Show only the coarsest environment maps
     #[arg(long)]
     coarse_maps: bool,
-    /// Beside plain alternatives in this program: scan order, √5 order, and path tracing of full frames, still and
-    /// walking; everything against `traced` references, and against `path` references, which know of no baked light. A
-    /// scene takes one to four minutes on two cores; --size, --frames, --reference-spp and --walk-spp make it longer
+    /// Compare with plain alternatives in this program (scan order, √5 order, and path tracing of full frames), still
+    /// and walking, against `traced` references and against `path` references, which ignore the bake. A scene takes
+    /// one to four minutes on two cores, more with larger --size, --frames, --reference-spp and --walk-spp
     #[arg(long)]
     pub(super) plain: bool,
-    /// With --plain: samples per pixel of the still view's `traced` reference; 1 is what it converges to, more have
-    /// other random numbers
+    /// With --plain: samples per pixel of the still view's `traced` reference; 1 is what the view converges to, more
+    /// use other random numbers
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     pub(super) traced_spp: u32,
     /// With --plain: samples per pixel of the still view's `path` reference
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     pub(super) reference_spp: u32,
-    /// With --plain: samples per pixel of the `path` reference of each frame of the walk
+    /// With --plain: samples per pixel of the `path` reference for each frame of the walk
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     pub(super) walk_spp: u32,
-    /// With --plain: most samples per pixel of path tracing the still view
+    /// With --plain: limit on samples per pixel when path tracing the still view
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     pub(super) path_spp: u32,
-    /// With --plain: under the first estimate of light instead of a bake
+    /// With --plain: use the first estimate of the light instead of a bake
     #[arg(long)]
     pub(super) quick: bool,
     #[command(flatten)]
@@ -90,13 +89,13 @@ pub(super) const CONVERGED: Against = Against { kind: ReferenceKind::Traced, spp
 /// Whose error is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum What {
-    /// That of the pixels that need correction
+    /// Pixels that need correction
     Corrections,
-    /// That of the baked irradiance, by both methods
+    /// Baked irradiance, by both methods
     Illumination,
-    /// That of walks whose frames take a given processor time, with what lies between samples and in tiles
+    /// Walks with a given processor time per frame, with interpolation between samples and with tiles
     Walks,
-    /// That of still views beside the truth: after a bake of a given time, and refined
+    /// Still views compared with a reference: after a bake of a given time, and refined
     Light,
 }
 

@@ -62,22 +62,22 @@ const RESERVE: f64 = 1.0 / 6.0;
 /// What only `--what light` asks for.
 #[derive(Args, Debug)]
 pub(super) struct LightArguments {
-    /// Samples per pixel at which refined pictures are held against the truth; 0: none: --what light
+    /// With --what light: samples per pixel at which refined pictures are compared with the reference; 0 for none
     #[arg(long, value_name = "NUMBERS", value_delimiter = ',', default_value = "64")]
     refined: Vec<u32>,
-    /// Refine for so long, too: --what light
+    /// With --what light: also refine for this time
     #[arg(long, value_name = "TIME", value_parser = duration)]
     refine_time: Option<Duration>,
-    /// Folder of pictures to hold views against, SCENE-CAMERA.exr; what is missing is made and kept there: --what light
+    /// With --what light: folder of reference pictures, SCENE-CAMERA.exr; missing ones are rendered and kept there
     #[arg(long, value_name = "DIR")]
     judges: Option<PathBuf>,
-    /// How sure the blocks of such a picture are to be: --what light
+    /// With --what light: relative standard error of block means at which a reference is good enough
     #[arg(long, value_name = "SHARE", default_value = "1%", value_parser = share)]
     judge_error: f32,
-    /// Most time for one of them: --what light
+    /// With --what light: limit on the time for each reference
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = duration)]
     judge_time: Duration,
-    /// All cameras of each scene, not the first alone: --what light
+    /// With --what light: use all cameras of each scene, not only the first
     #[arg(long)]
     all_cameras: bool,
 }

@@ -35,7 +35,7 @@ pub struct FirstLightArguments {
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "512x512")]
     size: Size,
-    /// Another build of foveal, whose starts are measured in turn with this one's
+    /// Another build of foveal, measured in alternation with this one
     #[arg(long, value_name = "PROGRAM")]
     before: Option<PathBuf>,
     #[command(flatten)]

@@ -24,7 +24,7 @@ use foveal_terminal::table::{Aim, CommonArguments, Row, finish, median};
 /// Arguments of `foveal bench gltf`.
 #[derive(Args, Debug)]
 pub struct GltfArguments {
-    /// A bundled scene or a file, whose pictures lie beside it
+    /// Bundled scene, or a file whose images are stored next to it
     #[arg(default_value = "atelier")]
     scene: String,
     #[command(flatten)]

@@ -49,37 +49,37 @@ use foveal_terminal::progress::Progress;
 /// What to measure.
 #[derive(Debug, Subcommand)]
 pub enum BenchCommand {
-    /// Each stage of a frame, the first paper's figures beside it
+    /// Each stage of a frame, compared with the figures of Haber 2001
     Stages(stages::StagesArguments),
-    /// How fast the error of corrected pixels falls under each policy
+    /// How fast the error of corrected pixels falls with each policy
     Error(error::ErrorArguments),
-    /// From a loaded scene, and from the start of a process, to the first lit picture
+    /// Time from a loaded scene, and from the start of a process, to the first lit picture
     FirstLight(first_light::FirstLightArguments),
-    /// What a glTF file's loading takes beside the decoding of its pictures, and its surfaces beside plastic ones
+    /// Loading a glTF file compared with decoding its images, and its surfaces compared with plastic ones
     Gltf(gltf::GltfArguments),
-    /// Rays per second: primary, diffuse bounce, shadow; obvhs' own traversal beside it
+    /// Rays per second (primary, diffuse bounce, shadow), compared with obvhs' own traversal
     Rays(rays::RaysArguments),
-    /// All that the book quotes, one after the other, and a page of what came of it
+    /// All benchmarks that the book quotes, with a page of their results
     Report(report::ReportArguments),
-    /// How each stage grows with what it works on, and with tracers; memory beside it
+    /// How time and memory of each stage grow with its input, and time with the number of tracers
     Scaling(scaling::ScalingArguments),
-    /// How soon a moment of a recording is there, and what the recording takes
+    /// Time to seek in a recording, and the size of the recording
     Seeks(seeks::SeeksArguments),
-    /// A radiosity mesh cut back by what is measured and by what is seen, views of it held against the whole mesh
+    /// A radiosity mesh simplified by a photometric and by a perceptual criterion, compared with the full mesh
     Simplify(simplify::SimplifyArguments),
-    /// The browser's door: time from input to picture, bytes, and whether the walk notices its viewers
+    /// Serving to browsers: time from input to picture, bytes, and whether viewers slow the walk down
     #[cfg(feature = "serve")]
     Serve(serve::ServeArguments),
-    /// What is saved by what a scene does not need
+    /// What is saved when a scene does not need a part of the renderer
     Skips(skips::SkipsArguments),
-    /// A walk of many frames on a virtual clock: memory, lost jobs, frame times
+    /// A long walk on a virtual clock: memory, lost jobs, frame times
     Soak(soak::SoakArguments),
-    /// What a limit on texture memory costs, beside what others do about it
+    /// What a limit on texture memory costs, compared with other strategies
     Textures(textures::TexturesArguments),
-    /// The window: how soon it shows something, how evenly frames come, what a still view costs; a frame on the adapter
+    /// The window: time to the first picture, regularity of frames, cost of a still view, a frame on the adapter
     #[cfg(feature = "window")]
     Viewer(viewer::ViewerArguments),
-    /// What a message costs, with and without recording; peers beside it where they are built in
+    /// The cost of a message with and without recording, compared with peers if they are built in
     Messages(messages::MessagesArguments),
 }
 

@@ -33,14 +33,14 @@ pub struct RaysArguments {
     /// Triangles to trace against (default: a hall of 100,000)
     #[arg(long, value_name = "FILE", requires = "rays")]
     soup: Option<PathBuf>,
-    /// Rays: one file NAME.KIND.rays, or the NAME of three (KIND: primary, bounce, shadow)
+    /// Rays: a file NAME.KIND.rays, or the NAME of three (KIND: primary, bounce, shadow)
     #[arg(long, value_name = "FILE", requires = "soup")]
     rays: Option<PathBuf>,
     /// Numbers of threads
     #[arg(long, value_name = "N,…", value_delimiter = ',', default_value = "1,2")]
     threads: Vec<usize>,
-    /// Lines of another program for the same files: program,label,scene,kind,threads,rays,wall,cpu,wall rate,rate per
-    /// processor second; the best of each kind stands beside ours
+    /// Results of another program for the same files, in lines of program,label,scene,kind,threads,rays,wall,cpu,wall
+    /// rate,rate per processor second; the best of each kind is shown next to ours
     #[arg(long, value_name = "FILE")]
     beside: Option<PathBuf>,
     #[command(flatten)]

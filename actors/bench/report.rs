@@ -40,10 +40,10 @@ pub struct ReportArguments {
     /// Folder for the tables, plots and pages
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Measure these alone, and leave what the folder has of the others
+    /// Run only these benchmarks, and keep the folder's results of the others
     #[arg(long, value_name = "WHAT,…", value_delimiter = ',', value_parser = MEASUREMENTS.map(|m| m.0))]
     only: Vec<String>,
-    /// Runs of each measurement (default: each has its own)
+    /// Runs per measurement (default: set by each benchmark)
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1000))]
     runs: Option<u32>,
 }

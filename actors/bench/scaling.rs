@@ -35,25 +35,25 @@ use foveal_terminal::table::{Aim, CommonArguments, Row, finish, median, write_cs
 /// Arguments of `foveal bench scaling`.
 #[derive(Args, Debug)]
 pub struct ScalingArguments {
-    /// Numbers of triangles, about; the hall has no fewer than 35,000, and ten million need about 4 GiB
+    /// Approximate numbers of triangles; the hall has at least 35,000, and ten million need about 4 GiB
     #[arg(long, value_name = "N,…", value_delimiter = ',', default_value = "35000,100000,300000,1000000")]
     triangles: Vec<usize>,
-    /// Sides of square pictures
+    /// Sides of the square pictures
     #[arg(long, value_name = "N,…", value_delimiter = ',', default_value = "128,256,512,1024")]
     sides: Vec<u32>,
     /// Numbers of tracers
     #[arg(long, value_name = "N,…", value_delimiter = ',', default_value = "1,2")]
     workers: Vec<u32>,
-    /// Measure instead what guests with one core each add over these links
+    /// Measure instead how much guests with one core each add over these links
     #[arg(long, value_name = "LINK,…", value_delimiter = ',', num_args = 0..=1, default_missing_value = "tcp,quic", value_parser = ["tcp", "quic"])]
     tracers: Vec<String>,
-    /// Numbers of guests, at most sixteen; they get a core each where the machine has as many and one more
+    /// Numbers of guests, at most 16; each has a core of its own if the machine has one core more than guests
     #[arg(
         long, value_name = "N,…", value_delimiter = ',', default_value = "1", requires = "tracers",
         value_parser = clap::value_parser!(u32).range(1..=16),
     )]
     guests: Vec<u32>,
-    /// Measure instead how long it takes a guest to come to a scene of a hundred mebibytes
+    /// Measure instead how long a guest takes to receive a scene of 100 MiB
     #[arg(long, requires = "tracers")]
     join: bool,
     #[command(flatten)]

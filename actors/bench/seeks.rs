@@ -30,22 +30,22 @@ const FPS: u32 = 10;
 /// Arguments of `foveal bench seeks`.
 #[derive(Args, Debug)]
 pub struct SeeksArguments {
-    /// A recording (default: one that is made of the gallery, whose light grows)
+    /// Recording (default: one is made of the gallery, with growing light)
     #[arg(value_name = "FVL")]
     recording: Option<PathBuf>,
-    /// Frames of one that is made, ten of them a second
+    /// Frames of the recording that is made, ten per second
     #[arg(long, value_name = "N", default_value_t = 600, conflicts_with = "recording", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
-    /// Picture size of one that is made
+    /// Picture size of the recording that is made
     #[arg(long, value_name = "WxH", default_value = "512x512", conflicts_with = "recording")]
     size: Size,
-    /// Frames that are looked at, evenly spread
+    /// Number of frames to seek to, evenly spaced
     #[arg(long, value_name = "N", default_value_t = 7, value_parser = clap::value_parser!(u32).range(1..=1000))]
     looks: u32,
-    /// Another build of foveal, whose looks are measured in turn with this one's
+    /// Another build of foveal, measured in alternation with this one
     #[arg(long, value_name = "PROGRAM")]
     before: Option<PathBuf>,
-    /// Folder for what is kept of the recording, which stays (default: one that goes)
+    /// Folder for what is cached of the recording, which remains there (default: a temporary one)
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
     #[command(flatten)]

@@ -61,17 +61,17 @@ const FPS: f64 = 30.0;
 /// Arguments of `foveal bench serve`.
 #[derive(Args, Debug)]
 pub struct ServeArguments {
-    /// A scene file, or one of ours by name
+    /// Scene file, or the name of a bundled scene
     #[arg(long, value_name = "SCENE", default_value = "box")]
     scene: String,
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "512x512")]
     size: Size,
-    /// Frames a second to aim at
+    /// Target frame rate
     #[arg(long, value_parser = positive, default_value_t = FPS as f32)]
     fps: f32,
-    /// How long one walks at a time to see how evenly frames come: with nobody, one and eight looking on in turn, three
-    /// times as often as there are runs; at least 120 frames
+    /// Length of each walk that measures the regularity of frames, at least 120 frames; there are three per run, with
+    /// no, one and eight viewers
     #[arg(long, value_name = "TIME", value_parser = duration, default_value = "5s")]
     walk: Duration,
     #[command(flatten)]

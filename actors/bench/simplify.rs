@@ -36,13 +36,13 @@ const FLIP_SHOWN: f32 = 0.25;
 /// Arguments of `foveal bench simplify`.
 #[derive(Args, Debug)]
 pub struct SimplifyArguments {
-    /// A scene lit by surfaces (default: a papered salon)
+    /// Scene with area lights (default: a papered salon)
     #[arg(value_name = "SCENE")]
     scene: Option<std::path::PathBuf>,
-    /// Elements of the whole mesh, at least
+    /// Minimum number of elements of the full mesh
     #[arg(long, value_name = "N", default_value_t = 41_000)]
     from: usize,
-    /// Elements that are left of it
+    /// Number of elements to simplify it to
     #[arg(long, value_name = "N", default_value_t = 10_000)]
     elements: usize,
     /// Picture size

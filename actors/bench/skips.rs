@@ -34,7 +34,7 @@ pub struct SkipsArguments {
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "256x256")]
     size: Size,
-    /// Frames of each run
+    /// Frames per run
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(2..=100_000))]
     frames: u32,
     #[command(flatten)]

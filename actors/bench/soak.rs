@@ -34,13 +34,13 @@ pub struct SoakArguments {
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "32x24")]
     size: Size,
-    /// Virtual time of a frame, in milliseconds
+    /// Virtual time per frame, in milliseconds
     #[arg(long, value_name = "MS", default_value_t = 5)]
     frame_ms: u64,
-    /// Walk in real time instead, with a guest's process over this link, for so long
+    /// Walk in real time instead, for --time, with a guest process over this link
     #[arg(long, value_name = "LINK", value_parser = ["tcp", "quic"])]
     tracers: Option<String>,
-    /// Time of a walk with a guest
+    /// Length of a walk with a guest
     #[arg(long, value_name = "TIME", default_value = "10min", requires = "tracers", value_parser = duration)]
     time: Duration,
     #[command(flatten)]

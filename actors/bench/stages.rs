@@ -45,10 +45,10 @@ pub struct StagesArguments {
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "512x512")]
     size: Size,
-    /// Triangles of the hall that is displayed
+    /// Triangles of the displayed hall
     #[arg(long, value_name = "N", default_value_t = 100_000)]
     triangles: usize,
-    /// Triangles of the hall that is loaded
+    /// Triangles of the loaded hall
     #[arg(long, value_name = "N", default_value_t = 1_000_000)]
     load: usize,
     #[command(flatten)]

@@ -33,10 +33,10 @@ use foveal_window::probe::Probe;
 /// Arguments of `foveal bench viewer`.
 #[derive(Args, Debug)]
 pub struct ViewerArguments {
-    /// Triangles of the hall that the window shows
+    /// Triangles of the hall shown in the window
     #[arg(long, value_name = "N", default_value_t = 300_000)]
     triangles: usize,
-    /// Triangles of the hall that the adapter draws
+    /// Triangles of the hall drawn by the adapter
     #[arg(long, value_name = "N", default_value_t = 90_000)]
     drawn: usize,
     /// Picture size on the adapter
@@ -56,7 +56,7 @@ pub enum Part {
     Adapter,
     /// How long input waits while light is baked
     Baking,
-    /// The error at borders of splats
+    /// Error at the borders of splats
     Motion,
     /// The window
     Window,

@@ -39,42 +39,42 @@ const BYTES_PER_ELEMENT: u64 = 640;
 /// Arguments of `foveal bake`.
 #[derive(Args, Debug)]
 pub struct BakeArguments {
-    /// An OBJ or glTF file or a sidecar
+    /// OBJ or glTF file, or a .toml sidecar
     scene: PathBuf,
     #[command(flatten)]
     settings: BakeSettingsArguments,
     #[command(flatten)]
     reading: ReadingArguments,
-    /// How light is found
+    /// How to compute the light
     #[arg(long, value_enum, default_value_t = Method::Particles)]
     method: Method,
     /// Simplify the radiosity mesh to this many elements (implies --method radiosity)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     elements: Option<u32>,
-    /// Which elements go first
+    /// Which elements to remove first
     #[arg(long, value_enum, default_value_t = CriterionName::Perceptual, requires = "elements")]
     criterion: CriterionName,
-    /// Go on where an interrupted bake of this scene and these settings ended
+    /// Continue an interrupted bake of this scene with these settings
     #[arg(long)]
     resume: bool,
-    /// Memory for elements at most; texels become coarser where they would need more
+    /// Limit on memory for elements; texels are made coarser to fit
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     max_memory: Option<u64>,
-    /// Where to keep it (default: the cache, where `walk` finds it)
+    /// Output file (default: in the cache, where `walk` finds it)
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Folder of kept bakes (default: FOVEAL_CACHE, else the user's cache folder)
+    /// Folder for cached bakes (default: FOVEAL_CACHE, else the user's cache folder)
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
-    /// Bake even if a kept one meets the settings
+    /// Bake even if a cached bake meets the settings
     #[arg(long)]
     again: bool,
     #[command(flatten)]
     helpers: HelpersArguments,
-    /// Progress as lines of JSON on stderr
+    /// Print progress as JSON lines on standard error
     #[arg(long)]
     jsonl: bool,
-    /// One JSON document
+    /// Print one JSON document
     #[arg(long)]
     json: bool,
 }
@@ -84,18 +84,18 @@ pub struct BakeArguments {
 enum Method {
     /// Particles with density estimation: all materials and lights
     Particles,
-    /// Hierarchical radiosity: diffuse scenes of few polygons with area lights
+    /// Hierarchical radiosity: diffuse scenes of few polygons, with area lights
     Radiosity,
 }
 
 /// Names of criteria.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum CriterionName {
-    /// Least relative change of radiosity
+    /// Smallest relative change of radiosity
     Photometric,
-    /// Least visible change, with the textures' masking
+    /// Smallest visible change, with masking by textures
     Perceptual,
-    /// Least squared error
+    /// Smallest squared error
     Optimal,
 }
 
@@ -401,14 +401,14 @@ fn report(
         "{} texels, {how}, error {:.2} % in {seconds:.1} s{}",
         made.map.element_count(),
         100.0 * error,
-        if cached { " (kept from before)" } else { "" },
+        if cached { " (cached)" } else { "" },
     ));
     if let Some(elements) = made.more.get("elements") {
         print_line(&format!("{} elements simplified to {elements}", made.more["elements_before"]));
     }
     if let Some(measured) = made.measured {
         let [least, most] = [measured.at_least(), measured.at_most()].map(|e| 100.0 * e);
-        print_line(&format!("where it is seen {least:.1} to {most:.1} % off what paths find"));
+        print_line(&format!("error at held-out points, compared with paths: {least:.1} to {most:.1} %"));
     }
     if !made.stages.is_empty() {
         let stages: Vec<String> = made.stages.iter().map(|(name, t)| format!("{name} {t:.1} s")).collect();
@@ -421,10 +421,10 @@ fn report(
         print_line("no indirect light: no surface reflects any");
     }
     if !made.complete && !interrupted() {
-        print_line("the time was up before the error asked for was reached; --resume goes on");
+        print_line("time ran out before the requested error was reached; --resume continues");
     } else if method == Method::Particles && s.relative_error > a.settings.error && !interrupted() {
         print_line(&format!(
-            "the error asked for, {} %, was not reached with {} particles; --particles allows more",
+            "the requested error, {} %, was not reached with {} particles; --particles allows more",
             100.0 * a.settings.error,
             s.particles
         ));

@@ -17,15 +17,15 @@ use foveal_terminal::print::{print_json, print_line};
 /// Arguments of `foveal compare`.
 #[derive(Args, Debug)]
 pub struct CompareArguments {
-    /// The picture to judge (PNG, JPEG, HDR or EXR)
+    /// Picture to judge (PNG, JPEG, HDR or EXR)
     test: PathBuf,
-    /// The picture it should be
+    /// Reference picture
     reference: PathBuf,
-    /// Factor on linear pictures before they are shown
+    /// Factor applied to linear pictures before display
     #[arg(long, default_value = "1", value_parser = positive)]
     exposure: f32,
-    /// Errors of the means of blocks of so many pixels along an edge, in which noise averages out (default: 8), and
-    /// of other sizes beside it. Where both pictures have their batches beside them, also whether their blocks differ by
+    /// Also compare means of blocks of this many pixels along an edge, in which noise averages out (default: 8), and
+    /// of other sizes; if both pictures have .batches.json next to them, also test whether their blocks differ by
     /// more than noise
     #[arg(long, value_name = "PIXELS", num_args = 0..=1, default_missing_value = "8",
         value_parser = clap::value_parser!(u16).range(1..=1024))]
@@ -36,7 +36,7 @@ pub struct CompareArguments {
     /// Exit with 1 if the mean FLIP is above this, e.g. 5%
     #[arg(long, value_name = "SHARE", value_parser = share)]
     max_flip: Option<f32>,
-    /// One JSON document
+    /// Print one JSON document
     #[arg(long)]
     json: bool,
 }

@@ -10,7 +10,7 @@ use foveal_terminal::print::{print_json, print_line};
 /// Arguments of `foveal doctor`.
 #[derive(Args, Debug)]
 pub struct DoctorArguments {
-    /// One JSON document
+    /// Print one JSON document
     #[arg(long)]
     json: bool,
 }
@@ -61,14 +61,14 @@ fn serving() -> (serde_json::Value, String) {
     let browser = open::commands("http://127.0.0.1").iter().find_map(on_path);
     let tls = foveal_serve::server::Tls::BY;
     let line = format!(
-        "{}; encrypts by {tls}; {}",
+        "{}; encrypts with {tls}; {}",
         match &listens {
             Ok(_) => "can listen at 127.0.0.1".to_owned(),
             Err(e) => format!("cannot listen at 127.0.0.1: {e}"),
         },
         match &browser {
-            Some(program) => format!("--open asks {program} for a browser"),
-            None => "nothing opens a browser here, so --open does not".to_owned(),
+            Some(program) => format!("--open uses {program}"),
+            None => "found no program for --open to open a browser with".to_owned(),
         }
     );
     (json!({"listens": listens.is_ok(), "why_not": listens.err(), "tls": tls, "opens_by": browser}), line)
@@ -118,7 +118,7 @@ pub fn run(a: &DoctorArguments) -> Result<(), Failure> {
     ));
     print_line(&format!("serve     {serves}"));
     let bits = document["bits"].as_str().unwrap_or_default();
-    print_line(&format!("bits      {bits}: machines that trace together have the same"));
+    print_line(&format!("bits      {bits}: must be equal on machines that trace together"));
     let cache = document["cache"].as_str().unwrap_or("none (set FOVEAL_CACHE)");
     print_line(&format!("bakes     {cache}"));
     let endings = foveal_files::load::MESHES.map(|e| format!(".{e}"));

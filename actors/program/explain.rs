@@ -21,20 +21,20 @@ use crate::replay::pixel;
 /// Arguments of `foveal explain`.
 #[derive(Args, Debug)]
 pub struct ExplainArguments {
-    /// An OBJ or glTF file or a sidecar
+    /// OBJ or glTF file, or a .toml sidecar
     scene: PathBuf,
-    /// Also say what the middle of a pixel shows: the thing by its name in the file, material, place
+    /// Also say what the centre of a pixel shows: its name in the file, material and position
     #[arg(long, value_name = "X,Y", value_parser = pixel)]
     pick: Option<(u32, u32)>,
-    /// Camera of that picture (default: the first)
+    /// Camera for --pick (default: the first)
     #[arg(long, value_name = "NAME", requires = "pick")]
     camera: Option<String>,
-    /// Size of that picture
+    /// Picture size for --pick
     #[arg(long, value_name = "WxH", default_value = "512x512", requires = "pick")]
     size: Size,
     #[command(flatten)]
     reading: ReadingArguments,
-    /// One JSON document
+    /// Print one JSON document
     #[arg(long)]
     json: bool,
 }

@@ -20,24 +20,24 @@ use super::tracers::TracersArguments;
 /// Arguments of a walk that somebody takes.
 #[derive(Args, Clone, Debug)]
 pub struct InteractiveArguments {
-    /// An OBJ or glTF file or a sidecar
+    /// OBJ or glTF file, or a .toml sidecar
     pub scene: PathBuf,
-    /// Picture size (default: 512x512; a window's picture follows its size then, unless it is recorded)
+    /// Picture size (default: 512x512; in a window it then follows the window's size, unless it is recorded)
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
-    /// Begin at this camera (default: the scene's first)
+    /// Start at this camera (default: the scene's first)
     #[arg(long, value_name = "NAME")]
     camera: Option<String>,
-    /// Begin along this camera path, which is played until you move
+    /// Start along this camera path, which plays until you move
     #[arg(long, value_name = "NAME", conflicts_with = "camera")]
     path: Option<String>,
-    /// What decides which samples come first
+    /// Policy that orders the samples: attention, coverage, uniform, random or utility
     #[arg(long, value_name = "NAME", default_value_t = Policy::default())]
     policy: Policy,
-    /// Seed of every random number
+    /// Seed of all random numbers
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Frames per second to aim at (default: the scene's, else 10)
+    /// Target frame rate (default: the scene's, else 10)
     #[arg(long, value_parser = positive)]
     fps: Option<f32>,
     #[command(flatten)]
@@ -45,27 +45,27 @@ pub struct InteractiveArguments {
     /// Number of tracers (default: one per core)
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(TRACERS_MAX)))]
     workers: Option<u32>,
-    /// Refine what has converged until the standard error of displayed values, 0 to 1, is below this; 0 leaves it
+    /// Once converged, refine until the standard error of displayed values (0 to 1) is below this; 0 refines nothing
     /// (default: 0.01, with --headless 0)
     #[arg(long, value_name = "NOISE", value_parser = clap::value_parser!(f32))]
     refine: Option<f32>,
-    /// Most samples of a pixel in that
+    /// Limit on the samples per pixel for --refine
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 16))]
     refine_samples: u32,
-    /// Most bytes of textures in memory, e.g. 64MiB (default: the scene's, else no limit)
+    /// Limit on texture memory, e.g. 64MiB (default: the scene's, else none)
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     texture_budget: Option<u64>,
-    /// Record the walk, so that `foveal replay` can run it again; one that begins anew, as in another scene or the same read
-    /// again, goes to FILE-2, FILE-3, ...
+    /// Record the walk for `foveal replay`; a walk that restarts, e.g. in another scene or after the files are
+    /// reloaded, goes to FILE-2, FILE-3, ...
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
-    /// How densely hashes are recorded
+    /// How many hashes of the messages to record
     #[arg(long, value_name = "WHICH", value_enum, default_value_t = Hashes::Each, requires = "record")]
     hashes: Hashes,
-    /// Do not keep the maps of light that grows beside the recording (FILE.light); replay then bakes them again
+    /// Do not store growing lightmaps next to the recording (FILE.light); a replay then bakes them again
     #[arg(long, requires = "record")]
     no_light: bool,
-    /// Set a control of the panel from the start, e.g. exposure=-1; may be given again. --help lists them
+    /// Set a control of the panel from the start, e.g. exposure=-1; may be repeated. --help lists the controls
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<Setting>,
     #[command(flatten)]

@@ -21,24 +21,24 @@ pub struct LogArguments {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Say whether a recording is whole; exit 3 where it is not
+    /// Check whether a recording is intact; exit with 3 if not
     Check {
         /// The recording
         trace: PathBuf,
     },
-    /// Keep the part of a recording that is whole
+    /// Keep only the intact part of a recording
     Cut {
         /// The recording
         trace: PathBuf,
-        /// Where to write it (default: in its place)
+        /// Output file (default: overwrite the recording)
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-    /// Say what a recording holds
+    /// Summarise a recording
     Stat {
         /// The recording
         trace: PathBuf,
-        /// One JSON document
+        /// Print one JSON document
         #[arg(long)]
         json: bool,
     },
@@ -63,7 +63,7 @@ fn check(path: &Path) -> Result<(), Failure> {
     match trace.damage() {
         None => {
             print_line(&format!(
-                "whole: {} deliveries, {} bytes",
+                "intact: {} deliveries, {} bytes",
                 trace.stat().deliveries,
                 trace.whole_bytes()
             ));

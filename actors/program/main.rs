@@ -38,19 +38,19 @@ use tracing_subscriber::util::SubscriberInitExt;
 use foveal_engine::failure::Failure;
 use foveal_terminal::progress::Progress;
 
-/// Walk through lit buildings at interactive rates; rays are spent where the eye looks.
+/// Walk through lit scenes at interactive frame rates, with rays spent where the eye looks.
 #[derive(Debug, Parser)]
 #[command(name = "foveal", version, max_term_width = 100, arg_required_else_help = true)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// More messages (-v: decisions, -vv: every turn)
+    /// Print more messages (-v: decisions, -vv: every turn)
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
-    /// No progress and no messages but errors
+    /// Print errors only, without progress
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     quiet: bool,
-    /// Colour of messages
+    /// Whether to colour messages
     #[arg(long, global = true, value_enum, default_value_t = ColorChoice::Auto)]
     color: ColorChoice,
 }
@@ -71,35 +71,35 @@ enum Command {
     /// Walk through a scene in a window
     #[cfg(feature = "window")]
     View(Box<view::ViewArguments>),
-    /// Serve a walk to browsers: prints an address, and whoever opens it walks
+    /// Serve a walk to browsers and print its address
     #[cfg(feature = "serve")]
     Serve(Box<serve::ServeArguments>),
-    /// Walk along a camera path without a window; leaves pictures and a report
+    /// Walk along a camera path without a window and write pictures and a report
     Walk(walk::WalkArguments),
-    /// Compute the view-independent illumination and keep it
+    /// Precompute the view-independent illumination and cache it
     Bake(bake::BakeArguments),
-    /// Render the gold standard: what a still view converges to, or an unbiased path-traced picture
+    /// Render a reference: what a still view converges to, or a path-traced picture
     Reference(reference::ReferenceArguments),
-    /// Trace with this machine's cores for a walk elsewhere (its --tracers)
+    /// Lend this machine's cores to a walk, reference or bake on another machine (its --tracers)
     Trace(trace::TraceArguments),
-    /// Run a recorded walk again, on any number of threads, and compare every message
+    /// Replay a recording on any number of threads, compare every message, and answer questions about it
     Replay(replay::ReplayArguments),
-    /// Run the actors on one thread under seeded schedules and faults
+    /// Run walks on one thread under seeded schedules and faults
     Simulate(simulate::SimulateArguments),
-    /// Is a recording whole, what is in it, keep its good part
+    /// Check, summarise or repair a recording
     Log(log::LogArguments),
-    /// Measure how two pictures differ: FLIP, PSNR, relMSE
+    /// Compare two pictures: FLIP, PSNR, relMSE
     Compare(compare::CompareArguments),
-    /// Say what a scene needs, what is skipped, and why
+    /// List what a scene needs, what is skipped, and why
     Explain(explain::ExplainArguments),
-    /// Measure: tables of medians with aims and peers
+    /// Run a benchmark: medians, with targets and comparisons
     #[command(subcommand)]
     Bench(foveal_bench::BenchCommand),
-    /// Print the completions of a shell
+    /// Print completions for a shell
     Completions(shell::CompletionsArguments),
     /// Write manual pages
     Man(shell::ManArguments),
-    /// Say what this machine offers
+    /// Report what this machine offers
     Doctor(doctor::DoctorArguments),
 }
 

@@ -29,15 +29,17 @@ use super::tracers::{self, HelpersArguments};
 /// Arguments of `foveal reference`.
 #[derive(Args, Debug)]
 pub struct ReferenceArguments {
-    /// An OBJ or glTF file or a sidecar
+    /// OBJ or glTF file, or a .toml sidecar
     scene: PathBuf,
     /// What to render
     #[arg(long, value_enum, default_value_t = Kind::Traced)]
     kind: Kind,
-    /// Samples per pixel, with --until-error or --time at least; traced: as many as `walk --refine` gives a pixel
+    /// Samples per pixel; a minimum if --until-error or --time is given. With traced: as many as `walk --refine`
+    /// takes of a pixel
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1 << 16))]
     spp: u32,
-    /// Path and truth: go on until the means of 8 × 8 blocks are that sure, e.g. 0.5%, or until --time is over
+    /// With path and truth: continue until the relative standard error of 8 × 8 block means is below this, e.g. 0.5%,
+    /// or --time is over
     #[arg(long, value_name = "SHARE", value_parser = share)]
     until_error: Option<f32>,
     /// Camera (default: the first)
@@ -46,18 +48,18 @@ pub struct ReferenceArguments {
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "512x512")]
     size: Size,
-    /// Seed of the random numbers
+    /// Seed of all random numbers
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Where to write it: .exr (linear) or .png (as shown); path and truth of a multiple of 16 samples write
-    /// .batches.json beside it, from which `compare --blocks` knows their noise
+    /// Output file: .exr (linear) or .png (as displayed); with path and truth and a multiple of 16 samples,
+    /// .batches.json is written next to it, from which `compare --blocks` derives the noise
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     #[command(flatten)]
     illumination: IlluminationArguments,
     #[command(flatten)]
     helpers: HelpersArguments,
-    /// One JSON document
+    /// Print one JSON document
     #[arg(long)]
     json: bool,
 }
@@ -67,9 +69,9 @@ pub struct ReferenceArguments {
 enum Kind {
     /// What a still view converges to: baked diffuse light, everything else traced
     Traced,
-    /// Unbiased path tracing, without the baked light
+    /// Unbiased path tracing, without the bake
     Path,
-    /// Bidirectional path tracing, which finds all light that can be found, and says how sure it is
+    /// Bidirectional path tracing, which also finds light that path misses, with a confidence interval
     Truth,
 }
 
@@ -174,7 +176,7 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
         print_line(&format!("{} in {seconds:.1} s", a.out.display()));
         if let (Some(s), Some(error)) = (&sampled, error) {
             print_line(&format!(
-                "{} samples per pixel; blocks of 8 × 8 pixels are sure to {:.2} % on average",
+                "{} samples per pixel; relative standard error of 8 × 8 blocks {:.2} % on average",
                 s.samples,
                 100.0 * error
             ));
@@ -187,7 +189,7 @@ pub fn run(a: &ReferenceArguments, progress: Progress) -> Result<(), Failure> {
         }
         if let Some(m) = sampled.map(|s| s.merged).filter(|m| m.share > 0.0) {
             print_line(&format!(
-                "{:.2} % of the light is merged from photons, which makes the picture {:+.3} % brighter than it is",
+                "{:.2} % of the light comes from merged photons, which bias the picture by {:+.3} %",
                 100.0 * m.share,
                 100.0 * m.bias
             ));

@@ -34,45 +34,44 @@ const VIEWERS: usize = 16;
 pub struct ServeArguments {
     #[command(flatten)]
     walk: InteractiveArguments,
-    /// Where to listen; port 0 takes any that is free
+    /// Address to listen on; port 0 picks a free port
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
     listen: SocketAddr,
-    /// Whether all share one walk, or each who may drive has one
+    /// Whether visitors share one walk or each have their own
     #[arg(long, value_enum, default_value_t = Share::One)]
     share: Share,
-    /// With --share each: most walks at once; each has its part of the tracers
+    /// With --share each: limit on the number of walks, which divide the tracers among them
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=16))]
     walks: u32,
-    /// With --share each: a walk that nobody looks at ends after this time
+    /// With --share each: end a walk after this time without viewers
     #[arg(long, value_name = "TIME", value_parser = duration, default_value = "10min")]
     idle: Duration,
-    /// Keep the token in this file, so that the address stays the same; made where it is not there
+    /// Keep the token in this file, so that the address stays the same; created if missing
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// Print a second address, for those who may look and not drive
+    /// Print a second address, for visitors who may only watch
     #[arg(long)]
     watch_token: bool,
-    /// A name by which browsers may ask for the server, beside its address; may be given again
+    /// Additional host name by which browsers may reach the server; may be repeated
     #[arg(long = "host", value_name = "NAME")]
     hosts: Vec<String>,
-    /// A proxy with TLS stands before it: other addresses than this machine's own may be listened at, and whom the proxy
-    /// speaks for is believed
+    /// The server is behind a TLS proxy: allow addresses other than loopback, and trust the proxy's X-Forwarded-For
     #[arg(long)]
     behind_proxy: bool,
-    /// The server's certificate and those that lead to it, PEM: browsers come by https, also from elsewhere
+    /// The server's certificate chain, PEM; browsers then connect by HTTPS, also from other machines
     #[arg(long, value_name = "FILE", requires = "tls_key", conflicts_with = "behind_proxy")]
     tls_cert: Option<PathBuf>,
     /// The certificate's private key, PEM
     #[arg(long, value_name = "FILE", requires = "tls_cert")]
     tls_key: Option<PathBuf>,
-    /// Most bytes of pictures a second to one viewer, e.g. 500kB
+    /// Limit on picture data per second to each viewer, e.g. 500kB
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     limit: Option<u64>,
-    /// Open the address in this machine's browser; for a moment it stands on that one's command line, where other users of the
-    /// machine can read it
+    /// Open the address in this machine's browser; for a moment other users of the machine can read it on the
+    /// browser's command line
     #[arg(long)]
     open: bool,
-    /// The address as one JSON document
+    /// Print the address as one JSON document
     #[arg(long)]
     json: bool,
 }
@@ -80,9 +79,9 @@ pub struct ServeArguments {
 /// Who shares a walk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Share {
-    /// One walk: one drives, the others watch
+    /// One walk: one visitor drives, the others watch
     One,
-    /// A walk for each
+    /// A walk for each visitor
     Each,
 }
 

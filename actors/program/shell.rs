@@ -13,7 +13,7 @@ use foveal_terminal::print::print_line;
 /// Arguments of `foveal completions`.
 #[derive(Args, Debug)]
 pub struct CompletionsArguments {
-    /// The shell
+    /// Shell to complete for
     shell: Shell,
 }
 

@@ -28,34 +28,34 @@ const AGAIN: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(5)
 /// Arguments of `foveal trace`.
 #[derive(Args, Debug)]
 pub struct TraceArguments {
-    /// What the walk printed, @FILE that holds it, or - for standard input
+    /// What the walk printed, @FILE that contains it, or - for standard input
     ///
-    /// Others can read a command line: prefer a file. Who walks sees nothing of this machine but its answers; this
-    /// machine sees the scene.
+    /// Other users can read a command line, so prefer a file. The walk learns nothing of this machine but its
+    /// answers; this machine sees the scene.
     #[arg(long, value_name = "KEY|@FILE|-")]
     join: String,
-    /// Threads that trace (default: one per core)
+    /// Number of tracing threads (default: one per core)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..i64::from(CREDITS_MAX)))]
     cores: Option<u16>,
-    /// Folder for scenes that come (default: FOVEAL_CACHE, else the user's cache)
+    /// Folder for received scenes (default: FOVEAL_CACHE, else the user's cache folder)
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
-    /// Most bytes of one scene
+    /// Limit on the size of a scene
     #[arg(long, value_name = "SIZE", value_parser = bytes, default_value = "8GiB")]
     cache_size: u64,
-    /// Most memory that this process takes: it leaves a walk that needs more
+    /// Limit on this process's memory; it leaves a walk that needs more
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     memory: Option<u64>,
-    /// Most bytes a second from and to the walk, e.g. 10MB
+    /// Limit on bytes per second to and from the walk, e.g. 10MB
     #[arg(long, value_name = "RATE", value_parser = bytes)]
     limit: Option<u64>,
-    /// What this machine is called there (default: its host name)
+    /// Name of this machine in the walk (default: its host name)
     #[arg(long)]
     name: Option<String>,
-    /// End with the walk, or if nobody answers; otherwise it is waited for the next one
+    /// Exit when the walk ends or does not answer, instead of waiting for the next one
     #[arg(long)]
     once: bool,
-    /// One JSON document at the end
+    /// Print one JSON document at the end
     #[arg(long)]
     json: bool,
 }

@@ -23,17 +23,17 @@ use serde_json::{Value, json};
 /// Where other machines come, and which.
 #[derive(Args, Clone, Debug)]
 struct DoorArguments {
-    /// Have other machines trace as well: listens at quic/ADDRESS:PORT, or at tcp/ADDRESS:PORT of this machine alone, for
-    /// `foveal trace`; a walk's light is baked first
+    /// Let other machines trace, too: listen at quic/ADDRESS:PORT, or at tcp/ADDRESS:PORT on this machine only, for
+    /// `foveal trace`; the light of a walk is then baked first
     #[arg(long, value_name = "ADDRESS")]
     tracers: Option<String>,
-    /// File for what they join with (made, or its key is taken again; default: printed)
+    /// File for the key that machines join with; created if missing, else reused (default: print the key)
     #[arg(long, value_name = "FILE", requires = "tracers")]
     tracers_key: Option<PathBuf>,
-    /// Most machines at once
+    /// Limit on the number of machines at once
     #[arg(long, value_name = "N", default_value_t = STATIONS_MAX, requires = "tracers", value_parser = clap::value_parser!(u32).range(1..=i64::from(STATIONS_MAX)))]
     tracers_max: u32,
-    /// How much of what comes from there is traced here as well and compared: 1/64 is one sample in 64
+    /// Share of what other machines trace that is also traced here and compared: 1/64 is one sample in 64
     #[arg(long, value_name = "1/N", default_value = "1/64", requires = "tracers", value_parser = one_of)]
     check: u32,
 }
@@ -43,8 +43,7 @@ struct DoorArguments {
 pub struct TracersArguments {
     #[command(flatten)]
     door: DoorArguments,
-    /// Let machines come whose numbers have other bits: what they trace is recorded, and near to what is traced here, not the
-    /// same
+    /// Admit machines with different floating-point results; what they trace is recorded and only approximately equal
     #[arg(long, requires = "tracers")]
     any_bits: bool,
     /// Record what other machines trace, so that a replay need not trace it again
@@ -142,7 +141,7 @@ fn until(they_are_there: impl Fn() -> bool) -> Result<(), Failure> {
 pub struct HelpersArguments {
     #[command(flatten)]
     door: DoorArguments,
-    /// Begin once so many machines are there
+    /// Wait for this many machines before starting
     #[arg(long, value_name = "N", default_value_t = 0, requires = "tracers", value_parser = clap::value_parser!(u32).range(0..=i64::from(STATIONS_MAX)))]
     tracers_wait: u32,
 }
@@ -195,7 +194,7 @@ pub fn helpers_document(helpers: &[HelperStatus]) -> Value {
 /// A walk prints its results on standard output; this is none.
 #[expect(clippy::print_stderr, reason = "what others need to come")]
 fn invite(invitation: &Invitation) {
-    eprintln!("other machines come with: foveal trace --join {invitation}");
+    eprintln!("other machines join with: foveal trace --join {invitation}");
 }
 
 /// An invitation from a file.

@@ -26,40 +26,40 @@ use super::interactive::InteractiveArguments;
 pub struct ViewArguments {
     #[command(flatten)]
     walk: InteractiveArguments,
-    /// Who paints the window
+    /// What paints the window
     #[arg(long, value_enum, default_value_t = BackendName::Auto)]
     backend: BackendName,
-    /// Who draws the picture
+    /// What draws the picture
     #[arg(long, value_enum, default_value_t = DisplayName::Auto)]
     display: DisplayName,
-    /// The adapter is lost after so many seconds, to see that the walk goes on
+    /// Lose the adapter after this many seconds, to test that the walk continues
     #[arg(long, value_name = "SECONDS", hide = true)]
     lose_adapter: Option<f64>,
-    /// The same of the window's surface
+    /// Lose the window's surface after this many seconds, to test the same
     #[arg(long, value_name = "SECONDS", hide = true)]
     lose_surface: Option<f64>,
-    /// Somebody stops at once, to see that the walk goes on
+    /// Stall a part from the start, to test that the walk continues
     #[arg(long, value_enum, default_value = "nobody", hide = true)]
     stall: StalledName,
     /// Folder for screenshots (F12)
     #[arg(long, value_name = "DIR", default_value = ".")]
     screenshots: PathBuf,
-    /// No window: correct the start view until it has converged, and write --out
+    /// No window: correct the start view until it has converged, and write it to --out
     #[arg(long, requires = "out")]
     headless: bool,
-    /// The picture of --headless, PNG
+    /// PNG file for the picture of --headless
     #[arg(long, value_name = "FILE", requires = "headless")]
     out: Option<PathBuf>,
-    /// What --headless paints over the picture
+    /// Overlay on the picture of --headless
     #[arg(long, value_enum, requires = "headless")]
     overlay: Option<OverlayName>,
-    /// With --headless: the picture with the panel beside it, as in the window
+    /// With --headless: include the panel, as in the window
     #[arg(long, requires = "headless")]
     panel: bool,
-    /// With --headless: stop after so many frames, converged or not
+    /// With --headless: stop after this many frames, converged or not
     #[arg(long, value_name = "N", requires = "headless", value_parser = clap::value_parser!(u32).range(1..))]
     frames: Option<u32>,
-    /// One JSON document, with --headless
+    /// With --headless: print one JSON document
     #[arg(long, requires = "headless")]
     json: bool,
 }
@@ -80,7 +80,7 @@ impl ViewArguments {
 enum BackendName {
     /// A graphics adapter if there is one, else the processor
     Auto,
-    /// A graphics adapter, or fail
+    /// A graphics adapter, with an error if there is none
     Gpu,
     /// The processor
     Cpu,
@@ -89,9 +89,9 @@ enum BackendName {
 /// Names of who draws.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum DisplayName {
-    /// A graphics adapter that is hardware, else the processor
+    /// A hardware graphics adapter if there is one, else the processor
     Auto,
-    /// The graphics adapter, or fail
+    /// A graphics adapter, with an error if there is none
     Gpu,
     /// The processor
     Cpu,

@@ -37,9 +37,9 @@ const PROFILED_TURNS: usize = 1 << 17;
 /// Arguments of `foveal walk`.
 #[derive(Args, Debug)]
 pub struct WalkArguments {
-    /// An OBJ or glTF file or a sidecar
+    /// OBJ or glTF file, or a .toml sidecar
     scene: PathBuf,
-    /// Camera path (default: the scene's first, unless a camera is named)
+    /// Camera path (default: the scene's first, unless --camera is given)
     #[arg(long, value_name = "NAME", conflicts_with = "camera")]
     path: Option<String>,
     /// Stand still at this camera
@@ -48,7 +48,7 @@ pub struct WalkArguments {
     /// Number of frames (default: the path's length)
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: Option<u32>,
-    /// Frames per second to keep (default: the scene's, else 10)
+    /// Target frame rate (default: the scene's, else 10)
     #[arg(long, value_parser = positive)]
     fps: Option<f32>,
     #[command(flatten)]
@@ -59,77 +59,77 @@ pub struct WalkArguments {
     /// Number of tracers (default: one per core)
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(TRACERS_MAX)))]
     workers: Option<u32>,
-    /// What decides which samples come first
+    /// Policy that orders the samples
     #[arg(long, value_enum, default_value_t = PolicyName::Utility)]
     policy: PolicyName,
-    /// Seed of every random number
+    /// Seed of all random numbers
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// After the last frame stay until the picture has converged (without --path: at the start camera)
+    /// After the last frame, stay until the picture has converged (without --path: at the start camera)
     #[arg(long)]
     until_converged: bool,
-    /// Refine the converged picture until the standard error of its displayed values, 0 to 1, is below this
+    /// Refine the converged picture until the standard error of displayed values (0 to 1) is below this
     #[arg(long, value_name = "NOISE", num_args = 0..=1, default_missing_value = "0.01", value_parser = unit, requires = "until_converged")]
     refine: Option<f32>,
-    /// Most samples of a pixel in that
+    /// Limit on the samples per pixel for --refine
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 16), requires = "refine")]
     refine_samples: u32,
     /// Folder for pictures and reports
     #[arg(long, value_name = "DIR")]
     pub(super) out: Option<PathBuf>,
-    /// Record the walk, so that `foveal replay` can run it again
+    /// Record the walk for `foveal replay`
     #[arg(long, value_name = "FILE")]
     pub(super) record: Option<PathBuf>,
-    /// How densely hashes are recorded
+    /// How many hashes of the messages to record
     #[arg(long, value_name = "WHICH", value_enum, default_value_t = Hashes::Each, requires = "record")]
     hashes: Hashes,
-    /// Do not keep the maps of light that grows beside the recording (FILE.light); replay then bakes them again
+    /// Do not store growing lightmaps next to the recording (FILE.light); a replay then bakes them again
     #[arg(long, requires = "record")]
     no_light: bool,
-    /// Write when each actor ran on which thread, for chrome://tracing; as .pftrace in Perfetto's own format
+    /// Write which actor ran on which thread when, for chrome://tracing (FILE.pftrace: in Perfetto's own format)
     #[arg(long, value_name = "FILE")]
     profile: Option<PathBuf>,
-    /// Weight of saliency against the task, 0 to 1
+    /// Weight of saliency relative to the task, 0 to 1
     #[arg(long, value_name = "W", default_value = "0.5", value_parser = unit)]
     saliency: f32,
-    /// Priority of each next level relative to the last, 0 to 1 (the paper: 0.8 to 0.9)
+    /// Priority of each level relative to the previous one, 0 to 1 (Haber 2001: 0.8 to 0.9)
     #[arg(long, value_name = "F", default_value = "0.25", value_parser = unit)]
     reduction: f32,
     /// Correct the most attended object until it has converged, then the next
     #[arg(long)]
     winner_takes_all: bool,
-    /// Samples of one job (the paper's n_job)
+    /// Samples per job (n_job in Haber 2001)
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     n_job: u32,
-    /// Coarsest level set of the √5 lattice: K + 1 levels
+    /// Coarsest level set of the √5 lattice, for K + 1 levels
     #[arg(long, value_name = "K", default_value_t = 6, value_parser = clap::value_parser!(u32).range(0..=7))]
     levels: u32,
-    /// What a fresh sample paints
+    /// Area that a fresh sample paints
     #[arg(long, value_enum, default_value_t = FootprintName::Smooth)]
     footprint: FootprintName,
-    /// Ageing: largest change of ⟨normal, view⟩ (the paper's δ)
+    /// Ageing: largest change of ⟨normal, view⟩ (δ in Haber 2001)
     #[arg(long, default_value = "0.1", value_parser = unit)]
     delta: f32,
-    /// Ageing: largest age of a sample in views
+    /// Ageing: maximum age of a sample, in views
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(0..=65_535))]
     max_age: u32,
-    /// Ageing: samples that a level needs to vote
+    /// Ageing: number of samples that a level needs to vote
     #[arg(long, value_name = "N", default_value_t = 10)]
     n_min: usize,
-    /// Most bytes of textures in memory, e.g. 64MiB (default: the scene's, else no limit)
+    /// Limit on texture memory, e.g. 64MiB (default: the scene's, else none)
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     texture_budget: Option<u64>,
-    /// Most bytes of environment maps; 0 shows nothing but the coarsest
+    /// Limit on environment map memory; 0 shows only the coarsest maps
     #[arg(long, value_name = "SIZE", value_parser = bytes, default_value = "64MiB")]
     environment_budget: u64,
     #[command(flatten)]
     illumination: IlluminationArguments,
     #[command(flatten)]
     tracers: TracersArguments,
-    /// Begin once so many other machines are there
+    /// Wait for this many machines before starting
     #[arg(long, value_name = "N", default_value_t = 0, requires = "tracers", value_parser = clap::value_parser!(u32).range(0..=i64::from(STATIONS_MAX)))]
     tracers_wait: u32,
-    /// One JSON document
+    /// Print one JSON document
     #[arg(long)]
     json: bool,
 }
@@ -137,15 +137,15 @@ pub struct WalkArguments {
 /// Names of policies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum PolicyName {
-    /// Saliency and task, reduced per level (Haber et al.)
+    /// Saliency and task, reduced per level (Haber 2001)
     Attention,
     /// Largest objects first
     Coverage,
     /// Level by level
     Uniform,
-    /// Any order
+    /// In random order
     Random,
-    /// Expected drop of visible error per time, learnt while tracing
+    /// Expected reduction of visible error per time, learnt while tracing
     Utility,
 }
 
@@ -164,13 +164,13 @@ impl From<PolicyName> for Policy {
 /// Names of footprints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum FootprintName {
-    /// Exact tiles of the lattice; what is shown is mixed from all samples of a surface
+    /// Exact lattice tiles; the picture is interpolated from all samples of a surface
     Smooth,
-    /// Exact tiles of the lattice, and between the samples what is linear between them
+    /// Exact lattice tiles, with linear interpolation between samples
     Linear,
-    /// Exact tiles of the lattice
+    /// Exact lattice tiles
     Tile,
-    /// Squares, the paper's look
+    /// Squares, as in Haber 2001
     Square,
 }
 

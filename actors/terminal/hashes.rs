@@ -5,12 +5,12 @@ use foveal_runtime::Hashing;
 /// How densely a recording holds hashes of what was delivered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Hashes {
-    /// One for each message, a byte: a divergence is named at its message
+    /// One per message (a byte); a divergence is located exactly
     #[default]
     Each,
-    /// One for 256 messages: a divergence is named to within these
+    /// One per 256 messages; a divergence is located to within 256 messages
     Sparse,
-    /// None: only a stall or another frame is a divergence
+    /// None; only a stall or a different frame is reported as a divergence
     None,
 }
 

@@ -13,16 +13,16 @@ use crate::arguments::{duration, share};
 /// Where illumination comes from.
 #[derive(Args, Clone, Debug)]
 pub struct IlluminationArguments {
-    /// Illumination made by `foveal bake --out`; without it one is taken from the cache, or refined while walking
+    /// Illumination made by `foveal bake --out`; without it, one is taken from the cache or refined during the walk
     #[arg(long, value_name = "FILE")]
     pub bake: Option<PathBuf>,
-    /// Stay with the first estimate, which takes about a second
+    /// Use only the first estimate, which takes about a second
     #[arg(long, conflicts_with = "bake")]
     pub quick: bool,
-    /// Bake before the walk begins instead of while it goes on
+    /// Bake before the walk instead of during it
     #[arg(long, conflicts_with = "quick")]
     pub baked: bool,
-    /// Folder of kept bakes (default: FOVEAL_CACHE, else the user's cache folder)
+    /// Folder for cached bakes (default: FOVEAL_CACHE, else the user's cache folder)
     #[arg(long, value_name = "DIR")]
     pub cache: Option<PathBuf>,
     /// When a bake is good enough
@@ -36,10 +36,10 @@ pub struct IlluminationArguments {
 /// What is chosen where a scene's files leave a choice.
 #[derive(Args, Clone, Debug)]
 pub struct ReadingArguments {
-    /// Load a glTF file without an extension that it requires and this build does not know
+    /// Load a glTF file that requires this extension, although this build does not support it; may be repeated
     #[arg(long = "ignore-extension", value_name = "NAME")]
     pub ignored_extensions: Vec<String>,
-    /// Variant of a glTF file's materials
+    /// Material variant of a glTF file
     #[arg(long, value_name = "NAME")]
     pub variant: Option<String>,
 }
@@ -73,17 +73,17 @@ impl IlluminationArguments {
 /// When a bake is good enough.
 #[derive(Args, Clone, Debug)]
 pub struct BakeSettingsArguments {
-    /// Stop at this relative error of irradiance
+    /// Stop at this relative error of the irradiance
     #[arg(long, value_name = "SHARE", value_parser = share, default_value = "2%")]
     pub error: f32,
-    /// Stop after so many particles
+    /// Stop after this many particles
     #[arg(long, value_name = "N", default_value_t = 1 << 22)]
     pub particles: u64,
-    /// Texels of the lightmap, about (default: by the number of triangles, 32 Ki to 256 Ki; from 128 Ki where
+    /// Approximate number of lightmap texels (default: by number of triangles, 32 Ki to 256 Ki; at least 128 Ki if
     /// lights without area cast sharp shadows)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1 << 26))]
     pub texels: Option<u32>,
-    /// Fine texels also where no camera or path of the scene leads
+    /// Use fine texels even where no camera or path of the scene leads
     #[arg(long)]
     pub everything: bool,
     /// Seed of the bake's random numbers
@@ -105,13 +105,13 @@ impl BakeSettingsArguments {
 /// Files that replay takes instead of the recorded ones.
 #[derive(Args, Clone, Debug, Default)]
 pub struct ElsewhereArguments {
-    /// The scene the walk was recorded in, where it has moved
+    /// Scene of the recording, if it has moved
     #[arg(long, value_name = "FILE")]
     pub scene: Option<PathBuf>,
-    /// The bake the walk was recorded with, where it has moved
+    /// Bake of the recording, if it has moved
     #[arg(long, value_name = "FILE")]
     pub bake: Option<PathBuf>,
-    /// Folder of kept bakes (default: FOVEAL_CACHE, else the user's cache folder)
+    /// Folder for cached bakes (default: FOVEAL_CACHE, else the user's cache folder)
     #[arg(long, value_name = "DIR")]
     pub cache: Option<PathBuf>,
 }

@@ -5,12 +5,11 @@ use clap::{Args, ValueEnum};
 /// Arguments of the mode.
 #[derive(Args, Clone, Copy, Debug)]
 pub struct ModeArguments {
-    /// What is kept where time is short: the frame rate, whatever the picture looks like, or the quality, while the frame
-    /// rate falls
+    /// What to keep when time is short: the frame rate, at any quality, or the quality, at a lower frame rate
     #[arg(long, value_enum, default_value_t = Mode::FixedRate)]
     mode: Mode,
-    /// With --mode fixed-quality: the least quality of a frame that is shown: 0 less the mean visible error of its pixels, just
-    /// noticeable differences
+    /// With --mode fixed-quality: lowest quality of a frame that is shown, which is minus the mean visible error of
+    /// its pixels, in just noticeable differences
     #[arg(long, value_name = "Q", default_value = "-0.25", allow_negative_numbers = true, value_parser = quality)]
     quality: f32,
 }
@@ -36,9 +35,9 @@ impl ModeArguments {
 /// What is kept where time is short.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Mode {
-    /// Frames come at their rate, as good as they are
+    /// Show frames on time, at whatever quality they have
     FixedRate,
-    /// Frames wait until they are good enough
+    /// Hold frames back until they reach --quality
     FixedQuality,
 }
 

@@ -18,13 +18,13 @@ use crate::report::{Bar, Bars, Page, Table, html};
 /// Arguments that all benchmarks share.
 #[derive(Args, Clone, Debug)]
 pub struct CommonArguments {
-    /// Runs of each measurement; their median counts
+    /// Runs per measurement; the median is reported
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub runs: u32,
-    /// Folder for the table as CSV, and for plots
+    /// Folder for CSV tables and plots
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// One JSON document
+    /// Print one JSON document
     #[arg(long)]
     pub json: bool,
 }

@@ -22,13 +22,13 @@ use load::{Cost, Large, Small};
 /// Arguments of `foveal bench messages`.
 #[derive(Args, Debug)]
 pub struct MessagesArguments {
-    /// Messages of each measurement, in thousands
+    /// Messages per measurement, in thousands
     #[arg(long, value_name = "K", default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     thousands: u64,
-    /// The scene of the simulated walks
+    /// Scene of the simulated walks
     #[arg(long, value_name = "FILE", default_value = "scenes/box/box.toml")]
     scene: PathBuf,
-    /// Leave out what takes longest: simulated walks, stress runs and faults
+    /// Skip what takes longest: simulated walks, stress runs and faults
     #[arg(long)]
     quick: bool,
     #[command(flatten)]

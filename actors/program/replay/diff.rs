@@ -105,12 +105,12 @@ pub fn run(
     } else {
         header.iter().for_each(|line| print_line(line));
         match first {
-            None => print_line(&format!("the same: {} messages", left.stat().deliveries)),
+            None => print_line(&format!("identical: {} messages", left.stat().deliveries)),
             Some(p) => {
                 let kind = p.kind().map_or_else(String::new, |kind| format!(": {kind}"));
                 let sent = p.cause().map_or_else(String::new, |cause| format!(", sent in {}", of(cause)));
                 let frame = p.frames.map_or_else(String::new, |frames| format!(", after {frames} frames"));
-                print_line(&format!("they part at {}{kind}{sent}{frame}", at(p)));
+                print_line(&format!("they diverge at {}{kind}{sent}{frame}", at(p)));
                 print_line(&format!("  A: {}\n  B: {}", p.left, p.right));
                 let (within, differences) = p.differences();
                 for d in &differences {

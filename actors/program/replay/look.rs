@@ -10,11 +10,11 @@ use serde_json::{Value, json};
 /// Which of the places where a condition comes to hold are told.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Which {
-    /// The first one.
+    /// The first.
     First,
-    /// The last one.
+    /// The last.
     Last,
-    /// The first one after --until.
+    /// The first after --until.
     Next,
     /// All of them.
     All,
@@ -76,7 +76,7 @@ pub fn index(source: &Source, as_json: bool) {
     let Some(kept) = source.snapshots() else {
         return match as_json {
             true => print_json(&json!({"schema": "foveal.replay.index/1", "snapshots": 0})),
-            false => print_line("there is no folder to keep snapshots in"),
+            false => print_line("no cache folder for snapshots"),
         };
     };
     let frames = source.shown_in.len();
@@ -117,7 +117,7 @@ pub fn difference(
     } else {
         differences.iter().for_each(|d| print_line(&format!("{}: {} → {}", d.path, d.left, d.right)));
         if differences.is_empty() {
-            print_line("the same");
+            print_line("no difference");
         }
     }
     Ok(())

@@ -46,102 +46,104 @@ fn behind(question: &str) -> impl Iterator<Item = &'static str> {
 /// Arguments of `foveal replay`.
 #[derive(Args, Debug)]
 pub struct ReplayArguments {
-    /// A recording that --record made
+    /// Recording made with --record
     #[arg(required_unless_present = "diff")]
     trace: Option<PathBuf>,
     /// Refuse a recording without hashes, whose messages cannot be compared
     #[arg(long)]
     verify: bool,
-    /// Number of threads (default: one per core); the outcome is the same with any
+    /// Number of threads (default: one per core); the result is the same with any number
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64))]
     workers: Option<u32>,
-    /// Stop when this frame was shown, or after this delivery of an actor
+    /// Stop once this frame has been shown, or after this delivery to an actor
     #[arg(long, value_name = "FRAME|ACTOR:INDEX", conflicts_with_all = ["why", "why_late", "state", "state_diff", "said", "diff"])]
     until: Option<String>,
-    /// Read commands: step forward and back through the deliveries, from --until or the start; h lists them
+    /// Read commands that step forward and back through the deliveries, from --until or the start; h lists them
     #[arg(long, conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("back"))]
     step: bool,
-    /// Leave snapshots all along it, so that every moment of it is reached at once from now on
+    /// Store snapshots along the whole recording, so that any moment of it is reached quickly from now on
     #[arg(long, conflicts_with = "until", conflicts_with_all = ON_THE_WAY, conflicts_with_all = QUESTIONS)]
     index: bool,
-    /// Take this many deliveries back from --until or the end, and say which
+    /// Undo this many deliveries from --until or the end, and print them
     #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "1", value_parser = clap::value_parser!(u32).range(1..=100_000), conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("back"))]
     back: Option<u32>,
-    /// Show it in a window: a timeline to scrub, step and play, a click on a pixel for its story, and a walk on from there
+    /// Show it in a window: a timeline to scrub, step and play; click a pixel for its history, or walk on from any
+    /// frame
     #[cfg(feature = "window")]
     #[arg(long, conflicts_with_all = ["until", "index", "json"], conflicts_with_all = ON_THE_WAY, conflicts_with_all = QUESTIONS)]
     view: bool,
-    /// Another recording, shown beside it at the same frame, with the first frame marked that differs
+    /// Another recording to show next to it at the same frame, with the first different frame marked
     #[cfg(feature = "window")]
     #[arg(long, value_name = "FVL", requires = "view")]
     beside: Option<PathBuf>,
-    /// Record walks that leave it into this file; they name this recording and the frame
+    /// Record walks that branch off into this file, which names this recording and the frame
     #[cfg(feature = "window")]
     #[arg(long, value_name = "FVL", requires = "view")]
     record: Option<PathBuf>,
-    /// Show it in a browser: the same timeline and stories, at this address
+    /// Show it in a browser at this address, with the same timeline and histories
     #[cfg(feature = "serve")]
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, require_equals = true, default_missing_value = "127.0.0.1:8080", conflicts_with_all = ["until", "index"], conflicts_with_all = ON_THE_WAY, conflicts_with_all = QUESTIONS)]
     #[cfg_attr(feature = "window", arg(conflicts_with = "view"))]
     serve: Option<std::net::SocketAddr>,
-    /// Folder for its screenshots (F12)
+    /// Folder for screenshots (F12)
     #[cfg(feature = "window")]
     #[arg(long, value_name = "DIR", default_value = ".", requires = "view")]
     screenshots: PathBuf,
     /// Write this frame's picture to --out
     #[arg(long, value_name = "FRAME", requires = "out", conflicts_with = "until", group = "drawn")]
     show: Option<u32>,
-    /// Where --show writes the picture, and --path draws it over the picture
+    /// PNG file for the picture of --show, or for the path of --path drawn over the picture
     #[arg(long, value_name = "PNG", requires = "drawn")]
     out: Option<PathBuf>,
-    /// With --why: trace the sample's whole path again: surfaces, lobes, random numbers and what each adds
+    /// With --why: trace the sample's whole path again, with its surfaces, lobes, random numbers and contributions
     #[arg(long, requires = "why")]
     path: bool,
-    /// Why this pixel of --frame looks as it does: the chain from input to sample
+    /// Explain why this pixel of --frame looks as it does: the chain from input to sample
     #[arg(long, value_name = "X,Y", value_parser = pixel, group = "drawn", conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("why"))]
     why: Option<(u32, u32)>,
-    /// The frame that --why looks at (default: the last)
+    /// Frame for --why (default: the last)
     #[arg(long, requires = "why")]
     frame: Option<u32>,
-    /// Why this frame took as long as it did: what each thread did, the chain that it waited for, what of it would have had
-    /// to be faster
+    /// Explain why this frame took as long as it did: what each thread did, the critical path, and which parts should
+    /// have been faster
     #[arg(long, value_name = "FRAME", conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("why_late"))]
     why_late: Option<u32>,
-    /// Say what was delivered to this actor
+    /// Print what was delivered to this actor
     #[arg(long, value_name = "NAME")]
     actor: Option<String>,
-    /// Tell this actor's state, at --at or the end
+    /// Print this actor's state, at --at or the end
     #[arg(long, value_name = "ACTOR", conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("state_diff"))]
     state: Option<String>,
-    /// Where --state looks
+    /// Moment at which --state is printed
     #[arg(long, value_name = "FRAME|ACTOR:INDEX", requires = "state")]
     at: Option<String>,
-    /// What changed between two places, in the state of --state or of all actors
+    /// Print what changed between two moments in the state of --state, or of all actors
     #[arg(long, num_args = 2, value_names = ["A", "B"], conflicts_with = "at", conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("state_diff"))]
     state_diff: Option<Vec<String>>,
-    /// All that an actor said when it was delivered this, also what nobody was told in the end
+    /// Print everything an actor sent in response to this delivery, including what was not delivered
     #[arg(long, value_name = "ACTOR:INDEX", conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("said"))]
     said: Option<String>,
-    /// Where this comes about: `ACTOR.PATH < 3`, `ACTOR.PATH changes`, `ACTOR hears MESSAGE [PATH > 3]`, `pixel X,Y changes`,
-    /// `object "NAME" loses samples`; --state shows which paths there are
+    /// Find where this becomes true: `ACTOR.PATH < 3`, `ACTOR.PATH changes`, `ACTOR hears MESSAGE [PATH > 3]`, `pixel
+    /// X,Y changes`, `object "NAME" loses samples`; --state lists the paths
     #[arg(long, value_name = "CONDITION", conflicts_with_all = ON_THE_WAY, conflicts_with_all = behind("when"))]
     when: Option<String>,
-    /// Which of the places where --when comes about
+    /// Which of the places found by --when to print
     #[arg(long, value_name = "WHICH", default_value = "all", requires = "when")]
     which: look::Which,
-    /// Write every delivery of the replay, with arrows from input to job to pixel: for chrome://tracing, or Perfetto's
-    /// own format; or, by itself, pictures, cameras, object ids and actors' numbers for the viewer of rerun
+    /// Write every delivery of the replay, with arrows from input to job to pixel, for chrome://tracing or in
+    /// Perfetto's own format; rerun, without other options, writes pictures, cameras, object ids and numbers of the
+    /// actors for the Rerun viewer
     #[arg(long, num_args = 2, value_names = ["chrome|perfetto|rerun", "FILE"])]
     export: Option<Vec<String>>,
-    /// Where the replay diverges: the program that recorded it, which says what was recorded there
+    /// If the replay diverges: program that made the recording, to find out what was recorded there
     #[arg(long, value_name = "PROGRAM")]
     with: Option<PathBuf>,
-    /// The first message at which two recordings part
+    /// Find the first message at which two recordings diverge
     #[arg(long, num_args = 2, value_names = ["A", "B"], conflicts_with = "trace", conflicts_with_all = ON_THE_WAY)]
     diff: Option<Vec<PathBuf>>,
     #[command(flatten)]
     elsewhere: ElsewhereArguments,
-    /// One JSON document
+    /// Print one JSON document
     #[arg(long)]
     json: bool,
 }

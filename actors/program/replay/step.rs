@@ -14,9 +14,9 @@ s [N]                 one delivery forward, or N
 b [N]                 one back, or N
 g FRAME|ACTOR:INDEX   go to where a frame was shown or a delivery made
 f                     forward to the next shown frame
-p                     position: deliveries made to each actor
-n CONDITION           next place where a condition comes to hold, as for --when
-t ACTOR[.PATH]        tell an actor's state
+p                     position: number of deliveries made to each actor
+n CONDITION           next place where a condition becomes true, as for --when
+t ACTOR[.PATH]        print an actor's state
 w X,Y                 why a pixel of the last shown frame looks as it does
 q                     quit";
 

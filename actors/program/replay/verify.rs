@@ -79,10 +79,10 @@ pub(super) fn verify(
                 found.answers.iter().map(|said| recorded::document(source, said)).collect();
             document["diverged"]["replays_differ"] = differs.collect();
         } else {
-            print_line(&format!("there it says {}", found.says));
+            print_line(&format!("the message there: {}", found.says));
             for said in &found.answers {
                 print_line(&format!(
-                    "and is answered by {} to {}: {}",
+                    "the response: {} to {}: {}",
                     said.kind,
                     source.name(said.to),
                     said.says
@@ -90,10 +90,10 @@ pub(super) fn verify(
             }
             match found.differs.is_empty() {
                 true => print_line(
-                    "two more replays say the same there: this program says something else than that one did",
+                    "two more replays agree there: this program behaves differently from the one that recorded",
                 ),
                 false => print_line(
-                    "two more replays differ there, so it depends on something that is no message:",
+                    "two more replays differ there, so the outcome depends on something other than messages:",
                 ),
             }
             found
@@ -109,7 +109,7 @@ pub(super) fn verify(
                 document["diverged"]["recorded_differs"] =
                     others.iter().map(recorded::Other::document).collect();
             }
-            Ok(others) if others.is_empty() => print_line("the program that recorded says the same there"),
+            Ok(others) if others.is_empty() => print_line("the program that recorded does the same there"),
             Ok(others) => others.iter().for_each(|other| print_line(&format!("  {other}"))),
             // That it parts is known all the same.
             Err(e) => {

@@ -37,46 +37,46 @@ const STRATEGIES: [Strategy; 4] =
 /// Arguments of `foveal simulate`.
 #[derive(Args, Debug)]
 pub struct SimulateArguments {
-    /// An OBJ or glTF file or a sidecar; its light is the quick one, without a bake
+    /// OBJ or glTF file, or a .toml sidecar; its light is the first estimate, without a bake
     scene: PathBuf,
-    /// Which seeds, the last one left out
+    /// Range of seeds; B is excluded
     #[arg(long, value_name = "A..B", value_parser = seeds)]
     seeds: Seeds,
-    /// What goes wrong, where and when the seed says
+    /// Kinds of faults to inject; the seed decides where and when
     #[arg(long, value_enum, value_delimiter = ',')]
     faults: Vec<FaultName>,
-    /// Exactly this goes wrong instead, as a failure prints it; may be repeated
+    /// Inject exactly this fault instead, as printed for a failure; may be repeated
     #[arg(long, value_name = "ACTOR:KIND:AT", conflicts_with = "faults")]
     fault: Vec<String>,
     /// Picture size
     #[arg(long, value_name = "WxH", default_value = "64x64")]
     size: Size,
-    /// Frames of the walk, before the stay that must converge
+    /// Frames of the walk, before the final stay, which must converge
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
     frames: u32,
-    /// Let the light grow while the walk goes on: with an illuminator
+    /// Let the light grow during the walk, with an illuminator
     #[arg(long)]
     grow: bool,
-    /// Most bytes of textures in memory, e.g. 64MiB; the user lowers it on the way (default: no limit)
+    /// Limit on texture memory, e.g. 64MiB, which the simulated user lowers during the walk (default: none)
     #[arg(long, value_name = "SIZE", value_parser = foveal_terminal::arguments::bytes)]
     texture_budget: Option<u64>,
     /// Number of tracers
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=i64::from(TRACERS_MAX)))]
     workers: u32,
-    /// Who runs next: the seed's number decides (mixed), or one strategy for all; exhaustive takes the seeds for schedules,
-    /// from the one without a deviation on
+    /// Which actor runs next: a strategy chosen by the seed (mixed), or always the same one; exhaustive takes seeds
+    /// as schedules, starting with the one without deviations
     #[arg(long, value_enum, default_value_t = StrategyName::Mixed)]
     strategy: StrategyName,
-    /// Run each seed twice; the runs must be equal message by message
+    /// Run each seed twice; both runs must be equal message by message
     #[arg(long)]
     twice: bool,
-    /// A walk that a panic ends in order has failed, too
+    /// Count a walk that a panic ended in order as failed, too
     #[arg(long)]
     must_rest: bool,
     /// Folder for a recording of each failure, for `foveal replay`
     #[arg(long, value_name = "DIR")]
     traces: Option<PathBuf>,
-    /// One JSON document
+    /// Print one JSON document
     #[arg(long)]
     json: bool,
 }
@@ -98,21 +98,22 @@ fn seeds(text: &str) -> Result<Seeds, String> {
 /// What can go wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum FaultName {
-    /// An actor panics: a tracer's job goes back, analyzer and cache ager start anew, any other ends the walk in order
+    /// An actor panics: a tracer's job is returned, the analyzer or cache ager restarts, any other actor ends the
+    /// walk in order
     Panic,
-    /// A turn comes a millisecond late
+    /// A turn is a millisecond late
     Delay,
     /// An actor hangs for 100 ms
     Stall,
     /// Ten turns take 100 times as long
     Slow,
-    /// A message or a job comes back to its sender
+    /// A message or job is returned to its sender
     Full,
-    /// The walk is recorded, and the file ends early
+    /// The walk is recorded, and the file is truncated
     TornLog,
     /// The walk is recorded, and the disk is full
     DiskFull,
-    /// A tracer hangs at a job and loses it to another one
+    /// A tracer hangs in a job, which passes to another one
     Hang,
 }
 
@@ -126,17 +127,17 @@ const RECORDING_HORIZON: u64 = 12_000;
 /// Who runs next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum StrategyName {
-    /// Random, PCT, round robin and starve one, in turn.
+    /// Random, PCT, round robin and starve-one, by seed.
     Mixed,
-    /// Any that can run.
+    /// Any runnable actor.
     Random,
-    /// Random priorities with three changes.
+    /// Random priorities with three change points.
     Pct,
     /// Each in turn.
     RoundRobin,
-    /// One only when nothing else can run.
+    /// One actor runs only when no other can.
     StarveOne,
-    /// Every choice.
+    /// Every choice, one schedule per seed.
     Exhaustive,
 }
 

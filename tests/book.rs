@@ -112,7 +112,8 @@ fn with_recordings(name: &str) -> PathBuf {
     for part in ["scenes", "traces"] {
         std::os::unix::fs::symlink(root().join(part), folder.join(part)).expect("a link");
     }
-    std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_foveal"), folder.join("foveal-of-before")).expect("a link");
+    std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_foveal"), folder.join("foveal-of-before"))
+        .expect("a link");
     let walk = "walk scenes/gallery/gallery.toml --fps 100 --size 320x240";
     for (frames, file) in [(12, "g.fvl"), (16, "walk.fvl")] {
         Foveal::new(&format!("{walk} --frames {frames} --record {file}")).inside(&folder).ok();

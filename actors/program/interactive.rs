@@ -45,14 +45,14 @@ pub struct InteractiveArguments {
     /// Number of tracers (default: one per core)
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(TRACERS_MAX)))]
     workers: Option<u32>,
-    /// Refine what has converged until the standard error of displayed values, 0 to 1, is below this; 0 leaves it
+    /// Refine what has converged until the standard error of displayed values, 0 to 1, is below this; 0 refines nothing
     /// (default: 0.01, with --headless 0)
     #[arg(long, value_name = "NOISE", value_parser = clap::value_parser!(f32))]
     refine: Option<f32>,
-    /// Most samples of a pixel in that
+    /// The most samples that --refine takes of a pixel
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 16))]
     refine_samples: u32,
-    /// Most bytes of textures in memory, e.g. 64MiB (default: the scene's, else no limit)
+    /// The most bytes of textures kept in memory, e.g. 64MiB (default: the scene's, else no limit)
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     texture_budget: Option<u64>,
     /// Record the walk, so that `foveal replay` can run it again; one that begins anew, as in another scene or the same read
@@ -62,10 +62,10 @@ pub struct InteractiveArguments {
     /// How densely hashes are recorded
     #[arg(long, value_name = "WHICH", value_enum, default_value_t = Hashes::Each, requires = "record")]
     hashes: Hashes,
-    /// Do not keep the maps of light that grows beside the recording (FILE.light); replay then bakes them again
+    /// Do not keep the maps of growing light beside the recording (FILE.light); a replay then bakes them again
     #[arg(long, requires = "record")]
     no_light: bool,
-    /// Set a control of the panel from the start, e.g. exposure=-1; may be given again. --help lists them
+    /// Set a control of the panel from the start, e.g. exposure=-1; may be repeated. --help lists them
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<Setting>,
     #[command(flatten)]

@@ -27,10 +27,10 @@ struct DoorArguments {
     /// `foveal trace`; a walk's light is baked first
     #[arg(long, value_name = "ADDRESS")]
     tracers: Option<String>,
-    /// File for what they join with (made, or its key is taken again; default: printed)
+    /// File for the key they join with (made, or used again; default: printed)
     #[arg(long, value_name = "FILE", requires = "tracers")]
     tracers_key: Option<PathBuf>,
-    /// Most machines at once
+    /// The most machines at once
     #[arg(long, value_name = "N", default_value_t = STATIONS_MAX, requires = "tracers", value_parser = clap::value_parser!(u32).range(1..=i64::from(STATIONS_MAX)))]
     tracers_max: u32,
     /// How much of what comes from there is traced here as well and compared: 1/64 is one sample in 64
@@ -43,8 +43,8 @@ struct DoorArguments {
 pub struct TracersArguments {
     #[command(flatten)]
     door: DoorArguments,
-    /// Let machines come whose numbers have other bits: what they trace is recorded, and near to what is traced here, not the
-    /// same
+    /// Let machines join whose results differ in their last bits: what they trace is recorded, and close to what would be
+    /// traced here, not the same
     #[arg(long, requires = "tracers")]
     any_bits: bool,
     /// Record what other machines trace, so that a replay need not trace it again

@@ -5,12 +5,12 @@ use clap::{Args, ValueEnum};
 /// Arguments of the mode.
 #[derive(Args, Clone, Copy, Debug)]
 pub struct ModeArguments {
-    /// What is kept where time is short: the frame rate, whatever the picture looks like, or the quality, while the frame
-    /// rate falls
+    /// What is kept when time is short: the frame rate, whatever the picture looks like, or the quality, while the frame
+    /// rate drops
     #[arg(long, value_enum, default_value_t = Mode::FixedRate)]
     mode: Mode,
-    /// With --mode fixed-quality: the least quality of a frame that is shown: 0 less the mean visible error of its pixels, just
-    /// noticeable differences
+    /// With --mode fixed-quality: the least quality of a frame that is shown, which is minus the mean visible error of its
+    /// pixels in just noticeable differences; 0 is a picture without error
     #[arg(long, value_name = "Q", default_value = "-0.25", allow_negative_numbers = true, value_parser = quality)]
     quality: f32,
 }

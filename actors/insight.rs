@@ -93,6 +93,8 @@ pub struct Insight {
     /// Q per pixel (Dumont 2003, Eq. (1)): −1 × the mean visible error of rays that are still to come and of texture levels
     /// that are missing, just noticeable differences. 0 is the gold standard; −∞ while nothing is known.
     pub quality: f32,
+    /// Jobs that were given up so far: several tracers panicked over each, or hung at it.
+    pub lost_jobs: u32,
 }
 
 /// Holds the newest.

@@ -47,6 +47,7 @@ impl Allocator {
             textures: self.textures.as_ref().map(|t| (t.current(), t.residency().limit())),
             refinement: self.supersampler.as_ref().and_then(Supersampler::progress),
             quality: self.quality(),
+            lost_jobs: self.lost_jobs,
         }
     }
 

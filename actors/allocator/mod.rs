@@ -306,6 +306,7 @@ impl Allocator {
             TraceBrief::Level { texture, level } => self.on_level_loaded(*texture, *level, None, cx),
         }
         keep_newest(&mut self.dead_jobs, dead);
+        self.tell_insight();
     }
 
     /// Takes up what the user changed, in the middle of a view.

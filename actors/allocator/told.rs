@@ -11,8 +11,17 @@ use crate::message::saved::Told;
 impl Allocator {
     /// What decides what it does next; objects by name, as what is thought of each.
     pub(super) fn told(&self) -> Content {
-        let Insight { view: _, objects, maps, map_bytes, map_price_per_mib, textures, refinement, quality } =
-            self.insight();
+        let Insight {
+            view: _,
+            objects,
+            maps,
+            map_bytes,
+            map_price_per_mib,
+            textures,
+            refinement,
+            quality,
+            lost_jobs,
+        } = self.insight();
         let named = self.drawn.as_ref().map(|drawn| &drawn.world.scene.objects);
         let name = |id: usize| match named.and_then(|named| named.get(id)) {
             Some(object) => Cow::from(object.name.clone()),
@@ -58,7 +67,7 @@ impl Allocator {
             ),
             ("textures", textures.unwrap_or_else(none)),
             ("refinement", refinement.unwrap_or_else(none)),
-            ("lost_jobs", Content::of(&self.lost_jobs)),
+            ("lost_jobs", Content::of(&lost_jobs)),
             ("incidents", Content::of(&self.incidents)),
             ("outbox", Content::of(&self.outbox.len())),
         ])

@@ -140,50 +140,45 @@ impl ValueEnum for StalledName {
     }
 }
 
-/// Names of overlays.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum OverlayName {
-    /// Nothing
-    None,
-    /// How much the eye is drawn to each object
-    Saliency,
-    /// Object ids
-    Objects,
-    /// Level of the shown sample
-    Level,
-    /// Age of the shown sample
-    Age,
-    /// Which tracer made the shown sample
-    Tracer,
-    /// Mip level wanted
-    Mip,
-    /// How much the task draws the eye to each object
-    Importance,
-    /// Which object the next samples go to
-    Priority,
-    /// Estimated error that each object shows
-    Error,
-    /// Mip level given
-    MipGiven,
-    /// All of them, three in a row, in the order of the window's panel
-    All,
-}
+/// An overlay on a command line; `None` is all of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct OverlayName(Option<Overlay>);
 
-impl From<OverlayName> for Overlay {
-    fn from(name: OverlayName) -> Self {
-        match name {
-            OverlayName::None | OverlayName::All => Self::None,
-            OverlayName::Saliency => Self::Saliency,
-            OverlayName::Objects => Self::Objects,
-            OverlayName::Level => Self::Level,
-            OverlayName::Age => Self::Age,
-            OverlayName::Tracer => Self::Tracer,
-            OverlayName::Mip => Self::Mip,
-            OverlayName::Importance => Self::Importance,
-            OverlayName::Priority => Self::Priority,
-            OverlayName::Error => Self::Error,
-            OverlayName::MipGiven => Self::MipGiven,
-        }
+impl ValueEnum for OverlayName {
+    fn value_variants<'a>() -> &'a [Self] {
+        const EACH: [OverlayName; Overlay::ALL.len() + 1] = {
+            let mut each = [OverlayName(None); Overlay::ALL.len() + 1];
+            let mut i = 0;
+            while i < Overlay::ALL.len() {
+                each[i] = OverlayName(Some(Overlay::ALL[i]));
+                i += 1;
+            }
+            each
+        };
+        &EACH
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        let (name, help) = match self.0 {
+            None => ("all", "All of them, three in a row, in the order of the window's panel"),
+            Some(overlay) => {
+                let name = match overlay {
+                    Overlay::None => "none",
+                    Overlay::Saliency => "saliency",
+                    Overlay::Objects => "objects",
+                    Overlay::Level => "level",
+                    Overlay::Age => "age",
+                    Overlay::Tracer => "tracer",
+                    Overlay::Mip => "mip",
+                    Overlay::Importance => "importance",
+                    Overlay::Priority => "priority",
+                    Overlay::Error => "error",
+                    Overlay::MipGiven => "mip-given",
+                };
+                (name, overlay.help())
+            }
+        };
+        Some(PossibleValue::new(name).help(help))
     }
 }
 
@@ -222,8 +217,8 @@ fn options(a: ViewArguments) -> foveal_window::Options {
 fn headless(a: &ViewArguments, progress: Progress) -> Result<(), Failure> {
     end_on_interrupt();
     let mut source = a.recipe().walk(&progress.baking())?;
-    if let Some(overlay) = a.overlay {
-        source.set(&Controls { overlay: overlay.into(), ..source.controls() })?;
+    if let Some(OverlayName(Some(overlay))) = a.overlay {
+        source.set(&Controls { overlay, ..source.controls() })?;
     }
     let begin = Instant::now();
     let mut walk = Walk::new(Box::new(source), 0.0);
@@ -253,7 +248,7 @@ fn headless(a: &ViewArguments, progress: Progress) -> Result<(), Failure> {
     let picture = if a.panel {
         let [width, height] = [picture.width() + foveal_window::panel::WIDTH as usize + 20, picture.height()];
         foveal_window::interface::paint(&walk, [width, height])
-    } else if a.overlay == Some(OverlayName::All) {
+    } else if a.overlay == Some(OverlayName(None)) {
         sheet(&mut walk)
     } else {
         picture

@@ -29,7 +29,7 @@ pub enum Overlay {
     Tracer = 5,
     /// Mip level wanted: white is full size.
     Mip = 6,
-    /// How much the task draws the eye to each object: size, place and shape (Haber 2001 §3).
+    /// How much the task draws the eye to each object: its size and place (Haber 2001 §3).
     Importance = 7,
     /// Which object the next samples go to: white first.
     Priority = 8,
@@ -71,6 +71,42 @@ impl Overlay {
             Self::Priority => "priority",
             Self::Error => "error",
             Self::MipGiven => "mip given",
+        }
+    }
+
+    /// What it shows, in a sentence for people, with the paper's term and section where it has one.
+    pub fn help(self) -> &'static str {
+        match self {
+            Self::None => "The picture alone",
+            Self::Saliency => {
+                "How much each object draws the eye, by contrast and colour (saliency, Haber 2001 §3)"
+            }
+            Self::Importance => {
+                "How much each object matters to the task, by its size and place in the picture (importance, Haber 2001 §3)"
+            }
+            Self::Priority => {
+                "Which object gets the next samples; white comes first (priority, Haber 2001 §4.4)"
+            }
+            Self::Error => {
+                "Visible error each object is estimated to have left (ε, Dumont 2003, Eq. (2)); while a view is \
+                 refined, the standard error of each tile"
+            }
+            Self::Level => {
+                "Level of the sample each pixel shows; white is the pixel's own ray (l, Haber 2001 §4.3)"
+            }
+            Self::Age => {
+                "Views since the sample shown was traced; green is from the current view (age, Haber 2001 §4.5)"
+            }
+            Self::Tracer => "Which tracer made the sample each pixel shows, one colour per tracer",
+            Self::Objects => {
+                "Objects, which are corrected one by one, in a colour each (ids, Haber 2001 §4.1)"
+            }
+            Self::Mip => {
+                "Texture level each pixel asks for; white is full size (mip level, Dumont 2003 §5.2.4.1)"
+            }
+            Self::MipGiven => {
+                "Texture level each pixel gets: the one it asks for, or the finest in memory (Dumont 2003 §5.2.4)"
+            }
         }
     }
 }

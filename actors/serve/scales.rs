@@ -9,22 +9,17 @@ const STEPS: usize = 16;
 /// By the name of an overlay: a sentence, and what stands at both ends of its scale, where it has one.
 pub fn scales() -> Value {
     let of = |overlay| {
-        let (text, ends) = match overlay {
+        let ends = match overlay {
             Overlay::None => return None,
-            Overlay::Saliency => ("How much the eye is drawn to each object", Some(["least", "most"])),
-            Overlay::Importance => {
-                ("How much the task draws the eye to each object", Some(["least", "most"]))
-            }
-            Overlay::Priority => ("Which object the next samples go to", Some(["last", "next"])),
-            Overlay::Error => ("Estimated error that each object shows", Some(["0", "4 JND"])),
-            Overlay::Level => ("Level of the shown sample", Some(["coarse", "own ray"])),
-            Overlay::Age => ("Views since the shown sample was traced; green is new", Some(["1", "63"])),
-            Overlay::Tracer => ("Which tracer made the shown sample: a colour each", None),
-            Overlay::Objects => ("Objects: a colour each", None),
-            Overlay::Mip => ("Mip level wanted", Some(["level 8", "0"])),
-            Overlay::MipGiven => ("Mip level given", Some(["level 8", "0"])),
+            Overlay::Saliency | Overlay::Importance => Some(["least", "most"]),
+            Overlay::Priority => Some(["last", "next"]),
+            Overlay::Error => Some(["0", "4 JND"]),
+            Overlay::Level => Some(["coarse", "own ray"]),
+            Overlay::Age => Some(["1", "63"]),
+            Overlay::Tracer | Overlay::Objects => None,
+            Overlay::Mip | Overlay::MipGiven => Some(["level 8", "0"]),
         };
-        Some((overlay.name().to_owned(), json!({"text": text, "ends": ends})))
+        Some((overlay.name().to_owned(), json!({"text": overlay.help(), "ends": ends})))
     };
     let color = |c: foveal_engine::glam::Vec3| {
         let [r, g, b] = c.to_array().map(|v| (v * 255.0).round() as u8);

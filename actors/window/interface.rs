@@ -54,7 +54,7 @@ pub fn interface(ui: &mut Ui, shown: &Interface<'_>, help: &mut bool) -> Answer 
             ranges: walk.ranges(),
             insight: walk.insight(),
             presenter: shown.presenter,
-            notice: walk.notice.as_ref(),
+            notices: &walk.notices,
         };
         egui::Panel::right("panel").resizable(false).exact_size(panel::WIDTH).show(ui, |ui| {
             panel::panel(ui, controls, &shown);

@@ -1,7 +1,7 @@
 //! What each actor did in a frame: a lane for each, a box for each delivery, arrows from where a message was sent to where
 //! it was delivered. What the frame waited for is bright.
 
-use egui::{Color32, Pos2, Rect, Sense, Stroke, Ui, pos2};
+use egui::{Color32, Pos2, Rect, Role, Sense, Stroke, Ui, WidgetInfo, pos2};
 
 use foveal_engine::source::{LaneSlice, LanesShown, Wish};
 
@@ -26,6 +26,7 @@ pub fn lanes(ui: &mut Ui, lanes: &LanesShown) -> Option<Wish> {
     egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
         let size = egui::vec2(ui.available_width(), LANE * lanes.names.len() as f32 + 4.0);
         let (area, response) = ui.allocate_exact_size(size, Sense::click());
+        response.widget_info(|| WidgetInfo::labeled(Role::Canvas, true, spoken(lanes)));
         let painter = ui.painter_at(area);
         for (lane, name) in lanes.names.iter().enumerate() {
             let y = area.top() + LANE * (lane as f32 + 0.5);
@@ -63,6 +64,11 @@ pub fn lanes(ui: &mut Ui, lanes: &LanesShown) -> Option<Wish> {
         response.on_hover_text_at_pointer(text);
     });
     wish
+}
+
+/// What is drawn, for who cannot see it.
+fn spoken(lanes: &LanesShown) -> String {
+    format!("deliveries in this frame: {}, to {}", lanes.slices.len(), lanes.names.join(", "))
 }
 
 /// Where a delivery is drawn: never so narrow that it cannot be seen.

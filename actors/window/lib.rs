@@ -9,6 +9,8 @@
 
 #![expect(clippy::disallowed_methods, reason = "outside of the actors, which it drives")]
 
+#[cfg(test)]
+mod access_tests;
 mod app;
 mod decisions;
 pub mod gpu;
@@ -21,6 +23,8 @@ mod painter;
 pub mod panel;
 mod presenter;
 pub mod probe;
+mod standing;
+mod tables;
 pub mod timeline;
 
 pub use app::{Options, WindowError, run};

@@ -11,6 +11,9 @@ pub const HEIGHT: f32 = 260.0;
 /// Points that a state is wide.
 pub const STATE_WIDTH: f32 = 280.0;
 
+const WHEN: &str =
+    "Something to look for in the recording: a value of an actor's state, a pixel, or a message";
+
 /// Draws the bar. Returns what the user wants.
 pub fn timeline(ui: &mut Ui, shown: &TimelineShown, plays: bool) -> Option<Wish> {
     let mut wish = None;
@@ -22,17 +25,27 @@ pub fn timeline(ui: &mut Ui, shown: &TimelineShown, plays: bool) -> Option<Wish>
                 wish = Some(what);
             }
         };
-        button(ui, if plays { "pause" } else { "play" }, "Space", Wish::Play);
-        button(ui, "frame -", "Left", Wish::Frame(at.saturating_sub(1)));
-        button(ui, "frame +", "Right", Wish::Frame((at + 1).min(last)));
-        button(ui, "message -", ",", Wish::Messages(-1));
-        button(ui, "message +", ".", Wish::Messages(1));
-        button(ui, "walk on from here", "B", Wish::Branch);
+        button(
+            ui,
+            if plays { "pause" } else { "play" },
+            "Play the recording, or stop there (Space)",
+            Wish::Play,
+        );
+        button(ui, "frame -", "One frame back (Left)", Wish::Frame(at.saturating_sub(1)));
+        button(ui, "frame +", "One frame on (Right)", Wish::Frame((at + 1).min(last)));
+        button(ui, "message -", "Take the last message back (comma)", Wish::Messages(-1));
+        button(ui, "message +", "Deliver one more message (period)", Wish::Messages(1));
+        button(
+            ui,
+            "walk on from here",
+            "Leave the recording and walk on from here; samples are traced anew (B)",
+            Wish::Branch,
+        );
         let shows_lanes = shown.lanes.is_some();
         button(
             ui,
             if shows_lanes { "messages" } else { "lanes" },
-            "what each actor did in this frame",
+            "What each actor did in this frame, or the last messages",
             Wish::Lanes(!shows_lanes),
         );
         let told = &shown.state.0;
@@ -41,11 +54,12 @@ pub fn timeline(ui: &mut Ui, shown: &TimelineShown, plays: bool) -> Option<Wish>
         button(
             ui,
             if told.is_empty() { "state" } else { "no state" },
-            "what an actor knows here",
+            "What an actor knows at this moment",
             Wish::State(wanted),
         );
         if let Some(parted) = shown.parted {
-            button(ui, &format!("first difference: frame {parted}"), "", Wish::Frame(parted));
+            let hint = "The first frame whose picture differs from that of the recording beside";
+            button(ui, &format!("first difference: frame {parted}"), hint, Wish::Frame(parted));
         }
         let text = format!("frame {at} of {}", shown.frames);
         ui.add(egui::Label::new(text).wrap_mode(egui::TextWrapMode::Extend));
@@ -53,7 +67,8 @@ pub fn timeline(ui: &mut Ui, shown: &TimelineShown, plays: bool) -> Option<Wish>
     wish = search(ui, shown).or(wish);
     let mut frame = at;
     ui.spacing_mut().slider_width = (ui.available_width() - 20.0).max(50.0);
-    let slider = ui.add(Slider::new(&mut frame, 0..=last.max(1)).show_value(false));
+    let slider = ui.add(Slider::new(&mut frame, 0..=last.max(1)).show_value(false)).accessible_name("frame");
+    let slider = slider.on_hover_text("The frame that is shown; drag it to any other");
     if slider.changed() {
         wish = Some(Wish::Frame(frame.min(last)));
     }
@@ -81,17 +96,20 @@ fn search(ui: &mut Ui, shown: &TimelineShown) -> Option<Wish> {
     let id = ui.scope_id().with("condition");
     let mut text = ui.data_mut(|data| data.get_temp::<String>(id)).unwrap_or_default();
     ui.horizontal(|ui| {
-        ui.label("when");
+        let label = ui.label("when").on_hover_text(WHEN);
         let hint = "renderer.view > 4    pixel 100,200 changes    allocator hears JobDone";
         let field = ui.add(egui::TextEdit::singleline(&mut text).hint_text(hint).desired_width(330.0));
+        let field = field.labelled_by(label.id).on_hover_text(WHEN);
         let entered = field.lost_focus() && ui.input(|input| input.key_pressed(egui::Key::Enter));
-        if (ui.button("find").clicked() || entered) && !text.trim().is_empty() {
+        let find = ui.button("find").on_hover_text("Find all places where that comes about");
+        if (find.clicked() || entered) && !text.trim().is_empty() {
             wish = Some(Wish::Find(text.trim().to_owned()));
         }
         if !shown.found.is_empty() {
             let places = shown.found.iter().filter(|(_, place)| !place.is_empty()).count();
             let title = if places > 0 { format!("{places} places") } else { shown.found[0].0.clone() };
-            egui::ComboBox::from_id_salt("found").width(260.0).selected_text(title).show_ui(ui, |ui| {
+            let found = egui::ComboBox::from_id_salt("found").width(260.0).selected_text(title);
+            let found = found.show_ui(ui, |ui| {
                 for (told, place) in &shown.found {
                     let line = RichText::new(told).monospace().size(11.0);
                     if ui.selectable_label(false, line).clicked() && !place.is_empty() {
@@ -99,6 +117,7 @@ fn search(ui: &mut Ui, shown: &TimelineShown) -> Option<Wish> {
                     }
                 }
             });
+            found.response.accessible_name("found").on_hover_text("What was found; choose one to go there");
         }
     });
     ui.data_mut(|data| data.insert_temp(id, text));
@@ -116,11 +135,13 @@ fn mark(ui: &Ui, rect: egui::Rect, share: f32) {
 pub fn state(ui: &mut Ui, shown: &TimelineShown) -> Option<Wish> {
     let (told, lines) = &shown.state;
     let mut chosen = told.clone();
-    egui::ComboBox::from_id_salt("actor").width(180.0).selected_text(told).show_ui(ui, |ui| {
+    let actors = egui::ComboBox::from_id_salt("actor").width(180.0).selected_text(told);
+    let actors = actors.show_ui(ui, |ui| {
         for actor in &shown.actors {
             ui.selectable_value(&mut chosen, actor.clone(), actor);
         }
     });
+    actors.response.accessible_name("actor").on_hover_text("The actor whose state is shown");
     egui::ScrollArea::both().auto_shrink(false).show(ui, |ui| {
         lines.iter().for_each(|line| line_of(ui, line));
     });

@@ -61,7 +61,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "exposure",
             label: "exposure",
-            help: "Brightness of the picture; one stop doubles it",
+            help: "Brightness of the picture; one stop more doubles it",
             group: "Picture",
             unit: "stops",
             kind: slider(-12.0, 12.0),
@@ -73,7 +73,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "compresses",
             label: "compress highlights",
-            help: "What is brighter than white keeps its differences",
+            help: "Keep differences visible in what is brighter than white",
             group: "Picture",
             of_recordings: true,
             read: |c| Value::Switch(matches!(c.set.tone.curve, ToneCurve::Reinhard { .. })),
@@ -86,7 +86,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "white",
             label: "white",
-            help: "Radiance that is shown white",
+            help: "Radiance, once exposed, that is shown as white",
             group: "Picture",
             kind: scale(0.5, 64.0),
             needs: Some("compresses"),
@@ -105,7 +105,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "overlay",
             label: "overlay",
-            help: "What was decided, painted over the picture",
+            help: "What was decided about each object or pixel, painted over the picture",
             group: "Overlay",
             kind: Kind::Choice(&*OVERLAYS),
             of_recordings: true,
@@ -118,7 +118,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "fps",
             label: "frames per second",
-            help: "How often a picture is shown while you move",
+            help: "How many pictures are shown per second while you move",
             group: "Time",
             kind: scale(1.0, 60.0),
             of_recordings: true,
@@ -129,7 +129,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "waits",
             label: "wait until good enough",
-            help: "Frames wait until they are good enough, so the frame rate falls (Dumont 2003 §3: fixed quality)",
+            help: "Show no frame before it is good enough; the frame rate drops instead (fixed quality, Dumont 2003 §3)",
             group: "Time",
             read: |c| Value::Switch(c.set.quality.is_some()),
             write: |c, v| c.set.quality = v.is_on().then_some(c.set.quality.unwrap_or(QUALITY)),
@@ -138,7 +138,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "quality",
             label: "least quality",
-            help: "Q: 0 less the mean visible error of a pixel (Dumont 2003, Eq. (1))",
+            help: "Minus the mean visible error of a pixel; 0 is without error (Q, Dumont 2003, Eq. (1))",
             group: "Time",
             unit: "JND",
             kind: slider(-4.0, 0.0),
@@ -150,7 +150,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "workers",
             label: "workers",
-            help: "Tracers at work; the others rest",
+            help: "How many tracers work; the others rest",
             group: "Time",
             kind: count(1.0, 1.0),
             read: |c| Value::Number(f64::from(c.set.workers)),
@@ -160,7 +160,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "refines",
             label: "refine what has converged",
-            help: "A picture that has converged takes more samples of each pixel",
+            help: "Go on taking samples of each pixel once the picture has converged",
             group: "Refinement",
             read: |c| Value::Switch(c.set.refine.is_some()),
             write: |c, v| c.set.refine = v.is_on().then(|| c.set.refine.unwrap_or_default()),
@@ -169,7 +169,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "noise",
             label: "noise",
-            help: "Standard error of displayed values at which a tile is done",
+            help: "A tile is done once the standard error of its displayed values, 0 to 1, is below this",
             group: "Refinement",
             kind: scale(0.001, 0.1),
             needs: Some("refines"),
@@ -184,7 +184,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "max_samples",
             label: "most samples",
-            help: "Most samples of a pixel",
+            help: "The most samples that refining takes of a pixel",
             group: "Refinement",
             unit: "a pixel",
             kind: counts(1.0, 4096.0),
@@ -200,7 +200,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "policy",
             label: "policy",
-            help: "What decides which samples come first (attention: Haber 2001 §4.4)",
+            help: "How it is decided which samples come first (attention is the order of Haber 2001 §4.4)",
             group: "Samples",
             kind: Kind::Choice(&*POLICIES),
             read: |c| Value::Name(c.set.policy.name().to_owned()),
@@ -210,7 +210,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "saliency_weight",
             label: "saliency",
-            help: "From 0, only the task counts, to 1, only what draws the eye (w_s, Haber 2001 §3)",
+            help: "What draws the eye against the task: 0 counts the task alone, 1 saliency alone (w_s, Haber 2001 §3)",
             group: "Samples",
             kind: slider(0.0, 1.0),
             read: |c| Value::Number(f64::from(c.set.saliency_weight)),
@@ -220,7 +220,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "samples_per_job",
             label: "samples per job",
-            help: "What a tracer takes at once (n_job, Haber 2001 §4.4)",
+            help: "How many samples a tracer takes on at once (n_job, Haber 2001 §4.4)",
             group: "Samples",
             kind: counts(16.0, 4096.0),
             read: |c| Value::Number(f64::from(c.set.samples_per_job)),
@@ -230,7 +230,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "delta",
             label: "delta",
-            help: "Samples expire once the cosine between normal and view has changed by this (δ, Haber 2001 §4.5)",
+            help: "Samples expire once the cosine between normal and view has changed by more than this (δ, Haber 2001 §4.5)",
             group: "Samples kept",
             kind: slider(0.01, 0.5),
             read: |c| Value::Number(f64::from(c.set.ageing.delta)),
@@ -240,7 +240,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "max_age",
             label: "largest age",
-            help: "Samples expire after so many views (MAX_AGE, Haber 2001 §4.5)",
+            help: "Samples expire after this many views (MAX_AGE, Haber 2001 §4.5)",
             group: "Samples kept",
             unit: "views",
             kind: count(0.0, 256.0),
@@ -251,7 +251,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "n_min",
             label: "votes",
-            help: "Samples that a level needs to have a say in what expires (N_min, Haber 2001 §4.5)",
+            help: "How many samples of an age a level needs to vote on whether they expire (N_min, Haber 2001 §4.5)",
             group: "Samples kept",
             unit: "samples",
             kind: count(1.0, 100.0),
@@ -262,7 +262,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "environment_bytes",
             label: "environments",
-            help: "Most memory for environment maps; what is drawn around them follows Dumont 2003, Eq. (10)",
+            help: "The most memory environment maps may take; which objects have one follows Dumont 2003, Eq. (10)",
             group: "Memory",
             unit: "MiB",
             kind: slider(0.0, 256.0),
@@ -273,7 +273,7 @@ pub(super) static CONTROLS: LazyLock<[Control; 19]> = LazyLock::new(|| {
         Control {
             key: "texture_bytes",
             label: "textures",
-            help: "Most memory for textures; which mip levels stay follows Dumont 2003 §5.2",
+            help: "The most memory textures may take; which mip levels stay follows Dumont 2003 §5.2",
             group: "Memory",
             unit: "MiB",
             kind: slider(0.0, 0.0),

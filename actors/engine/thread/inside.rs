@@ -188,7 +188,7 @@ impl<'s> Inside<'s> {
 
     /// Leaves what is new for whoever looks. `rests`: nothing more comes until somebody does something.
     fn publish(&mut self, walk: &mut Walk, is_new: bool, rests: bool) {
-        if let Some(notice) = walk.notice.take() {
+        for notice in walk.notices.take() {
             self.say(notice);
         }
         let camera = walk.camera().copied();

@@ -3,6 +3,7 @@
 //! Knows no window: times are seconds since the start, given by the caller.
 
 mod acts;
+mod notices;
 mod recorded;
 mod times;
 mod ways;
@@ -17,6 +18,7 @@ use foveal_actors::renderer::overlay::Overlay;
 use foveal_runtime::Ending;
 
 pub use self::acts::Act;
+pub use self::notices::{Notice, Notices};
 pub use self::times::FrameTimes;
 pub use self::ways::BOOKMARKS;
 use self::ways::Ways;
@@ -38,15 +40,6 @@ pub enum Next {
     At(f64),
     /// Call again after input.
     Input,
-}
-
-/// A line for the user.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Notice {
-    /// What happened.
-    pub text: String,
-    /// Whether it went wrong.
-    pub failed: bool,
 }
 
 /// A walk through one scene.
@@ -79,8 +72,8 @@ pub struct Walk {
     quality: Option<f32>,
     /// When the next frame of a recording is due, while it plays.
     replaying: Option<f64>,
-    /// The last thing to tell the user.
-    pub notice: Option<Notice>,
+    /// What the user was told last.
+    pub notices: Notices,
     /// Sessions that were left and have not quite ended.
     leaving: Vec<Ending>,
 }
@@ -113,7 +106,7 @@ impl Walk {
             showing: Foresight::default(),
             quality: None,
             replaying: None,
-            notice: None,
+            notices: Notices::default(),
             leaving: Vec::new(),
         };
         if plays {
@@ -273,12 +266,12 @@ impl Walk {
 
     /// Tells the user something.
     pub fn tell(&mut self, text: String) {
-        self.notice = Some(Notice { text, failed: false });
+        self.notices.push(Notice { text, failed: false });
     }
 
     /// Tells the user what went wrong.
     pub fn complain(&mut self, text: String) {
-        self.notice = Some(Notice { text, failed: true });
+        self.notices.push(Notice { text, failed: true });
     }
 
     /// Works a little. Returns whether there is a new picture, and when to call again.

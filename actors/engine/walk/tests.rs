@@ -227,9 +227,9 @@ fn bookmarks_paths_and_facts() {
     run(&mut walk, 0.0, 0.05);
     assert_eq!(told.borrow().cameras, [camera(1.0)]);
     walk.go_to(7, 0.1);
-    assert!(walk.notice.as_ref().is_some_and(|n| n.text.contains("bookmark 8")));
+    assert!(walk.notices.newest().is_some_and(|n| n.text.contains("bookmark 8")));
     walk.toggle_playing(0.1);
-    assert!(walk.notice.as_ref().is_some_and(|n| n.text.contains("no path")));
+    assert!(walk.notices.newest().is_some_and(|n| n.text.contains("no path")));
     walk.toggle_recording(0.1);
     // Between the last frame and the end of the recording it goes on, seen by no frame.
     walk.navigator.press(Motion::Right, 0.5);
@@ -278,6 +278,6 @@ fn incidents_and_the_end_of_a_recording_are_told() {
         let (mut walk, told) = walk();
         told.borrow_mut().events = vec![Event::Converged, event, Event::LightGrew];
         run(&mut walk, 0.0, 1.0);
-        assert!(walk.notice.as_ref().is_some_and(|n| n.failed && n.text.contains(says)), "{says}");
+        assert!(walk.notices.newest().is_some_and(|n| n.failed && n.text.contains(says)), "{says}");
     }
 }

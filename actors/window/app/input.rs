@@ -1,4 +1,4 @@
-//! Keys and the mouse: what they do to the walk and to the window.
+//! Keys, the mouse and fingers: what they do to the walk and to the window.
 
 use winit::event::{ElementState, MouseButton, MouseScrollDelta, Touch, TouchPhase, WindowEvent};
 use winit::event_loop::ActiveEventLoop;
@@ -6,6 +6,7 @@ use winit::keyboard::KeyCode;
 use winit::window::{CursorGrabMode, Fullscreen};
 
 use super::App;
+use super::fingers::Drag;
 use foveal_engine::navigation::Motion;
 use foveal_engine::source::Wish;
 use foveal_engine::walk::Act;
@@ -112,42 +113,31 @@ impl App {
         screen.window.set_fullscreen((!is_full).then_some(Fullscreen::Borderless(None)));
     }
 
-    /// One finger on the picture looks around; two walk, to where both are dragged, and ahead as they part. Where one
-    /// lies on the panel, that has them (egui makes a pointer of the first).
+    /// Fingers on the picture steer the walk. Where one lies on the panel, that has it (egui makes a pointer of the first).
     fn on_touch(&mut self, touch: &Touch, now: f64) {
         let at = (touch.location.x, touch.location.y);
         match touch.phase {
             TouchPhase::Started => {
                 self.pointer = at;
-                if self.fingers.len() < 2 && self.pointer_on_picture() {
-                    self.fingers.push((touch.id, at));
+                if self.fingers.have_room() && self.pointer_on_picture() {
+                    self.fingers.press(touch.id, at);
                 }
             }
-            TouchPhase::Moved => {
-                let Some(moved) = self.fingers.iter().position(|(id, _)| *id == touch.id) else { return };
-                let spread = |fingers: &[(u64, (f64, f64))]| match fingers {
-                    [(_, a), (_, b)] => (a.0 - b.0).abs().max((a.1 - b.1).abs()),
-                    _ => 0.0,
-                };
-                let before = (self.fingers[moved].1, spread(&self.fingers));
-                self.fingers[moved].1 = at;
-                let (right, down) = (at.0 - before.0.0, at.1 - before.0.1);
-                let is_alone = self.fingers.len() == 1;
-                let after = spread(&self.fingers);
-                let Some(walk) = &mut self.walk else { return };
-                if is_alone {
+            TouchPhase::Moved => match (self.fingers.drag(touch.id, at), &mut self.walk) {
+                (Some(Drag::Look([right, down])), Some(walk)) => {
                     walk.act(Act::Look(right as f32, down as f32), now);
-                } else {
-                    // Both fingers' way counts, half of it each.
-                    let size =
+                }
+                (Some(Drag::Walk(way)), Some(walk)) => {
+                    let width =
                         self.screen.as_ref().map_or(512.0, |s| f64::from(s.picture_rect.width().max(1.0)));
-                    let points = f64::from(self.context.pixels_per_point()) * size;
-                    let step = |pixels: f64| (pixels / points * f64::from(walk.place().diagonal)) as f32;
-                    let (aside, up, ahead) = (step(-0.5 * right), step(0.5 * down), step(after - before.1));
+                    let pixels = f64::from(self.context.pixels_per_point()) * width;
+                    let [aside, up, ahead] =
+                        way.map(|way| (way / pixels * f64::from(walk.place().diagonal)) as f32);
                     walk.stride(aside, up, ahead, now);
                 }
-            }
-            TouchPhase::Ended | TouchPhase::Cancelled => self.fingers.retain(|(id, _)| *id != touch.id),
+                _ => return,
+            },
+            TouchPhase::Ended | TouchPhase::Cancelled => self.fingers.release(touch.id),
         }
         self.request_redraw();
     }

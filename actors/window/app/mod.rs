@@ -1,5 +1,6 @@
 //! The event loop: the window's events become a walk's input, its pictures become the window's.
 
+mod fingers;
 mod input;
 #[cfg(feature = "gamepad")]
 mod pad;
@@ -19,6 +20,7 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy}
 use winit::keyboard::{ModifiersState, PhysicalKey};
 use winit::window::WindowId;
 
+use self::fingers::Fingers;
 use self::screen::Screen;
 use self::shots::Asked;
 use super::presenter::{Backend, DrawnBy};
@@ -170,8 +172,7 @@ struct App {
     /// The mouse looks around since this position, pixels.
     looking: Option<(f64, f64)>,
     pointer: (f64, f64),
-    /// Fingers on the picture, two at most, and where they are.
-    fingers: Vec<(u64, (f64, f64))>,
+    fingers: Fingers,
     help: bool,
     hidden: bool,
     /// The textures of the picture must be made anew.
@@ -212,7 +213,7 @@ impl App {
             modifiers: ModifiersState::default(),
             looking: None,
             pointer: (0.0, 0.0),
-            fingers: Vec::new(),
+            fingers: Fingers::default(),
             help: false,
             hidden: false,
             picture_is_new: false,

@@ -149,17 +149,17 @@ fn errors_beside_plain_alternatives() {
 fn errors_of_every_order_in_a_scene_of_ones_own() {
     let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes");
     let measure = |scene: &Path| {
-        Foveal::new("bench error --size 24x18 --frames 2 --runs 2 --policies utility,uniform").arg(scene)
+        Foveal::new("bench error --size 24x18 --frames 2 --runs 3 --policies utility,uniform").arg(scene)
     };
     let out = folder("own");
     let d = measure(&scenes.join("duck/duck.toml")).arg("--out").arg(&out).json();
     for what in ["duck, still: utility", "duck, walking: uniform", "all scenes, still and walking: utility"] {
         let found = row(&d, what);
-        assert!(found["runs"] == 2 && found["band"].as_array().is_some_and(|b| b.len() == 2), "{found}");
+        assert!(found["runs"] == 3 && found["band"].as_array().is_some_and(|b| b.len() == 2), "{found}");
     }
     assert_eq!(d["rows"].as_array().expect("rows").iter().filter(|r| r["unit"] == "JOD").count(), 2);
     let csv = fs::read_to_string(out.join("error-curves.csv")).expect("a table");
-    assert_eq!(csv.lines().count(), 1 + 2 * 2 * (17 + 2));
+    assert_eq!(csv.lines().count(), 1 + 2 * 3 * (17 + 2));
     let page = fs::read_to_string(out.join("report.html")).expect("a page");
     // Two pictures and what they should be, still and walking; and in both parts one of them under a line.
     assert!(page.contains("duck, walking") && page.matches("<img").count() == 6 + 4);

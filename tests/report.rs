@@ -41,6 +41,9 @@ fn a_report_is_shown_at_any_size() {
         );
         assert!(contrast.as_f64().is_some_and(|c| c >= 4.5), "{what}: contrast {contrast}");
     }
+    // Where and when it was made.
+    let made = page.eval("document.querySelector('h1 + p').textContent");
+    assert!(made.as_str().is_some_and(|m| m.starts_with("foveal ") && m.contains(" core")), "{made}");
     // The line moves, and the difference is another picture.
     let seen = page.eval(
         "(() => { const ab = document.querySelector('.ab'), layers = ab.querySelector('.layers');\

@@ -219,18 +219,19 @@ pub fn run(a: &ErrorArguments, progress: Progress) -> Result<(), Failure> {
     }
     bar.finish_and_clear();
     notes.push(format!(
-        "mean FLIP of the non-diffuse pixels over time, {}; a frame of the walk has time for {} of its samples",
+        "Errors are the mean FLIP of the non-diffuse pixels over time, {}; a frame of the walk has time for {} of its samples.",
         if a.coarse_maps { "without environment maps" } else { "environment maps are captured on the way" },
         a.share
     ));
     notes.push(
-        "each order walks by itself, on a clock that moves by the processor time of its tracer: samples and maps".into(),
+        "Each order walks by itself, on a clock that moves by the processor time its tracer spends on samples and maps."
+            .into(),
     );
     notes.push(format!(
-        "held against what the views converge to: {CONVERGED}; --plain holds against paths, too"
+        "The reference is what the views converge to, {CONVERGED}; with `--plain`, path-traced pictures are another."
     ));
     if interrupted() {
-        notes.push("interrupted: fewer scenes or runs than asked for".into());
+        notes.push("Interrupted: there are fewer scenes or runs than were asked for.".into());
     }
     if let Some(out) = &a.common.out {
         write_page(out, "error-curves.csv", &table, &rows, &notes, sections)?;
@@ -279,7 +280,7 @@ fn rows_of(name: &str, entrants: &[Entrant], outcomes: &[Vec<Outcome>]) -> Vec<R
         let best = others.filter_map(|(_, v)| median(v)).fold(f64::INFINITY, f64::min);
         for (entrant, values) in entrants.iter().zip(&values) {
             let what = format!("{name}, {motion}: {}", entrant.name);
-            let row = Row::new(what, "mean FLIP", values).with_band(values).held_against(CONVERGED);
+            let row = Row::new(what, "mean FLIP", values).held_against(CONVERGED);
             rows.push(match entrant.policy.policy {
                 Policy::Utility if best.is_finite() => {
                     row.against("best other", Some(best)).aim(Aim::RatioAtMost(1.05))
@@ -289,7 +290,7 @@ fn rows_of(name: &str, entrants: &[Entrant], outcomes: &[Vec<Outcome>]) -> Vec<R
         }
     }
     for (entrant, values) in entrants.iter().zip(values(|o| o.jod)) {
-        let row = Row::new(format!("{name}, walking: {}", entrant.name), "JOD", &values).with_band(&values);
+        let row = Row::new(format!("{name}, walking: {}", entrant.name), "JOD", &values);
         rows.push(row.held_against(CONVERGED));
     }
     rows
@@ -306,7 +307,7 @@ fn totals(entrants: &[Entrant], sums: &[Vec<f64>], deciding: &[f64], scenes: usi
     for (peer, aim) in [("as published in 2001", 0.7), ("attention of 2001", 0.7), ("uniform", 0.8)] {
         if let Some(theirs) = total(peer) {
             let row = Row::new("all scenes, still and walking: utility", "mean FLIP", &utility);
-            rows.push(row.with_band(&utility).against(peer, median(&theirs)).aim(Aim::RatioAtMost(aim)));
+            rows.push(row.against(peer, median(&theirs)).aim(Aim::RatioAtMost(aim)));
         }
     }
     rows.push(Row::new("share of time spent deciding: utility", "", deciding).aim(Aim::AtMost(0.02)));

@@ -205,7 +205,7 @@ pub(super) fn write_page(
     let page = Page {
         title: "Error against time".into(),
         summary: notes.to_vec(),
-        tables: vec![table_of("Medians", rows)],
+        tables: vec![table_of("All rows", rows)],
         sections,
         ..Page::default()
     };
@@ -231,7 +231,9 @@ fn section(panel: &Panel<'_>, tone: &ToneMap) -> Result<Section, Failure> {
     };
     let mut figures = Vec::new();
     for (title, picture) in &panel.references {
-        figures.push(Figure { title: title.clone(), caption: String::new(), png: png(picture)? });
+        let caption =
+            format!("What the other pictures should look like; errors are told against {}.", panel.against);
+        figures.push(Figure { title: title.clone(), caption, png: png(picture)? });
     }
     let mut shown = Vec::new();
     for way in &panel.ways {
@@ -258,8 +260,8 @@ fn section(panel: &Panel<'_>, tone: &ToneMap) -> Result<Section, Failure> {
     let comparison = panel.references.first().filter(|_| !shown.is_empty()).map(|(title, picture)| Comparison {
         title: format!("{}: side by side", panel.title),
         caption: format!(
-            "Left of the line is what a way shows after {}, right of it {title}. The difference is bright where an eye \
-             would see one.",
+            "Left of the line is what is shown after {}, right of it {title}. Look at mirrors, glass and gloss. The difference \
+             (FLIP) is bright where a viewer who flips between the two would notice it.",
             duration(panel.at)
         ),
         size: [picture.width() as u32, picture.height() as u32],
@@ -267,8 +269,8 @@ fn section(panel: &Panel<'_>, tone: &ToneMap) -> Result<Section, Failure> {
         shown,
     });
     let caption = format!(
-        "Lower is better, and sooner further left: lines are medians of the runs, bands 10 to 90 % of them. Below, what is \
-         shown after {}, or the first that there is.",
+        "Lower is better, and so is to fall earlier. Lines are medians of the runs, bands their 10th to 90th percentile. \
+         The pictures below are those shown after {}, or the first there are.",
         duration(panel.at)
     );
     let [svg, narrow] =

@@ -35,7 +35,7 @@ pub(super) fn rows_of(name: &str, a: &ErrorArguments, measured: &Measured) -> Ve
         rows.extend(walk(name, way, jod));
         if way.name == PATHS {
             let spp = &measured.paths_per_frame;
-            rows.push(Row::new("  paths per pixel that a frame has time for", "", spp).with_band(spp));
+            rows.push(Row::new("  paths per pixel that a frame has time for", "", spp));
         }
     }
     if let Some(halves) = &measured.halves {
@@ -53,7 +53,7 @@ fn walk(name: &str, way: &Way, jod: &[f64]) -> [Row; 3] {
         way.runs.iter().map(|r| r.iter().map(of).sum::<f64>() / r.len().max(1) as f64).collect()
     };
     let row = |which: &str, unit, values: &[f64]| {
-        Row::new(format!("{what}{which}"), unit, values).with_band(values).held_against(way.against)
+        Row::new(format!("{what}{which}"), unit, values).held_against(way.against)
     };
     [
         row("", "mean FLIP", &means(|p| p.corrected.flip)),
@@ -118,7 +118,7 @@ fn waited(name: &str, way: &Way, error: f64, which: &str) -> Vec<Row> {
         way.name,
         figure(error)
     );
-    let mut rows = vec![Row::new(what, "CPU s", &times).with_band(&times).held_against(against)];
+    let mut rows = vec![Row::new(what, "CPU s", &times).held_against(against)];
     let missed = times.iter().filter(|t| !t.is_finite()).count();
     if missed > 0 {
         let last = |r: &Vec<Point>| r.last().map_or(f64::NAN, |p| p.corrected.flip);

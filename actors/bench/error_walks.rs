@@ -89,10 +89,7 @@ pub(super) fn run(a: &ErrorArguments, scenes: &[String], progress: Progress) -> 
             let of_tiles = |values: &[f64]| ("tiles".to_owned(), median(values));
             let row = |unit, ours: &[f64], tiles: &[f64]| {
                 let (peer, value) = of_tiles(tiles);
-                Row::new(what.clone(), unit, ours)
-                    .with_band(ours)
-                    .against(peer, value)
-                    .held_against(CONVERGED)
+                Row::new(what.clone(), unit, ours).against(peer, value).held_against(CONVERGED)
             };
             rows.push(row("mean FLIP", &ours.flip, &tiles.flip));
             rows.push(row("JOD", &ours.jod, &tiles.jod).aim(Aim::AtLeast(7.5)));

@@ -94,10 +94,10 @@ pub fn run(a: &FirstLightArguments, progress: Progress) -> Result<(), Failure> {
     bar.finish_and_clear();
     let notes = vec![
         format!(
-            "first light: geometry index, lights, quick illumination and a frame of {} × {}",
+            "First light is the geometry index, the lights, the quick illumination and a frame of {} × {} pixels.",
             a.size.width, a.size.height
         ),
-        "starts: processes of one frame at 10 frames a second; files of the scene are in the system's memory"
+        "Starts are processes that walk one frame at 10 frames per second; the system has the scene's files in its memory."
             .to_owned(),
     ];
     finish("first-light", &rows, &notes, &a.common)

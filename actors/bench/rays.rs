@@ -166,7 +166,9 @@ pub fn run(a: &RaysArguments, progress: Progress) -> Result<(), Failure> {
         .sets
         .iter()
         .zip(&sums)
-        .map(|((kind, rays), sum)| format!("{}: {} rays, hits {sum:016x}", kind.name(), rays.len()))
+        .map(|((kind, rays), sum)| {
+            format!("{} {} rays; their hits hash to {sum:016x}.", rays.len(), kind.name())
+        })
         .collect::<Vec<_>>();
     finish("rays", &rows, &notes, &a.common)
 }

@@ -149,7 +149,7 @@ pub fn run(a: &SeeksArguments, progress: Progress) -> Result<(), Failure> {
     bar.finish_and_clear();
     let of_all = |what: &str, values: &[Vec<f64>], aim: f64| {
         let medians: Vec<f64> = values.iter().filter_map(|values| median(values)).collect();
-        let row = Row::new(what, "s", &values[0]).with_band(&values[0]).aim(Aim::AtMost(aim));
+        let row = Row::new(what, "s", &values[0]).aim(Aim::AtMost(aim));
         row.against_another(&medians)
     };
     rows.push(of_all("a look at a frame, the first, median of frames", &first, 1.0));
@@ -215,7 +215,7 @@ fn open(recording: &Path, cache: &Path, frames: &[u32]) -> Result<Vec<Row>, Fail
         return Err(Failure::Check(format!("{missed} frames are not shown")));
     }
     let row = Row::new("a frame of a recording that stands open, later", "s", &looks);
-    Ok(vec![row.with_band(&looks).aim(Aim::AtMost(0.2))])
+    Ok(vec![row.aim(Aim::AtMost(0.2))])
 }
 
 /// Beside another build.

@@ -57,7 +57,10 @@ pub fn run(a: &SkipsArguments, progress: Progress) -> Result<(), Failure> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let notes = vec!["processor time; beside each what the same costs with the part that is skipped".into()];
+    let notes = vec![
+        "Times are processor time; each is compared with what the same costs with the part that is skipped."
+            .into(),
+    ];
     finish("skips", &rows, &notes, &a.common)
 }
 

@@ -80,9 +80,9 @@ pub fn run(a: &StagesArguments, progress: Progress) -> Result<(), Failure> {
     step(&mut rows, mathematics::rows(a.common.runs));
     bar.finish_and_clear();
     let notes = vec![
-        "beside: what Haber et al. 2001 report for eight processors of their time; no aim of this run's"
+        "What Haber et al. 2001 report for eight processors of their time is there for comparison; it is not a target."
             .into(),
-        format!("pictures of {} × {}", a.size.width, a.size.height),
+        format!("Pictures have {} × {} pixels.", a.size.width, a.size.height),
     ];
     finish("stages", &rows, &notes, &a.common)
 }

@@ -120,7 +120,6 @@ pub fn rows(
     for (start, of_start) in STARTS.iter().enumerate() {
         for (part, (what, aims)) in MEASURED.iter().enumerate() {
             let row = Row::new(format!("{name}, {of_start}: {what}"), "s", &found[0][start][part]);
-            let row = row.with_band(&found[0][start][part]);
             let row = match found.get(1) {
                 Some(other) => row.against("before", median(&other[start][part])),
                 None => row,

@@ -69,8 +69,8 @@ pub fn run(a: &TexturesArguments, progress: Progress) -> Result<(), Failure> {
         write_csv(&out.join("textures-quality.csv"), head, points)?;
     }
     let notes = vec![
-        "FLIP against the same pictures with all textures, over the views of the gallery's tour; the paper's 3 → 40 \
-         frames per second are those of its graphics card"
+        "FLIP is against the same pictures with all textures, the mean over the views of the gallery's tour. The paper's \
+         3 → 40 frames per second are those of its graphics card."
             .into(),
     ];
     finish("textures", &rows, &notes, &a.common)

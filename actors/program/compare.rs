@@ -13,6 +13,7 @@ use foveal_engine::failure::Failure;
 use foveal_engine::files::{png_bytes, read_batches, read_picture, write_atomic};
 use foveal_terminal::arguments::{positive, share};
 use foveal_terminal::print::{print_json, print_line};
+use foveal_terminal::table::figure;
 
 /// Arguments of `foveal compare`.
 #[derive(Args, Debug)]
@@ -110,25 +111,28 @@ pub fn run(a: &CompareArguments) -> Result<(), Failure> {
         if c.identical {
             print_line("identical, bit for bit");
         }
-        print_line(&format!("FLIP     {:.6}", c.flip));
-        print_line(
-            &c.psnr.map_or("PSNR     – (identical as shown)".into(), |p| format!("PSNR     {p:.2} dB")),
-        );
+        print_line(&format!("FLIP     {}", figure(c.flip)));
+        print_line(&match c.psnr {
+            Some(psnr) => format!("PSNR     {} dB", figure(psnr)),
+            None => "PSNR     – (identical as shown)".into(),
+        });
         print_line(&format!(
-            "relMSE   {:.6e}  without the worst 0.1 %: {:.6e}",
-            c.linear.relmse, c.linear.relmse_trimmed
+            "relMSE   {}, without the worst 0.1 % of the pixels {}",
+            figure(c.linear.relmse),
+            figure(c.linear.relmse_trimmed)
         ));
-        print_line(&format!("max |Δ|  {:.6e}", c.linear.max_abs));
-        print_line(&format!("ΔE*ab    {:.4}", c.delta_e));
+        print_line(&format!("max |Δ|  {}", figure(c.linear.max_abs)));
+        print_line(&format!("ΔE*ab    {}", figure(c.delta_e)));
         if let Some(b) = &blocks {
-            let percent = |share: f64| format!("{:.2} %", 100.0 * share);
+            let percent = |share: f64| format!("{} %", figure(100.0 * share));
             print_line(&format!(
-                "blocks   {} of {} × {} pixels off on average, {} of them by more than 10 %; all together {:+.2} %",
+                "blocks   of {} × {} pixels: {} off on average, {} of them by more than 10 %; all together {}{}",
+                b.size,
+                b.size,
                 percent(b.mean),
-                b.size,
-                b.size,
                 percent(b.over_10_percent),
-                100.0 * b.bias
+                if b.bias > 0.0 { "+" } else { "" },
+                percent(b.bias)
             ));
             let by_size = sizes.iter().map(|s| format!("{}: {}", s.size, percent(s.mean)));
             print_line(&format!("         by size {}", by_size.collect::<Vec<_>>().join(", ")));
@@ -140,13 +144,13 @@ pub fn run(a: &CompareArguments) -> Result<(), Failure> {
         }
         if let Some(z) = &agreement {
             print_line(&format!(
-                "z        of {} blocks: mean square {:.3}, above 3 {:.2} %, together {:.2} standard errors, largest {:.2} (p = {:.3}): {}",
+                "z        of {} blocks: mean square {}, above 3 {} %, together {} standard errors, largest {} (p = {}): {}",
                 z.blocks,
-                z.mean_square,
-                100.0 * z.over_3,
-                z.together,
-                z.largest,
-                z.of_largest,
+                figure(z.mean_square),
+                figure(100.0 * z.over_3),
+                figure(z.together),
+                figure(z.largest),
+                figure(z.of_largest),
                 if z.holds() { "they differ by noise alone" } else { "they differ by more than noise" }
             ));
         }

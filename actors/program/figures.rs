@@ -31,9 +31,11 @@ use foveal_engine::files::png_bytes;
 use foveal_engine::interrupt::interrupted;
 use foveal_engine::reference::traced_picture;
 use foveal_engine::{Engine, Failure};
-use foveal_terminal::known::Known;
+use foveal_terminal::bars::{Bar, Bars};
+use foveal_terminal::known::{Known, SURE};
+use foveal_terminal::machine::made_on;
 use foveal_terminal::plots::Plot;
-use foveal_terminal::report::{Bar, Bars, Compared, Comparison, Figure, Page, Table};
+use foveal_terminal::report::{Compared, Comparison, Figure, Page, Table};
 use foveal_terminal::table::figure as figure_of;
 
 type Rgb8 = Map2d<[u8; 3]>;
@@ -180,8 +182,8 @@ fn warp_figures(world: &World, camera: &Camera, settings: &Settings) -> Result<V
         }
     }
     let mut figures = vec![figure(
-        "Corrected",
-        "Every non-diffuse pixel shows its own ray: where the next three begin.",
+        "Warping, 1: a corrected view",
+        "Every non-diffuse pixel shows its own ray. The next three pictures show what becomes of it after a step.",
         &from.shown(&layer),
     )?];
     let nearer = Camera { eye: camera.eye.lerp(camera.target, 0.12), ..*camera };
@@ -189,21 +191,30 @@ fn warp_figures(world: &World, camera: &Camera, settings: &Settings) -> Result<V
     layer.clear();
     layer.splat_warped(&warp(&cache, 2, &to.frame), &to.buffers.object, &to.buffers.depth);
     figures.push(figure(
-        "Warped",
-        "A step nearer, the samples of before reprojected and none new: reflections lag, edges have gaps.",
+        "Warping, 2: reprojected samples",
+        "After a step forward, with the samples of the first view reprojected and none new: reflections lag behind, and \
+         there are gaps at edges.",
         &to.shown(&layer),
     )?);
     let steps = [
-        (1..=4u32, "Levels 1 to 4 traced anew, over the reprojected ones: large shapes are right again."),
-        (5..=to.lattice.levels(), "All levels: the view has converged again."),
+        (
+            1..=4u32,
+            "Warping, 3: levels 1 to 4 traced anew",
+            "New samples of the four coarsest levels over the reprojected ones: large shapes in reflections are right again.",
+        ),
+        (
+            5..=to.lattice.levels(),
+            "Warping, 4: all levels traced anew",
+            "Every non-diffuse pixel shows its own ray again: lagging reflections and gaps are gone.",
+        ),
     ];
-    for (levels, caption) in steps {
+    for (levels, title, caption) in steps {
         for level in levels.filter(|&l| l <= to.lattice.levels()) {
             for batch in to.level(2, level) {
                 layer.splat_fresh(&batch, &to.buffers.object, 1);
             }
         }
-        figures.push(figure("Refined", caption, &to.shown(&layer))?);
+        figures.push(figure(title, caption, &to.shown(&layer))?);
     }
     Ok(figures)
 }
@@ -227,13 +238,16 @@ fn beside_reference(world: &World, shown: &FrameSnapshot, seed: u64) -> Result<O
     let Ok(compared) = metrics::compare(&linear(&shown.rgb8), &linear(&reference), &as_shown) else {
         return Ok(None);
     };
-    let caption = format!("Mean FLIP {}, of 1 at most.", figure_of(compared.flip));
+    let caption = format!(
+        "Mean FLIP {}: 0 where no difference is seen, 1 at most. In the difference, look for bright edges of reflections.",
+        figure_of(compared.flip)
+    );
     let flip = figure("FLIP", "", &heat_map(&compared.flip_map))?;
     Ok(Some(Comparison {
-        title: "The last frame, and what it would have become".into(),
-        caption: "Left of the line is what was shown at its deadline, right of it what the same view converges to: look \
-                  at mirrors, glass and gloss, since diffuse surfaces are the same in both. The difference is bright \
-                  where an eye would see one."
+        title: "The last frame compared with its converged view".into(),
+        caption: "Left of the line is what was shown at the deadline, right of it what the same view converges to. Look at \
+                  mirrors, glass and gloss: diffuse surfaces are the same in both. The difference (FLIP) is bright \
+                  where a viewer who flips between the two would notice it."
             .into(),
         size: [shown.rgb8.width() as u32, shown.rgb8.height() as u32],
         reference: figure("Converged", "", &reference)?,
@@ -248,22 +262,32 @@ fn stages(walked: &Walked) -> (Bars, Table) {
     let known: Vec<(Stage, Known)> = Stage::ALL.into_iter().filter_map(known).collect();
     let bar = |(stage, known): &(Stage, Known)| Bar {
         name: stage.key().into(),
-        known: *known,
+        text: known.text("ms", "frames"),
+        median: known.median,
+        bounds: known.bounds,
         reach: [0.05, 0.95].map(|share| quantile(of(*stage), share)),
-        aim: None,
+        target: None,
+        peer: None,
+        is_missed: false,
     };
     let bars = Bars {
         title: "Where the time of a frame goes".into(),
-        caption: "Milliseconds in the frames in which a stage ran. Point: the median; thin line: where the true median lies \
-                  (95 %); wide line: 5 to 95 % of the frames. The longest line is what to shorten first; a wide one is a \
-                  stage that some frames pay for."
-            .into(),
+        caption: format!(
+            "Milliseconds in the frames in which a stage ran, on a scale from 0. Dot: the median. Thin line: the 95 % \
+             confidence interval of the median, or the range of all frames where there are fewer than {SURE}. Wide line: \
+             the 5th to the 95th percentile of the frames. The dot furthest to the right is the stage to shorten first; \
+             a long line is a stage that is much slower in some frames than in others."
+        ),
         unit: "ms".into(),
         bars: known.iter().map(bar).collect(),
+        ..Bars::default()
     };
     let table = Table {
-        title: "Stages beside the paper".into(),
-        header: ["stage", "median, ms", "95 %", "99 %", "frames", "eight processors of 2001"]
+        title: "Stages compared with the paper".into(),
+        caption: "Medians and percentiles over the frames in which a stage ran; of few frames there are no percentiles. In \
+                  the last column is what Haber et al. measured in 2001 on eight processors, for the sizes given there."
+            .into(),
+        header: ["stage", "median, ms", "95th percentile", "99th percentile", "frames", "eight processors of 2001"]
             .map(String::from)
             .to_vec(),
         rows: known
@@ -278,7 +302,7 @@ fn stages(walked: &Walked) -> (Bars, Table) {
                 let stage = *stage;
                 vec![
                     stage.key().into(),
-                    known.text(),
+                    known.text("", "frames"),
                     late(0.95, 20),
                     late(0.99, 100),
                     count.to_string(),
@@ -297,23 +321,39 @@ pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Res
     let camera = engine.look(Renderer::camera).flatten();
     let shown = engine.look(|r| r.shown().cloned()).flatten();
     let corrects = engine.actors().correction.is_some();
-    let comparison = match &shown {
-        // A walk of one frame has shown what it was asked for, and its process is to end with it.
-        Some(shown) if corrects && document["converged"] != true && walked.frame_ms.len() > 1 => {
-            // Under the light that it was shown in.
-            beside_reference(&shown.drawn.world, shown, settings.seed)?
+    // A walk of one frame has shown what it was asked for, and its process is to end with it.
+    let (comparison, why_not) = match &shown {
+        Some(_) if !corrects => {
+            (None, "Nothing in the scene needs correction, so there is nothing to compare it with.")
         }
-        _ => None,
+        Some(_) if document["converged"] == true => {
+            (None, "It has converged, so there is nothing to compare it with.")
+        }
+        Some(_) if walked.frame_ms.len() <= 1 => {
+            (None, "A walk of one frame is not compared with its converged view.")
+        }
+        // Under the light that it was shown in.
+        Some(shown) => match beside_reference(&shown.drawn.world, shown, settings.seed)? {
+            None => {
+                (None, "It is not compared with its converged view, which could not be traced within 4 s.")
+            }
+            found => (found, ""),
+        },
+        None => (None, ""),
     };
     if let (None, Some(shown)) = (&comparison, &shown) {
-        figures.push(figure("Last frame", "As it was shown.", &shown.rgb8)?);
+        figures.push(figure(
+            "Last frame",
+            &format!("As it was shown at its deadline. {why_not}"),
+            &shown.rgb8,
+        )?);
     }
     let renderer_figures = engine.look(|r| {
         let traced = who_traced_what(r).map(|p| {
             figure(
                 "Who traced what",
-                "A colour for each tracer, on the pixels that show its samples; white shows a sample of an earlier view, \
-                 reprojected. Colours that alternate in small tiles mean that all tracers were busy.",
+                "Each tracer has a colour, on the pixels that show its samples; white pixels show a reprojected sample of \
+                 an earlier view. Where colours alternate in small patches, all tracers were busy.",
                 &p,
             )
         });
@@ -334,8 +374,8 @@ pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Res
         if let Some(map) = map {
             figures.push(figure(
                 "Saliency",
-                "Bright is what draws the eye without a task (Itti et al. 1998), square root, the highest white: objects \
-                 there get their samples first.",
+                "Bright is what draws the eye of someone without a task (Itti et al. 1998): objects there get their samples \
+                 first. Shown is the square root, with the highest value white.",
                 &map,
             )?);
         }
@@ -347,6 +387,9 @@ pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Res
     let (bars, stages) = stages(walked);
     let mut levels = Table {
         title: "Cached samples by level".into(),
+        caption: "What the cache holds at the end. Level 1 is the coarsest; a converged view has about five times as many \
+                  samples at each level as at the one before it."
+            .into(),
         header: ["level", "samples"].map(String::from).to_vec(),
         rows: Vec::new(),
     };
@@ -362,6 +405,9 @@ pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Res
     }
     let counters = Table {
         title: "Actors".into(),
+        caption: "Messages delivered to each actor, in how many turns, and how long those took altogether. An actor that is \
+                  busy for nearly as long as the walk lasts is the one that holds the others up."
+            .into(),
         header: ["actor", "messages", "turns", "busy, ms"].map(String::from).to_vec(),
         rows: engine
             .runtime()
@@ -379,6 +425,9 @@ pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Res
     };
     let plan = Table {
         title: "What the scene needs".into(),
+        caption:
+            "Parts of the machine that a walk through this scene needs, those that are left out, and why."
+                .into(),
         header: ["part", "", "why"].map(String::from).to_vec(),
         rows: document["plan"]
             .as_array()
@@ -412,21 +461,21 @@ pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Res
     ));
     if let Some(known) = Known::of(walked.frame_ms.iter().copied().map(f64::from)) {
         let p99 = match walked.frame_ms.len() {
-            100.. => format!(", the 99th percentile {} ms", figure_of(percentiles(&walked.frame_ms)[2])),
+            100.. => format!(", 99th percentile {} ms", figure_of(percentiles(&walked.frame_ms)[2])),
             _ => String::new(),
         };
         let deadline = figure_of(1e3 / f64::from(fps));
         summary.push(format!(
-            "Shown after {} ms (median){p99}; the deadline is at {deadline} ms.",
-            known.text()
+            "Frames were shown after a median of {}{p99}; the deadline is at {deadline} ms.",
+            known.text("ms", "frames")
         ));
     }
     let warnings = document["warnings"].as_array().into_iter().flatten().filter_map(Value::as_str);
     let warnings = warnings.map(str::to_owned).collect();
     let frames = Plot {
-        title: "Frames".into(),
-        caption: "Blue: from a frame's beginning until it was shown. Orange: drawing the base layer, the part that samples \
-                  have to wait for. Red: the deadline. Blue should lie just below red; what stands above it came late."
+        title: "Frame times".into(),
+        caption: "Blue: the time from a frame's beginning until it was shown. Orange: drawing the base layer, which samples \
+                  have to wait for. Red: the deadline. Blue should lie just below red; a frame above it came late."
             .into(),
         unit: "ms",
         lines: vec![
@@ -438,6 +487,7 @@ pub fn page(engine: &Engine, document: &Value, walked: &Walked, fps: f32) -> Res
     let decisions = [super::texture_page::rate_and_quality(document), super::texture_page::plots(document)];
     Ok(Page {
         title: world.scene.title.clone(),
+        made: Some(made_on(document)),
         summary,
         warnings,
         comparison,

@@ -4,6 +4,7 @@ use serde_json::Value;
 
 use foveal_terminal::plots::Plot;
 use foveal_terminal::report::Table;
+use foveal_terminal::table::figure;
 
 /// Textures that get a line of their own.
 const LINES: usize = 8;
@@ -24,16 +25,24 @@ pub fn rate_and_quality(document: &Value) -> Vec<Plot> {
     vec![
         Plot {
             title: "Frame rate".into(),
-            caption: format!("Frames per second, {}.", document["mode"].as_str().unwrap_or_default()),
+            caption: format!(
+                "Blue: one over the time of each frame. Red: the rate that was asked for. {}",
+                match document["mode"].as_str() {
+                    Some("fixed-quality") => {
+                        "The walk holds its quality, so the rate may dip below it where there is much to correct."
+                    }
+                    _ => "Blue should lie on red; a dip is a frame that came late.",
+                }
+            ),
             unit: "1/s",
             lines: vec![("frame rate".into(), rate)],
             limit: document["fps"].as_f64().map(|fps| fps as f32),
         },
         Plot {
-            title: "Quality".into(),
+            title: "Visible error".into(),
             caption:
-                "−Q: the visible error that was left when a frame was shown, mean over its pixels, as the \
-                      allocator estimates it."
+                "The visible error left when a frame was shown, in just noticeable differences, the mean over its pixels as \
+                 the allocator estimates it. Lower is better: it rises when the camera moves and falls while it rests."
                     .into(),
             unit: "JND",
             lines: vec![("−Q".into(), loss)],
@@ -65,7 +74,7 @@ pub fn plots(document: &Value) -> Vec<Plot> {
     vec![
         Plot {
             title: "Texture memory".into(),
-            caption: "By the allocator's count and as the process held it; red: the limit.".into(),
+            caption: "What the allocator counted and what the process held. Neither should cross red, the limit.".into(),
             unit: "MiB",
             lines: vec![
                 ("counted".into(), numbers(points, |p| mib(&p["used_bytes"]))),
@@ -75,14 +84,18 @@ pub fn plots(document: &Value) -> Vec<Plot> {
         },
         Plot {
             title: "Mip levels".into(),
-            caption: "The finest level in memory of the textures that changed most; 0 is full size.".into(),
+            caption: "The finest level in memory of the textures that changed most; 0 is full size. Textures that the camera \
+                      comes near should fall."
+                .into(),
             unit: "level",
             lines: lines("finest"),
             limit: None,
         },
         Plot {
-            title: "Visible loss".into(),
-            caption: "−q of the same textures, just noticeable differences × pixels.".into(),
+            title: "Visible loss by texture".into(),
+            caption: "What the same textures lose by the level they are given, in just noticeable differences × pixels: a \
+                      spike is a texture that came near before its finer level was loaded."
+                .into(),
             unit: "JND · pixels",
             lines: lines("losses"),
             limit: None,
@@ -107,8 +120,13 @@ pub fn bill(document: &Value) -> Option<Table> {
     };
     let price = textures["one_more_mib_buys"].as_f64()?;
     Some(Table {
-        title: format!("The bill of textures: one more MiB would buy {price:.3} JND · pixels"),
-        header: ["texture", "pixels", "level asked", "KiB", "level given", "KiB", "visible loss"]
+        title: "The bill of textures".into(),
+        caption: format!(
+            "What each texture asked for, was given, and visibly loses by the difference, in JND · pixels, in the last \
+             frame. One more MiB would buy {} of them.",
+            figure(price)
+        ),
+        header: ["texture", "pixels", "level asked", "KiB asked", "level given", "KiB given", "visible loss"]
             .map(String::from)
             .to_vec(),
         rows: textures["bill"].as_array()?.iter().map(row).collect(),
@@ -129,8 +147,11 @@ pub fn map_bill(document: &Value) -> Option<Table> {
     };
     let price = maps["one_more_mib_buys"].as_f64()?;
     Some(Table {
-        title: format!(
-            "The bill of environment maps: one more MiB would buy {price:.3} JND · pixels · attention"
+        title: "The bill of environment maps".into(),
+        caption: format!(
+            "What each map asked for, was given, and visibly loses by the difference, in JND · pixels · attention, the one \
+             of most worth first. One more MiB would buy {} of them.",
+            figure(price)
         ),
         header: ["object", "KiB asked", "KiB given", "visible loss"].map(String::from).to_vec(),
         rows: maps["bill"].as_array()?.iter().map(row).collect(),

@@ -11,6 +11,7 @@ use foveal_actors::stages::Stage;
 use foveal_actors::textures::{Charge, TextureReport, TextureStore};
 use foveal_engine::process::peak_memory_bytes;
 use foveal_engine::{Engine, Event, Frame};
+use foveal_terminal::machine::{machine, today};
 use foveal_terminal::print::print_line;
 use foveal_terminal::table::figure;
 use serde_json::{Value, json};
@@ -144,7 +145,8 @@ pub fn document(a: &WalkArguments, engine: &Engine, fps: f32, walked: &Walked, c
         "environment_maps": walked.insight.as_ref().map(|i| maps_json(i, scene)),
         "peak_memory_bytes": peak_memory_bytes(),
         "walk_memory_bytes": walked.memory,
-        "machine": foveal_terminal::machine::machine(),
+        "machine": machine(),
+        "date": today(),
         "recording": a.record.as_ref().map(|f| f.display().to_string()),
         "out": a.out.as_ref().map(|o| o.display().to_string()),
         "warnings": warnings,

@@ -1,6 +1,7 @@
 //! What the commands of foveal share: values on a command line, progress, tables, plots, pages.
 
 pub mod arguments;
+pub mod bars;
 pub mod hashes;
 pub mod known;
 pub mod light;

@@ -7,7 +7,8 @@ use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::json;
 
-use crate::known::Known;
+use crate::bars::{Bars, lines};
+use crate::machine::{machine, made_on, today};
 use crate::plots::{Plot, line_plot};
 
 /// A picture with its caption.
@@ -26,6 +27,8 @@ pub struct Figure {
 pub struct Table {
     /// Title.
     pub title: String,
+    /// What to see in it.
+    pub caption: String,
     /// Column names.
     pub header: Vec<String>,
     /// Rows.
@@ -56,32 +59,6 @@ pub struct Compared {
     pub flip: Vec<u8>,
 }
 
-/// Spreads of numbers, a line each.
-#[derive(Clone, Debug, Default)]
-pub struct Bars {
-    /// Title.
-    pub title: String,
-    /// What to see in it.
-    pub caption: String,
-    /// Unit of all.
-    pub unit: String,
-    /// A line for each.
-    pub bars: Vec<Bar>,
-}
-
-/// A number with its spread.
-#[derive(Clone, Debug)]
-pub struct Bar {
-    /// What it is of.
-    pub name: String,
-    /// Median and its bounds.
-    pub known: Known,
-    /// 5 and 95 % of the values.
-    pub reach: [f64; 2],
-    /// What it should not be above.
-    pub aim: Option<f64>,
-}
-
 /// A part of a page: a plot and pictures that belong together.
 #[derive(Clone, Debug, Default)]
 pub struct Section {
@@ -104,6 +81,8 @@ pub struct Section {
 pub struct Page {
     /// Heading.
     pub title: String,
+    /// By which version, where and when its numbers were measured, if not by this one, here and today.
+    pub made: Option<String>,
     /// Sentences under the heading.
     pub summary: Vec<String>,
     /// What went wrong.
@@ -127,6 +106,8 @@ const SCRIPT: &str = include_str!("report.js");
 
 /// The page as HTML.
 pub fn html(page: &Page) -> String {
+    let made = page.made.clone();
+    let made = made.unwrap_or_else(|| made_on(&json!({"machine": machine(), "date": today()})));
     let compares = page.comparison.is_some() || page.sections.iter().any(|s| s.comparison.is_some());
     let markup = html! {
         (DOCTYPE)
@@ -140,6 +121,7 @@ pub fn html(page: &Page) -> String {
             body {
                 main {
                     h1 { (page.title) }
+                    p.caption { (made) "." }
                     @for sentence in &page.summary { p { (sentence) } }
                     @for warning in &page.warnings { p.warning { "Warning: " (warning) } }
                     @if let Some(comparison) = &page.comparison { (compared(comparison)) }
@@ -148,7 +130,7 @@ pub fn html(page: &Page) -> String {
                             (plotted(&plot.title, &wide, Some(&narrow), &plot.caption))
                         }
                     }
-                    @for bars in &page.bars { (spread(bars)) }
+                    @for bars in &page.bars { (lines(bars)) }
                     @if !page.figures.is_empty() { h2 { "Pictures" } }
                     (pictures(&page.figures))
                     @for table in &page.tables { (tabled(table)) }
@@ -213,6 +195,7 @@ fn tabled(table: &Table) -> Markup {
     };
     html! {
         h2 { (table.title) }
+        @if !table.caption.is_empty() { p.caption { (table.caption) } }
         div.scroll {
             table {
                 thead { tr { @for (c, cell) in table.header.iter().enumerate() { th scope="col" class=(class(c, "")) { (cell) } } } }
@@ -222,34 +205,6 @@ fn tabled(table: &Table) -> Markup {
                     }
                 }
             }
-        }
-    }
-}
-
-/// Each number on one scale from 0: the median as a point, its bounds as a thin line, 5 to 95 % of all as a wide one.
-fn spread(bars: &Bars) -> Markup {
-    let reaches = bars.bars.iter().flat_map(|b| b.reach.into_iter().chain([b.known.median]).chain(b.aim));
-    let top = reaches.filter(|v| v.is_finite()).fold(0.0, f64::max);
-    let at = |v: f64| format!("{:.2}%", if top > 0.0 { 100.0 * (v / top).clamp(0.0, 1.0) } else { 0.0 });
-    let line = |class: &str, [from, to]: [f64; 2]| {
-        html! { line class=(class) x1=(at(from)) x2=(at(to)) y1="50%" y2="50%" {} }
-    };
-    html! {
-        @if top > 0.0 {
-            h2 { (bars.title) }
-            div.bars {
-                @for Bar { name, known, reach, aim } in &bars.bars {
-                    span.name { (name) }
-                    span.value { (known.text()) " " (bars.unit) }
-                    svg aria-hidden="true" {
-                        (line("reach", *reach))
-                        (line("sure", known.bounds))
-                        @if let Some(aim) = aim { line.aim x1=(at(*aim)) x2=(at(*aim)) y1="10%" y2="90%" {} }
-                        circle.middle cx=(at(known.median)) cy="50%" r="4" {}
-                    }
-                }
-            }
-            p.caption { (bars.caption) }
         }
     }
 }
@@ -304,6 +259,7 @@ fn compared(comparison: &Comparison) -> Markup {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bars::{Bar, tests::bar};
 
     #[test]
     fn the_page_stands_alone_and_escapes_names() {
@@ -322,6 +278,7 @@ mod tests {
             figures: vec![figure("x")],
             tables: vec![Table {
                 title: "t".into(),
+                caption: "to see".into(),
                 header: vec!["h".into()],
                 rows: vec![vec!["<script>".into()]],
             }],
@@ -341,14 +298,10 @@ mod tests {
             }],
             bars: vec![Bars {
                 title: "b".into(),
-                bars: vec![Bar {
-                    name: "<u>".into(),
-                    known: Known { median: 2.0, bounds: [1.0, 3.0] },
-                    reach: [0.5, 4.0],
-                    aim: Some(5.0),
-                }],
+                bars: vec![Bar { target: Some(5.0), is_missed: true, ..bar("<u>", 2.0) }],
                 ..Bars::default()
             }],
+            made: None,
         };
         let html = super::html(&page);
         assert!(html.contains("a&lt;b&gt;") && !html.contains("<i>") && !html.contains("<u>"));
@@ -361,6 +314,11 @@ mod tests {
             !html.contains("src=\"http") && !html.contains("href=") && !html.contains("url("),
             "nothing is fetched"
         );
+        assert!(html.contains("value missed") && html.contains("to see"));
+        let here = made_on(&json!({"machine": machine(), "date": today()}));
+        assert!(html.contains(&html! { (here) }.into_string()), "{here}");
+        let elsewhere = super::html(&Page { made: Some("elsewhere".into()), ..page });
+        assert!(elsewhere.contains("elsewhere.") && !elsewhere.contains(&today()));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! A benchmark's result: rows of medians, each with its aim and, where there is one, a peer of the same run.
+//! A benchmark's result: rows of medians, each with its spread, its target and, where there is one, a peer of the same run.
 
 use std::path::{Path, PathBuf};
 
@@ -10,10 +10,10 @@ use serde_json::{Value, json};
 use foveal_engine::failure::Failure;
 use foveal_engine::files::{make_folder, write_atomic};
 
-use crate::known::Known;
-use crate::machine::machine;
+use crate::bars::{Bar, Bars};
+use crate::machine::{machine, made_on, today};
 use crate::print::{print_json, print_line};
-use crate::report::{Bar, Bars, Page, Table, html};
+use crate::report::{Page, Table, html};
 
 /// Arguments that all benchmarks share.
 #[derive(Args, Clone, Debug)]
@@ -59,33 +59,27 @@ pub struct Row {
     pub peer_value: Option<f64>,
     /// What it should be.
     pub aim: Option<Aim>,
-    /// 10 and 90 % of the runs, where those are told.
+    /// 10 and 90 % of the values that the median is of, where there are at least three.
     pub band: Option<[f64; 2]>,
     /// Of an error: what pictures are held against.
     pub reference: Option<String>,
 }
 
+/// Values that a spread is told of.
+const BAND: usize = 3;
+
 impl Row {
-    /// The median of `values`.
+    /// The median of `values`, and their spread where there are a few.
     pub fn new(what: impl Into<String>, unit: &'static str, values: &[f64]) -> Self {
+        let is_spread = values.iter().filter(|v| v.is_finite()).count() >= BAND;
         Self {
             what: what.into(),
             value: median(values),
             unit,
             runs: values.len() as u32,
-            peer: None,
-            peer_value: None,
-            aim: None,
-            band: None,
-            reference: None,
+            band: is_spread.then(|| [0.1, 0.9].map(|share| quantile(values.iter().copied(), share))),
+            ..Self::default()
         }
-    }
-
-    /// With the 10 and 90 % quantiles of the values that the median is of.
-    pub fn with_band(mut self, values: &[f64]) -> Self {
-        self.band = (values.len() > 1 && self.value.is_some())
-            .then(|| [0.1, 0.9].map(|share| quantile(values.iter().copied(), share)));
-        self
     }
 
     /// With a peer's median.
@@ -154,36 +148,61 @@ impl Row {
         let (ratio, aim, met) = (self.ratio(), self.aim_text(), self.met());
         (what, value, unit, runs, peer, peer_value, ratio, aim, met, low, high, reference)
     }
-
-    fn cells(&self) -> [String; 6] {
-        let with_unit = |v: Option<f64>| v.map_or("–".into(), |v| format!("{} {}", figure(v), self.unit));
-        [
-            self.what.clone(),
-            match self.band {
-                Some([low, high]) => {
-                    format!("{} ({} – {})", with_unit(self.value), figure(low), figure(high))
-                }
-                None => with_unit(self.value),
-            },
-            match (&self.peer, self.peer_value) {
-                (Some(peer), Some(_)) => format!("{} ({peer})", with_unit(self.peer_value)),
-                (Some(peer), None) => peer.clone(),
-                (None, _) => String::new(),
-            },
-            self.ratio().map(figure).unwrap_or_default(),
-            self.aim_text().unwrap_or_default(),
-            match self.met() {
-                None => "",
-                Some(true) => "met",
-                Some(false) => "MISSED",
-            }
-            .into(),
-        ]
-    }
 }
 
 /// Columns of a table.
-const HEAD: [&str; 6] = ["what", "value", "beside", "ratio", "aim", ""];
+pub const HEAD: [&str; 6] = ["what", "value", "compared with", "ratio", "target", ""];
+
+/// What stands in these columns for a row of a document.
+pub fn cells(row: &Value) -> [String; 6] {
+    let text = |key: &str| row[key].as_str().unwrap_or_default().to_owned();
+    let beside = match (row["peer"].as_str(), row["peer_value"].as_f64()) {
+        (Some(peer), Some(value)) => format!("{} ({peer})", with_unit(value, row)),
+        (peer, _) => peer.unwrap_or_default().to_owned(),
+    };
+    let met = match row["met"].as_bool() {
+        None => "",
+        Some(true) => "met",
+        Some(false) => "MISSED",
+    };
+    let ratio = row["ratio"].as_f64().map(figure).unwrap_or_default();
+    [text("what"), value_of(row), beside, ratio, text("aim"), met.into()]
+}
+
+fn with_unit(value: f64, row: &Value) -> String {
+    format!("{} {}", figure(value), row["unit"].as_str().unwrap_or_default()).trim_end().to_owned()
+}
+
+fn band_of(row: &Value) -> Option<[f64; 2]> {
+    let [low, high] = [0, 1].map(|i| row["band"][i].as_f64());
+    Some([low?, high?])
+}
+
+/// A row's value with its unit and spread.
+pub fn value_of(row: &Value) -> String {
+    let Some(value) = row["value"].as_f64() else { return "–".into() };
+    match band_of(row) {
+        Some([low, high]) => format!("{} ({} – {})", with_unit(value, row), figure(low), figure(high)),
+        None => with_unit(value, row),
+    }
+}
+
+/// The rows of a document, each with what it is of: what stands indented below another is part of that.
+pub fn named_rows(document: &Value) -> Vec<(String, &Value)> {
+    let mut whole = "";
+    let rows = document["rows"].as_array().into_iter().flatten();
+    let named = rows.map(|row| {
+        let what = row["what"].as_str().unwrap_or_default();
+        match what.strip_prefix("  ") {
+            Some(part) => (format!("{whole}: {}", part.trim_start()), row),
+            None => {
+                whole = what;
+                (what.to_owned(), row)
+            }
+        }
+    });
+    named.collect()
+}
 
 /// Median of the finite values; `None` of none.
 pub fn median(values: &[f64]) -> Option<f64> {
@@ -206,11 +225,12 @@ pub fn figure(v: f64) -> String {
     format!("{v:.digits$}")
 }
 
-/// Prints the rows as the arguments ask for, and leaves NAME.csv in the folder.
+/// Prints the rows as the arguments ask for, and leaves NAME.csv, NAME.json and NAME.html in the folder.
 pub fn finish(name: &str, rows: &[Row], notes: &[String], a: &CommonArguments) -> Result<(), Failure> {
     let document = json!({
         "schema": format!("foveal.bench.{name}/1"),
         "machine": machine(),
+        "date": today(),
         "rows": rows.iter().map(Row::json).collect::<Vec<_>>(),
         "notes": notes,
     });
@@ -219,15 +239,14 @@ pub fn finish(name: &str, rows: &[Row], notes: &[String], a: &CommonArguments) -
         let columns = "what,value,unit,runs,peer,peer_value,ratio,aim,met,low,high,reference";
         write_csv(&out.join(format!("{name}.csv")), columns, rows.iter().map(Row::columns))?;
         write_atomic(&out.join(format!("{name}.json")), format!("{document:#}\n").as_bytes())?;
-        let page = page_of(name, rows, notes, &document["machine"]);
-        write_atomic(&out.join(format!("{name}.html")), html(&page).as_bytes())?;
+        write_atomic(&out.join(format!("{name}.html")), html(&page_of(name, &document)).as_bytes())?;
     }
     if a.json {
         print_json(&document);
         return Ok(());
     }
-    let lines: Vec<[String; 6]> =
-        std::iter::once(HEAD.map(String::from)).chain(rows.iter().map(Row::cells)).collect();
+    let rows = document["rows"].as_array().into_iter().flatten().map(cells);
+    let lines: Vec<[String; 6]> = std::iter::once(HEAD.map(String::from)).chain(rows).collect();
     let widths: [usize; 6] =
         std::array::from_fn(|c| lines.iter().map(|l| l[c].chars().count()).max().unwrap_or(0));
     for line in &lines {
@@ -235,125 +254,109 @@ pub fn finish(name: &str, rows: &[Row], notes: &[String], a: &CommonArguments) -
             line.iter().zip(widths).map(|(cell, width)| format!("{cell:width$}")).collect();
         print_line(cells.join("  ").trim_end());
     }
-    let m = &document["machine"];
-    print_line(&format!("on {}, {} cores", m["processor"].as_str().unwrap_or("?"), m["cores"]));
+    print_line(&made_on(&document));
     for note in notes {
         print_line(note);
     }
     Ok(())
 }
 
+/// How spreads and targets are told in a table.
+pub const HOW_TO_READ: &str = "Each value is the median of its runs; in brackets are their 10th and 90th percentiles, where there \
+    were at least three runs, interpolated between neighbouring ones. Ratios are those of the value to what it is compared with.";
+
 /// The rows as a report shows them.
 pub fn table_of(title: &str, rows: &[Row]) -> Table {
+    table(title, HOW_TO_READ, &json!({"rows": rows.iter().map(Row::json).collect::<Vec<_>>()}))
+}
+
+/// The rows of a document that [`finish`] left, as a report shows them.
+pub fn table(title: &str, caption: &str, document: &Value) -> Table {
+    let rows = document["rows"].as_array().into_iter().flatten();
     Table {
         title: title.to_owned(),
+        caption: caption.to_owned(),
         header: HEAD.map(String::from).to_vec(),
-        rows: rows.iter().map(|r| r.cells().to_vec()).collect(),
+        rows: rows.map(|row| indented(cells(row)).to_vec()).collect(),
     }
 }
 
-/// A number of a row, as it is drawn.
-struct Drawn {
-    name: String,
-    unit: String,
-    value: f64,
-    band: Option<[f64; 2]>,
-    aim: Option<f64>,
+/// Cells whose first keeps its distance from the left where space is folded.
+pub fn indented([what, rest @ ..]: [String; 6]) -> [String; 6] {
+    let what = match what.strip_prefix("  ") {
+        Some(part) => format!("\u{2003}{}", part.trim_start()),
+        None => what,
+    };
+    let [value, beside, ratio, target, met] = rest;
+    [what, value, beside, ratio, target, met]
 }
 
-/// Spreads by unit, of rows that have a spread or an aim.
-fn spreads(rows: impl Iterator<Item = Drawn>) -> Vec<Bars> {
+/// Where a row's target stands among its values, if there is one: `≤ 10 ms`, or `≤ 1.20 × peer`.
+fn target_of(row: &Value) -> Option<f64> {
+    let aim = row["aim"].as_str()?;
+    let number: f64 = aim.split_whitespace().nth(1)?.parse().ok()?;
+    match aim.ends_with("× peer") {
+        true => Some(number * row["peer_value"].as_f64()?),
+        false => Some(number),
+    }
+}
+
+/// The rows of a document that have a spread, a target or a peer, by unit.
+pub fn bars_of(document: &Value) -> Vec<Bars> {
     let mut all: Vec<Bars> = Vec::new();
-    let is_drawn = |d: &Drawn| d.value.is_finite() && d.value >= 0.0 && (d.band.is_some() || d.aim.is_some());
-    for Drawn { name, unit, value, band, aim } in rows.filter(is_drawn) {
-        let bounds = band.unwrap_or([value; 2]);
-        let bar = Bar { name, known: Known { median: value, bounds }, reach: bounds, aim };
+    for (name, row) in named_rows(document) {
+        let Some(median) = row["value"].as_f64().filter(|v| *v >= 0.0) else { continue };
+        let (band, target, peer) = (band_of(row), target_of(row), row["peer_value"].as_f64());
+        if band.is_none() && target.is_none() && peer.is_none() {
+            continue;
+        }
+        let name = match (row["peer"].as_str(), peer) {
+            (Some(with), Some(_)) => format!("{name}  ○ {with}"),
+            _ => name,
+        };
+        let unit = row["unit"].as_str().unwrap_or_default();
+        let bounds = band.unwrap_or([median; 2]);
+        let is_missed = row["met"] == false;
+        let bar = Bar { name, text: value_of(row), median, bounds, reach: bounds, target, peer, is_missed };
         match all.iter_mut().find(|bars| bars.unit == unit) {
+            // Beside what it was not compared with, a number says nothing new.
+            Some(of_unit) if of_unit.bars.iter().any(|b| b.name == bar.name) => {}
             Some(of_unit) => of_unit.bars.push(bar),
             None => all.push(Bars {
                 title: if unit.is_empty() { "Ratios".into() } else { format!("In {unit}") },
-                caption: "Point: the median of the runs; line: 10 to 90 % of them, where there are several. Red: the aim."
+                caption: "Dot: the median of the runs. Line: their 10th to 90th percentile, where there were at least \
+                          three. Red: the target. Ring: what the number is compared with."
                     .into(),
-                unit,
+                unit: unit.to_owned(),
                 bars: vec![bar],
+                ..Bars::default()
             }),
         }
     }
-    all
+    all.into_iter().map(Bars::on_a_scale_that_shows_all).collect()
 }
 
-/// The rows as a page: spreads by unit, and the table.
-fn page_of(name: &str, rows: &[Row], notes: &[String], machine: &Value) -> Page {
-    let on = format!("{}, {} cores", machine["processor"].as_str().unwrap_or("?"), machine["cores"]);
-    let missed = rows.iter().filter(|row| row.met() == Some(false)).count();
-    let aims = rows.iter().filter(|row| row.met().is_some()).count();
-    let drawn = |row: &Row| Drawn {
-        name: row.what.clone(),
-        unit: row.unit.to_owned(),
-        value: row.value.unwrap_or(f64::NAN),
-        band: row.band,
-        aim: match row.aim {
-            Some(Aim::AtMost(aim) | Aim::AtLeast(aim)) => Some(aim),
-            _ => None,
-        },
+/// A document as a page: what has a spread, a target or a peer, by unit, and the table.
+fn page_of(name: &str, document: &Value) -> Page {
+    let met = |is_met: bool| {
+        let rows = document["rows"].as_array().into_iter().flatten();
+        rows.filter(|row| row["met"] == is_met).count()
     };
-    let measured = match (aims, missed) {
-        (0, _) => String::new(),
-        (_, 0) => format!(" All {aims} aims are met."),
-        _ => format!(" {missed} of {aims} aims missed."),
+    let targets = match (met(true), met(false)) {
+        (0, 0) => None,
+        (1, 0) => Some("The target is met.".to_owned()),
+        (all, 0) => Some(format!("All {all} targets are met.")),
+        (met, missed) => Some(format!("{missed} of {} targets missed.", met + missed)),
     };
+    let notes = document["notes"].as_array().into_iter().flatten().filter_map(Value::as_str);
     Page {
         title: format!("foveal bench {name}"),
-        summary: std::iter::once(format!("Measured on {on}.{measured}"))
-            .chain(notes.iter().cloned())
-            .collect(),
-        bars: spreads(rows.iter().map(drawn)),
-        tables: vec![table_of("All rows", rows)],
+        made: Some(made_on(document)),
+        summary: targets.into_iter().chain(notes.map(str::to_owned)).collect(),
+        bars: bars_of(document),
+        tables: vec![table("All rows", HOW_TO_READ, document)],
         ..Page::default()
     }
-}
-
-/// The same of a document that [`finish`] left: spreads by unit, and the table.
-pub fn page_of_document(document: &Value) -> (Vec<Bars>, Table) {
-    let rows = || document["rows"].as_array().into_iter().flatten();
-    let text = |row: &Value, key: &str| row[key].as_str().unwrap_or_default().to_owned();
-    let number = |row: &Value, key: &str| row[key].as_f64().unwrap_or(f64::NAN);
-    let with_unit = |row: &Value, key: &str| match row[key].as_f64() {
-        Some(v) => format!("{} {}", figure(v), text(row, "unit")),
-        None => "–".to_owned(),
-    };
-    let drawn = |row: &Value| Drawn {
-        name: text(row, "what"),
-        unit: text(row, "unit"),
-        value: number(row, "value"),
-        band: Some([row["band"][0].as_f64(), row["band"][1].as_f64()])
-            .and_then(|[low, high]| Some([low?, high?])),
-        // `≤ 10 ms`; of a ratio to a peer there is no place on this scale.
-        aim: text(row, "aim")
-            .split_whitespace()
-            .nth(1)
-            .and_then(|v| v.parse().ok())
-            .filter(|_| !text(row, "aim").ends_with("peer")),
-    };
-    let line = |row: &Value| {
-        let beside = match (row["peer"].as_str(), row["peer_value"].as_f64()) {
-            (Some(peer), Some(_)) => format!("{} ({peer})", with_unit(row, "peer_value")),
-            (peer, _) => peer.unwrap_or_default().to_owned(),
-        };
-        let met = match row["met"].as_bool() {
-            None => "",
-            Some(true) => "met",
-            Some(false) => "MISSED",
-        };
-        let ratio = row["ratio"].as_f64().map(figure).unwrap_or_default();
-        vec![text(row, "what"), with_unit(row, "value"), beside, ratio, text(row, "aim"), met.into()]
-    };
-    let table = Table {
-        title: String::new(),
-        header: HEAD.map(String::from).to_vec(),
-        rows: rows().map(line).collect(),
-    };
-    (spreads(rows().map(drawn)), table)
 }
 
 /// Rows as CSV, without a head: tuples of what is in their columns.
@@ -397,23 +400,45 @@ mod tests {
 
     #[test]
     fn tables_have_a_cell_in_every_column() {
-        let rows = [Row::new("a, \"b\"", "ms", &[1.5]).with_band(&[1.0, 2.0]), Row::default()];
+        let rows = [Row::new("a, \"b\"", "ms", &[1.0, 1.5, 2.0]), Row::default()];
         let lines = csv_lines(rows.iter().map(Row::columns));
-        assert_eq!(lines, "\"a, \"\"b\"\"\",1.5,ms,1,,,,,,1.1,1.9,\n,,,0,,,,,,,,\n");
+        assert_eq!(lines, "\"a, \"\"b\"\"\",1.5,ms,3,,,,,,1.1,1.9,\n,,,0,,,,,,,,\n");
         assert_eq!(csv_lines([("a", &(1.5, None::<u8>))]), "a,1.5,\n");
+    }
+
+    #[test]
+    fn what_was_run_a_few_times_says_its_spread() {
+        let cell = |values: &[f64]| value_of(&Row::new("a", "ms", values).json());
+        assert_eq!(cell(&[3.0, 1.0, 2.0]), "2.00 ms (1.20 – 2.80)");
+        assert_eq!(cell(&[1.0, 2.0]), "1.50 ms");
+        assert_eq!(cell(&[1.0, 2.0, f64::INFINITY]), "1.50 ms");
+        assert_eq!(cell(&[]), "–");
+        let cells =
+            cells(&Row::new("a", "", &[2.0]).against("b", Some(4.0)).aim(Aim::RatioAtMost(0.4)).json());
+        assert_eq!(cells, ["a", "2.00", "4.00 (b)", "0.500", "≤ 0.400 × peer", "MISSED"]);
     }
 
     #[test]
     fn pages_say_what_is_missed() {
         let rows = [
-            Row::new("a", "ms", &[3.0, 1.0, 2.0]).with_band(&[3.0, 1.0, 2.0]).aim(Aim::AtMost(1.5)),
-            Row::new("b", "ms", &[1.0]).aim(Aim::AtMost(1.5)),
+            Row::new("a", "ms", &[3.0, 1.0, 2.0]).aim(Aim::AtMost(1.5)),
+            Row::new("  of it b", "ms", &[1.0]).aim(Aim::AtMost(1.5)),
             Row::new("c", "rays/s", &[7.0]),
+            Row::new("d", "", &[7.0]).against("e", Some(5.0)).aim(Aim::RatioAtMost(2.0)),
+            Row::new("f", "", &[7.0]).against("e", None),
         ];
-        let page = page_of("x", &rows, &["a note".into()], &json!({"processor": "p", "cores": 2}));
-        assert_eq!(page.summary, ["Measured on p, 2 cores. 1 of 2 aims missed.", "a note"]);
-        assert_eq!(page.bars.len(), 1, "what has neither a spread nor an aim is in the table");
-        assert_eq!(page.bars[0].bars.len(), 2);
+        let rows: Vec<Value> = rows.iter().map(Row::json).collect();
+        let document = json!({"rows": rows, "notes": ["a note"], "machine": {"processor": "p", "cores": 2, "version": "1"}});
+        let page = page_of("x", &document);
+        assert_eq!(page.summary, ["1 of 3 targets missed.", "a note"]);
+        assert_eq!(page.made.as_deref(), Some("foveal 1 on p, 2 cores"));
+        assert_eq!(page.bars.len(), 2, "what has neither a spread nor a target nor a peer is in the table");
+        let names = |bars: &Bars| bars.bars.iter().map(|b| b.name.clone()).collect::<Vec<_>>();
+        assert_eq!(
+            (names(&page.bars[0]), names(&page.bars[1])),
+            (vec!["a".into(), "a: of it b".into()], vec!["d  ○ e".into()])
+        );
+        assert_eq!((page.bars[1].bars[0].target, page.bars[0].bars[0].is_missed), (Some(10.0), true));
         assert!(html(&page).contains("class=\"words missed\">MISSED"));
     }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use egui::accesskit::{Action, Node, Role};
 use egui::{Context, RawInput, Rect, Ui};
-use foveal::allocation::supersampling::Standing;
+use foveal::allocation::supersampling::RefinementProgress;
 use foveal::splatting::supersampling::Supersampling;
 
 use super::{panel, timeline};
@@ -97,7 +97,7 @@ fn panel_of(recorded: bool, lost_jobs: u32) -> Vec<Node> {
     let insight = Insight {
         maps: vec![map, MapRank { side: 16, worth: 1.0, ..map }],
         textures: Some((report, 2 << 20)),
-        refinement: Some(Standing { tiles: 12, quiet: 3, error: Some(0.1), stated: Some(0.05) }),
+        refinement: Some(RefinementProgress { tiles: 12, quiet: 3, error: Some(0.1), stated: Some(0.05) }),
         lost_jobs,
         ..Insight::default()
     };

@@ -46,7 +46,7 @@ const WORDS: [&str; 40] = [
 fn edited(file: &[u8], edits: &[Edit]) -> Vec<u8> {
     let mut bytes = file.to_vec();
     for edit in edits.iter().take(24) {
-        let place = |at: u16| (bytes.len() as u64 * u64::from(at) >> 16) as usize;
+        let place = |at: u16| ((bytes.len() as u64 * u64::from(at)) >> 16) as usize;
         match edit {
             Edit::Flip { at, bit } => {
                 let at = place(*at);

@@ -23,7 +23,7 @@ enum Edit {
 fn edited(message: &[u8], edits: &[Edit]) -> Vec<u8> {
     let mut bytes = message.to_vec();
     for edit in edits.iter().take(16) {
-        let place = |at: u16| (bytes.len() as u64 * u64::from(at) >> 16) as usize;
+        let place = |at: u16| ((bytes.len() as u64 * u64::from(at)) >> 16) as usize;
         match edit {
             Edit::Flip { at, bit } => {
                 let at = place(*at);

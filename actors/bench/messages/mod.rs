@@ -164,11 +164,16 @@ pub fn run(a: &MessagesArguments, progress: Progress) -> Result<(), Failure> {
         rows.push(Row::new(what, "s", seconds.as_slice()).aim(Aim::AtMost(60.0)));
     }
     bar.finish_and_clear();
-    let mut notes =
-        vec![format!("fan: 1 source, 4 workers, 1 collector; {jobs} jobs, each sent twice; 2 threads")];
+    let mut notes = vec![format!(
+        "A fan has 1 source, 4 workers and 1 collector on 2 threads, and {jobs} jobs, each of which is sent twice."
+    )];
     if cfg!(not(feature = "peers")) {
         notes
-            .push("peers: build with --features peers to measure ractor, kameo, crossbeam and a lock".into());
+            .push(
+                "This build has no peers, so these rows have no number to be compared with; built with `--features peers`, \
+                 it measures ractor, kameo, crossbeam and a mutex with a condition variable as well."
+                    .into(),
+            );
     }
     finish("messages", &rows, &notes, &a.common)
 }

@@ -1,5 +1,7 @@
 //! Our own files with random edits, given to their readers.
 
+#![allow(clippy::disallowed_methods, reason = "tests run outside of actors")]
+
 #[path = "../../actors/runtime/tests/ring/mod.rs"]
 #[allow(dead_code, reason = "a test of the runtime asks more of it")]
 mod ring;

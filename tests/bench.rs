@@ -5,6 +5,8 @@ use std::path::Path;
 
 use serde_json::Value;
 
+use crate::report::fits_any_size;
+use crate::support::browser::Browser;
 use crate::support::{Foveal, folder};
 
 fn row<'a>(document: &'a Value, what: &str) -> &'a Value {
@@ -164,6 +166,9 @@ fn errors_of_every_order_in_a_scene_of_ones_own() {
     // Two pictures and what they should be, still and walking; and in both parts one of them under a line.
     assert!(page.contains("duck, walking") && page.matches("<img").count() == 6 + 4);
     assert!(page.contains("side by side") && page.contains("difference (FLIP)"));
+    if let Some(browser) = Browser::open() {
+        fits_any_size(&mut browser.page(), &out.join("report.html"), 1);
+    }
     let d = measure(&scenes.join("diffuse/diffuse.toml")).json();
     assert!(d["notes"].to_string().contains("nothing that its first camera sees is corrected"), "{d}");
     measure(Path::new("nowhere.obj")).fails(3, &["nowhere.obj"]);

@@ -1,5 +1,6 @@
 """The notebook runs, and what it keeps is of this code."""
 
+import ast
 import importlib.util
 import json
 import pathlib
@@ -20,4 +21,9 @@ def test_the_notebook_runs():
     ]
     before = kinds(kept)
     assert sum("display_data" in of_cell for of_cell in before) == 2, "python actors/python/notebooks/make.py"
-    assert kinds(make.run(kept)) == before
+    ran = make.run(kept)
+    assert kinds(ran) == before
+    # Curves, not lines of two points: frames that each policy took.
+    [said] = [out["text"] for cell in ran["cells"] for out in cell.get("outputs", []) if "frames until" in str(out.get("text"))]
+    frames = ast.literal_eval("".join(said).split("}")[0] + "}")
+    assert len(frames) == 3 and all(count >= 5 for count in frames.values()), frames

@@ -114,9 +114,9 @@ fn with_recordings(name: &str) -> PathBuf {
     }
     std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_foveal"), folder.join("foveal-of-before"))
         .expect("a link");
-    let walk = "walk scenes/gallery/gallery.toml --fps 100 --size 320x240";
-    for (frames, file) in [(12, "g.fvl"), (40, "walk.fvl")] {
-        Foveal::new(&format!("{walk} --frames {frames} --record {file}")).inside(&folder).ok();
+    let walk = "walk scenes/gallery/gallery.toml --size 320x240";
+    for (how, file) in [("--fps 100 --frames 12", "g.fvl"), ("--fps 10 --frames 16", "walk.fvl")] {
+        Foveal::new(&format!("{walk} {how} --record {file}")).inside(&folder).ok();
     }
     folder
 }

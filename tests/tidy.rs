@@ -334,7 +334,7 @@ fn packages_depend_one_way() {
 /// Actors share messages, never each other's types.
 #[test]
 fn actors_do_not_know_each_other() {
-    let actors = ["allocator", "analyzer", "cache_ager", "renderer", "tracer"];
+    let actors = ["allocator", "analyzer", "cache_ager", "illuminator", "renderer", "station", "tracer"];
     for (path, source) in sources("rs") {
         let Some(own) = path.strip_prefix("actors/") else { continue };
         let own = own.split('/').next().unwrap_or_default().trim_end_matches(".rs");

@@ -1,8 +1,8 @@
 //! The panel's head: where the walk stands, what went wrong, and how the frames go.
 
-use egui::{Color32, Pos2, Rect, RichText, Sense, Shape, Stroke, Ui, Vec2};
+use egui::{CollapsingHeader, Color32, Pos2, Rect, RichText, Sense, Shape, Stroke, Ui, Vec2};
 use foveal::allocation::supersampling::RefinementProgress;
-use foveal_engine::walk::{FrameTimes, Notices};
+use foveal_engine::walk::{FrameTimes, Notice, Notices};
 
 use super::panel::{Shown, WIDTH};
 
@@ -18,7 +18,8 @@ const STATED: &str =
     "With 95 % certainty the mean of each block of 8 × 8 pixels is off by less than this share of it";
 const LOST: &str = "A job whose tracer panics, or hangs, or is a machine that left, is given to another tracer. One \
                     that several tracers failed at is lost: what it would have traced is left out";
-const EARLIER: &str = "Messages that are no longer shown";
+const EARLIER: &str =
+    "What you were told before, the newest first; of the earliest only their number is kept";
 const TIMES: &str = "Median and 99th percentile of the time that frames took, and the time a frame may take";
 const GRAPH: &str = "How long each of the last frames took; the line is the deadline, red came late";
 
@@ -56,15 +57,29 @@ pub fn standing(ui: &mut Ui, shown: &Shown<'_>) {
     notices(ui, shown.notices);
 }
 
-/// What the user was told, the newest first.
+/// What the user was told last, and folded away, so that sliders stay where they are, what came before.
 fn notices(ui: &mut Ui, notices: &Notices) {
-    for notice in notices.iter() {
+    let line = |ui: &mut Ui, notice: &Notice| {
         let color = if notice.failed { ui.visuals().error_fg_color } else { ui.visuals().text_color() };
         ui.colored_label(color, &notice.text);
+    };
+    let mut kept = notices.iter();
+    let Some(newest) = kept.next() else { return };
+    line(ui, newest);
+    let before: Vec<&Notice> = kept.collect();
+    if before.is_empty() {
+        return;
     }
-    if notices.earlier() > 0 {
-        ui.weak(format!("and {} earlier", notices.earlier())).on_hover_text(EARLIER);
-    }
+    let failed = before.iter().any(|notice| notice.failed);
+    let title = RichText::new(format!("{} messages before", before.len() + notices.earlier()));
+    let title = if failed { title.color(ui.visuals().error_fg_color) } else { title.weak() };
+    let header = CollapsingHeader::new(title).id_salt("messages").show(ui, |ui| {
+        before.into_iter().for_each(|notice| line(ui, notice));
+        if notices.earlier() > 0 {
+            ui.weak(format!("and {} earlier", notices.earlier()));
+        }
+    });
+    header.header_response.on_hover_text(EARLIER);
 }
 
 /// Frame times against the deadline.

@@ -115,9 +115,7 @@ fn with_recordings(name: &str) -> PathBuf {
     std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_foveal"), folder.join("foveal-of-before"))
         .expect("a link");
     let walk = "walk scenes/gallery/gallery.toml --size 320x240";
-    for (how, file) in
-        [("--fps 100 --frames 12", "g.fvl"), ("--fps 10 --frames 16 --until-converged", "walk.fvl")]
-    {
+    for (how, file) in [("--fps 100 --frames 12", "g.fvl"), ("--fps 10 --frames 16", "walk.fvl")] {
         Foveal::new(&format!("{walk} {how} --record {file}")).inside(&folder).ok();
     }
     folder

@@ -168,8 +168,12 @@ impl Tracer {
                 self.outbox.tell(cx, &self.allocator, captured);
             }
             EnvironmentWork::Filter { seen } => {
-                let map = EnvironmentMap::of_capture(probe.centre, order.side as usize, seen, order.exponent);
-                let contrast = contrast(&map, &probe.map);
+                let ((map, contrast), duration) = cx.measure(|| {
+                    let map =
+                        EnvironmentMap::of_capture(probe.centre, order.side as usize, seen, order.exponent);
+                    let contrast = contrast(&map, &probe.map);
+                    (map, contrast)
+                });
                 if !cx.claim() {
                     return;
                 }
@@ -180,7 +184,11 @@ impl Tracer {
                     hash,
                 };
                 self.outbox.tell(cx, &self.renderer, changed);
-                let filtered = AllocatorMessage::EnvironmentFiltered { object: order.object, contrast };
+                let filtered = AllocatorMessage::EnvironmentFiltered {
+                    object: order.object,
+                    contrast,
+                    seconds: duration.as_secs_f32(),
+                };
                 self.outbox.tell(cx, &self.allocator, filtered);
             }
         }

@@ -429,7 +429,13 @@ fn links_lead_somewhere() {
         "CONTRIBUTING.md".into(),
         "actors/engine/README.md".into(),
         "actors/runtime/README.md".into(),
+        "actors/program/README.md".into(),
+        "actors/python/README.md".into(),
+        "docs/src/benchmarks/README.md".into(),
+        "fuzz/README.md".into(),
         "scenes/README.md".into(),
+        "src/README.md".into(),
+        "traces/README.md".into(),
     ];
     let book = fs::read_dir(root().join("docs/src")).expect("the book").flatten();
     let pages = book.map(|e| e.file_name().to_string_lossy().into_owned()).filter(|n| n.ends_with(".md"));

@@ -76,8 +76,8 @@ pub struct Allocator {
     textures: Option<Textures>,
     /// Whether the next portion of a decision waits for its timer.
     portion_waits: bool,
-    /// Jobs of samples done since a job of an environment map was handed out.
-    since_map: u32,
+    /// Seconds of samples that are to be traced before the next job of an environment map.
+    owed_to_samples: f32,
     /// Whether the renderer knows that the view has converged.
     told_converged: bool,
     /// Refines a view that has converged, where that is wanted.
@@ -134,7 +134,7 @@ impl Allocator {
             environments,
             textures,
             portion_waits: false,
-            since_map: u32::MAX,
+            owed_to_samples: 0.0,
             told_converged: false,
             supersampler: settings
                 .supersampling
@@ -172,6 +172,7 @@ impl Actor for Allocator {
             AllocatorMessage::ObjectsRanked { view: _, saliency } => self.on_objects_ranked(saliency),
             AllocatorMessage::JobDone { view: _, object, level, samples, seconds } => {
                 self.order.record_time(object, level, samples, seconds);
+                self.pay_samples(seconds);
                 self.on_job_done(cx);
             }
             AllocatorMessage::BlockSampled { view, block, hash: _ } => self.on_block_sampled(view, block, cx),
@@ -185,8 +186,8 @@ impl Actor for Allocator {
             AllocatorMessage::EnvironmentCaptured { object, seen, hash: _, seconds } => {
                 self.on_environment_captured(object, &seen, seconds, cx);
             }
-            AllocatorMessage::EnvironmentFiltered { object, contrast } => {
-                self.on_environment_filtered(object, contrast, cx);
+            AllocatorMessage::EnvironmentFiltered { object, contrast, seconds } => {
+                self.on_environment_filtered(object, contrast, seconds, cx);
             }
             AllocatorMessage::TexturesSeen { uses, hash: _ } => self.on_textures_seen(&uses, cx),
             AllocatorMessage::LevelLoaded { texture, level, texels } => {

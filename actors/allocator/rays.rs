@@ -24,7 +24,6 @@ impl Allocator {
 
     pub(super) fn on_job_done(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {
         self.in_flight = self.in_flight.saturating_sub(1);
-        self.since_map = self.since_map.saturating_add(1);
         self.since_insight += 1;
         self.fill_pool(cx);
         self.tell_insight_if_due();

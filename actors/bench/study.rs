@@ -153,7 +153,8 @@ impl Study {
         shares: impl Iterator<Item = f64>,
         mut shown: impl FnMut(f64, Map2d<Vec3>),
     ) -> Result<Times, Failure> {
-        let (mut walk, view) = (Walk::new(self, entrant, self.settings.footprint)?, self.still());
+        let (mut walk, view) =
+            (Walk::new(self, entrant, self.settings.footprint, Counts::Tracing)?, self.still());
         for share in std::iter::once(0.0).chain(shares) {
             let picture = walk.frame(&view.camera, share * view.seconds())?;
             shown(share * view.seconds(), picture);
@@ -163,7 +164,7 @@ impl Study {
 
     /// Walks all views, each with time for `share` of its samples, and gives what is shown.
     pub(super) fn walk(&self, entrant: &Entrant, share: f64) -> Result<(Times, Vec<Map2d<Vec3>>), Failure> {
-        let mut walk = Walk::new(self, entrant, self.settings.footprint)?;
+        let mut walk = Walk::new(self, entrant, self.settings.footprint, Counts::Tracing)?;
         let shown = self.shown(&mut walk, |view| share * view.seconds())?;
         Ok((walk.times(), shown))
     }
@@ -175,7 +176,7 @@ impl Study {
         footprint: Footprint,
         seconds: f64,
     ) -> Result<Vec<Map2d<Vec3>>, Failure> {
-        self.shown(&mut Walk::new(self, entrant, footprint)?, |_| seconds)
+        self.shown(&mut Walk::new(self, entrant, footprint, Counts::Everything)?, |_| seconds)
     }
 
     fn shown(&self, walk: &mut Walk, time: impl Fn(&Traced) -> f64) -> Result<Vec<Map2d<Vec3>>, Failure> {
@@ -232,14 +233,26 @@ pub(super) struct Times {
     pub(super) tracing: f64,
 }
 
+/// What the clock of a walk counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Counts {
+    /// The tracer's time, on samples and maps: what orders differ in.
+    Tracing,
+    /// That of drawing as well.
+    Everything,
+}
+
 /// One order on its way.
 struct Walk {
     engine: Engine,
+    counts: Counts,
+    /// What the clock counted so far.
+    counted: f64,
     deciding: Duration,
 }
 
 impl Walk {
-    fn new(study: &Study, entrant: &Entrant, footprint: Footprint) -> Result<Self, Failure> {
+    fn new(study: &Study, entrant: &Entrant, footprint: Footprint, counts: Counts) -> Result<Self, Failure> {
         let Settings { environment_bytes, .. } = study.settings;
         let settings = Settings {
             footprint,
@@ -256,15 +269,24 @@ impl Walk {
         };
         let (clock, probes) = (Clock::Virtual(simulation), Some(study.probes.clone()));
         let options = Options { clock, probes, ..Options::new(settings) };
-        Ok(Self { engine: Engine::start(study.opened.clone(), options)?, deciding: Duration::ZERO })
+        let engine = Engine::start(study.opened.clone(), options)?;
+        Ok(Self { engine, counts, counted: 0.0, deciding: Duration::ZERO })
     }
 
-    /// A frame that is shown so many seconds after the walk began; where the one before took longer than it should,
+    /// A frame that is shown so many counted seconds after the walk began; where the one before took longer than it should,
     /// that is taken from this one.
     fn frame(&mut self, camera: &Camera, until: f64) -> Result<Map2d<Vec3>, Failure> {
+        let now = |engine: &mut Engine| engine.runtime().now().seconds();
+        let mut before = now(&mut self.engine);
+        self.engine.begin(camera)?;
+        if self.counts == Counts::Tracing {
+            before = now(&mut self.engine);
+        }
         // A run that was interrupted is thrown away.
-        let time = if interrupted() { 0.0 } else { until - self.engine.runtime().now().seconds() };
-        let frame = self.engine.frame(camera, Duration::from_secs_f64(time.max(0.0)))?;
+        let left = if interrupted() { 0.0 } else { until - self.counted - (now(&mut self.engine) - before) };
+        self.engine.work_until(Duration::from_secs_f64(left.max(0.0)), |_| false)?;
+        self.counted += now(&mut self.engine) - before;
+        let frame = self.engine.end()?;
         self.deciding +=
             frame.stages.iter().filter(|s| s.0 == Stage::Allocate).map(|s| s.1).sum::<Duration>();
         let nothing = || Failure::Check("a frame was shown, and there is no picture".into());

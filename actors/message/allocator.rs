@@ -102,6 +102,8 @@ pub enum AllocatorMessage {
         object: u32,
         /// What is lost without it.
         contrast: MapContrast,
+        /// How long that took on one core, seconds, as measured.
+        seconds: f32,
     },
     /// From a tracer: what a view and the turns that may follow it show of each texture.
     TexturesSeen {

@@ -26,4 +26,4 @@ def test_the_notebook_runs():
     # Curves, not lines of two points: frames that each policy took.
     [said] = [out["text"] for cell in ran["cells"] for out in cell.get("outputs", []) if "frames until" in str(out.get("text"))]
     frames = ast.literal_eval("".join(said).split("}")[0] + "}")
-    assert len(frames) == 3 and all(count >= 5 for count in frames.values()), frames
+    assert len(frames) == 3 and all(count >= 4 for count in frames.values()), frames

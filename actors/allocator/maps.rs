@@ -30,7 +30,7 @@ const RAY_NS_PRIOR: f32 = 2500.0;
 const TIME_LIMIT_NS: u64 = 500_000_000;
 /// Seconds that samples are traced for each second that goes to environment maps, while there are samples to trace. What
 /// is mixed from samples leaves little for maps to show: with 3 orders left 5 % more error, with 40 4 % less, of walks
-/// with time for a tenth of their samples; with 60 walks at ten frames a second were as with 15 (`bench error`).
+/// with time for a tenth of their samples; with 60 walks at ten frames a second were as with 15 (experiments).
 const SAMPLES_TO_MAPS: f32 = 15.0;
 
 /// What is known of an object's map.
@@ -408,9 +408,11 @@ impl Allocator {
         self.capture_maps(cx);
     }
 
-    /// A job of a map took so long.
+    /// A job of a map took so long: of samples' time only where there are some to trace.
     fn owe_to_samples(&mut self, seconds: f32) {
-        self.owed_to_samples += SAMPLES_TO_MAPS * seconds.max(0.0);
+        if !self.order.is_exhausted() {
+            self.owed_to_samples += SAMPLES_TO_MAPS * seconds.max(0.0);
+        }
     }
 
     /// Samples were traced for so long.

@@ -79,6 +79,19 @@ pub struct Status {
     pub stations: Vec<StationStatus>,
 }
 
+impl Status {
+    /// Where the view stands, in words; `refining`: whether more samples are on their way to each pixel.
+    pub fn state(&self, refining: bool) -> &'static str {
+        match (self.converged, self.lit) {
+            (true, _) if self.refined => "refined",
+            (true, _) if refining => "converged, being refined",
+            (true, _) => "converged",
+            (false, true) => "correcting",
+            (false, false) => "correcting, light grows",
+        }
+    }
+}
+
 /// What a window needs to know of a scene.
 #[derive(Clone, Debug)]
 pub struct Place {

@@ -18,13 +18,7 @@ pub fn state(report: &Report, camera: Option<&Camera>) -> String {
     let Report { controls, status, times, quality, speed, orbits, insight, timeline } = report;
     let refinement =
         insight.as_ref().filter(|_| status.converged).and_then(|(insight, _)| insight.refinement);
-    let state = match (status.converged, status.lit) {
-        (true, _) if status.refined => "refined",
-        (true, _) if refinement.is_some() => "converged, being refined",
-        (true, _) => "converged",
-        (false, true) => "correcting",
-        (false, false) => "correcting, light grows",
-    };
+    let state = status.state(refinement.is_some());
     let actors: Vec<Value> = status
         .actors
         .iter()

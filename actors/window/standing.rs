@@ -28,13 +28,7 @@ pub fn standing(ui: &mut Ui, shown: &Shown<'_>) {
     let status = shown.status;
     let insight = shown.insight.map(|(insight, _)| insight);
     let refinement = insight.filter(|_| status.converged).and_then(|insight| insight.refinement);
-    let state = match (status.converged, status.lit) {
-        (true, _) if status.refined => "refined",
-        (true, _) if refinement.is_some() => "converged, being refined",
-        (true, _) => "converged",
-        (false, true) => "correcting",
-        (false, false) => "correcting, light grows",
-    };
+    let state = status.state(refinement.is_some());
     ui.label(RichText::new(format!("view {}, {state}", status.view)).strong()).on_hover_text(STATE);
     let samples = format!("{} traced, {} reused, {} expired", status.traced, status.reused, status.expired);
     ui.label(samples).on_hover_text(SAMPLES);

@@ -276,28 +276,43 @@ impl Walk {
     /// A frame that is shown so many counted seconds after the walk began; where the one before took longer than it should,
     /// that is taken from this one.
     fn frame(&mut self, camera: &Camera, until: f64) -> Result<Map2d<Vec3>, Failure> {
-        let now = |engine: &mut Engine| engine.runtime().now().seconds();
-        let mut before = now(&mut self.engine);
-        self.engine.begin(camera)?;
-        if self.counts == Counts::Tracing {
-            before = now(&mut self.engine);
-        }
+        self.beside(|engine| engine.begin(camera))?;
         // A run that was interrupted is thrown away.
-        let left = if interrupted() { 0.0 } else { until - self.counted - (now(&mut self.engine) - before) };
+        let left = if interrupted() { 0.0 } else { until - self.counted };
+        let began = self.engine.runtime().now().seconds();
         self.engine.work_until(Duration::from_secs_f64(left.max(0.0)), |_| false)?;
-        self.counted += now(&mut self.engine) - before;
-        let frame = self.engine.end()?;
+        self.counted += self.engine.runtime().now().seconds() - began;
+        let frame = self.beside(Engine::end)?;
         self.deciding +=
             frame.stages.iter().filter(|s| s.0 == Stage::Allocate).map(|s| s.1).sum::<Duration>();
         let nothing = || Failure::Check("a frame was shown, and there is no picture".into());
         self.engine.look(Renderer::picture).flatten().ok_or_else(nothing)
     }
 
-    fn times(&self) -> Times {
-        let counters = self.engine.runtime().counters();
-        let busy = counters.iter().filter(|c| c.name.starts_with("tracer")).map(|c| c.busy_ns as f64);
-        Times { deciding: self.deciding.as_secs_f64(), tracing: 1e-9 * busy.sum::<f64>() }
+    /// Does what is not an order's own work. Tracers go on meanwhile: an order whose jobs are long would have that for nothing
+    /// if it did not count.
+    fn beside<R>(&mut self, work: impl FnOnce(&mut Engine) -> Result<R, Failure>) -> Result<R, Failure> {
+        let counts = self.counts;
+        let counted = |engine: &Engine| match counts {
+            Counts::Tracing => tracing(engine),
+            Counts::Everything => engine.runtime().now().seconds(),
+        };
+        let before = counted(&self.engine);
+        let result = work(&mut self.engine);
+        self.counted += counted(&self.engine) - before;
+        result
     }
+
+    fn times(&self) -> Times {
+        Times { deciding: self.deciding.as_secs_f64(), tracing: tracing(&self.engine) }
+    }
+}
+
+/// Seconds that tracers were busy for.
+fn tracing(engine: &Engine) -> f64 {
+    let counters = engine.runtime().counters();
+    let busy = counters.iter().filter(|c| c.name.starts_with("tracer")).map(|c| c.busy_ns as f64);
+    1e-9 * busy.sum::<f64>()
 }
 
 impl Drop for Walk {

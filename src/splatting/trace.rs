@@ -2,12 +2,16 @@
 
 use glam::Vec3;
 
+use super::filter::GoesOn;
 use super::{Sample, SampleBatch};
 use crate::display::FrameBuffers;
 use crate::display::cpu_pass::{primary_interaction, primary_ray};
+use crate::geometry::Hit;
 use crate::rng::Stream;
+use crate::scene::MaterialId;
 use crate::scene::camera::CameraFrame;
 use crate::transport::interaction::Interaction;
+use crate::transport::tracer::guide;
 use crate::transport::tracer::witness::{Path, Scribe};
 use crate::world::World;
 
@@ -144,4 +148,37 @@ pub fn trace_guides(
         tracer.guide(&primary_interaction(world, frame, &ray, &hit))
     };
     pixels.map(guide).collect()
+}
+
+/// The same of all `known` pixels of a view, row by row: nothing where what is seen is not looked at through guides. `None`
+/// where that was not to go on.
+pub(super) fn guides_of_view(
+    world: &World,
+    frame: &CameraFrame,
+    buffers: &FrameBuffers,
+    known: impl Fn(usize) -> bool,
+    goes_on: GoesOn<'_>,
+) -> Option<Vec<Vec3>> {
+    let (scene, width) = (&world.scene, buffers.width());
+    let is_guided: Vec<bool> =
+        (0..scene.materials.len() as u32).map(|m| guide::is_guided(scene, MaterialId(m))).collect();
+    let mut guides = vec![Vec3::ZERO; width * buffers.height()];
+    if !is_guided.contains(&true) {
+        return Some(guides);
+    }
+    for (y, row) in guides.chunks_mut(width.max(1)).enumerate() {
+        if !goes_on() {
+            return None;
+        }
+        let pixels: Vec<usize> = (0..row.len())
+            .filter(|&x| known(y * width + x))
+            .filter(|&x| {
+                let material = |hit: Hit| scene.mesh.materials[hit.triangle as usize];
+                buffers.hit.at(x, y).hit().is_some_and(|hit| is_guided[material(hit).0 as usize])
+            })
+            .collect();
+        let found = trace_guides(world, frame, buffers, pixels.iter().map(|&x| (x as i32, y as i32)));
+        pixels.into_iter().zip(found).for_each(|(x, guide)| row[x] = guide);
+    }
+    Some(guides)
 }

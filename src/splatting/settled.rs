@@ -15,9 +15,9 @@
 //! directions, smooth. So few samples show shadows and the map's blots, judged by their like alone; what they are off
 //! by then is shown once there are enough of them.
 //!
-//! Glass is seen through: what it shows of things behind it has edges that surfaces tell nothing of, and a filter over the
-//! glass would make milk of them. There the mean's difference from a guide is filtered, which follows one way of the light
-//! by no chance (`transport::tracer::guide`), and the guide is added afterwards: a control variate, as the map is one.
+//! Glass and mirrors show things behind and before them, with edges that surfaces tell nothing of: a filter over the glass
+//! makes milk of them. There the mean's difference from a guide is filtered, which follows one way of the light by no chance
+//! (`transport::tracer::guide`), and the guide is added afterwards: a control variate, as the map is one.
 //!
 //! What paths do not find, light that was traced to the eye (`splatting::light_tracing`), belongs to the samples: it is
 //! added to their means, half by half, before anything is filtered or compared.
@@ -33,7 +33,7 @@ use super::filter::{GoesOn, Halves, Surfaces};
 use super::light_tracing::LightSums;
 use super::supersampling::Tiles;
 use super::tile_sums::{BATCHES, PixelMeans, Reach, TileSums};
-use super::trace::guides_of_view;
+use super::trace::mean_guides;
 use crate::display::FrameBuffers;
 use crate::image::{Map2d, luminance};
 use crate::scene::camera::CameraFrame;
@@ -469,7 +469,7 @@ pub fn settled(
     let grid = Tiles::of_size(width as u32, height as u32);
     let surfaces = Surfaces::of_view(world, frame, buffers, goes_on)?;
     let known = |i: usize| tiles[grid.at(i % width, i / width)].is_some();
-    let guides = guides_of_view(world, frame, buffers, known, goes_on)?;
+    let guides = mean_guides(world, frame, buffers, known, goes_on)?;
     let pixels = Pixels::new(width, height, tiles, traced, guides);
     let of_roles = |roles| Beside::new(&surfaces, &pixels, roles, (width, height), goes_on);
     let beside = of_roles(HALVES)?.mean(of_roles([HALVES[1], HALVES[0]])?);

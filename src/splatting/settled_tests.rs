@@ -244,7 +244,7 @@ fn what_is_seen_through_glass_stays_sharp() {
     let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
     let mut buffers = FrameBuffers::new(width, height);
     cpu_pass::draw(&world, &frame, Passes { texture_ids: false }, &mut buffers);
-    let guides = guides_of_view(&world, &frame, &buffers, |_| true, &|| true).expect("it goes on");
+    let guides = mean_guides(&world, &frame, &buffers, |_| true, &|| true).expect("it goes on");
     let exact = |i: usize| 0.8 * guides[i] + Vec3::splat(0.1);
     // One sample in eight finds all of the light.
     let grid = Tiles::of_size(SIZE.0, SIZE.1);

@@ -6,7 +6,7 @@ use super::filter::GoesOn;
 use super::{Sample, SampleBatch};
 use crate::display::FrameBuffers;
 use crate::display::cpu_pass::{primary_interaction, primary_ray};
-use crate::geometry::Hit;
+use crate::geometry::{Hit, Ray};
 use crate::rng::Stream;
 use crate::scene::MaterialId;
 use crate::scene::camera::CameraFrame;
@@ -150,35 +150,45 @@ pub fn trace_guides(
     pixels.map(guide).collect()
 }
 
-/// The same of all `known` pixels of a view, row by row: nothing where what is seen is not looked at through guides. `None`
-/// where that was not to go on.
-pub(super) fn guides_of_view(
+/// Where guides go through a pixel whose mean is asked for, along an edge: as many rows of as many.
+const GUIDES_ALONG: u32 = 2;
+
+/// The mean of what guides show in each pixel, row by row, where it is `known` and shows a mirror, glass or a
+/// smooth coat in its middle; nothing elsewhere.
+/// `None` where that was not to go on.
+pub(super) fn mean_guides(
     world: &World,
     frame: &CameraFrame,
     buffers: &FrameBuffers,
     known: impl Fn(usize) -> bool,
     goes_on: GoesOn<'_>,
 ) -> Option<Vec<Vec3>> {
-    let (scene, width) = (&world.scene, buffers.width());
-    let is_guided: Vec<bool> =
-        (0..scene.materials.len() as u32).map(|m| guide::is_guided(scene, MaterialId(m))).collect();
+    let (scene, tracer, width) = (&world.scene, world.tracer(), buffers.width());
+    let is_sharp: Vec<bool> =
+        (0..scene.materials.len() as u32).map(|m| guide::is_sharp(scene, MaterialId(m))).collect();
+    let is_followed = |hit: &Hit| is_sharp[scene.mesh.materials[hit.triangle as usize].0 as usize];
     let mut guides = vec![Vec3::ZERO; width * buffers.height()];
-    if !is_guided.contains(&true) {
+    if !is_sharp.contains(&true) {
         return Some(guides);
     }
+    let guide = |x: f32, y: f32| {
+        let ray = Ray::new(frame.eye, frame.direction(x, y));
+        match world.accel.intersect_seen(scene, &ray).filter(is_followed) {
+            Some(hit) => tracer.guide(&primary_interaction(world, frame, &ray, &hit)),
+            None => Vec3::ZERO,
+        }
+    };
+    let places = || (0..GUIDES_ALONG).map(|i| (i as f32 + 0.5) / GUIDES_ALONG as f32);
     for (y, row) in guides.chunks_mut(width.max(1)).enumerate() {
         if !goes_on() {
             return None;
         }
-        let pixels: Vec<usize> = (0..row.len())
-            .filter(|&x| known(y * width + x))
-            .filter(|&x| {
-                let material = |hit: Hit| scene.mesh.materials[hit.triangle as usize];
-                buffers.hit.at(x, y).hit().is_some_and(|hit| is_guided[material(hit).0 as usize])
-            })
-            .collect();
-        let found = trace_guides(world, frame, buffers, pixels.iter().map(|&x| (x as i32, y as i32)));
-        pixels.into_iter().zip(found).for_each(|(x, guide)| row[x] = guide);
+        for (x, mean) in row.iter_mut().enumerate().filter(|(x, _)| known(y * width + x)) {
+            if buffers.hit.at(x, y).hit().as_ref().is_some_and(is_followed) {
+                let all = places().flat_map(|dy| places().map(move |dx| (x as f32 + dx, y as f32 + dy)));
+                *mean = all.map(|(x, y)| guide(x, y)).sum::<Vec3>() / (GUIDES_ALONG * GUIDES_ALONG) as f32;
+            }
+        }
     }
     Some(guides)
 }

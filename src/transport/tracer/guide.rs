@@ -5,6 +5,8 @@
 //! changes fast across a pane or a ball is in there, refracted as it must be, and what a sample knows beyond it changes
 //! slowly: so samples are carried to other pixels as their difference from their guides.
 //!
+//! A refined picture's filter leaves out what guides show, of mirrors and smooth coats as well ([`is_sharp`]).
+//!
 //! Source: `two-level` estimates with a control variate, here across the pixels instead of across the samples.
 
 use glam::Vec3;
@@ -27,8 +29,18 @@ pub fn is_guided(scene: &Scene, material: MaterialId) -> bool {
     }
 }
 
+/// Whether all that a material shows beside its diffuse part comes from single directions, so that guides know what most of
+/// it is: mirrors, glass, and coats that are smooth everywhere.
+pub fn is_sharp(scene: &Scene, material: MaterialId) -> bool {
+    let model = &scene.materials[material.0 as usize].model;
+    match model.roughness_range() {
+        Some([.., most]) => most.is_smooth(),
+        None => !matches!(model, Model::Lambert { .. }),
+    }
+}
+
 impl Tracer<'_> {
-    /// Radiance towards `at.wo` along the guide of a point of glass, by no chance. Finite, not negative.
+    /// Radiance towards `at.wo` along the guide of a point of a surface without rough lobes, by no chance. Finite, not negative.
     pub fn guide(&self, at: &Interaction) -> Vec3 {
         let mut branch = Branch {
             width: at.footprint,

@@ -1,5 +1,6 @@
 use super::*;
 use crate::illumination::Uniform;
+use crate::scene::metal_rough::MetalRough;
 use crate::scene::test_scenes::white_metal_rough;
 use crate::scene::{Coat, Light, Model, Reflectance};
 use crate::transport::gather::{Gather, Trust};
@@ -189,6 +190,35 @@ fn guides_follow_the_lobe_of_most_weight() {
     let ray = Ray::new(Vec3::new(-40.0, 0.0, 2.0), Vec3::new(40.0, 0.0, -1.0).normalize());
     let (glancing, whole) = (guide(&ray), p.trace(ray, 1, Settings { min_contribution: 1e-6, ..EXACT }).0);
     assert!(f64::from(glancing.y) > 0.8 * whole && f64::from(glancing.y) < whole, "{glancing} of {whole}");
+}
+
+/// Mirrors, panes, glass and smooth coats; nothing that is rough or diffuse, somewhere at least.
+#[test]
+fn sharp_is_what_is_smooth_everywhere() {
+    let specular = white;
+    let plastic = |alpha| Model::Plastic { albedo: white(), coat: Coat::new(1.5, rough(alpha)) };
+    let varying = MetalRough { roughness_range: [0.0, 0.4], ..white_metal_rough(1.0, 0.0) };
+    let of = [
+        (Model::Mirror { specular: specular() }, true),
+        (Model::Metal { specular: specular(), roughness: rough(0.0) }, true),
+        (Model::MetalRough(Box::new(white_metal_rough(1.0, 0.0))), true),
+        (glass(1.5, 1.0, false), true),
+        (glass(1.5, 1.0, true), true),
+        (plastic(0.0), true),
+        (plastic(0.05), false),
+        (Model::Metal { specular: specular(), roughness: rough(0.3) }, false),
+        (Model::MetalRough(Box::new(varying)), false),
+        (lambert(0.5), false),
+    ];
+    let mut b = Builder::default();
+    let expected: Vec<bool> = of.iter().map(|(_, expected)| *expected).collect();
+    for (model, _) in of {
+        b.material(model);
+    }
+    let scene = b.scene();
+    let found: Vec<bool> =
+        (0..expected.len() as u32).map(|m| guide::is_sharp(&scene, crate::scene::MaterialId(m))).collect();
+    assert_eq!(found, expected);
 }
 
 /// A closed glass room ends every guide.

@@ -33,6 +33,29 @@ const TIME_LIMIT_NS: u64 = 500_000_000;
 /// with time for a tenth of their samples; with 60 walks at ten frames a second were as with 15 (experiments).
 const SAMPLES_TO_MAPS: f32 = 15.0;
 
+/// Seconds that samples are to be traced for before the next job of a map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub(super) struct OwedToSamples(f32);
+
+impl OwedToSamples {
+    /// A job of a map took so long: of samples' time only where there are some to trace.
+    fn maps_took(&mut self, seconds: f32, are_samples_left: bool) {
+        if are_samples_left {
+            self.0 += SAMPLES_TO_MAPS * seconds.max(0.0);
+        }
+    }
+
+    /// Samples were traced for so long.
+    pub(super) fn samples_took(&mut self, seconds: f32) {
+        self.0 = (self.0 - seconds.max(0.0)).max(0.0);
+    }
+
+    /// Whether a job of a map may be handed out.
+    fn is_maps_turn(self, are_samples_left: bool) -> bool {
+        !are_samples_left || self.0 <= 0.0
+    }
+}
+
 /// What is known of an object's map.
 #[derive(Clone, Copy, Debug, serde::Serialize, serde::Deserialize)]
 struct MapState {
@@ -392,7 +415,7 @@ impl Allocator {
         cx: &mut Cx<'_, AllocatorMessage>,
     ) {
         self.environments.on_captured(object, seen, seconds);
-        self.owe_to_samples(seconds);
+        self.owed_to_samples.maps_took(seconds, !self.order.is_exhausted());
         self.capture_maps(cx);
     }
 
@@ -404,20 +427,8 @@ impl Allocator {
         cx: &mut Cx<'_, AllocatorMessage>,
     ) {
         self.environments.on_filtered(object, contrast);
-        self.owe_to_samples(seconds);
+        self.owed_to_samples.maps_took(seconds, !self.order.is_exhausted());
         self.capture_maps(cx);
-    }
-
-    /// A job of a map took so long: of samples' time only where there are some to trace.
-    fn owe_to_samples(&mut self, seconds: f32) {
-        if !self.order.is_exhausted() {
-            self.owed_to_samples += SAMPLES_TO_MAPS * seconds.max(0.0);
-        }
-    }
-
-    /// Samples were traced for so long.
-    pub(super) fn pay_samples(&mut self, seconds: f32) {
-        self.owed_to_samples = (self.owed_to_samples - seconds.max(0.0)).max(0.0);
     }
 
     pub(super) fn rank_maps(&mut self) {
@@ -430,8 +441,7 @@ impl Allocator {
 
     /// Hands out a job of an environment map, if it is time for one.
     pub(super) fn capture_maps(&mut self, cx: &mut Cx<'_, AllocatorMessage>) {
-        let idle = self.order.is_exhausted();
-        if !idle && self.owed_to_samples > 0.0 {
+        if !self.owed_to_samples.is_maps_turn(!self.order.is_exhausted()) {
             return;
         }
         if let Some(order) = self.environments.next_order() {
@@ -467,5 +477,32 @@ mod tests {
         assert_eq!(side_wanted(10_000, None), 64);
         assert_eq!(side_wanted(1_000_000, None), 128);
         assert_eq!(side_wanted(1_000_000, phong_exponent(0.3)), 16);
+    }
+
+    /// Jobs of maps have a sixteenth of the time, however long single jobs are, and all of it once samples are done.
+    #[test]
+    fn maps_get_their_share_of_the_time() {
+        for (map, sample) in [(1e-3f32, 2e-3f32), (8e-3, 2e-4), (1e-4, 9e-3)] {
+            let mut owed = OwedToSamples::default();
+            let (mut of_maps, mut of_samples) = (0.0f32, 0.0f32);
+            while of_samples < 2.0 {
+                if owed.is_maps_turn(true) {
+                    owed.maps_took(map, true);
+                    of_maps += map;
+                }
+                owed.samples_took(sample);
+                of_samples += sample;
+            }
+            // The last job of a map may still be owed for, and each job of samples may pay too much.
+            let most = of_samples / SAMPLES_TO_MAPS + map;
+            let least = of_samples / (SAMPLES_TO_MAPS + sample / map) - map;
+            assert!((least..=1.001 * most).contains(&of_maps), "{map}, {sample}: {of_maps}");
+        }
+        let mut owed = OwedToSamples::default();
+        owed.maps_took(1.0, true);
+        assert!(!owed.is_maps_turn(true) && owed.is_maps_turn(false));
+        owed.samples_took(1e6);
+        owed.maps_took(1.0, false);
+        assert!(owed.is_maps_turn(true), "what is done while no samples are left owes nothing");
     }
 }

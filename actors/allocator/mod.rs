@@ -77,7 +77,7 @@ pub struct Allocator {
     /// Whether the next portion of a decision waits for its timer.
     portion_waits: bool,
     /// Seconds of samples that are to be traced before the next job of an environment map.
-    owed_to_samples: f32,
+    owed_to_samples: maps::OwedToSamples,
     /// Whether the renderer knows that the view has converged.
     told_converged: bool,
     /// Refines a view that has converged, where that is wanted.
@@ -134,7 +134,7 @@ impl Allocator {
             environments,
             textures,
             portion_waits: false,
-            owed_to_samples: 0.0,
+            owed_to_samples: maps::OwedToSamples::default(),
             told_converged: false,
             supersampler: settings
                 .supersampling
@@ -172,7 +172,7 @@ impl Actor for Allocator {
             AllocatorMessage::ObjectsRanked { view: _, saliency } => self.on_objects_ranked(saliency),
             AllocatorMessage::JobDone { view: _, object, level, samples, seconds } => {
                 self.order.record_time(object, level, samples, seconds);
-                self.pay_samples(seconds);
+                self.owed_to_samples.samples_took(seconds);
                 self.on_job_done(cx);
             }
             AllocatorMessage::BlockSampled { view, block, hash: _ } => self.on_block_sampled(view, block, cx),

@@ -10,7 +10,7 @@ use super::error_curves::{CSV_HEAD, Judge, Point, Way, csv};
 use super::error_page::{Axes, Panel, sections_of, write_page};
 use super::made::Subject;
 use super::stages::quick_world;
-use super::study::{Entrant, FRAMES_PER_SECOND, Study, policies};
+use super::study::{Entrant, FRAMES_PER_SECOND, Study, Traced, policies};
 use foveal_engine::Opened;
 use foveal_engine::failure::Failure;
 use foveal_engine::interrupt::{interrupted, uninterrupted};
@@ -53,6 +53,18 @@ impl FootprintResults {
     }
 }
 
+/// Mean FLIP of the corrected pixels of the views, and JOD of all of them, beside the same with other random numbers.
+fn noise_of(study: &Study) -> Result<(f64, f64), Failure> {
+    let others = study.converged_otherwise()?;
+    let jod = study.jod(&others, &study.converged())?;
+    let flip = |(view, other): (&Traced, &Map2d<Vec3>)| {
+        let judge = Judge { objects: &view.buffers.object, tone: &study.tone, keeps: false };
+        judge.point(&view.reference, 0.0, other).corrected.flip
+    };
+    let sum: f64 = study.views.iter().zip(&others).map(flip).sum();
+    Ok((sum / others.len().max(1) as f64, jod))
+}
+
 /// Runs the benchmark.
 pub(super) fn run(a: &ErrorArguments, scenes: &[String], progress: Progress) -> Result<(), Failure> {
     let entrant = policies(&["utility".to_owned()])?.remove(0);
@@ -61,6 +73,7 @@ pub(super) fn run(a: &ErrorArguments, scenes: &[String], progress: Progress) -> 
     let (mut rows, mut sections, mut table) = (Vec::new(), Vec::new(), String::from(CSV_HEAD));
     // By frame time and footprint: the median of each scene.
     let mut flips = vec![[(); 2].map(|()| Vec::new()); a.frame_time.len()];
+    let mut noises = Vec::new();
     'scenes: for word in scenes {
         let name = Subject::name(word);
         let opened = Opened::of_world(quick_world(Subject::of(word)?.path())?);
@@ -70,6 +83,10 @@ pub(super) fn run(a: &ErrorArguments, scenes: &[String], progress: Progress) -> 
         };
         let mut walked: Vec<[FootprintResults; 2]> =
             a.frame_time.iter().map(|_| Default::default()).collect();
+        let noise = match noise_of(&study) {
+            Err(Failure::Interrupted(_)) => break,
+            noise => noise?,
+        };
         for _ in 0..runs {
             for (time, walked) in a.frame_time.iter().zip(&mut walked) {
                 for ((footprint, _), walked) in FOOTPRINTS.into_iter().zip(walked) {
@@ -82,6 +99,11 @@ pub(super) fn run(a: &ErrorArguments, scenes: &[String], progress: Progress) -> 
             }
             bar.inc(1);
         }
+        for (unit, value) in [("mean FLIP", noise.0), ("JOD", noise.1)] {
+            let what = format!("{name}, converged with other random numbers");
+            rows.push(Row::new(what, unit, &[value]).held_against(CONVERGED));
+        }
+        noises.push(noise.0);
         let mut ways = Vec::new();
         for ((time, walked), flips) in a.frame_time.iter().zip(walked).zip(&mut flips) {
             let what = format!("{name}, {time:?} a frame");
@@ -118,10 +140,18 @@ pub(super) fn run(a: &ErrorArguments, scenes: &[String], progress: Progress) -> 
         let row = Row::new(format!("all scenes, {time:?} a frame"), "mean FLIP", &[mean(ours)]);
         rows.push(row.against("tiles", Some(mean(tiles))).aim(Aim::RatioAtMost(0.5)));
     }
+    if !noises.is_empty() {
+        let mean = noises.iter().sum::<f64>() / noises.len() as f64;
+        let row = Row::new("all scenes, converged with other random numbers", "mean FLIP", &[mean]);
+        rows.push(row.held_against(CONVERGED));
+    }
     bar.finish_and_clear();
     let mut notes = vec![
         "mean FLIP of the corrected pixels of a walk's frames, and JOD of the whole walk (10: the same as what its views \
          converge to)"
+            .into(),
+        "converged with other random numbers: what the noise of single samples makes of the same views, which no walk can \
+         predict"
             .into(),
         "each walk goes by itself, on a clock that moves by the processor time of all its actors".into(),
     ];

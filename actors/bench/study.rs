@@ -140,6 +140,18 @@ impl Study {
         self.views.iter().map(|v| v.reference.clone()).collect()
     }
 
+    /// What each view converges to with other random numbers: as far as that is from [`Self::converged`], no picture of a
+    /// walk can be expected to know better.
+    pub(super) fn converged_otherwise(&self) -> Result<Vec<Map2d<Vec3>>, Failure> {
+        let settings = Settings { seed: !self.settings.seed, ..self.settings };
+        let mut pictures = Vec::new();
+        for view in &self.views {
+            uninterrupted()?;
+            pictures.push(traced(&self.opened.world, view.camera, &settings).reference);
+        }
+        Ok(pictures)
+    }
+
     /// Where the walk begins and stands still.
     pub(super) fn still(&self) -> &Traced {
         &self.views[0]

@@ -150,12 +150,11 @@ pub fn trace_guides(
     pixels.map(guide).collect()
 }
 
-/// Where guides go through a pixel whose mean is asked for, along an edge: as many rows of as many.
+/// Guides along an edge of a pixel whose mean is asked for.
 const GUIDES_ALONG: u32 = 2;
 
-/// The mean of what guides show in each pixel, row by row, where it is `known` and shows a mirror, glass or a
-/// smooth coat in its middle; nothing elsewhere.
-/// `None` where that was not to go on.
+/// The mean of what guides show in each pixel, row by row, where it is `known` and shows a mirror, glass or a smooth coat in
+/// its middle; nothing elsewhere. `None` where that was not to go on.
 pub(super) fn mean_guides(
     world: &World,
     frame: &CameraFrame,

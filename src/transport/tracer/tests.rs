@@ -195,18 +195,17 @@ fn guides_follow_the_lobe_of_most_weight() {
 /// Mirrors, panes, glass and smooth coats; nothing that is rough or diffuse, somewhere at least.
 #[test]
 fn sharp_is_what_is_smooth_everywhere() {
-    let specular = white;
     let plastic = |alpha| Model::Plastic { albedo: white(), coat: Coat::new(1.5, rough(alpha)) };
     let varying = MetalRough { roughness_range: [0.0, 0.4], ..white_metal_rough(1.0, 0.0) };
     let of = [
-        (Model::Mirror { specular: specular() }, true),
-        (Model::Metal { specular: specular(), roughness: rough(0.0) }, true),
+        (Model::Mirror { specular: white() }, true),
+        (Model::Metal { specular: white(), roughness: rough(0.0) }, true),
         (Model::MetalRough(Box::new(white_metal_rough(1.0, 0.0))), true),
         (glass(1.5, 1.0, false), true),
         (glass(1.5, 1.0, true), true),
         (plastic(0.0), true),
         (plastic(0.05), false),
-        (Model::Metal { specular: specular(), roughness: rough(0.3) }, false),
+        (Model::Metal { specular: white(), roughness: rough(0.3) }, false),
         (Model::MetalRough(Box::new(varying)), false),
         (lambert(0.5), false),
     ];

@@ -11,7 +11,7 @@ use crate::geometry::packet::LANES;
 use crate::geometry::{Hit, Ray};
 use crate::scene::Scene;
 use crate::scene::camera::CameraFrame;
-use crate::transport::gather::LastShadows;
+use crate::transport::gather::together::LastShadows;
 use crate::transport::interaction::Interaction;
 use crate::transport::surface::SurfacePoint;
 use crate::world::World;
@@ -305,12 +305,11 @@ fn shade(
     let points = std::array::from_fn(|lane| {
         hits[lane].map(|hit| SurfacePoint::at(&world.scene, directions[lane], &hit, footprint(&hit)))
     });
-    let at = |lane: usize| {
+    let seen = |lane: usize| {
         let hit = hits[lane].expect("only points are asked for");
-        Interaction::at(&world.scene, &Ray::new(frame.eye, directions[lane]), &hit)
-            .with_footprint(footprint(&hit))
+        (Ray::new(frame.eye, directions[lane]), hit)
     };
-    let colors = world.tracer().base_together(&points, at, last);
+    let colors = world.tracer().base_together(&points, seen, last);
     std::array::from_fn(|lane| match (&hits[lane], &points[lane]) {
         (&Some(hit), Some(point)) => Surface {
             hit: Some(hit).into(),

@@ -3,18 +3,17 @@
 //! The first round follows paths to their end, so that all bounces of light are there; the next ones read what it found, as
 //! those of the bake do. Of a dense mesh one vertex speaks for those around it. Nothing in it is guessed: it is a short bake.
 
-use std::collections::HashMap;
-
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 
 use super::atlas::Atlas;
 use super::bake::{atlas_of, sides_of};
 use super::filter::{Noisy, Parts, Smoothing};
 use super::gathered::Gathered;
-use super::points::Points;
+use super::points::{Look, Points};
 use super::seen::seen;
-use super::sites::{Site, Sites};
+use super::sites::{NONE, Site, Sites};
 use super::stored::{Illumination, Summary, Value};
 use crate::transport::Indexed;
 use crate::transport::gather::{Gather, Trust};
@@ -23,10 +22,9 @@ use crate::transport::gather::{Gather, Trust};
 const TEXELS: u32 = 16 * 1024;
 /// Sites at which light is gathered, at most.
 const PLACES: usize = 32 * 1024;
-/// Samples of a site in each round.
-const SAMPLES: u32 = 4;
-/// Rounds that read what the ones before them found.
-const ROUNDS: u32 = 2;
+/// Samples of a site in each round. Those of the first one, whose paths are followed to their end, take three times as long
+/// as those of the next ones, which read what the ones before them found.
+const SAMPLES: [u32; 3] = [2, 6, 4];
 /// Sites that share the decision whether light can reach them.
 const BLOCK: usize = 64;
 
@@ -53,7 +51,7 @@ pub fn first_picture_while(
     let mut dark = vec![false; gathered.len().div_ceil(BLOCK)];
     let mut map = Illumination::default();
     let mut paths = 0;
-    for round in 0..=ROUNDS {
+    for (round, samples) in SAMPLES.into_iter().enumerate() {
         let trust = if round == 0 { Trust::Nobody } else { Trust::Map(&map) };
         let gather = Gather::new(scene, accel, lights, trust).without_named();
         let taken: u64 = gathered
@@ -63,13 +61,13 @@ pub fn first_picture_while(
                 let site = &sites.all()[i];
                 if dark[i / BLOCK]
                     || !is_wanted()
-                    || !sums.find_points((scene, accel), &atlas, &points, (site, true))
+                    || !sums.find_points((scene, accel), &atlas, &points, (site, Look::Few))
                 {
                     return 0;
                 }
                 sums.begin_round();
-                sums.gather(scene, (&atlas, &points), &gather, site, (seed, SAMPLES));
-                u64::from(SAMPLES)
+                sums.gather(scene, (&atlas, &points), &gather, site, (seed, samples));
+                u64::from(samples)
             })
             .sum();
         if !is_wanted() {
@@ -80,12 +78,13 @@ pub fn first_picture_while(
         let parts: Vec<Parts> = gathered.iter().map(|g| g.parts(0.0)).collect();
         let open: Vec<bool> = gathered.iter().map(Gathered::is_open).collect();
         let known = open.iter().enumerate().map(|(i, open)| *open && !dark[i / BLOCK]).collect();
-        let shown = if round < ROUNDS { parts } else { smoothed(sites, parts, known) };
+        let shown = if round + 1 < SAMPLES.len() { parts } else { smoothed(sites, parts, known) };
         let light = |i: usize| open[i].then(|| shown[i].iter().map(Noisy::mean).sum::<Vec3>());
         let straight = |i: usize| gathered[i].named().filter(|_| open[i]);
-        let [unnamed, named] = [places.of_all(&all, &light), places.of_all(&all, &straight)];
+        let unnamed = places.of_all(all.all().len(), &light);
+        let named = lights.has_any_named().then(|| places.of_all(all.all().len(), &straight));
         let has_indirect = shown.iter().any(|p| p[1].mean() != Vec3::ZERO);
-        map = stored(&atlas, &all, [&unnamed, &named], lights.has_any_named());
+        map = stored(&atlas, &all, (&unnamed, named.as_deref()));
         map.summary.particles = paths;
         map.summary.has_indirect = has_indirect;
     }
@@ -107,17 +106,23 @@ fn smoothed(sites: &Sites, parts: Vec<Parts>, known: Vec<bool>) -> Vec<Parts> {
 /// Sites that speak for others; all speak for themselves where they are few.
 struct Places {
     sites: Option<Sites>,
-    /// Per site of the scene, which of them speaks for it.
-    spokesman: Vec<u32>,
-    /// Width of what each speaks for.
-    size: f32,
+    /// Per site of the scene, who of them speaks for it.
+    speakers: Vec<Speakers>,
+}
+
+/// Who speaks for a site.
+struct Speakers {
+    /// The one of its cell.
+    own: u32,
+    /// Those half a width to its four sides, or [`NONE`]: where cells meet their values are mixed.
+    around: [u32; 4],
 }
 
 impl Places {
     /// At most [`PLACES`]: one of each cell of space and direction, cells as small as that allows.
     fn among(all: &Sites) -> Self {
         if all.all().len() <= PLACES {
-            return Self { sites: None, spokesman: Vec::new(), size: 0.0 };
+            return Self { sites: None, speakers: Vec::new() };
         }
         let widest = all.all().iter().map(|s| s.width).fold(0.0f32, f32::max);
         let mut size = widest.max(f32::MIN_POSITIVE);
@@ -130,60 +135,68 @@ impl Places {
             size *= 1.25;
             (chosen, spokesman) = cells(all, size);
         }
-        let wide = |i: &u32| {
-            let site = all.all()[*i as usize];
-            Site { width: site.width.max(size), ..site }
+        let wide = |site: &Site| Site { width: site.width.max(size), ..*site };
+        let sites = Sites::of(chosen.iter().map(|i| wide(&all.all()[*i as usize])).collect());
+        let speakers = |(site, &own): (&Site, &u32)| {
+            let (x, y) = site.normal.any_orthonormal_pair();
+            let wide = wide(site);
+            let beside = |way: Vec3| sites.beside(&wide, site.position + way * (0.5 * wide.width));
+            Speakers { own, around: [x, y, -x, -y].map(|way| beside(way).unwrap_or(NONE)) }
         };
-        Self { sites: Some(Sites::of(chosen.iter().map(wide).collect())), spokesman, size }
+        let speakers = all.all().par_iter().zip(&spokesman).map(speakers).collect();
+        Self { sites: Some(sites), speakers }
     }
 
-    /// What light at these places is light of all sites; `None` where nothing is known.
-    fn of_all(&self, all: &Sites, own: &(dyn Fn(usize) -> Option<Vec3> + Sync)) -> Vec<Option<Vec3>> {
-        let spoken = |i: usize, site: &Site| {
-            let sites = self.sites.as_ref()?;
-            let (x, y) = site.normal.any_orthonormal_pair();
-            // Where cells meet their values are mixed.
-            let around = [x, y, -x, -y].map(|way| {
-                let wide = Site { width: site.width.max(self.size), ..*site };
-                let place = site.position + way * (0.5 * wide.width);
-                sites.beside(&wide, place).and_then(|j| own(j as usize))
-            });
-            let found = around.iter().flatten();
-            let n = found.clone().count();
+    /// What light at these places is light of all sites, so many; `None` where nothing is known.
+    fn of_all(&self, count: usize, light: &(dyn Fn(usize) -> Option<Vec3> + Sync)) -> Vec<Option<Vec3>> {
+        if self.sites.is_none() {
+            return (0..count).into_par_iter().map(light).collect();
+        }
+        let spoken = |Speakers { own, around }: &Speakers| {
+            let around =
+                around.iter().filter(|place| **place != NONE).filter_map(|place| light(*place as usize));
+            let (sum, n) = around.fold((Vec3::ZERO, 0), |(sum, n), found| (sum + found, n + 1));
             // Where a surface curves too much for neighbours the own cell's is still there.
-            if n > 0 { Some(found.sum::<Vec3>() / n as f32) } else { own(self.spokesman[i] as usize) }
+            if n > 0 { Some(sum / n as f32) } else { light(*own as usize) }
         };
-        let value = |(i, site): (usize, &Site)| if self.sites.is_some() { spoken(i, site) } else { own(i) };
-        all.all().par_iter().enumerate().map(value).collect()
+        self.speakers.par_iter().map(spoken).collect()
     }
 }
 
-/// The map of light at all sites: what is not named, and what is.
-fn stored(atlas: &Atlas, all: &Sites, light: [&[Option<Vec3>]; 2], has_named: bool) -> Illumination {
+/// The map of light at all sites: what is not named, and what is, where there is any.
+fn stored(
+    atlas: &Atlas,
+    all: &Sites,
+    (unnamed, named): (&[Option<Vec3>], Option<&[Option<Vec3>]>),
+) -> Illumination {
     let none: Vec<Value> = vec![None; atlas.elements.len()];
-    let [unnamed, named] = light.map(|light| {
+    let sides = |light: &[Option<Vec3>]| {
         let mut sides = [none.clone(), none.clone()];
         for (site, value) in all.all().iter().zip(light) {
             sides[usize::from(site.back)][site.element as usize] = value.map(|v| v.extend(0.0));
         }
         sides
-    });
+    };
     let (mut power, mut area) = (Vec3::ZERO, 0.0);
     for (i, site) in all.all().iter().enumerate() {
         let e = &atlas.elements[site.element as usize];
-        power += light.iter().filter_map(|light| light[i]).sum::<Vec3>() * e.opaque;
+        let of_named = named.and_then(|named| named[i]);
+        power += [unnamed[i], of_named].into_iter().flatten().sum::<Vec3>() * e.opaque;
         area += 0.5 * e.opaque;
     }
     let mean = if area > 0.0 { (power / area).to_array() } else { [0.0; 3] };
-    let [front, back] = unnamed;
+    let [front, back] = sides(unnamed);
     let map =
         Illumination::new(atlas, front, back, Summary { mean, relative_error: 1.0, ..Summary::default() });
-    if has_named { map.with_named(atlas, named) } else { map }
+    match named {
+        Some(named) => map.with_named(atlas, sides(named)),
+        None => map,
+    }
 }
 
 /// The first site of each cell of this size and of each of six directions, and which of these is the one of each site.
 fn cells(all: &Sites, size: f32) -> (Vec<u32>, Vec<u32>) {
-    let mut cells: HashMap<(IVec3, usize), u32> = HashMap::new();
+    let mut cells: FxHashMap<(IVec3, usize), u32> = FxHashMap::default();
     let (mut chosen, mut of) = (Vec::new(), Vec::with_capacity(all.all().len()));
     for (i, site) in all.all().iter().enumerate() {
         let axis = site.normal.abs().max_position();

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::atlas::Atlas;
 use super::filter::{Noisy, Parts};
-use super::points::{CANDIDATES, Points};
+use super::points::{CANDIDATES, Look, Points};
 use super::sites::Site;
 use crate::rng::{Stream, hash};
 use crate::scene::Scene;
@@ -44,10 +44,10 @@ impl Gathered {
         seen_by: (&Scene, &crate::geometry::Accel),
         atlas: &Atlas,
         points: &Points,
-        (site, thorough): (&Site, bool),
+        (site, look): (&Site, Look),
     ) -> bool {
-        let look = || points.usable(seen_by, atlas, site.element, site.back, thorough);
-        *self.usable.get_or_insert_with(look) != 0
+        let usable = || points.usable(seen_by, atlas, site.element, site.back, look);
+        *self.usable.get_or_insert_with(usable) != 0
     }
 
     /// Whether there is anything to see of the site, as far as is known.

@@ -22,6 +22,24 @@ const RAYS: u32 = 4;
 /// Sets candidates apart from all other random numbers.
 const POINT: u64 = 0x0907;
 
+/// How closely one looks whether candidates are buried.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Look {
+    /// Whether any is free; then all are used.
+    Brief,
+    /// At a few of them, where few samples begin.
+    Few,
+    /// At each.
+    Close,
+}
+
+impl Look {
+    /// Candidates that are looked at, and used.
+    fn candidates(self) -> u32 {
+        if self == Self::Few { 4 } else { CANDIDATES }
+    }
+}
+
 /// A point of a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
@@ -121,19 +139,18 @@ impl Points {
         scene.is_opaque_at(point.triangle, point.b1, point.b2).then_some(point)
     }
 
-    /// Which candidates of one side of an element samples begin at, as bits; 0 where there is nothing to see of it. Not
-    /// `thorough`: only whether there is, and all of them.
+    /// Which candidates of one side of an element samples begin at, as bits; 0 where there is nothing to see of it.
     pub fn usable(
         &self,
         (scene, accel): (&Scene, &Accel),
         atlas: &Atlas,
         element: u32,
         back: bool,
-        thorough: bool,
+        look: Look,
     ) -> u16 {
         let width = atlas.width_of(element);
         let at = |k: u32| self.candidate(scene, atlas, element, k);
-        let covered: Vec<(u32, Point)> = (0..CANDIDATES).filter_map(|k| Some((k, at(k)?))).collect();
+        let covered: Vec<(u32, Point)> = (0..look.candidates()).filter_map(|k| Some((k, at(k)?))).collect();
         let bits = |of: &[(u32, Buried)], but: &dyn Fn(Buried) -> bool| {
             of.iter().filter(|(_, b)| but(*b)).fold(0u16, |bits, (k, _)| bits | 1 << k)
         };
@@ -145,7 +162,7 @@ impl Points {
         let step = (covered.len() as u32).div_ceil(RAYS).max(1) as usize;
         let all = || covered.iter().fold(0, |bits, (k, _)| bits | 1 << k);
         let free = |(k, p): &(u32, Point)| looks(*k, p, 1) == Buried::Free;
-        if covered.iter().step_by(step).all(free) || !thorough && covered.iter().any(free) {
+        if covered.iter().step_by(step).all(free) || look == Look::Brief && covered.iter().any(free) {
             return all();
         }
         let found: Vec<(u32, Buried)> = covered.iter().map(|(k, p)| (*k, looks(*k, p, RAYS))).collect();
@@ -287,12 +304,14 @@ mod tests {
             if element.area <= 0.0 || element.triangle > 1 {
                 continue;
             }
-            let usable = points.usable((&scene, &accel), &atlas, e, false, true);
+            let usable = points.usable((&scene, &accel), &atlas, e, false, Look::Close);
             let at = |k: &u32| points.candidate(&scene, &atlas, e, *k).map(|p| position(&scene, &p));
             let all: Vec<(u32, Vec3)> = (0..CANDIDATES).filter_map(|k| Some((k, at(&k)?))).collect();
             let buried = all.iter().filter(|(_, p)| under(*p)).count();
             if buried == 0 {
                 assert_eq!(usable.count_ones() as usize, all.len(), "{e}");
+                let few = points.usable((&scene, &accel), &atlas, e, false, Look::Few);
+                assert_eq!(few, usable & 0b1111, "{e}");
             } else if buried < all.len() {
                 mixed += 1;
                 let wrong = all.iter().filter(|(k, p)| under(*p) && usable >> k & 1 == 1).count();

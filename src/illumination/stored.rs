@@ -106,6 +106,31 @@ pub struct Illumination {
     pub summary: Summary,
 }
 
+/// The elements around a point, and how much each counts.
+enum Around {
+    /// The corners of its triangle, and their weights.
+    Vertices([usize; 3], [f32; 3]),
+    /// Four texels, and how far the point lies from the first of them towards the last.
+    Texels([usize; 4], Vec2),
+}
+
+impl Around {
+    /// The mean of their values.
+    #[inline]
+    fn mean(&self, value: &impl Fn(usize) -> Vec4) -> Vec4 {
+        match *self {
+            Self::Vertices(elements, weights) => {
+                let [a, b, c] = elements.map(value);
+                a * weights[0] + b * weights[1] + c * weights[2]
+            }
+            Self::Texels(elements, f) => {
+                let [a, b, c, d] = elements.map(value);
+                a.lerp(b, f.x).lerp(c.lerp(d, f.x), f.y)
+            }
+        }
+    }
+}
+
 /// Values of one side of an element: irradiance and the standard error of its luminance, or `None` where
 /// nothing is known, so that neighbours speak for it.
 pub type Value = Option<Vec4>;
@@ -204,27 +229,29 @@ impl Illumination {
 
     #[inline]
     fn interpolated(&self, triangle: u32, b1: f32, b2: f32, value: &impl Fn(usize) -> Vec4) -> Vec4 {
-        let Some(corners) = self.corners.get(triangle as usize) else {
-            return Vec4::ZERO;
-        };
-        match corners {
-            Corners::Vertices(v) => {
-                value(v[0] as usize) * (1.0 - b1 - b2).max(0.0)
-                    + value(v[1] as usize) * b1.max(0.0)
-                    + value(v[2] as usize) * b2.max(0.0)
-            }
-            Corners::Texels(uv) => self.bilinear(uv[0] * (1.0 - b1 - b2) + uv[1] * b1 + uv[2] * b2, value),
-        }
+        self.around(triangle, b1, b2).map_or(Vec4::ZERO, |around| around.mean(value))
     }
 
-    fn bilinear(&self, p: Vec2, value: &impl Fn(usize) -> Vec4) -> Vec4 {
-        let last = Vec2::new(self.width as f32 - 1.0, self.height as f32 - 1.0);
-        let p = (p - 0.5).max(Vec2::ZERO).min(last);
-        let (x, y) = (p.x as usize, p.y as usize);
-        let (x1, y1) = ((x + 1).min(self.width as usize - 1), (y + 1).min(self.height as usize - 1));
-        let f = p - Vec2::new(x as f32, y as f32);
-        let at = |x: usize, y: usize| value(y * self.width as usize + x);
-        at(x, y).lerp(at(x1, y), f.x).lerp(at(x, y1).lerp(at(x1, y1), f.x), f.y)
+    /// The elements around a point.
+    #[inline]
+    fn around(&self, triangle: u32, b1: f32, b2: f32) -> Option<Around> {
+        let b0 = 1.0 - b1 - b2;
+        Some(match self.corners.get(triangle as usize)? {
+            Corners::Vertices(v) => {
+                Around::Vertices(v.map(|v| v as usize), [b0.max(0.0), b1.max(0.0), b2.max(0.0)])
+            }
+            Corners::Texels(uv) => {
+                let p = uv[0] * b0 + uv[1] * b1 + uv[2] * b2;
+                let last = Vec2::new(self.width as f32 - 1.0, self.height as f32 - 1.0);
+                let p = (p - 0.5).max(Vec2::ZERO).min(last);
+                let (x, y) = (p.x as usize, p.y as usize);
+                let (right, below) =
+                    ((x + 1).min(self.width as usize - 1), (y + 1).min(self.height as usize - 1));
+                let at = |x: usize, y: usize| y * self.width as usize + x;
+                let texels = [at(x, y), at(right, y), at(x, below), at(right, below)];
+                Around::Texels(texels, p - Vec2::new(x as f32, y as f32))
+            }
+        })
     }
 
     #[inline]
@@ -371,8 +398,11 @@ impl Irradiance for Illumination {
     }
 
     fn unnamed(&self, triangle: u32, b1: f32, b2: f32, back: bool) -> Unnamed {
-        let rest = self.lookup_unnamed(triangle, b1, b2, back).truncate();
-        let named = self.named.is_some().then(|| self.lookup_named(triangle, b1, b2, back));
+        let Some(around) = self.around(triangle, b1, b2) else {
+            return Unnamed { rest: Vec3::ZERO, named: None };
+        };
+        let rest = around.mean(&|e| self.value(e, back)).truncate();
+        let named = self.named.is_some().then(|| around.mean(&|e| self.named_value(e, back)).truncate());
         Unnamed { rest, named: named.filter(|&named| named != Vec3::ZERO) }
     }
 

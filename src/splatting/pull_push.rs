@@ -119,7 +119,7 @@ impl PullPush {
     }
 
     /// What level `n` shows at the middle of a cell of the next finer level, or of a pixel, on its surface.
-    #[inline]
+    #[inline(always)] // a call for each pixel otherwise
     fn around(&self, n: usize, [x, y]: [usize; 2], key: Key) -> Option<Vec3> {
         let level = &self.levels[n];
         // The cell's parent and those on the side that it lies to.
@@ -170,9 +170,9 @@ fn halved(
     of: impl Fn(usize) -> (Key, Vec4) + Sync,
 ) -> Level {
     let (across, down) = (width.div_ceil(2), height.div_ceil(2));
-    let mut cells = vec![((0, 0.0), Vec4::ZERO); across * down];
-    let row = |(y, out): (usize, &mut [(Key, Vec4)])| {
-        for (x, out) in out.iter_mut().enumerate() {
+    let (mut keys, mut cells) = (vec![(0, 0.0); across * down], vec![Vec4::ZERO; across * down]);
+    let row = |(y, (keys, cells)): (usize, (&mut [Key], &mut [Vec4]))| {
+        for (x, (key, cell)) in keys.iter_mut().zip(cells).enumerate() {
             let mut children = [((0, f32::NAN), Vec4::ZERO); 4];
             for (k, child) in children.iter_mut().enumerate() {
                 let (cx, cy) = (2 * x + k % 2, 2 * y + k / 2);
@@ -180,16 +180,16 @@ fn halved(
                     *child = of(cy * width + cx);
                 }
             }
-            *out = joined(&children, alike, side as f32);
+            (*key, *cell) = joined(&children, alike, side as f32);
         }
     };
+    let across = across.max(1);
     if cells.len() < SHARED_FROM {
-        cells.chunks_mut(across.max(1)).enumerate().for_each(row);
+        keys.chunks_mut(across).zip(cells.chunks_mut(across)).enumerate().for_each(row);
     } else {
-        cells.par_chunks_mut(across.max(1)).enumerate().for_each(row);
+        keys.par_chunks_mut(across).zip(cells.par_chunks_mut(across)).enumerate().for_each(row);
     }
-    let (keys, cells) = cells.into_iter().unzip();
-    Level { width: across, height: down, keys, cells }
+    Level { width: width.div_ceil(2), height: down, keys, cells }
 }
 
 /// The surface that most of four show, and its samples. Diffuse surfaces have none.

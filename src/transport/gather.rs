@@ -33,14 +33,12 @@ use glam::Vec3;
 
 use super::bsdf::bands::Band;
 use super::bsdf::{Bsdf, cosine_hemisphere};
-use super::direct::{arriving, goes_straight, mis_weight, towards, visibilities};
+use super::direct::{arriving, goes_straight, mis_weight};
 use super::interaction::Interaction;
 use super::light::bright::BrightSurfaces;
-use super::light::named::{NAMED_MAX, named_sample};
+use super::light::named::NAMED_MAX;
 use super::light::{LightSample, Lights, Receiver, VisibleSky};
 use super::medium::Media;
-use crate::geometry::packet::LANES;
-use crate::geometry::shadow::LastShadow;
 use crate::geometry::{Accel, Hit, Ray};
 use crate::illumination::Irradiance;
 use crate::illumination::Unnamed;
@@ -49,6 +47,7 @@ use crate::scene::Scene;
 
 mod aimed;
 mod path;
+pub mod together;
 
 use path::{Dimension, Found, Path};
 
@@ -195,47 +194,6 @@ impl<'a> Gather<'a> {
             let arriving = |light| arriving(self.scene, self.accel, at, &media, light);
             finite(lights.iter().filter_map(|(value, light)| Some(*value * arriving(light)?)).sum())
         })
-    }
-
-    /// [`Self::named`] of up to sixteen neighbouring points in the open, those that `lanes` has a bit for and `point` tells
-    /// of, with its BSDF where that [may have a coat](Bsdf::may_have_coat): the same bits, from shadow rays that go together.
-    /// `last`: what threw the last shadows, for each light.
-    pub fn named_together(
-        &self,
-        lanes: u32,
-        point: impl Fn(usize) -> (Interaction, Option<Bsdf>),
-        last: &mut LastShadows,
-    ) -> [Vec3; LANES] {
-        let names: ArrayVec<u32, NAMED_MAX> = self.lights.names().collect();
-        let none = Ray::new(Vec3::ZERO, Vec3::Z);
-        let mut asked: ArrayVec<_, NAMED_MAX> =
-            names.iter().map(|_| (0u32, [none; LANES], [(0.0, Vec3::ZERO); LANES])).collect();
-        for lane in (0..LANES).filter(|lane| lanes >> lane & 1 != 0) {
-            let (at, bsdf) = point(lane);
-            for (&name, (asked, rays, light)) in names.iter().zip(&mut asked) {
-                let Some(sample) = named_sample(self.scene, name, at.position) else { continue };
-                let value = match &bsdf {
-                    Some(bsdf) => below_coat(&at, bsdf, sample.wi).0,
-                    None => cosine_above(&at, sample.wi),
-                };
-                if value > 0.0 {
-                    *asked |= 1 << lane;
-                    rays[lane] = towards(&at, &sample);
-                    light[lane] = (value, sample.radiance);
-                }
-            }
-        }
-        let mut sums = [Vec3::ZERO; LANES];
-        for ((asked, rays, light), last) in asked.iter().zip(&mut last.0) {
-            let passed = visibilities(self.scene, self.accel, rays, *asked, last);
-            for lane in (0..LANES).filter(|lane| asked >> lane & 1 != 0) {
-                if passed[lane].max_element() > 0.0 {
-                    let (value, radiance) = light[lane];
-                    sums[lane] += value * (radiance * passed[lane]);
-                }
-            }
-        }
-        sums.map(finite)
     }
 
     /// One sample of the irradiance on the side of a surface that `at` shows, which lies inside of `media`. Finite.
@@ -591,10 +549,6 @@ impl<'a> Gather<'a> {
         (path.throughput.max_element() > 0.0).then_some(path)
     }
 }
-
-/// What threw the last shadows of each named light ([`Gather::named_together`]).
-#[derive(Clone, Copy, Debug, Default)]
-pub struct LastShadows([LastShadow; NAMED_MAX]);
 
 /// The share of light from `wi` that a D part gets, cosine and coat, and the cosine alone; 0 from below the surface.
 fn below_coat(at: &Interaction, bsdf: &Bsdf, wi: Vec3) -> (f32, f32) {

@@ -20,13 +20,14 @@ use glam::Vec3;
 use super::bsdf::bands::Band;
 use super::bsdf::{Bsdf, BsdfSample};
 use super::direct::{Found, arriving, goes_straight, mis_weight};
-use super::gather::{Gather, LastShadows, Trust};
+use super::gather::together::{LastShadows, Together};
+use super::gather::{Gather, Trust};
 use super::interaction::Interaction;
 use super::light::Lights;
 use super::medium::Media;
 use super::surface::SurfacePoint;
 use crate::geometry::packet::LANES;
-use crate::geometry::{Accel, Ray};
+use crate::geometry::{Accel, Hit, Ray};
 use crate::illumination::Irradiance;
 use crate::illumination::Unnamed;
 use crate::rng::{Stream, unit_f32};
@@ -163,11 +164,11 @@ impl<W: Witness> Tracer<'_, W> {
     }
 
     /// [`Self::base`] of those of sixteen neighbouring points that there are: the same bits, from shadow rays that go
-    /// together. `at` tells of a point's number. `last`: what threw the last shadows.
+    /// together. `seen` tells how a point of such a number was found. `last`: what threw the last shadows.
     pub fn base_together(
         &self,
         points: &[Option<SurfacePoint>; LANES],
-        at: impl Fn(usize) -> Interaction,
+        seen: impl Fn(usize) -> (Ray, Hit),
         last: &mut LastShadows,
     ) -> [Vec3; LANES] {
         let mut lit = 0;
@@ -178,16 +179,17 @@ impl<W: Witness> Tracer<'_, W> {
             light[lane] = (diffuse, rest);
             lit |= u32::from(named.is_some()) << lane;
         }
-        let bsdf = |lane: usize| {
-            let at = at(lane);
-            let may_have_coat = Bsdf::may_have_coat(at.material(self.scene));
-            (at, may_have_coat.then(|| Bsdf::over(self.scene, &at, light[lane].0)))
-        };
-        let named = if lit == 0 {
-            [Vec3::ZERO; LANES]
-        } else {
-            Gather::new(self.scene, self.accel, self.lights, Trust::Nobody).named_together(lit, bsdf, last)
-        };
+        let mut named = [Vec3::ZERO; LANES];
+        if lit != 0 {
+            let mut together = Together::new(self.scene, self.accel, self.lights);
+            for (lane, point) in points.iter().enumerate().filter(|(lane, _)| lit >> lane & 1 != 0) {
+                let (ray, hit) = seen(lane);
+                let mut at = Interaction::at(self.scene, &ray, &hit);
+                at.footprint = point.as_ref().map_or(0.0, |point| point.footprint);
+                together.ask(lane, &at, light[lane].0);
+            }
+            named = together.irradiance(last);
+        }
         std::array::from_fn(|lane| {
             let Some(point) = &points[lane] else { return Vec3::ZERO };
             let (diffuse, rest) = light[lane];

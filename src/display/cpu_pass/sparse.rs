@@ -2,27 +2,27 @@
 //! others has its own. Edges of objects are where they are in the whole picture, to the pixel, but for what is thinner
 //! than the rays are apart (two or three pixels); so are edges of diffuse surfaces, which share an id, where they show.
 
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 
 use super::{BLOCK, Band, PACKET, Surface, beyond};
 use crate::display::PrimaryHit;
 use crate::display::tone::ToneMap;
 use crate::image::luminance;
-use crate::transport::gather::LastShadows;
+use crate::transport::gather::together::LastShadows;
 
 /// Columns and rows of a block where rays go first: its edges among them, so that a block needs nothing of its
 /// neighbours.
 const FIRST: [usize; PACKET] = [0, 2, 5, 7];
-/// For each column or row the two of [`FIRST`] that it lies between, by number, and how far it is from one to the other.
-const BETWEEN: [([usize; 2], f32); BLOCK] = [
-    ([0, 0], 0.0),
-    ([0, 1], 1.0 / 2.0),
-    ([1, 1], 0.0),
-    ([1, 2], 1.0 / 3.0),
-    ([1, 2], 2.0 / 3.0),
-    ([2, 2], 0.0),
-    ([2, 3], 1.0 / 2.0),
-    ([3, 3], 0.0),
+/// Columns or rows that lie between the same two of [`FIRST`], which are told by number: each, and how far it is from one to
+/// the other.
+const SPANS: [([usize; 2], &[(usize, f32)]); 7] = [
+    ([0, 0], &[(0, 0.0)]),
+    ([0, 1], &[(1, 1.0 / 2.0)]),
+    ([1, 1], &[(2, 0.0)]),
+    ([1, 2], &[(3, 1.0 / 3.0), (4, 2.0 / 3.0)]),
+    ([2, 2], &[(5, 0.0)]),
+    ([2, 3], &[(6, 1.0 / 2.0)]),
+    ([3, 3], &[(7, 0.0)]),
 ];
 /// Colours agree that differ by less than this share of the light there is.
 const TOLERANCE: f32 = 1.0 / 4.0;
@@ -45,35 +45,58 @@ pub(super) fn block(
     };
     let grid = |lane: usize| band.inside([left + FIRST[lane % PACKET], FIRST[lane / PACKET]]);
     let mut rays = band.packet(grid, last, &mut keep);
-    let mut open = [[0; 2]; BLOCK * BLOCK];
-    let mut count = 0;
     let near = Near::of(band);
-    for (row, (lines, down)) in BETWEEN.into_iter().enumerate().take(rows) {
-        for (column, (sides, aside)) in BETWEEN.into_iter().enumerate().take(columns) {
+    let is_even = near.is_even(&first);
+    // A bit for each pixel that has a ray of its own.
+    let mut open = 0u64;
+    for (lines, down) in SPANS {
+        for (sides, aside) in SPANS {
             if lines[0] == lines[1] && sides[0] == sides[1] {
                 continue;
             }
-            let corner = |i: usize| first[lines[i / 2] * PACKET + sides[i % 2]];
-            let between = || {
-                let corners = [corner(0)?, corner(1)?, corner(2)?, corner(3)?];
-                let direction = band.direction(left + column, band.top + row);
-                near.between(band, direction, &corners, [aside, down])
+            let pixels = down.iter().flat_map(|down| aside.iter().map(move |aside| (*aside, *down)));
+            let mut shown = pixels.filter(|((column, _), (row, _))| *column < columns && *row < rows);
+            let corner = |i: usize| first[lines[i / 2] * PACKET + sides[i % 2]].as_ref();
+            let corners = || Some([corner(0)?, corner(1)?, corner(2)?, corner(3)?]);
+            let agreed = corners().and_then(|corners| Some((corners, near.agreed(&corners, is_even)?)));
+            let Some((corners, agreed)) = agreed else {
+                open |= shown.fold(0, |open, ((column, _), (row, _))| open | 1 << (row * BLOCK + column));
+                continue;
             };
-            match between() {
-                Some(surface) => tell(left + column, row, &surface),
-                None => {
-                    open[count] = [left + column, row];
-                    count += 1;
+            for ((column, aside), (row, down)) in &mut shown {
+                let direction = || band.direction(left + column, band.top + row);
+                match near.between(band, &direction, (&corners, agreed), [aside, down]) {
+                    Some(surface) => tell(left + column, row, &surface),
+                    None => open |= 1 << (row * BLOCK + column),
                 }
             }
         }
     }
-    for pixels in open[..count].chunks(PACKET * PACKET) {
+    let mut pixels = [[0; 2]; PACKET * PACKET];
+    while open != 0 {
+        let mut count = 0;
+        while open != 0 && count < pixels.len() {
+            let pixel = open.trailing_zeros() as usize;
+            open &= open - 1;
+            pixels[count] = [left + pixel % BLOCK, pixel / BLOCK];
+            count += 1;
+        }
         // Lanes without a pixel go with the last one.
-        let pixel = |lane: usize| (pixels[lane.min(pixels.len() - 1)], lane < pixels.len());
+        let pixel = |lane: usize| (pixels[lane.min(count - 1)], lane < count);
         rays += band.packet(pixel, last, tell);
     }
     rays
+}
+
+/// What four rays agree on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Agreed {
+    /// They meet nothing.
+    Beyond,
+    /// They meet one triangle.
+    Triangle,
+    /// They meet one object.
+    Object,
 }
 
 /// What surfaces must have in common for that between them to be interpolated.
@@ -87,49 +110,80 @@ impl Near {
         Self { dark: DARK * ToneMap::from(&band.world.scene.display).white() }
     }
 
-    /// What is seen along `direction`, which lies between the four corners of a rectangle, `aside` from left to right and
-    /// `down` from top to bottom, as shares of its sides. `None` where they do not agree.
+    /// Whether what all rays of a block show is so alike that any four of them agree.
+    fn is_even(&self, first: &[Option<Surface>; PACKET * PACKET]) -> bool {
+        let Some(one) = &first[0] else { return false };
+        let (mut least, mut most, mut is_one) = (one.color, one.color, true);
+        for surface in first {
+            let Some(surface) = surface else { return false };
+            is_one &= surface.object == one.object && !surface.hit.is_miss() && surface.color.is_finite();
+            (least, most) = (least.min(surface.color), most.max(surface.color));
+        }
+        // The brightest of any four are no darker than the darkest of all.
+        is_one && self.are_alike(least, most, least)
+    }
+
+    /// Whether colours from `least` to `most` differ little beside one of them.
+    #[inline]
+    fn are_alike(&self, least: Vec3, most: Vec3, beside: Vec3) -> bool {
+        (most - least).max_element() <= TOLERANCE * (luminance(beside) + self.dark)
+    }
+
+    /// What the corners of a rectangle agree on, if they do; `is_even`: what is known of all of the block.
+    #[inline]
+    fn agreed(&self, corners: &[&Surface; 4], is_even: bool) -> Option<Agreed> {
+        let [one, others @ ..] = corners;
+        if !is_even {
+            if corners.iter().any(|c| c.hit.is_miss()) {
+                // What is beyond a scene is known everywhere.
+                return corners.iter().all(|c| c.hit.is_miss()).then_some(Agreed::Beyond);
+            }
+            if others.iter().any(|c| c.object != one.object) {
+                return None;
+            }
+            let [a, b, c, d] = corners.map(|c| c.color);
+            let (least, most) = (a.min(b).min(c).min(d), a.max(b).max(c).max(d));
+            // What is not a number, or without bound, agrees with nothing: it would be spread over what lies around it.
+            let are_finite = a.is_finite() && b.is_finite() && c.is_finite() && d.is_finite();
+            if !are_finite || !self.are_alike(least, most, most) {
+                return None;
+            }
+        }
+        let is_one_triangle = others.iter().all(|c| c.hit.triangle == one.hit.triangle);
+        Some(if is_one_triangle { Agreed::Triangle } else { Agreed::Object })
+    }
+
+    /// What is seen along `direction`, which lies between the four corners of a rectangle that agree, `aside` from left to
+    /// right and `down` from top to bottom, as shares of its sides. `None` where that is nowhere.
+    #[inline]
     fn between(
         &self,
         band: &Band<'_>,
-        direction: Vec3,
-        corners: &[Surface; 4],
+        direction: &impl Fn() -> Vec3,
+        (corners, agreed): (&[&Surface; 4], Agreed),
         [aside, down]: [f32; 2],
     ) -> Option<Surface> {
+        if agreed == Agreed::Beyond {
+            return Some(beyond(band.world, direction()));
+        }
         let weights =
             [(1.0 - aside) * (1.0 - down), aside * (1.0 - down), (1.0 - aside) * down, aside * down];
-        let nearest = &corners[usize::from(aside > 0.5) + 2 * usize::from(down > 0.5)];
-        if corners.iter().any(|c| c.hit.is_miss()) {
-            // What is beyond a scene is known everywhere.
-            return corners.iter().all(|c| c.hit.is_miss()).then(|| beyond(band.world, direction));
-        }
-        let is_one_triangle = corners.iter().all(|c| c.hit.triangle == nearest.hit.triangle);
-        if corners.iter().any(|c| c.object != nearest.object) {
-            return None;
-        }
-        let colors = corners.map(|c| c.color);
-        let least = colors.into_iter().reduce(Vec3::min)?;
-        let most = colors.into_iter().reduce(Vec3::max)?;
-        // What is not a number, or without bound, agrees with nothing: it would be spread over what lies around it.
-        let are_finite = colors.iter().all(|c| c.is_finite());
-        if !are_finite || (most - least).max_element() > TOLERANCE * (luminance(most) + self.dark) {
-            return None;
-        }
-        let color = weights.iter().zip(colors).map(|(w, c)| *w * c).sum();
-        if !is_one_triangle {
+        let nearest = corners[usize::from(aside > 0.5) + 2 * usize::from(down > 0.5)];
+        let color = weights.iter().zip(corners).map(|(w, c)| *w * c.color).sum();
+        if agreed == Agreed::Object {
             // A sample that goes on from the nearest hit begins less than two pixels beside its own.
             return Some(Surface { color, ..*nearest });
         }
         // On a plane the reciprocal of depth is linear in the picture, and so is what is linear on it over depth.
-        let mean = |of: &dyn Fn(&Surface) -> f32| -> f32 {
-            weights.iter().zip(corners).map(|(w, c)| w * of(c) / c.depth).sum()
-        };
-        let depth = mean(&|_| 1.0).recip();
+        let of = |value: &dyn Fn(&Surface) -> f32| Vec4::from_array(corners.map(value));
+        let (weights, depths) = (Vec4::from_array(weights), of(&|c| c.depth));
+        let mean = |weighted: Vec4| (weighted / depths).to_array().into_iter().sum::<f32>();
+        let depth = mean(weights).recip();
         let hit = PrimaryHit {
-            t: depth / direction.dot(band.frame.forward),
+            t: depth / direction().dot(band.frame.forward),
             triangle: nearest.hit.triangle,
-            b1: depth * mean(&|c| c.hit.b1),
-            b2: depth * mean(&|c| c.hit.b2),
+            b1: depth * mean(weights * of(&|c| c.hit.b1)),
+            b2: depth * mean(weights * of(&|c| c.hit.b2)),
         };
         let is_there = depth > 0.0 && hit.t.is_finite() && hit.b1.is_finite() && hit.b2.is_finite();
         is_there.then_some(Surface { hit, color, depth, ..*nearest })
@@ -292,15 +346,22 @@ mod tests {
             object: 0,
             texture: crate::display::TextureLevel::NONE,
         };
+        let near = Near::of(&band);
         let between = |corners: &[Surface; 4]| {
-            Near::of(&band).between(&band, band.direction(4, 4), corners, [0.5, 0.5]).is_some()
+            let corners = corners.each_ref();
+            let agreed = near.agreed(&corners, false)?;
+            near.between(&band, &|| band.direction(4, 4), (&corners, agreed), [0.5, 0.5])
         };
-        assert!(between(&[corner; 4]));
+        assert!(between(&[corner; 4]).is_some());
+        assert!(near.is_even(&[Some(corner); 16]) && !near.is_even(&[None; 16]));
         for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             for i in 0..4 {
                 let mut corners = [corner; 4];
                 corners[i].color.y = bad;
-                assert!(!between(&corners), "{bad} {i}");
+                assert!(between(&corners).is_none(), "{bad} {i}");
+                let mut all = [Some(corner); 16];
+                all[5 * i] = Some(corners[i]);
+                assert!(!near.is_even(&all), "{bad} {i}");
             }
         }
     }

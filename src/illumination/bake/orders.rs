@@ -12,6 +12,7 @@ use super::particles::Arrived;
 use super::rounds::{FIRST_ROUND, ROUNDS_MAX};
 use super::{AHEAD, BATCH, BLOCK, Baker, Doing, FIRST_LOOK, UNSEEN};
 use crate::illumination::gathered::Gathered;
+use crate::illumination::points::Look;
 use crate::illumination::stored::Illumination;
 use crate::transport::Indexed;
 use crate::transport::gather::Trust;
@@ -182,7 +183,8 @@ impl Baker {
         let at = |&(site, mut sums): &(u32, Gathered)| {
             let i = site as usize;
             let site = &self.sites.all()[i];
-            if !sums.find_points((indexed.scene, indexed.accel), atlas, points, (site, self.seen[i])) {
+            let look = if self.seen[i] { Look::Close } else { Look::Brief };
+            if !sums.find_points((indexed.scene, indexed.accel), atlas, points, (site, look)) {
                 return sums;
             }
             let count = self.samples_at(i, order.samples, order.first);

@@ -1,5 +1,7 @@
 //! Samples of former views as they reach the layer: of many a view most of what is splatted (Haber 2001 §4.3; REFERENCE §11).
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use rayon::prelude::*;
 
 use super::{Footprint, OWN, Paint, Shown, SplatLayer, place_of, rank};
@@ -10,6 +12,8 @@ use crate::splatting::WarpedSample;
 const BAND: usize = 16;
 /// Fewer warped samples than these are painted by one.
 const BANDED_FROM: usize = 256;
+/// Warped samples that one thread sorts into bands at a time.
+const PART: usize = 4096;
 
 /// Pixels that samples may still be painted on where those of each object come with falling rank, a bit each: finer samples
 /// have painted most of what a coarse one covers, and 64 such pixels are passed over at once.
@@ -83,17 +87,8 @@ impl SplatLayer {
             return 0;
         }
         self.is_guided[0] |= samples.iter().any(|s| !s.guide.is_nan());
-        // The samples that reach each band, the last first.
         let rows = if samples.len() < BANDED_FROM { height } else { BAND };
-        let mut reach = vec![Vec::new(); height.div_ceil(rows)];
-        let seen = in_sight(samples, objects, depths);
-        for i in (0..samples.len()).rev().filter(|&i| seen[i]) {
-            let (y, r) = (usize::from(samples[i].y), usize::from(samples[i].half_side));
-            let last = ((y + r) / rows).min(reach.len() - 1);
-            for band in reach.iter_mut().take(last + 1).skip(y.saturating_sub(r) / rows) {
-                band.push(i);
-            }
-        }
+        let reach = reach(samples, (objects, depths), rows);
         let pixels = rows * width;
         let Self { color, rank, source, place, carried, is_guided: [is_guided, _], .. } = self;
         let mut carried = is_guided.then(|| carried.data_mut().chunks_mut(pixels));
@@ -105,39 +100,59 @@ impl SplatLayer {
                 Paint { ranks, colors, sources, places, carried }
             })
             .zip(objects.data().chunks(pixels))
-            .zip(&reach)
             .enumerate()
             .collect();
         let keeps_own = self.footprint == Footprint::Smooth;
         // Diffuse surfaces, most of many a picture, have no samples.
         let has_diffuse = samples.iter().any(|s| s.object == 0);
         let ids = objects.data().iter().max().map_or(0, |&id| id as usize + 1);
-        let painted = bands.into_par_iter().map(|(band, ((paint, objects), reach))| {
-            let band = Band { top: band * rows, width, objects, has_diffuse, ids, keeps_own };
-            band.splat_warped(paint, samples, reach)
+        let painted: Vec<AtomicBool> = samples.iter().map(|_| AtomicBool::new(false)).collect();
+        bands.into_par_iter().for_each(|(number, (paint, objects))| {
+            let band = Band { top: number * rows, width, objects, has_diffuse, ids, keeps_own };
+            let reach = reach.iter().flat_map(|bands| &bands[number]).map(|&i| i as usize);
+            band.splat_warped(paint, samples, reach, |i| painted[i].store(true, Ordering::Relaxed));
         });
-        let mut any = vec![false; samples.len()];
-        painted.collect::<Vec<_>>().into_iter().flatten().for_each(|i| any[i] = true);
-        any.into_iter().filter(|painted| *painted).count()
+        painted.into_iter().filter_map(|painted| painted.into_inner().then_some(())).count()
     }
 }
 
-/// Which warped samples are not hidden.
-fn in_sight(samples: &[WarpedSample], objects: &Map2d<u32>, depths: &Map2d<f32>) -> Vec<bool> {
+/// The samples in sight that reach each band of so many rows, the last of all first: band by band for each of some parts of
+/// the samples, which follow each other.
+fn reach(
+    samples: &[WarpedSample],
+    (objects, depths): (&Map2d<u32>, &Map2d<f32>),
+    rows: usize,
+) -> Vec<Vec<Vec<u32>>> {
+    let bands = objects.height().div_ceil(rows);
+    // From the end: the first part is the one that holds the finest.
+    let parts = samples.par_rchunks(PART).enumerate().map(|(part, some)| {
+        let mut reach = vec![Vec::new(); bands];
+        let start = samples.len() - part * PART - some.len();
+        for (i, s) in some.iter().enumerate().rev().filter(|(_, s)| is_in_sight(s, objects, depths)) {
+            let (y, r) = (usize::from(s.y), usize::from(s.half_side));
+            let last = ((y + r) / rows).min(bands - 1);
+            for band in &mut reach[y.saturating_sub(r) / rows..=last] {
+                band.push((start + i) as u32);
+            }
+        }
+        reach
+    });
+    parts.collect()
+}
+
+/// Whether a warped sample is not hidden.
+#[inline]
+fn is_in_sight(s: &WarpedSample, objects: &Map2d<u32>, depths: &Map2d<f32>) -> bool {
     let (width, height) = (objects.width() as i32, objects.height() as i32);
     let (ids, depths) = (objects.data(), depths.data());
-    let seen = samples.par_iter().with_min_len(BANDED_FROM).map(|s| {
-        let (cx, cy) = (i32::from(s.x), i32::from(s.y));
-        let matches = |x: i32, y: i32| {
-            let i = (y * width + x) as usize;
-            ids[i] == s.object && (depths[i] - s.depth).abs() <= s.depth_tolerance
-        };
-        matches(cx, cy)
-            || (cy - 1..=cy + 1).any(|y| {
-                (cx - 1..=cx + 1).any(|x| x >= 0 && y >= 0 && x < width && y < height && matches(x, y))
-            })
-    });
-    seen.collect()
+    let (cx, cy) = (i32::from(s.x), i32::from(s.y));
+    let matches = |x: i32, y: i32| {
+        let i = (y * width + x) as usize;
+        ids[i] == s.object && (depths[i] - s.depth).abs() <= s.depth_tolerance
+    };
+    matches(cx, cy)
+        || (cy - 1..=cy + 1)
+            .any(|y| (cx - 1..=cx + 1).any(|x| x >= 0 && y >= 0 && x < width && y < height && matches(x, y)))
 }
 
 /// Some rows of a layer, on which warped samples are painted.
@@ -156,8 +171,14 @@ struct Band<'a> {
 }
 
 impl Band<'_> {
-    /// Paints the samples of which `reach` has the indices, in that order; returns those that painted something.
-    fn splat_warped(&self, mut paint: Paint<'_>, samples: &[WarpedSample], reach: &[usize]) -> Vec<usize> {
+    /// Paints the samples of which `reach` has the indices, in that order; tells those that painted something.
+    fn splat_warped(
+        &self,
+        mut paint: Paint<'_>,
+        samples: &[WarpedSample],
+        reach: impl Iterator<Item = usize>,
+        tell: impl Fn(usize),
+    ) {
         let (width, ids) = (self.width, self.objects);
         let bottom = self.top + ids.len() / width;
         let is_open = |i: usize| ids[i] != 0 || self.has_diffuse;
@@ -165,8 +186,7 @@ impl Band<'_> {
         open.open(is_open);
         // The rank of the last sample of each object in sight.
         let mut last = vec![u32::MAX; self.ids];
-        let mut painted = Vec::new();
-        for &i in reach {
+        for i in reach {
             let s = &samples[i];
             let (cx, cy, r) = (usize::from(s.x), usize::from(s.y), usize::from(s.half_side));
             let own = rank(u32::from(s.k), u32::from(s.age).max(1));
@@ -175,19 +195,7 @@ impl Band<'_> {
                 open.open(is_open);
             }
             let mut any = false;
-            let columns = cx.saturating_sub(r)..(cx + r + 1).min(width);
-            for y in cy.saturating_sub(r).max(self.top)..(cy + r + 1).min(bottom) {
-                open.visit(y - self.top, columns.clone(), |i| {
-                    if ids[i] != s.object {
-                        return true;
-                    }
-                    if paint.ranks[i] < own {
-                        paint.put(i, own, &shown);
-                        any = true;
-                    }
-                    false
-                });
-            }
+            // Before the others, which it is above: most samples are small and reach no pixel but their own.
             if self.keeps_own && (self.top..bottom).contains(&cy) {
                 let at = (cy - self.top) * width + cx;
                 if cx < width && ids[at] == s.object && paint.ranks[at] < own | OWN {
@@ -195,10 +203,24 @@ impl Band<'_> {
                     any = true;
                 }
             }
+            if r > 0 || !self.keeps_own {
+                let columns = cx.saturating_sub(r)..(cx + r + 1).min(width);
+                for y in cy.saturating_sub(r).max(self.top)..(cy + r + 1).min(bottom) {
+                    open.visit(y - self.top, columns.clone(), |i| {
+                        if ids[i] != s.object {
+                            return true;
+                        }
+                        if paint.ranks[i] < own {
+                            paint.put(i, own, &shown);
+                            any = true;
+                        }
+                        false
+                    });
+                }
+            }
             if any {
-                painted.push(i);
+                tell(i);
             }
         }
-        painted
     }
 }

@@ -3,7 +3,7 @@
 use glam::Vec3;
 
 use super::layers::{self, Read};
-use super::{Bsdf, Coat, Facet, Lobe};
+use super::{Bsdf, Coat, CoatAt, Facet, Lobe};
 use crate::scene::microfacet::Microfacet;
 use crate::scene::recipe::Made;
 #[cfg(doc)]
@@ -51,6 +51,22 @@ impl Bsdf {
             },
             _ => Self::of_others(scene, material, at, diffuse),
         }
+    }
+
+    /// What lies over a diffuse part of known albedo, as in [`Self::over`]; `None` where [`Self::coat_factor`] is 1 on all
+    /// surfaces of the material.
+    #[inline]
+    pub fn coat_over(scene: &Scene, at: &Interaction, diffuse: Vec3) -> Option<CoatAt> {
+        let material = at.material(scene);
+        if !Self::may_have_coat(material) {
+            return None;
+        }
+        let normal = at.facing_shading();
+        if let Model::Plastic { coat, .. } = &material.model {
+            let is_bare = coat.is_none() || is_black(material, at);
+            return (!is_bare).then_some(CoatAt { normal, coat: Coat::Dielectric(*coat) });
+        }
+        Some(CoatAt { coat: Self::over(scene, at, diffuse).coat, normal })
     }
 
     /// A diffuse part and nothing else.

@@ -144,6 +144,36 @@ enum Coat {
     OnGlass(Coated),
 }
 
+impl Coat {
+    /// [`Bsdf::coat_factor`] at a cosine with its normal.
+    #[inline]
+    fn factor(&self, cosine: f32) -> f32 {
+        match self {
+            Self::None | Self::OnGlass(_) => 1.0,
+            Self::Dielectric(coat) => coat.factor(cosine),
+            Self::Layer { f0, f90, alpha, kept, over } => {
+                let over = over.map_or(1.0, |over| over.kept(cosine) / over.kept_mean());
+                over * (1.0 - LobeAlbedo::table().layer(*f0, *f90, cosine, *alpha)) / kept
+            }
+        }
+    }
+}
+
+/// What lies over the diffuse part at a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CoatAt {
+    normal: Vec3,
+    coat: Coat,
+}
+
+impl CoatAt {
+    /// [`Bsdf::coat_factor`].
+    #[inline]
+    pub fn factor(&self, wo: Vec3) -> f32 {
+        self.coat.factor(wo.dot(self.normal).max(0.0))
+    }
+}
+
 /// The reflectance at one point, for one side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bsdf {
@@ -178,19 +208,11 @@ impl Bsdf {
     /// How much more or less of the diffuse light leaves towards `wo` than on average: T(wo) / T̄ under a coat that lets
     /// T of the light cross, 1 otherwise.
     pub fn coat_factor(&self, wo: Vec3) -> f32 {
-        let cosine = wo.dot(self.normal).max(0.0);
-        match self.coat {
-            Coat::None | Coat::OnGlass(_) => 1.0,
-            Coat::Dielectric(coat) => coat.factor(cosine),
-            Coat::Layer { f0, f90, alpha, kept, over } => {
-                let over = over.map_or(1.0, |over| over.kept(cosine) / over.kept_mean());
-                over * (1.0 - LobeAlbedo::table().layer(f0, f90, cosine, alpha)) / kept
-            }
-        }
+        self.coat.factor(wo.dot(self.normal).max(0.0))
     }
 
     /// Whether [`Self::coat_factor`] may be other than 1 on a surface of this material.
-    pub fn may_have_coat(material: &Material) -> bool {
+    fn may_have_coat(material: &Material) -> bool {
         match &material.model {
             Model::Plastic { .. } => true,
             Model::MetalRough(m) => !m.is_diffuse,

@@ -400,6 +400,33 @@ fn the_first_picture_is_near_the_closed_form() {
     assert!(map.summary.relative_error > 0.0);
 }
 
+/// Of a floor of more vertices than places one in each cell is asked, and its light is that of all around.
+#[test]
+fn few_vertices_of_a_dense_mesh_speak_for_all() {
+    let floor = |x: f32, y: f32| Vec3::new(5.0 * x - 2.5, 0.0, 2.5 - 5.0 * y);
+    let mut mesh = grid(200, 200, floor);
+    assert!(mesh.positions.len() > 32 * 1024);
+    join(&mut mesh, &quad(Vec3::new(-0.5, 1.0, -0.5), Vec3::X, Vec3::Z), 1);
+    let materials = || vec![lambert(1e-6, 0.0), lambert(0.01, 1.0 / std::f32::consts::PI)];
+    let sun = Light::Directional { direction: Vec3::NEG_Y, irradiance: Vec3::ONE };
+    for lights in [Vec::new(), vec![sun]] {
+        let has_sun = !lights.is_empty();
+        let mut scene = scene(mesh.clone(), materials(), lights);
+        scene.cameras[0].camera.eye = Vec3::new(0.0, 0.7, 2.0);
+        let map = with(&scene, |indexed| first_picture(indexed, 1));
+        assert_eq!(map.has_named(), has_sun, "nothing is kept apart that there is not");
+        let sun = f32::from(u8::from(has_sun));
+        // Not under the lamp, where the sun does not reach; the lamp alone at both places.
+        for (x, lamp) in [(0.0, 0.239_456), (2.0, 0.003_93)] {
+            let found = on_floor(&map, &scene.mesh, x, x).x;
+            let expected = lamp + if x > 0.5 { sun } else { 0.0 };
+            assert!((found / expected - 1.0).abs() < 0.3, "{x}: {found} {expected}");
+        }
+        let (samples, sites) = (map.summary.particles, 2 * mesh.positions.len() as u64);
+        assert!(samples <= 12 * 32 * 1024 && samples < 6 * sites, "{samples} samples for {sites} sites");
+    }
+}
+
 #[test]
 fn a_scene_without_light_or_surfaces_is_dark_and_done() {
     let dark = scene(quad(Vec3::ZERO, Vec3::X, Vec3::Y), vec![lambert(0.5, 0.0)], Vec::new());

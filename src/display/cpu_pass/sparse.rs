@@ -15,7 +15,8 @@ use crate::transport::gather::together::LastShadows;
 const FIRST: [usize; PACKET] = [0, 2, 5, 7];
 /// Columns or rows that lie between the same two of [`FIRST`], which are told by number: each, and how far it is from one to
 /// the other.
-const SPANS: [([usize; 2], &[(usize, f32)]); 7] = [
+type Span = ([usize; 2], &'static [(usize, f32)]);
+const SPANS: [Span; 7] = [
     ([0, 0], &[(0, 0.0)]),
     ([0, 1], &[(1, 1.0 / 2.0)]),
     ([1, 1], &[(2, 0.0)]),
@@ -55,7 +56,7 @@ pub(super) fn block(
                 continue;
             }
             let pixels = down.iter().flat_map(|down| aside.iter().map(move |aside| (*aside, *down)));
-            let mut shown = pixels.filter(|((column, _), (row, _))| *column < columns && *row < rows);
+            let shown = pixels.filter(|((column, _), (row, _))| *column < columns && *row < rows);
             let corner = |i: usize| first[lines[i / 2] * PACKET + sides[i % 2]].as_ref();
             let corners = || Some([corner(0)?, corner(1)?, corner(2)?, corner(3)?]);
             let agreed = corners().and_then(|corners| Some((corners, near.agreed(&corners, is_even)?)));
@@ -63,7 +64,7 @@ pub(super) fn block(
                 open |= shown.fold(0, |open, ((column, _), (row, _))| open | 1 << (row * BLOCK + column));
                 continue;
             };
-            for ((column, aside), (row, down)) in &mut shown {
+            for ((column, aside), (row, down)) in shown {
                 let direction = || band.direction(left + column, band.top + row);
                 match near.between(band, &direction, (&corners, agreed), [aside, down]) {
                     Some(surface) => tell(left + column, row, &surface),

@@ -416,7 +416,7 @@ fn few_vertices_of_a_dense_mesh_speak_for_all() {
         let map = with(&scene, |indexed| first_picture(indexed, 1));
         assert_eq!(map.has_named(), has_sun, "nothing is kept apart that there is not");
         let sun = f32::from(u8::from(has_sun));
-        // Not under the lamp, where the sun does not reach; the lamp alone at both places.
+        // The lamp keeps the sun from what is under it.
         for (x, lamp) in [(0.0, 0.239_456), (2.0, 0.003_93)] {
             let found = on_floor(&map, &scene.mesh, x, x).x;
             let expected = lamp + if x > 0.5 { sun } else { 0.0 };

@@ -183,9 +183,10 @@ impl<W: Witness> Tracer<'_, W> {
         if lit != 0 {
             let mut together = Together::new(self.scene, self.accel, self.lights);
             for (lane, point) in points.iter().enumerate().filter(|(lane, _)| lit >> lane & 1 != 0) {
+                let Some(point) = point else { continue };
                 let (ray, hit) = seen(lane);
                 let mut at = Interaction::at(self.scene, &ray, &hit);
-                at.footprint = point.as_ref().map_or(0.0, |point| point.footprint);
+                at.footprint = point.footprint;
                 together.ask(lane, &at, light[lane].0);
             }
             named = together.irradiance(last);

@@ -367,6 +367,39 @@ mod tests {
         }
     }
 
+    /// What is decided for all of a block at once is what each of its rectangles decides.
+    #[test]
+    fn of_an_even_block_any_four_agree() {
+        let world = room(1.0, |_, _| 128);
+        let (whole, _, _) = drawn(&world, [8, 8]);
+        let frame = view([8, 8]);
+        let near = Near::of(&Band { world: &world, frame: &frame, top: 0, rows: 8, texture_ids: false });
+        let mut even = 0;
+        for turn in 0..4000 {
+            let mut s = crate::rng::Stream::new(5, turn, 0);
+            let (light, spread) = (4.0 * s.next_f32() * s.next_f32(), 0.6 * s.next_f32());
+            let surface = |color| Surface {
+                hit: whole.hit.at(4, 4),
+                color,
+                depth: whole.depth.at(4, 4),
+                object: 0,
+                texture: crate::display::TextureLevel::NONE,
+            };
+            let mut color =
+                || Vec3::from_array(std::array::from_fn(|_| light * (1.0 - spread * s.next_f32())));
+            let block: [Surface; 16] = std::array::from_fn(|_| surface(color()));
+            if !near.is_even(&block.map(Some)) {
+                continue;
+            }
+            even += 1;
+            for i in (0..12).filter(|i| i % PACKET != PACKET - 1) {
+                let corners = [i, i + 1, i + PACKET, i + PACKET + 1].map(|corner| &block[corner]);
+                assert!(near.agreed(&corners, false).is_some(), "{turn} {i}");
+            }
+        }
+        assert!((400..3600).contains(&even), "{even}");
+    }
+
     /// Beyond a scene, where depth is infinite, nothing is interpolated.
     #[test]
     fn what_is_beyond_a_scene_is_known_without_rays() {

@@ -112,7 +112,7 @@ impl SplatLayer {
             let reach = reach.iter().flat_map(|bands| &bands[number]).map(|&i| i as usize);
             band.splat_warped(paint, samples, reach, |i| painted[i].store(true, Ordering::Relaxed));
         });
-        painted.into_iter().filter_map(|painted| painted.into_inner().then_some(())).count()
+        painted.into_iter().map(AtomicBool::into_inner).filter(|painted| *painted).count()
     }
 }
 

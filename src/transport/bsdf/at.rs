@@ -57,16 +57,10 @@ impl Bsdf {
     /// surfaces of the material.
     #[inline]
     pub fn coat_over(scene: &Scene, at: &Interaction, diffuse: Vec3) -> Option<CoatAt> {
-        let material = at.material(scene);
-        if !Self::may_have_coat(material) {
-            return None;
-        }
-        let normal = at.facing_shading();
-        if let Model::Plastic { coat, .. } = &material.model {
-            let is_bare = coat.is_none() || is_black(material, at);
-            return (!is_bare).then_some(CoatAt { normal, coat: Coat::Dielectric(*coat) });
-        }
-        Some(CoatAt { coat: Self::over(scene, at, diffuse).coat, normal })
+        Self::may_have_coat(at.material(scene)).then(|| {
+            let Self { normal, coat, .. } = Self::over(scene, at, diffuse);
+            CoatAt { normal, coat }
+        })
     }
 
     /// A diffuse part and nothing else.

@@ -182,7 +182,7 @@ impl SimNetwork {
         world: &foveal::world::World,
         k_max: u32,
     ) -> Vec<Vec<u8>> {
-        let (draw, faults) = (self.number(1 << 30), self.faults);
+        let (draw, faults, others) = (self.number(1 << 30), self.faults, self.others);
         let Some(guest) = self.guests.iter_mut().find(|guest| guest.peer == peer) else { return Vec::new() };
         match message {
             ToGuest::Welcome { incarnation, .. } => {
@@ -210,7 +210,10 @@ impl SimNetwork {
                     };
                     let lattice = Lattice::new(k_max, view.frame.size.map(|side| side as i32 / 2));
                     assert!(job.fits(&lattice, view.frame.size));
-                    let lies = guest.behaviour == Behaviour::Liar && (draw ^ job.lease) % 4 == 0;
+                    // Among machines of other bits some of what is compared may differ: who lies there lies often, so that few
+                    // answers tell, however few a slow machine has time for.
+                    let lies = guest.behaviour == Behaviour::Liar
+                        && (draw ^ job.lease).is_multiple_of(if others { 2 } else { 4 });
                     // A block of other samples looks as likely as the one that was asked for.
                     let is_block = matches!(job.order, Order::Block(_));
                     let told = if lies && is_block { JobSpec { seed: job.seed ^ 1, ..job } } else { job };
@@ -431,7 +434,8 @@ fn machines_of_other_bits_may_trace_where_they_are_let_in() {
     let opened = opened();
     let package = Arc::new(Package::of(&opened).expect("a package"));
     let letting = Letting { any_bits: true, payloads: false };
-    for (seed, settings) in [(3, settings(2)), (4, refining(settings(2))), (5, settings(2))] {
+    let looks_often = Settings { checked: 16, ..settings(2) };
+    for (seed, settings) in [(3, settings(2)), (4, refining(settings(2))), (5, looks_often)] {
         let recording = folder.path().join(format!("{seed}.fvlog"));
         let played = simulated(&opened, &package, seed, settings, letting, Some(&recording));
         let expected = still(&opened, Settings { stations: 0, ..settings });

@@ -135,13 +135,14 @@ impl Illuminator {
         if let Some(Published { map, last }) = published {
             let Summary { particles, rounds, relative_error, .. } = map.summary;
             self.stated = Stated { turn: Some(turn), paths: particles, rounds, relative_error, last };
+            let light = Arc::new(PublishedLight::new(map.clone()));
+            let hash = light.digest();
+            let message = RendererMessage::Illuminated { map: light, last, hash };
+            self.outbox.tell(cx, &self.renderer, message);
+            // Shown before it is kept, which takes a tenth of a second.
             if during.effects {
                 self.keep(&map, last);
             }
-            let map = Arc::new(PublishedLight::new(map));
-            let hash = map.digest();
-            let message = RendererMessage::Illuminated { map, last, hash };
-            self.outbox.tell(cx, &self.renderer, message);
         }
         if !self.is_done() {
             let own = cx.address().clone();

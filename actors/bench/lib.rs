@@ -2,6 +2,7 @@
 
 #![expect(clippy::disallowed_methods, reason = "outside of the actors, which it drives")]
 
+mod deadlines;
 mod error;
 mod error_curves;
 mod error_light;

@@ -177,7 +177,8 @@ fn display(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
     let passes = Passes { texture_ids: false };
     let mut rays = 0;
     let mut drawn = |cell: u32| {
-        let draw = |_| timed(|| rays = cpu_pass::draw_in_cells(world, &frame, passes, cell, &mut buffers)).0;
+        let draw =
+            |_| timed(|| rays = cpu_pass::draw_in_cells(world, &frame, passes, cell, &mut buffers).traced).0;
         let times: Vec<f64> = (0..a.common.runs + 1).map(draw).skip(1).collect();
         (times, rays)
     };

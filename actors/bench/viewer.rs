@@ -1,5 +1,5 @@
 //! `foveal bench viewer`: how soon the window shows something, how evenly frames come while one walks, what a view
-//! costs once nothing changes, and a frame on the graphics adapter.
+//! costs once nothing changes, and a frame on the graphics adapter; how late frames come, also beside other work.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -14,7 +14,7 @@ use foveal::splatting::{Footprint, WarpedSample};
 use foveal::world::World;
 
 use super::made::MadeScene;
-use super::motion;
+use super::{deadlines, motion};
 use foveal_actors::renderer::overlay::Overlay;
 use foveal_engine::failure::Failure;
 use foveal_engine::light::{BakeOptions, Light};
@@ -43,7 +43,7 @@ pub struct ViewerArguments {
     #[arg(long, value_name = "WxH", default_value = "1280x720")]
     size: Size,
     /// What to measure
-    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [Part::Adapter, Part::Baking, Part::Motion, Part::Window])]
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [Part::Adapter, Part::Baking, Part::Deadlines, Part::Motion, Part::Window])]
     what: Vec<Part>,
     #[command(flatten)]
     common: CommonArguments,
@@ -56,6 +56,8 @@ pub enum Part {
     Adapter,
     /// How long input waits while light is baked
     Baking,
+    /// How late frames come, alone and beside threads that never sleep
+    Deadlines,
     /// Error at the borders of splats
     Motion,
     /// The window
@@ -80,6 +82,7 @@ pub fn run(a: &ViewerArguments, progress: Progress) -> Result<(), Failure> {
                 Err(e) => notes.push(format!("no frame on an adapter: {e}")),
             },
             Part::Baking => rows.extend(while_baking()?),
+            Part::Deadlines => rows.extend(deadlines::measure(a.common.runs)?),
             Part::Motion => rows.extend(motion::measure()?),
             Part::Window => match in_window(a)? {
                 Ok(made) => rows.extend(made),

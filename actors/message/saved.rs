@@ -153,7 +153,7 @@ impl Saved for Arc<DrawnView> {
     fn restore(loader: &mut Loader<'_>) -> Option<Self> {
         loader.shared(|loader| {
             let (view, frame, cell, hash): (View, CameraFrame, u32, u64) = loader.take()?;
-            if !(1..=2).contains(&cell) {
+            if !cpu_pass::CELLS.contains(&cell) {
                 return None;
             }
             let world = World::restore(loader)?;

@@ -14,6 +14,7 @@ mod told;
 
 use std::collections::VecDeque;
 use std::sync::{Arc, OnceLock, Weak};
+use std::time::Duration;
 
 use foveal::display::FrameBuffers;
 use foveal::display::cpu_pass::{self, Passes};
@@ -48,6 +49,11 @@ pub const MARK_FRAME: u32 = 0;
 /// Share of a frame's time that drawing the base layer may take while the camera moves; where it takes more, it is drawn
 /// sparsely, so that the frame is in time and samples come into it.
 const DRAWING_SHARE: f32 = 0.4;
+/// Shares of a frame's time that a sparse base layer and what follows it in every frame may take together, before it is drawn
+/// coarsely, whose edges show: the first is as late as a frame may be beside a process that takes all cores. Once coarse it
+/// stays so until there is time for more, or it would change from frame to frame.
+const COARSE_FROM: f32 = 1.25;
+const COARSE_UNTIL: f32 = 1.0;
 
 /// Counts of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -145,6 +151,12 @@ pub struct Renderer {
     shown: Option<Arc<FrameSnapshot>>,
     /// How long drawing a whole base layer takes.
     drawing: Foresight,
+    /// Share of its rays that a sparse one takes; none, before it is known.
+    density: f32,
+    /// How long warped samples and composing take, which follow in every frame.
+    following: Foresight,
+    /// How long warped samples of the current view took.
+    warping: Duration,
     /// When the drawing of the current frame ended; only for the stage's time.
     drawn_at: Option<Begun>,
     /// `None` in a diffuse scene, where there is nothing to correct.
@@ -210,6 +222,9 @@ impl Renderer {
             changed: false,
             shown: None,
             drawing: Foresight::default(),
+            density: 0.0,
+            following: Foresight::default(),
+            warping: Duration::ZERO,
             drawn_at: None,
             neighbours,
             outbox: Outbox::new(|| RendererMessage::SendAgain),
@@ -342,11 +357,25 @@ impl Renderer {
         let brighter = self.approach_light(time);
         if brighter || retextured || self.is_sparse() || self.camera != Some(camera) {
             let moves = self.camera.replace(camera).is_some_and(|before| before != camera);
-            let fits = self.drawing.expected().as_secs_f32() <= DRAWING_SHARE * time;
-            self.begin_view(&camera, if moves && !fits { 2 } else { 1 }, cx);
+            self.begin_view(&camera, if moves { self.cell_in(time) } else { 1 }, cx);
         }
         self.look_for_former(cx);
         self.drawn_at = Some(self.stages.begin());
+    }
+
+    /// How densely a view is drawn of which the camera moves on in `time` seconds ([`FrameBuffers::cell`]).
+    fn cell_in(&self, time: f32) -> u32 {
+        let whole = self.drawing.expected().as_secs_f32();
+        let following = self.following.expected().as_secs_f32();
+        let is_coarse = self.drawn.as_ref().is_some_and(|drawn| drawn.drawn.cell() == 4);
+        let most = if is_coarse { COARSE_UNTIL } else { COARSE_FROM };
+        if whole <= DRAWING_SHARE * time {
+            1
+        } else if whole * self.density + following <= most * time {
+            2
+        } else {
+            4
+        }
     }
 
     /// Moves the shown light towards the newest, as far as in a frame of `time` seconds; says whether it changed.
@@ -375,6 +404,7 @@ impl Renderer {
         self.tiles.clear();
         self.settled = None;
         self.changed = true;
+        self.warping = Duration::ZERO;
         let frame = camera.frame(self.settings.width, self.settings.height);
         if let Some(neighbours) = &self.neighbours {
             let moved = CacheAgerMessage::CameraMoved { view: self.view, frame };
@@ -389,7 +419,10 @@ impl Renderer {
         };
         let (rays, took) = cx.measure(draw);
         let pixels = self.settings.width as usize * self.settings.height as usize;
-        self.drawing.learn(took.mul_f64(pixels as f64 / rays.max(1) as f64));
+        self.drawing.learn(took.mul_f64(pixels as f64 / rays.traced.max(1) as f64));
+        if cell != 1 {
+            self.density = (rays.traced + rays.saved) as f32 / pixels as f32;
+        }
         if self.neighbours.is_some() {
             self.layer.clear();
         }

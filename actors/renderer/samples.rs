@@ -19,16 +19,16 @@ impl Renderer {
         view: View,
         samples: Arc<Vec<WarpedSample>>,
         expired: u32,
-        cx: &Cx<'_, RendererMessage>,
+        cx: &mut Cx<'_, RendererMessage>,
     ) {
         if view != self.view {
             return;
         }
         let Some(drawn) = self.drawn.clone() else { return };
         let (layer, buffers) = (&mut self.layer, drawn.buffers());
-        let reused = self
-            .stages
-            .time(Stage::WarpSplat, || layer.splat_warped(&samples, &buffers.object, &buffers.depth));
+        let splat = || layer.splat_warped(&samples, &buffers.object, &buffers.depth);
+        let (reused, took) = cx.measure(|| self.stages.time(Stage::WarpSplat, splat));
+        self.warping += took;
         self.counts.reused += reused as u32;
         self.counts.expired += expired;
         self.changed |= reused > 0;

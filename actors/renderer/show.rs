@@ -24,8 +24,12 @@ impl Renderer {
         let (rgb8, hash) = match (&self.shown, self.changed) {
             (Some(shown), false) => (None, shown.hash),
             _ => {
-                self.approximate_the_rest(&drawn);
-                let picture = self.stages.clone().time(Stage::Compose, || self.compose(&drawn));
+                let put_together = || {
+                    self.approximate_the_rest(&drawn);
+                    self.stages.clone().time(Stage::Compose, || self.compose(&drawn))
+                };
+                let (picture, took) = cx.measure(put_together);
+                self.following.learn(took + self.warping);
                 let hash = xxhash_rust::xxh3::xxh3_64(picture.data().as_flattened());
                 (Some(picture), hash)
             }

@@ -25,6 +25,8 @@ impl Renderer {
             ("adjustment", Content::of(&self.adjustment)),
             ("drawn", self.drawn.content()),
             ("drawing", Content::of(&self.drawing)),
+            ("density", Content::of(&self.density)),
+            ("following", Content::of(&self.following)),
             ("counts", Content::fields(counts.map(|(name, count)| (name, Content::of(&count))))),
             ("converged", Content::of(&self.converged)),
             ("refined", Content::of(&self.refined)),

@@ -5,6 +5,7 @@
 //! every number that indexes something has been compared with what it indexes, or says who compares it.
 
 use foveal::allocation::jobs::{GUIDES, SampleJob};
+use foveal::display::cpu_pass::CELLS;
 use foveal::sampling::Lattice;
 use foveal::scene::camera::CameraFrame;
 use foveal::splatting::light_tracing::Splats;
@@ -16,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3;
 
 /// Changes with every change of a message.
-pub const PROTOCOL: u16 = 4;
+pub const PROTOCOL: u16 = 5;
 /// Most bytes of a message.
 pub const MESSAGE_BYTES_MAX: usize = 2 << 20;
 /// Most bytes of one piece of a blob.
@@ -352,7 +353,7 @@ mod serde_bytes_like {
 
 fn is_view(v: &ViewSpec) -> bool {
     let CameraFrame { eye, forward, right, up, size } = v.frame;
-    (1..=2).contains(&v.cell)
+    CELLS.contains(&v.cell)
         && size.iter().all(|side| (1..=SIDE_MAX).contains(side))
         && [eye, forward, right, up].iter().all(|vector| vector.is_finite())
 }

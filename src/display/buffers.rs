@@ -74,7 +74,8 @@ impl TextureLevel {
 #[derive(Clone, Debug)]
 pub struct FrameBuffers {
     /// How densely it is drawn: 1 where each pixel has its ray; 2 where a whole picture would come late, and there is a
-    /// ray for each 2 × 2 pixels at least ([`super::cpu_pass::draw_in_cells`]).
+    /// ray for each 2 × 2 pixels at least; 4 where that would, too, and there are no more than these
+    /// ([`super::cpu_pass::draw_in_cells`]).
     pub cell: u32,
     /// Base layer: emission + diffuse reflection, linear radiance.
     pub color: Map2d<Vec3>,

@@ -58,18 +58,18 @@ pub fn draw(world: &World, frame: &CameraFrame, passes: Passes, buffers: &mut Fr
 
 /// The same, where `cell` is 2 with a quarter of the rays at least, and as many more as the picture asks for: sixteen in each
 /// block of 8 × 8 pixels, and one for each pixel between those that do not agree. What lies between rays that do is
-/// interpolated (`sparse`). Says how many rays it took.
+/// interpolated (`sparse`). Where `cell` is 4, pixels between those that do not agree show what the nearest of them shows.
 ///
 /// # Panics
-/// If the sizes differ, or `cell` is neither 1 nor 2: a bug of the caller.
+/// If the sizes differ, or `cell` is none of [`CELLS`]: a bug of the caller.
 pub fn draw_in_cells(
     world: &World,
     frame: &CameraFrame,
     passes: Passes,
     cell: u32,
     buffers: &mut FrameBuffers,
-) -> usize {
-    assert!(cell == 1 || cell == 2, "pictures are drawn whole or sparsely");
+) -> Rays {
+    assert!(CELLS.contains(&cell), "pictures are drawn whole, sparsely or coarsely");
     buffers.cell = cell;
     let [width, height] = frame.size.map(|s| s as usize);
     assert_eq!([buffers.width(), buffers.height()], [width, height], "buffers of the frame's size");
@@ -103,9 +103,27 @@ pub fn draw_in_cells(
             };
             let band = Band { world, frame, top: b * BLOCK, rows, texture_ids: passes.texture_ids };
             let blocks = (0..width).step_by(BLOCK);
-            blocks.map(|left| band.block(cell, left, &mut last, &mut show)).sum::<usize>()
+            blocks.map(|left| band.block(cell, left, &mut last, &mut show)).fold(Rays::default(), Rays::and)
         })
-        .sum()
+        .reduce(Rays::default, Rays::and)
+}
+
+/// How densely a picture may be drawn ([`FrameBuffers::cell`]).
+pub const CELLS: [u32; 3] = [1, 2, 4];
+
+/// Rays that a picture took.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Rays {
+    /// Rays traced.
+    pub traced: usize,
+    /// Pixels of a coarse picture that would have a ray of their own in a sparse one.
+    pub saved: usize,
+}
+
+impl Rays {
+    fn and(self, other: Self) -> Self {
+        Self { traced: self.traced + other.traced, saved: self.saved + other.saved }
+    }
 }
 
 /// Some rows of a picture, which are drawn block by block. Pixels are told by column, and row in the band.
@@ -128,9 +146,9 @@ impl Band<'_> {
         left: usize,
         last: &mut LastShadows,
         tell: &mut impl FnMut(usize, usize, &Surface),
-    ) -> usize {
-        if cell == 2 {
-            return sparse::block(self, left, last, tell);
+    ) -> Rays {
+        if cell > 1 {
+            return sparse::block(self, left, cell > 2, last, tell);
         }
         let mut rays = 0;
         let right = (left + BLOCK).min(self.width());
@@ -139,7 +157,7 @@ impl Band<'_> {
                 rays += self.packet(|lane| self.inside([x + lane % PACKET, row + lane / PACKET]), last, tell);
             }
         }
-        rays
+        Rays { traced: rays, saved: 0 }
     }
 
     fn width(&self) -> usize {
@@ -210,9 +228,9 @@ impl PartlyDrawn {
     /// Nothing of a view that is drawn like [`draw_in_cells`] with this `cell`.
     ///
     /// # Panics
-    /// If it is neither 1 nor 2: a bug of the caller.
+    /// If it is none of [`CELLS`]: a bug of the caller.
     pub fn new(frame: CameraFrame, cell: u32) -> Self {
-        assert!(cell == 1 || cell == 2, "pictures are drawn whole or sparsely");
+        assert!(CELLS.contains(&cell), "pictures are drawn whole, sparsely or coarsely");
         let [width, height] = frame.size.map(|s| s as usize);
         let mut buffers = FrameBuffers::new(width, height);
         buffers.cell = cell;
@@ -418,7 +436,8 @@ mod tests {
     fn parts_are_drawn_like_the_whole() {
         let world = checkered();
         let camera = Camera { eye: Vec3::new(0.1, 0.2, 0.9), target: Vec3::ZERO, up: Vec3::Y, fov_y: 1.2 };
-        for ([width, height], cell) in [([41, 33], 1), ([40, 30], 2), ([1, 1], 1), ([7, 50], 2), ([33, 9], 2)]
+        for ([width, height], cell) in
+            [([41, 33], 1), ([40, 30], 2), ([1, 1], 1), ([7, 50], 2), ([33, 9], 2), ([41, 33], 4)]
         {
             let frame = camera.frame(width as u32, height as u32);
             let mut whole = FrameBuffers::new(width, height);

@@ -81,6 +81,8 @@ pub struct Smoothing {
     known: Vec<u32>,
     surface: Surface,
     from: Vec<Parts>,
+    /// Luminance of both halves of each, in the pass that goes on.
+    lights: Vec<[[f32; 2]; PARTS]>,
     /// What the pass that goes on makes of the active ones, in their order.
     to: Vec<Parts>,
     /// Which sites tell others anything: those with light.
@@ -127,6 +129,7 @@ struct Around<'a> {
     surface: &'a Surface,
     telling: &'a [bool],
     from: &'a [Parts],
+    lights: &'a [[[f32; 2]; PARTS]],
     hops: &'a [Links],
     has_caustics: bool,
 }
@@ -138,6 +141,7 @@ impl Smoothing {
         Self {
             surface: Surface::new(sites, &known),
             from: known.iter().map(|&i| gathered[i as usize]).collect(),
+            lights: Vec::new(),
             to: Vec::new(),
             telling: vec![true; known.len()],
             active: (0..known.len() as u32).collect(),
@@ -165,6 +169,7 @@ impl Smoothing {
                 0 | PEAKS => doubled(&self.surface.links),
                 _ => doubled(&self.hops),
             };
+            self.lights = lights_of(&self.from);
         }
         let pass = self.pass;
         let around = self.around();
@@ -212,6 +217,9 @@ impl Smoothing {
         let end = done.saturating_add(count).min(self.active.len());
         if done == 0 {
             self.hops = if self.pass == PEAKS + 1 { self.surface.links.clone() } else { doubled(&self.hops) };
+            if self.pass == PEAKS + 1 {
+                self.lights = lights_of(&self.from);
+            }
         }
         let (around, excess) = (self.around(), &self.excess);
         let spread = self.active[done..end].par_iter().map(|&i| around.spread(i as usize, excess));
@@ -235,8 +243,8 @@ impl Smoothing {
     }
 
     fn around(&self) -> Around<'_> {
-        let Self { surface, telling, from, hops, has_caustics, .. } = self;
-        Around { surface, telling, from, hops, has_caustics: *has_caustics }
+        let Self { surface, telling, from, lights, hops, has_caustics, .. } = self;
+        Around { surface, telling, from, lights, hops, has_caustics: *has_caustics }
     }
 
     /// What comes out.
@@ -246,6 +254,11 @@ impl Smoothing {
         }
         std::mem::take(&mut self.all)
     }
+}
+
+/// Luminance of both halves of each part of sites.
+fn lights_of(parts: &[Parts]) -> Vec<[[f32; 2]; PARTS]> {
+    parts.par_iter().map(|parts| parts.map(|part| part.halves.map(luminance))).collect()
 }
 
 /// Links that reach twice as far.
@@ -260,10 +273,23 @@ fn hop(links: &[Links], from: u32, way: usize) -> u32 {
     links.get(from as usize).map_or(NONE, |links| links[way])
 }
 
-impl<'a> Around<'a> {
+/// Sites around one with weights: an array, since iterators in pieces took as long as what is done with them.
+struct Taps {
+    all: [(u32, f32); TAPS],
+    count: usize,
+}
+
+impl Taps {
+    #[inline]
+    fn iter(&self) -> impl Iterator<Item = (usize, f32)> {
+        self.all[..self.count].iter().map(|&(j, weight)| (j as usize, weight))
+    }
+}
+
+impl Around<'_> {
     /// The telling sites around one with the weights of the kernel, at links of these.
     #[inline]
-    fn taps(self, i: usize, links: &'a [Links]) -> impl Iterator<Item = (usize, f32)> {
+    fn taps(self, i: usize, links: &[Links]) -> Taps {
         let own = links[i];
         let [right, left, up, down] = own;
         // A corner of the surface may be in the way of one of both ways there.
@@ -280,14 +306,16 @@ impl<'a> Around<'a> {
         let far: Links = std::array::from_fn(|way| hop(links, own[way], way));
         let sites = &self.surface.sites;
         let site = &sites[i];
-        [own, diagonal, far]
-            .into_iter()
-            .zip(WEIGHTS)
-            .flat_map(|(found, weight)| found.map(|j| (j, weight)))
-            .filter(move |&(j, _)| {
-                j != NONE && self.telling[j as usize] && site.goes_on_to(&sites[j as usize])
-            })
-            .map(|(j, weight)| (j as usize, weight))
+        let mut taps = Taps { all: [(0, 0.0); TAPS], count: 0 };
+        for (found, weight) in [own, diagonal, far].into_iter().zip(WEIGHTS) {
+            for j in found {
+                if j != NONE && self.telling[j as usize] && site.goes_on_to(&sites[j as usize]) {
+                    taps.all[taps.count] = (j, weight);
+                    taps.count += 1;
+                }
+            }
+        }
+        taps
     }
 
     /// Whether no light was found at a site, nor at most of those around it: then it is dark there, and a wall or a shadow's
@@ -298,7 +326,7 @@ impl<'a> Around<'a> {
             return false;
         }
         let (mut all, mut none) = (0, 0);
-        for (j, _) in self.taps(i, &self.surface.links) {
+        for (j, _) in self.taps(i, &self.surface.links).iter() {
             all += 1;
             none += usize::from(dark(j));
         }
@@ -307,14 +335,14 @@ impl<'a> Around<'a> {
 
     /// Light of all parts at a site.
     fn light(self, i: usize) -> f32 {
-        self.from[i].iter().map(|part| luminance(part.mean())).sum()
+        0.5 * self.lights[i].as_flattened().iter().sum::<f32>()
     }
 
     /// What a site has too much of, spread: the darker of two takes the less of it, and gives as much as it takes.
     fn spread(self, i: usize, excess: &[Excess]) -> Excess {
         let own = self.light(i);
         let (mut sums, mut left) = (Excess::default(), 1.0);
-        for (j, kernel) in self.taps(i, self.hops) {
+        for (j, kernel) in self.taps(i, self.hops).iter() {
             let other = self.light(j);
             let brighter = own.max(other);
             if brighter > 0.0 {
@@ -330,19 +358,18 @@ impl<'a> Around<'a> {
     /// Variances as they are around a site.
     fn pooled(self, i: usize) -> Parts {
         let mut out = self.from[i];
-        let light = |parts: &Parts| parts.iter().map(|part| luminance(part.mean())).sum::<f32>();
         let mut sums = out.map(|part| part.variance * MIDDLE);
         let (mut total, mut around, mut count) = (MIDDLE, [0.0; TAPS], 0);
-        for (j, weight) in self.taps(i, self.hops) {
+        for (j, weight) in self.taps(i, self.hops).iter() {
             total += weight;
             sums.iter_mut().zip(&self.from[j]).for_each(|(sum, part)| *sum += weight * part.variance);
-            around[count] = light(&self.from[j]);
+            around[count] = self.light(j);
             count += 1;
         }
         // Beside a wall the noise of the light behind it is not that of the dark before it: a lower quartile is on this side.
         let around = &mut around[..count];
         around.sort_unstable_by(f32::total_cmp);
-        let level = around.get(count / 4).map_or(0.0, |quartile| light(&out).max(*quartile));
+        let level = around.get(count / 4).map_or(0.0, |quartile| self.light(i).max(*quartile));
         let most = NOISE_MAX * level * level;
         out.iter_mut().zip(sums).for_each(|(part, sum)| part.variance = (sum / total).min(most));
         out
@@ -360,12 +387,16 @@ impl<'a> Around<'a> {
         if here.iter().enumerate().all(|(k, part)| self.is_settled(k, part)) {
             return (*here, true);
         }
+        // Where no particle brought anything there is nothing to smooth of it.
+        let parts = if self.has_caustics { PARTS } else { CAUSTIC };
         let mut found = false;
         let mut sums = [Sum::NOTHING; PARTS];
-        for (j, weight) in self.taps(i, self.hops) {
+        let own = here.iter().zip(&self.lights[i]);
+        for (j, weight) in self.taps(i, self.hops).iter() {
             found = true;
-            for ((sum, own), other) in sums.iter_mut().zip(here).zip(&self.from[j]) {
-                sum.add(own, other, weight);
+            let others = self.from[j].iter().zip(&self.lights[j]);
+            for ((sum, own), other) in sums[..parts].iter_mut().zip(own.clone()).zip(others) {
+                sum.add(own, other, weight / WHOLE);
             }
         }
         let mut out = *here;
@@ -381,8 +412,9 @@ impl<'a> Around<'a> {
     /// Twice as far away, since a spot may be wider than a site; and right beside it, since of spots that lie so far from
     /// each other each would excuse the other one.
     fn without_peak(self, i: usize) -> Parts {
-        let beside = self.taps(i, &self.surface.links).filter(|(_, weight)| *weight > WEIGHTS[2]);
-        let limits = [self.brightest(beside, BESIDE), self.brightest(self.taps(i, self.hops), TAPS)];
+        let beside = self.taps(i, &self.surface.links);
+        let beside = beside.iter().filter(|(_, weight)| *weight > WEIGHTS[2]);
+        let limits = [self.brightest(beside, BESIDE), self.brightest(self.taps(i, self.hops).iter(), TAPS)];
         let mut out = self.from[i];
         for most in limits.into_iter().flatten() {
             for (part, most) in out.iter_mut().zip(most) {
@@ -400,9 +432,7 @@ impl<'a> Around<'a> {
     fn brightest(self, taps: impl Iterator<Item = (usize, f32)>, of: usize) -> Option<[f32; PARTS]> {
         let (mut most, mut count) = ([0.0f32; PARTS], 0);
         for (j, _) in taps {
-            most.iter_mut()
-                .zip(&self.from[j])
-                .for_each(|(most, part)| *most = most.max(luminance(part.mean())));
+            most.iter_mut().zip(&self.lights[j]).for_each(|(most, [a, b])| *most = most.max(0.5 * (a + b)));
             count += 1;
         }
         (2 * count >= of).then_some(most)
@@ -425,11 +455,16 @@ impl Sum {
 
     /// How noisy the other is decides nothing: bright samples are the noisy ones, and the mean would be too dark.
     #[inline]
-    fn add(&mut self, own: &Noisy, other: &Noisy, kernel: f32) {
+    fn add(
+        &mut self,
+        (own, own_lights): (&Noisy, &[f32; 2]),
+        (other, lights): (&Noisy, &[f32; 2]),
+        kernel: f32,
+    ) {
         let noise = own.variance + other.variance;
         for half in 0..2 {
             let guard = 1 - half;
-            let squared = luminance(other.halves[guard] - own.halves[guard]).powi(2);
+            let squared = (lights[guard] - own_lights[guard]).powi(2);
             let beyond = (squared - LIKE * noise).max(0.0);
             let likeness = match beyond / noise {
                 _ if beyond <= 0.0 => 1.0,
@@ -437,7 +472,7 @@ impl Sum {
                 // Also where there is no noise.
                 _ => continue,
             };
-            let weight = kernel * likeness / WHOLE;
+            let weight = kernel * likeness;
             self.values[half] += other.halves[half] * weight;
             self.weights[half] += weight;
             self.variances[half] += weight * weight * other.variance;

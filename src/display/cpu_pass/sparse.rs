@@ -4,7 +4,7 @@
 
 use glam::{Vec3, Vec4};
 
-use super::{BLOCK, Band, PACKET, Surface, beyond};
+use super::{BLOCK, Band, PACKET, Rays, Surface, beyond};
 use crate::display::PrimaryHit;
 use crate::display::tone::ToneMap;
 use crate::image::luminance;
@@ -30,13 +30,14 @@ const TOLERANCE: f32 = 1.0 / 4.0;
 /// Share of display white that is added to it, for in the dark a difference is seen less (the TVI function flattens).
 const DARK: f32 = 1.0 / 64.0;
 
-/// Draws a block as [`Band::block`] does.
+/// Draws a block as [`Band::block`] does; where it is to be coarse, with no rays but the first.
 pub(super) fn block(
     band: &Band<'_>,
     left: usize,
+    is_coarse: bool,
     last: &mut LastShadows,
     tell: &mut impl FnMut(usize, usize, &Surface),
-) -> usize {
+) -> Rays {
     let (columns, rows) = (BLOCK.min(band.width() - left), band.rows);
     let mut first = [None; PACKET * PACKET];
     let number = |x: usize| FIRST.iter().position(|&f| f == x).expect("a packet's pixel");
@@ -49,7 +50,7 @@ pub(super) fn block(
     let near = Near::of(band);
     let is_even = near.is_even(&first);
     // A bit for each pixel that has a ray of its own.
-    let mut open = 0u64;
+    let (mut open, mut saved) = (0u64, 0);
     for (lines, down) in SPANS {
         for (sides, aside) in SPANS {
             if lines[0] == lines[1] && sides[0] == sides[1] {
@@ -61,6 +62,17 @@ pub(super) fn block(
             let corners = || Some([corner(0)?, corner(1)?, corner(2)?, corner(3)?]);
             let agreed = corners().and_then(|corners| Some((corners, near.agreed(&corners, is_even)?)));
             let Some((corners, agreed)) = agreed else {
+                if is_coarse {
+                    for ((column, aside), (row, down)) in shown {
+                        // Of the nearest those beyond the picture's edge are not there, the first always is.
+                        let nearest = corner(usize::from(aside > 0.5) + 2 * usize::from(down > 0.5));
+                        if let Some(surface) = nearest.or_else(|| corner(0)) {
+                            tell(left + column, row, surface);
+                            saved += 1;
+                        }
+                    }
+                    continue;
+                }
                 open |= shown.fold(0, |open, ((column, _), (row, _))| open | 1 << (row * BLOCK + column));
                 continue;
             };
@@ -86,7 +98,7 @@ pub(super) fn block(
         let pixel = |lane: usize| (pixels[lane.min(count - 1)], lane < count);
         rays += band.packet(pixel, last, tell);
     }
-    rays
+    Rays { traced: rays, saved }
 }
 
 /// What four rays agree on.
@@ -239,8 +251,8 @@ mod tests {
         let [mut whole, mut sparse] = [(); 2].map(|()| FrameBuffers::new(width, height));
         draw(world, &frame, Passes { texture_ids: true }, &mut whole);
         let rays = draw_in_cells(world, &frame, Passes { texture_ids: true }, 2, &mut sparse);
-        assert_eq!([whole.cell, sparse.cell], [1, 2]);
-        (whole, sparse, rays)
+        assert_eq!([whole.cell, sparse.cell, rays.saved as u32], [1, 2, 0]);
+        (whole, sparse, rays.traced)
     }
 
     fn pixels([width, height]: [usize; 2]) -> impl Iterator<Item = (usize, usize)> {
@@ -331,6 +343,33 @@ mod tests {
         assert!(rays * 3 < 2 * size[0] * size[1], "{rays}");
         let wrong = pixels(size).filter(|&(x, y)| sparse.object.at(x, y) != whole.object.at(x, y));
         assert!(wrong.count() * 500 <= size[0] * size[1], "corners that no ray of a block meets");
+    }
+
+    /// A coarse picture takes a quarter of the rays, whatever it shows, agrees with the sparse one where that has no more, and
+    /// shows nothing that is not there within two pixels.
+    #[test]
+    fn a_coarse_picture_takes_no_more_rays_than_the_first() {
+        let worlds = [
+            room(60.0, |x, y| if (x + y) % 2 == 0 { 10 } else { 250 }),
+            room(4.0, |x, _| (x / 2 + 64) as u8),
+        ];
+        for (world, size) in worlds.iter().flat_map(|world| SIZES.map(|size| (world, size))) {
+            let (whole, sparse, rays) = drawn(world, size);
+            let mut coarse = FrameBuffers::new(size[0], size[1]);
+            let took = draw_in_cells(world, &view(size), Passes { texture_ids: true }, 4, &mut coarse);
+            let first = |side: usize| (0..side).filter(|v| FIRST.contains(&(v % BLOCK))).count();
+            assert_eq!(took.traced + took.saved, rays, "{size:?}: known without drawing it sparsely");
+            assert_eq!(took.traced, first(size[0]) * first(size[1]), "{size:?}");
+            let mut others = 0;
+            for (x, y) in pixels(size) {
+                others += usize::from(coarse.color.at(x, y) != sparse.color.at(x, y));
+                let is_one_of = |(i, j)| whole.object.at(i, j) == coarse.object.at(x, y);
+                let around = (y.saturating_sub(2)..(y + 3).min(size[1]))
+                    .flat_map(|j| (x.saturating_sub(2)..(x + 3).min(size[0])).map(move |i| (i, j)));
+                assert!({ around }.any(is_one_of) && coarse.color.at(x, y).is_finite(), "{size:?} {x} {y}");
+            }
+            assert!(others <= took.saved, "{size:?}: {others}");
+        }
     }
 
     /// One corner that is not finite, whichever it is, leaves its neighbours to rays of their own.

@@ -363,19 +363,12 @@ impl Renderer {
         self.drawn_at = Some(self.stages.begin());
     }
 
-    /// How densely a view is drawn of which the camera moves on in `time` seconds ([`FrameBuffers::cell`]).
+    /// How densely a view is drawn from which the camera moves on in `time` seconds ([`FrameBuffers::cell`]).
     fn cell_in(&self, time: f32) -> u32 {
         let whole = self.drawing.expected().as_secs_f32();
         let following = self.following.expected().as_secs_f32();
-        let is_coarse = self.drawn.as_ref().is_some_and(|drawn| drawn.drawn.cell() == 4);
-        let most = if is_coarse { COARSE_UNTIL } else { COARSE_FROM };
-        if whole <= DRAWING_SHARE * time {
-            1
-        } else if whole * self.density + following <= most * time {
-            2
-        } else {
-            4
-        }
+        let before = self.drawn.as_ref().map_or(1, |drawn| drawn.drawn.cell());
+        cell_for(time, [whole, whole * self.density + following], before)
     }
 
     /// Moves the shown light towards the newest, as far as in a frame of `time` seconds; says whether it changed.
@@ -502,6 +495,17 @@ impl Renderer {
     }
 }
 
+/// How densely a view is drawn that has `time`, if drawing all of it takes `whole`, and a sparse one and what follows it `sparse`,
+/// all in seconds; `before`: how densely the last one was.
+fn cell_for(time: f32, [whole, sparse]: [f32; 2], before: u32) -> u32 {
+    let most = if before == 4 { COARSE_UNTIL } else { COARSE_FROM };
+    match (whole <= DRAWING_SHARE * time, sparse <= most * time) {
+        (true, _) => 1,
+        (false, true) => 2,
+        (false, false) => 4,
+    }
+}
+
 impl Actor for Renderer {
     type Msg = RendererMessage;
     const NAME: &'static str = "renderer";
@@ -553,5 +557,30 @@ impl Actor for Renderer {
 
     fn restore(&mut self, loader: &mut Loader<'_>) -> Option<()> {
         self.restore_state(loader)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Under more and more load, and less and less again: it changes twice each way, and not at the same place.
+    #[test]
+    fn what_is_drawn_coarsely_stays_so_until_there_is_time() {
+        let load = (1..=40).chain((1..40).rev()).map(|load| load as f32 * 0.05);
+        let mut before = 1;
+        let cells: Vec<(f32, u32)> = load
+            .map(|load| {
+                before = cell_for(0.1, [0.08 * load, 0.1 * load], before);
+                (load, before)
+            })
+            .collect();
+        let changes: Vec<[u32; 2]> =
+            cells.windows(2).map(|pair| [pair[0].1, pair[1].1]).filter(|[a, b]| a != b).collect();
+        assert_eq!(changes, [[1, 2], [2, 4], [4, 2], [2, 1]]);
+        assert!(cells.iter().all(|(load, cell)| *cell == 4 || *load <= COARSE_FROM));
+        assert!(cells.iter().all(|(load, cell)| *cell != 4 || *load > COARSE_UNTIL));
+        // What takes no time that can be told is drawn whole, and what was never measured as well.
+        assert_eq!([cell_for(0.0, [0.0; 2], 4), cell_for(0.1, [0.0, 1.0], 1)], [1, 1]);
     }
 }

@@ -392,9 +392,9 @@ fn aside(start: &Camera, steps: u32) -> Camera {
     Camera { eye: start.eye + by, target: start.target + by, ..*start }
 }
 
-/// Where there is no time for it, the base layer is sparse while the camera moves; a view that stands still is whole.
+/// Where there is no time for it, the base layer is coarse while the camera moves; a view that stands still is whole.
 #[test]
-fn what_is_drawn_sparsely_in_motion_is_whole_when_the_camera_stands() {
+fn what_is_drawn_coarsely_in_motion_is_whole_when_the_camera_stands() {
     let size = Settings::new(64, 48, 2);
     let start = made(size).start().place().cameras[0].camera;
     let whole = {
@@ -409,8 +409,8 @@ fn what_is_drawn_sparsely_in_motion_is_whole_when_the_camera_stands() {
     let cell = |engine: &Engine| engine.look(|r| r.drawn().map(|d| d.buffers().cell)).flatten();
     for step in 0..=5 {
         engine.begin(&aside(&start, step)).expect("a walk");
-        // How many rays a sparse one takes is known once there was one.
-        assert_eq!(cell(&engine), Some([1, 2].get(step as usize).copied().unwrap_or(4)), "{step}");
+        // Composing alone takes longer than such a frame.
+        assert_eq!(cell(&engine), Some(if step == 0 { 1 } else { 4 }), "{step}");
         let converged = engine.look(Renderer::is_converged);
         assert!(step == 0 || converged == Some(false), "there is more to be shown");
         engine.end().expect("a frame");

@@ -210,7 +210,8 @@ fn the_window_follows_its_user_whoever_stalls() {
         view.act("mousemove --window {} 100 100 sleep 0.1");
         view.until(who, |s| s.camera("target") != walked.camera("target"));
         if who == "all" {
-            // Nobody adds anything: what the window shows is what was drawn for this camera.
+            // Nobody adds anything: what the window shows is what was drawn for this camera, whole once it stands.
+            view.act("sleep 1");
             let turned = view.shot();
             view.shows(&turned, who);
         }

@@ -53,7 +53,7 @@ const DRAWING_SHARE: f32 = 0.4;
 /// coarsely, whose edges show: the first is as late as a frame may be beside a process that takes all cores. Once coarse it
 /// stays so until there is time for more, or it would change from frame to frame.
 const COARSE_FROM: f32 = 1.25;
-const COARSE_UNTIL: f32 = 1.0;
+const COARSE_UNTIL: f32 = 1.1;
 
 /// Counts of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -151,7 +151,7 @@ pub struct Renderer {
     shown: Option<Arc<FrameSnapshot>>,
     /// How long drawing a whole base layer takes.
     drawing: Foresight,
-    /// Share of its rays that a sparse one takes; none, before it is known.
+    /// Share of that time that a sparse one takes; none, before it is known.
     density: f32,
     /// How long warped samples and composing take, which follow in every frame.
     following: Foresight,
@@ -414,7 +414,10 @@ impl Renderer {
         let pixels = self.settings.width as usize * self.settings.height as usize;
         self.drawing.learn(took.mul_f64(pixels as f64 / rays.traced.max(1) as f64));
         if cell != 1 {
-            self.density = (rays.traced + rays.saved) as f32 / pixels as f32;
+            // A pixel between rays takes about half of one's time (`foveal bench stages`).
+            let share = |rays: usize| rays as f32 / pixels as f32;
+            let (traced, sparse) = (share(rays.traced), share(rays.traced + rays.saved));
+            self.density = traced * (1.0 + sparse) / (1.0 + traced);
         }
         if self.neighbours.is_some() {
             self.layer.clear();

@@ -139,7 +139,7 @@ impl Illuminator {
             let hash = light.digest();
             let message = RendererMessage::Illuminated { map: light, last, hash };
             self.outbox.tell(cx, &self.renderer, message);
-            // Shown before it is kept, which takes a tenth of a second.
+            // Shown before it is kept: nobody waits for a file.
             if during.effects {
                 self.keep(&map, last);
             }

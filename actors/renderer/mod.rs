@@ -152,7 +152,7 @@ pub struct Renderer {
     /// How long drawing a whole base layer takes.
     drawing: Foresight,
     /// Share of that time that a sparse one takes; none, before it is known.
-    density: f32,
+    sparse_share: f32,
     /// How long warped samples and composing take, which follow in every frame.
     following: Foresight,
     /// How long warped samples of the current view took.
@@ -222,7 +222,7 @@ impl Renderer {
             changed: false,
             shown: None,
             drawing: Foresight::default(),
-            density: 0.0,
+            sparse_share: 0.0,
             following: Foresight::default(),
             warping: Duration::ZERO,
             drawn_at: None,
@@ -368,7 +368,7 @@ impl Renderer {
         let whole = self.drawing.expected().as_secs_f32();
         let following = self.following.expected().as_secs_f32();
         let before = self.drawn.as_ref().map_or(1, |drawn| drawn.drawn.cell());
-        cell_for(time, [whole, whole * self.density + following], before)
+        cell_for(time, [whole, whole * self.sparse_share + following], before)
     }
 
     /// Moves the shown light towards the newest, as far as in a frame of `time` seconds; says whether it changed.
@@ -417,7 +417,7 @@ impl Renderer {
             // A pixel between rays takes about half of one's time (`foveal bench stages`).
             let share = |rays: usize| rays as f32 / pixels as f32;
             let (traced, sparse) = (share(rays.traced), share(rays.traced + rays.saved));
-            self.density = traced * (1.0 + sparse) / (1.0 + traced);
+            self.sparse_share = traced * (1.0 + sparse) / (1.0 + traced);
         }
         if self.neighbours.is_some() {
             self.layer.clear();

@@ -36,7 +36,7 @@ impl Renderer {
             camera,
             view,
             drawing,
-            density,
+            sparse_share,
             following,
             warping,
             drawn,
@@ -71,7 +71,7 @@ impl Renderer {
         saver.put(&(camera, view, converged, changed, drawn.is_some(), shown.is_some()));
         let FrameCounts { traced, reused, expired, late, approximated, refined: refined_now } = counts;
         saver.put(&(traced, reused, expired, late, approximated, refined_now));
-        saver.put(&(drawing, density, following, warping));
+        saver.put(&(drawing, sparse_share, following, warping));
         saver.put(&(refined, tiles.len() as u64));
         for tile in tiles {
             tile.save(saver);
@@ -117,7 +117,7 @@ impl Renderer {
         let (traced, reused, expired, late, approximated, refined) = loader.take()?;
         self.counts = FrameCounts { traced, reused, expired, late, approximated, refined };
         let count: u64;
-        (self.drawing, self.density, self.following, self.warping) = loader.take()?;
+        (self.drawing, self.sparse_share, self.following, self.warping) = loader.take()?;
         (self.refined, count) = loader.take()?;
         let tiles: Option<Vec<Option<Arc<TileSums>>>> = (0..count).map(|_| Saved::restore(loader)).collect();
         let grid = Tiles::of_size(self.settings.width, self.settings.height);

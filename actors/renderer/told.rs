@@ -25,7 +25,7 @@ impl Renderer {
             ("adjustment", Content::of(&self.adjustment)),
             ("drawn", self.drawn.content()),
             ("drawing", Content::of(&self.drawing)),
-            ("density", Content::of(&self.density)),
+            ("sparse_share", Content::of(&self.sparse_share)),
             ("following", Content::of(&self.following)),
             ("counts", Content::fields(counts.map(|(name, count)| (name, Content::of(&count))))),
             ("converged", Content::of(&self.converged)),

@@ -475,7 +475,7 @@ mod tests {
             CameraFrame { eye: Vec3::ZERO, forward: Vec3::Z, right: Vec3::X, up: Vec3::Y, size: [64, 48] };
         let view =
             |frame, cell| ToGuest::of_bytes(&ToGuest::View(ViewSpec { view: 1, frame, cell }).to_bytes());
-        assert!(view(frame, 2).is_some() && view(frame, 3).is_none());
+        assert!(view(frame, 2).is_some() && view(frame, 4).is_some() && view(frame, 3).is_none());
         assert!(view(CameraFrame { eye: Vec3::NAN, ..frame }, 1).is_none());
         assert!(view(CameraFrame { size: [0, 48], ..frame }, 1).is_none());
         assert!(view(CameraFrame { size: [1 << 20, 48], ..frame }, 1).is_none());

@@ -2,6 +2,7 @@
 
 use bolero::{TypeGenerator, check};
 use foveal::allocation::jobs::SampleJob;
+use foveal::display::cpu_pass::CELLS;
 use foveal::sampling::{Cursor, Lattice, Rect};
 use foveal::scene::camera::CameraFrame;
 use foveal::splatting::light_tracing::Splats;
@@ -60,6 +61,7 @@ fn of_walk() -> Vec<Vec<u8>> {
         ToGuest::Refused(Refusal::Version { wanted: "foveal 0.1.0 protocol 1".into() }),
         ToGuest::Piece { hash: [9; 32], at: 1 << 20, bytes: vec![5; 400] },
         ToGuest::View(ViewSpec { view: 3, frame, cell: 2 }),
+        ToGuest::View(ViewSpec { view: 4, frame, cell: 4 }),
         ToGuest::Jobs(vec![job; 8]),
         ToGuest::Jobs(vec![refining; 8]),
         ToGuest::Retire { below: 3 },
@@ -108,7 +110,7 @@ fn what_a_walk_says() {
         match ToGuest::of_bytes(&message) {
             Some(ToGuest::View(view)) => {
                 assert!(view.frame.size.iter().all(|side| (1..=SIDE_MAX).contains(side)));
-                assert!((1..=2).contains(&view.cell) && view.frame.eye.is_finite());
+                assert!(CELLS.contains(&view.cell) && view.frame.eye.is_finite());
             }
             Some(ToGuest::Jobs(jobs)) => {
                 assert!(jobs.len() <= JOBS_MAX);

@@ -35,7 +35,11 @@ impl Busy {
         let ends = Arc::new(AtomicBool::new(false));
         let spin = || {
             let ends = ends.clone();
-            std::thread::spawn(move || while !ends.load(Ordering::Relaxed) {})
+            std::thread::spawn(move || {
+                // As another program's would be.
+                foveal_runtime::be_patient();
+                while !ends.load(Ordering::Relaxed) {}
+            })
         };
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         let threads = (0..cores).map(|_| spin()).collect();

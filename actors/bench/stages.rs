@@ -259,14 +259,14 @@ fn samples(a: &StagesArguments, world: &World) -> Result<Vec<Row>, Failure> {
         splat_ms.push(timed(warp_and_splat).0);
         let splat = || fresh.iter().map(|b| layer.splat_fresh(b, &buffers.object, 1).1).sum::<u32>();
         fresh_ms.push(timed(splat).0);
-        let linear = Reconstruction::new(&layer, &buffers, &frame, 1.0);
-        let mut fill = |between: &Reconstruction<'_>| {
+        let between = Reconstruction::new(&layer, &buffers, &frame, 1.0);
+        let linearly = |shown: &mut Map2d<Vec3>| {
             shown.data_mut().par_chunks_mut(width).enumerate().for_each(|(y, row)| {
                 row.iter_mut().enumerate().for_each(|(x, light)| *light = between.pixel(x, y));
             });
         };
-        linear_ms.push(timed(|| fill(&linear)).0);
-        between_ms.push(timed(|| fill(&linear.clone().of_picture())).0);
+        linear_ms.push(timed(|| linearly(&mut shown)).0);
+        between_ms.push(timed(|| between.fill(&mut shown, |_, _, light| light)).0);
     }
     let fresh_count: usize = fresh.iter().map(SampleBatch::len).sum();
     Ok(vec![

@@ -159,10 +159,10 @@ impl<'w> Still<'w> {
 
     fn shown(&self, layer: &SplatLayer) -> Rgb8 {
         let tone = ToneMap::from(&self.world.scene.display);
-        let between = Reconstruction::new(layer, &self.buffers, &self.frame, tone.white()).of_picture();
-        Map2d::from_fn(self.buffers.width(), self.buffers.height(), |x, y| {
-            tone.to_rgb8(self.buffers.color.at(x, y) + between.pixel(x, y))
-        })
+        let between = Reconstruction::new(layer, &self.buffers, &self.frame, tone.white());
+        let mut picture = Map2d::new(self.buffers.width(), self.buffers.height(), [0; 3]);
+        between.fill(&mut picture, |x, y, splats| tone.to_rgb8(self.buffers.color.at(x, y) + splats));
+        picture
     }
 }
 

@@ -112,6 +112,8 @@ fn main() -> ExitCode {
         }
     };
     log_to_stderr(&cli);
+    // Before any other thread is there, so that all have it.
+    foveal_runtime::be_prompt();
     let progress = Progress { shown: !cli.quiet && std::io::IsTerminal::is_terminal(&std::io::stderr()) };
     let result = match cli.command {
         #[cfg(feature = "window")]

@@ -49,6 +49,8 @@ pub const MARK_FRAME: u32 = 0;
 /// Share of a frame's time that drawing the base layer may take while the camera moves; where it takes more, it is drawn
 /// sparsely, so that the frame is in time and samples come into it.
 const DRAWING_SHARE: f32 = 0.4;
+/// Seconds that drawing a pixel may take before the first one is drawn: what the bundled scenes take on two cores, about.
+const UNSEEN_PIXEL: f32 = 2.5e-7;
 /// Shares of a frame's time that a sparse base layer and what follows it in every frame may take together, before it is drawn
 /// coarsely, whose edges show: the first is as late as a frame may be beside a process that takes all cores. Once coarse it
 /// stays so until there is time for more, or it would change from frame to frame.
@@ -309,12 +311,13 @@ impl Renderer {
     pub fn picture(&self) -> Option<Map2d<Vec3>> {
         let drawn = self.drawn.as_ref()?;
         let base = &drawn.buffers().color;
-        let between = self.between(drawn).of_picture();
-        let first = |x, y| base.at(x, y) + between.pixel(x, y);
-        Some(Map2d::from_fn(base.width(), base.height(), |x, y| match &self.settled {
-            Some(settled) => settled.pixel(x, y, base.at(x, y), first(x, y)),
-            None => first(x, y),
-        }))
+        let mut picture = Map2d::new(base.width(), base.height(), Vec3::ZERO);
+        let settled = self.settled.as_ref();
+        self.between(drawn).fill(&mut picture, |x, y, splats| {
+            let (base, first) = (base.at(x, y), base.at(x, y) + splats);
+            settled.map_or(first, |settled| settled.pixel(x, y, base, first))
+        });
+        Some(picture)
     }
 
     /// What the splat layer shows of a view, between samples too.
@@ -356,8 +359,9 @@ impl Renderer {
         let retextured = self.change_textures();
         let brighter = self.approach_light(time);
         if brighter || retextured || self.is_sparse() || self.camera != Some(camera) {
-            let moves = self.camera.replace(camera).is_some_and(|before| before != camera);
-            self.begin_view(&camera, if moves { self.cell_in(time) } else { 1 }, cx);
+            // A first picture is in time, too; who stands sees the whole one in the next frame.
+            let stands = self.camera.replace(camera) == Some(camera);
+            self.begin_view(&camera, if stands { 1 } else { self.cell_in(time) }, cx);
         }
         self.look_for_former(cx);
         self.drawn_at = Some(self.stages.begin());
@@ -365,7 +369,11 @@ impl Renderer {
 
     /// How densely a view is drawn from which the camera moves on in `time` seconds ([`FrameBuffers::cell`]).
     fn cell_in(&self, time: f32) -> u32 {
-        let whole = self.drawing.expected().as_secs_f32();
+        let pixels = self.settings.width as f32 * self.settings.height as f32;
+        let whole = match self.drawing.is_known() {
+            true => self.drawing.expected().as_secs_f32(),
+            false => UNSEEN_PIXEL * pixels,
+        };
         let following = self.following.expected().as_secs_f32();
         let before = self.drawn.as_ref().map_or(1, |drawn| drawn.drawn.cell());
         cell_for(time, [whole, whole * self.sparse_share + following], before)

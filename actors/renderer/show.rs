@@ -10,9 +10,11 @@ use super::{MARK_FRAME, Renderer, Unseen};
 use crate::message::{AnalyzerMessage, DrawnView, FrameIndex, FrameSnapshot, RendererMessage};
 use crate::stages::Stage;
 
-/// First approximations that a frame has time for pixel by pixel: 5 ms of two cores. Of more, neighbours share one. A
-/// number of pixels and no time, so that the same samples give the same picture wherever it is shown.
+/// First approximations that a frame has time for pixel by pixel: 5 ms of two cores. Of more, neighbours share one: four of them,
+/// or sixteen where even a fourth of them would take as long as drawing, as in the first frame. Numbers of pixels and no times,
+/// so that the same samples give the same picture wherever it is shown.
 const SINGLY: usize = 1 << 15;
+const BY_FOURS: usize = 1 << 17;
 
 impl Renderer {
     /// Shows the frame; while nothing changes the last picture stands, and nobody has work.
@@ -76,7 +78,8 @@ impl Renderer {
             let count = if dear <= SINGLY {
                 layer.approximate(own)
             } else {
-                let cells = first.cells(world, &drawn.frame, buffers, |x, y| layer.is_bare(x, y));
+                let side = if dear <= BY_FOURS { 2 } else { 4 };
+                let cells = first.cells(world, &drawn.frame, buffers, side, |x, y| layer.is_bare(x, y));
                 layer.approximate(|x, y| cells.pixel(buffers, x, y).unwrap_or_else(|| own(x, y)))
             };
             count as u32
@@ -88,16 +91,12 @@ impl Renderer {
         let (width, height) = (buffers.width(), buffers.height());
         let mut rgb8 = Map2d::new(width, height, [0u8; 3]);
         let (encoder, tone) = (&self.encoder, &self.tone);
-        let between = self.between(drawn).of_picture();
         let settled = self.settled.as_ref();
-        let rows = rgb8.data_mut().par_chunks_mut(width.max(1)).enumerate();
-        rows.for_each(|(y, row)| {
-            for (x, out) in row.iter_mut().enumerate() {
-                let base = buffers.color.at(x, y);
-                let first = base + between.pixel(x, y);
-                let light = settled.map_or(first, |settled| settled.pixel(x, y, base, first));
-                *out = encoder.rgb8(tone, light);
-            }
+        self.between(drawn).fill(&mut rgb8, |x, y, splats| {
+            let base = buffers.color.at(x, y);
+            let first = base + splats;
+            let light = settled.map_or(first, |settled| settled.pixel(x, y, base, first));
+            encoder.rgb8(tone, light)
         });
         rgb8
     }

@@ -229,6 +229,6 @@ pub use runtime::{Exit, Limit, Runtime};
 pub use scheduler::Budget;
 pub use scheduler::clock::Time;
 pub use scheduler::link::{Class, Control};
-pub use scheduler::priority::give_way;
+pub use scheduler::priority::{be_patient, be_prompt, give_way};
 pub use scheduler::profile::{ActorCounters, TurnTime, ring_cost};
 pub use scheduler::timer::TIMERS_PER_ACTOR;

@@ -42,8 +42,10 @@ impl Probes {
 /// Approximations shared by neighbouring pixels ([`FirstApproximation::cells`]).
 #[derive(Clone, Debug)]
 pub struct Cells {
+    /// Pixels along the side of a square.
+    side: usize,
     columns: usize,
-    /// The pixel that each square of 2 × 2 was looked up for, and what it shows.
+    /// The pixel that each square was looked up for, and what it shows.
     cells: Vec<Option<([u32; 2], Vec3)>>,
 }
 
@@ -53,7 +55,7 @@ impl Cells {
 
     /// What a pixel shows; `None` where its square's is of another object or another surface.
     pub fn pixel(&self, buffers: &FrameBuffers, x: usize, y: usize) -> Option<Vec3> {
-        let ([ox, oy], shown) = (*self.cells.get(y / 2 * self.columns + x / 2)?)?;
+        let ([ox, oy], shown) = (*self.cells.get(y / self.side * self.columns + x / self.side)?)?;
         let (ox, oy) = (ox as usize, oy as usize);
         let (depth, other) = (buffers.depth.at(x, y), buffers.depth.at(ox, oy));
         let is_same = buffers.object.at(x, y) == buffers.object.at(ox, oy)
@@ -137,28 +139,31 @@ impl FirstApproximation {
         Some((exit.position, leaving.wi, absorbed))
     }
 
-    /// Approximations for one pixel of each square of 2 × 2 that has any with a lobe for which `is_wanted` is true: its first
-    /// such pixel.
+    /// Approximations for one pixel of each square of `side` × `side` that has any with a lobe for which `is_wanted` is true:
+    /// one in its middle if that is such a pixel.
     pub fn cells(
         &self,
         world: &World,
         frame: &CameraFrame,
         buffers: &FrameBuffers,
+        side: usize,
         is_wanted: impl Fn(usize, usize) -> bool + Sync,
     ) -> Cells {
         let [width, height] = [buffers.width(), buffers.height()];
+        let columns = width.div_ceil(side);
+        let all = side * side;
+        let middle = (side - 1) / 2 * (side + 1);
         let cell = |i: usize, j: usize| {
-            let corners = [[0, 0], [1, 0], [0, 1], [1, 1]].map(|[dx, dy]| [2 * i + dx, 2 * j + dy]);
+            let mut pixels = (middle..middle + all).map(|k| [side * i + k % side, side * j + k % all / side]);
             let is_there = |&[x, y]: &[usize; 2]| {
                 x < width && y < height && buffers.object.at(x, y) != 0 && is_wanted(x, y)
             };
-            let [x, y] = corners.into_iter().find(is_there)?;
+            let [x, y] = pixels.find(is_there)?;
             Some(([x as u32, y as u32], self.pixel(world, frame, buffers, x, y)))
         };
-        let rows = (0..height.div_ceil(2)).into_par_iter();
-        let cells =
-            rows.flat_map_iter(|j| (0..width.div_ceil(2)).map(move |i| (i, j))).map(|(i, j)| cell(i, j));
-        Cells { columns: width.div_ceil(2), cells: cells.collect() }
+        let rows = (0..height.div_ceil(side)).into_par_iter();
+        let cells = rows.flat_map_iter(|j| (0..columns).map(move |i| (i, j))).map(|(i, j)| cell(i, j));
+        Cells { side, columns, cells: cells.collect() }
     }
 
     /// Fills `out`, of the view's size, with what the view shows until rays correct it: zero at diffuse pixels.
@@ -208,31 +213,38 @@ mod tests {
         let passes = crate::display::cpu_pass::Passes { texture_ids: false };
         crate::display::cpu_pass::draw(&world, &frame, passes, &mut buffers);
         let first = FirstApproximation::new(Arc::new(Probes::of_world(&world)));
-        let cells = first.cells(&world, &frame, &buffers, |x, y| (x + y) % 3 != 0);
-        let mut shared = 0;
-        for (x, y) in (0..23).flat_map(|y| (0..31).map(move |x| (x, y))) {
-            let cell = |x: usize, y: usize| {
-                (0..2).flat_map(move |dy| (0..2).map(move |dx| (x / 2 * 2 + dx, y / 2 * 2 + dy)))
-            };
-            let is_there = |&(x, y): &(usize, usize)| {
-                x < 31 && y < 23 && (x + y) % 3 != 0 && buffers.object.at(x, y) != 0
-            };
-            let Some((ox, oy)) = cell(x, y).find(is_there) else {
-                assert_eq!(cells.pixel(&buffers, x, y), None);
-                continue;
-            };
-            match cells.pixel(&buffers, x, y) {
-                Some(shown) => {
-                    assert_eq!(shown, first.pixel(&world, &frame, &buffers, ox, oy));
-                    assert_eq!(buffers.object.at(x, y), buffers.object.at(ox, oy));
-                    shared += usize::from((x, y) != (ox, oy));
+        let wanted = |x: usize, y: usize| (x + y) % 3 != 0;
+        for side in [1, 2, 4] {
+            let cells = first.cells(&world, &frame, &buffers, side, wanted);
+            let mut shared = 0;
+            for (x, y) in (0..23).flat_map(|y| (0..31).map(move |x| (x, y))) {
+                let middle = |v: usize| v / side * side + (side - 1) / 2;
+                let is_there =
+                    |x: usize, y: usize| x < 31 && y < 23 && wanted(x, y) && buffers.object.at(x, y) != 0;
+                let (i, j) = (x / side, y / side);
+                let Some(&([ox, oy], looked_up)) = cells.cells[j * cells.columns + i].as_ref() else {
+                    let square = (0..side * side).map(|k| (i * side + k % side, j * side + k / side));
+                    assert!(square.into_iter().all(|(x, y)| !is_there(x, y)));
+                    assert_eq!(cells.pixel(&buffers, x, y), None);
+                    continue;
+                };
+                let (ox, oy) = (ox as usize, oy as usize);
+                assert!([ox / side, oy / side] == [i, j] && is_there(ox, oy));
+                assert!((ox, oy) == (middle(x), middle(y)) || !is_there(middle(x), middle(y)));
+                match cells.pixel(&buffers, x, y) {
+                    Some(shown) => {
+                        assert_eq!(shown, looked_up);
+                        assert_eq!(shown, first.pixel(&world, &frame, &buffers, ox, oy));
+                        assert_eq!(buffers.object.at(x, y), buffers.object.at(ox, oy));
+                        shared += usize::from((x, y) != (ox, oy));
+                    }
+                    None => assert!(
+                        buffers.hit.at(x, y) == PrimaryHit::MISS
+                            || (buffers.depth.at(x, y) / buffers.depth.at(ox, oy) - 1.0).abs() > 0.02
+                    ),
                 }
-                None => assert!(
-                    buffers.hit.at(x, y) == PrimaryHit::MISS
-                        || (buffers.depth.at(x, y) / buffers.depth.at(ox, oy) - 1.0).abs() > 0.02
-                ),
             }
+            assert_eq!(shared > 50, side > 1, "{shared}");
         }
-        assert!(shared > 50, "{shared}");
     }
 }

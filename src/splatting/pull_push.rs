@@ -9,6 +9,8 @@
 //! A cell is of one surface: one object at depths that a plane through it could have. Of several it is the one that most of
 //! it shows, diffuse ones, which have no samples, aside; the others' are left to finer cells.
 
+use std::ops::Range;
+
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
@@ -20,8 +22,9 @@ use crate::image::Map2d;
 pub const ENOUGH: f32 = 1.5;
 /// Levels: the last one's cells have a side of 32 pixels, more than the spacing of any level set that is shown for long.
 pub const LEVELS: usize = 5;
-/// Cells of a level below which one thread takes all.
-const SHARED_FROM: usize = 4096;
+/// Rows of pixels in a band: as high as a cell of the last level, so that no cell lies in two. A thread takes a band through
+/// all levels; each phase of all threads more would wait once more for one that another program has interrupted.
+pub const BAND: usize = 1 << LEVELS;
 
 /// An object and a depth.
 type Key = (u32, f32);
@@ -45,22 +48,44 @@ impl Alike {
     }
 }
 
-/// The cells of one level.
-#[derive(Clone, Debug)]
-struct Level {
-    width: usize,
-    height: usize,
-    keys: Vec<Key>,
-    /// Pulled: the sum of the samples and their number. Pushed: what is shown, and 1 where it is known.
-    cells: Vec<Vec4>,
+/// Pulled, the sum of a cell's samples and their number; pushed, what it shows, and 1 where that is known.
+#[derive(Clone, Copy, Debug)]
+struct Cell {
+    key: Key,
+    value: Vec4,
 }
 
-/// What is shown between the samples of a view.
+/// Rows of a level, one after the other.
+#[derive(Clone, Debug)]
+struct Rows {
+    range: Range<usize>,
+    width: usize,
+    cells: Vec<Cell>,
+}
+
+impl Rows {
+    #[inline]
+    fn at(&self, x: usize, y: usize) -> Cell {
+        self.cells[(y - self.range.start) * self.width + x]
+    }
+}
+
+/// The samples of a view, pulled.
 #[derive(Clone, Debug)]
 pub struct PullPush {
-    /// From the finest to the coarsest.
-    levels: Vec<Level>,
+    /// Columns and rows of each level, from the finest to the coarsest.
+    sizes: [[usize; 2]; LEVELS],
+    /// Of each band of pixels the rows of each level.
+    bands: Vec<[Rows; LEVELS]>,
     alike: Alike,
+}
+
+/// What is shown between the samples in a band of [`BAND`] rows of pixels.
+#[derive(Clone, Debug)]
+pub struct Band<'a> {
+    of: &'a PullPush,
+    /// Pushed: of each level the band's rows and one beside them above and below.
+    levels: Vec<Rows>,
 }
 
 impl PullPush {
@@ -73,70 +98,84 @@ impl PullPush {
     ) -> Self {
         let (width, height) = (objects.width(), objects.height());
         let (ids, depth) = (objects.data(), depths.data());
-        let mut levels: Vec<Level> = Vec::with_capacity(LEVELS);
-        levels.push(halved([width, height], 1, &alike, |i| {
-            let value = sample(i).map_or(Vec4::ZERO, |color| color.extend(1.0));
-            ((ids[i], depth[i]), value)
-        }));
+        let mut sizes = [[width, height].map(|side| side.div_ceil(2)); LEVELS];
         for n in 1..LEVELS {
-            let finer = &levels[n - 1];
-            // What has enough counts no more, however much that is: else a crowd would outweigh its surroundings.
-            let coarser = halved([finer.width, finer.height], 1 << n, &alike, |i| {
-                let cell = finer.cells[i];
-                (finer.keys[i], cell * (ENOUGH / cell.w.max(ENOUGH)))
-            });
-            levels.push(coarser);
+            sizes[n] = sizes[n - 1].map(|side| side.div_ceil(2));
         }
-        let mut made = Self { levels, alike };
-        for n in (0..LEVELS).rev() {
-            let pushed = made.pushed(n);
-            made.levels[n].cells = pushed;
-        }
-        made
-    }
-
-    /// What the cells of a level show, once those of the next coarser do.
-    fn pushed(&self, n: usize) -> Vec<Vec4> {
-        let level = &self.levels[n];
-        let mut out = vec![Vec4::ZERO; level.cells.len()];
-        let row = |(y, out): (usize, &mut [Vec4])| {
-            for (x, out) in out.iter_mut().enumerate() {
-                let i = y * level.width + x;
-                let coarse = match n + 1 < LEVELS {
-                    true => self.around(n + 1, [x, y], level.keys[i]),
-                    false => None,
-                };
-                *out = mixed(level.cells[i], coarse).map_or(Vec4::ZERO, |shown| shown.extend(1.0));
-            }
+        let pixel = |x: usize, y: usize| {
+            let i = y * width + x;
+            let value = sample(i).map_or(Vec4::ZERO, |color| color.extend(1.0));
+            Cell { key: (ids[i], depth[i]), value }
         };
-        let rows = level.width.max(1);
-        if level.cells.len() < SHARED_FROM {
-            out.chunks_mut(rows).enumerate().for_each(row);
-        } else {
-            out.par_chunks_mut(rows).enumerate().for_each(row);
-        }
-        out
+        let pulled = |band: usize| {
+            let mut levels = [const { Rows { range: 0..0, width: 0, cells: Vec::new() } }; LEVELS];
+            let rows = |n: usize| rows_of(band, n, 0, sizes[n][1]);
+            levels[0] = halved([width, height], rows(0), 1, &alike, pixel);
+            for n in 1..LEVELS {
+                let finer = &levels[n - 1];
+                // What has enough counts no more, however much that is: else a crowd would outweigh its surroundings.
+                let counted = |x: usize, y: usize| {
+                    let Cell { key, value } = finer.at(x, y);
+                    Cell { key, value: value * (ENOUGH / value.w.max(ENOUGH)) }
+                };
+                levels[n] = halved(sizes[n - 1], rows(n), 1 << n, &alike, counted);
+            }
+            levels
+        };
+        Self { sizes, bands: (0..height.div_ceil(BAND)).into_par_iter().map(pulled).collect(), alike }
     }
 
-    /// What level `n` shows at the middle of a cell of the next finer level, or of a pixel, on its surface.
+    /// What is shown in the rows of pixels from this many times [`BAND`] on.
+    ///
+    /// # Panics
+    /// If the picture has no such rows: a bug of the caller.
+    pub fn band(&self, band: usize) -> Band<'_> {
+        let mut pushed = Band { of: self, levels: Vec::with_capacity(LEVELS) };
+        for n in (0..LEVELS).rev() {
+            // Cells between those of a coarser level lie between its band's and one beside them, too.
+            let range = rows_of(band, n, 1, self.sizes[n][1]);
+            let width = self.sizes[n][0];
+            let mut cells = Vec::with_capacity(range.len() * width);
+            for y in range.clone() {
+                let of = &self.bands[y / (BAND >> (n + 1))][n];
+                cells.extend((0..width).map(|x| {
+                    let Cell { key, value } = of.at(x, y);
+                    // What is diffuse has no samples.
+                    let shown = match key.0 {
+                        0 => None,
+                        _ => mixed(value, pushed.around(n + 1, [x, y], key)),
+                    };
+                    Cell { key, value: shown.map_or(Vec4::ZERO, |shown| shown.extend(1.0)) }
+                }));
+            }
+            pushed.levels.push(Rows { range, width, cells });
+        }
+        pushed
+    }
+}
+
+impl Band<'_> {
+    /// What level `n` shows at the middle of a cell of the next finer level, or of a pixel, on its surface; none beyond the
+    /// coarsest.
     #[inline(always)] // a call for each pixel otherwise
     fn around(&self, n: usize, [x, y]: [usize; 2], key: Key) -> Option<Vec3> {
-        let level = &self.levels[n];
+        let level = self.levels.get((LEVELS - 1).checked_sub(n)?)?;
         // The cell's parent and those on the side that it lies to.
         let next = |v: usize, count: usize| {
             let parent = v / 2;
             let other = if v.is_multiple_of(2) { parent.checked_sub(1) } else { Some(parent + 1) };
             (parent, other.filter(|v| *v < count))
         };
-        let ((px, qx), (py, qy)) = (next(x, level.width), next(y, level.height));
+        let [width, height] = self.of.sizes[n];
+        let ((px, qx), (py, qy)) = (next(x, width), next(y, height));
         let pixels = (2usize << n) as f32;
         let mut sum = Vec4::ZERO;
         for (cy, wy) in [(Some(py), 0.75), (qy, 0.25)] {
             for (cx, wx) in [(Some(px), 0.75), (qx, 0.25)] {
                 let (Some(cx), Some(cy)) = (cx, cy) else { continue };
-                let i = cy * level.width + cx;
-                if self.alike.holds(key, level.keys[i], pixels) {
-                    sum += level.cells[i] * (wx * wy);
+                let cell = level.at(cx, cy);
+                if self.of.alike.holds(key, cell.key, pixels) {
+                    sum += cell.value * (wx * wy);
                 }
             }
         }
@@ -145,11 +184,20 @@ impl PullPush {
 
     /// What a pixel of a surface shows whose own sample, if it has one, is this; `None` where no cell around is of its surface
     /// and has samples near.
+    ///
+    /// # Panics
+    /// If the pixel lies in another band: a bug of the caller.
     #[inline]
     pub fn pixel(&self, [x, y]: [usize; 2], key: (u32, f32), own: Option<Vec3>) -> Option<Vec3> {
         let coarse = self.around(0, [x, y], key)?;
         mixed(own.map_or(Vec4::ZERO, |own| own.extend(1.0)), Some(coarse))
     }
+}
+
+/// Rows of level `n` in a band, with so many beside them.
+fn rows_of(band: usize, n: usize, beside: usize, rows: usize) -> Range<usize> {
+    let height = BAND >> (n + 1);
+    (band * height).saturating_sub(beside)..((band + 1) * height + beside).min(rows)
 }
 
 /// What a cell of these samples shows amid what is coarser.
@@ -162,57 +210,52 @@ fn mixed(samples: Vec4, coarse: Option<Vec3>) -> Option<Vec3> {
     Some(coarse.map_or(mean, |coarse| coarse.lerp(mean, (samples.w / ENOUGH).min(1.0))))
 }
 
-/// Cells of 2 × 2 of what is there, whose sides are this many pixels.
+/// Rows of cells of 2 × 2 of what is there, whose sides are this many pixels.
 fn halved(
     [width, height]: [usize; 2],
+    range: Range<usize>,
     side: usize,
     alike: &Alike,
-    of: impl Fn(usize) -> (Key, Vec4) + Sync,
-) -> Level {
-    let (across, down) = (width.div_ceil(2), height.div_ceil(2));
-    let (mut keys, mut cells) = (vec![(0, 0.0); across * down], vec![Vec4::ZERO; across * down]);
-    let row = |(y, (keys, cells)): (usize, (&mut [Key], &mut [Vec4]))| {
-        for (x, (key, cell)) in keys.iter_mut().zip(cells).enumerate() {
-            let mut children = [((0, f32::NAN), Vec4::ZERO); 4];
+    of: impl Fn(usize, usize) -> Cell,
+) -> Rows {
+    let across = width.div_ceil(2);
+    let mut cells = Vec::with_capacity(range.len() * across);
+    for y in range.clone() {
+        cells.extend((0..across).map(|x| {
+            let mut children = [Cell { key: (0, f32::NAN), value: Vec4::ZERO }; 4];
             for (k, child) in children.iter_mut().enumerate() {
                 let (cx, cy) = (2 * x + k % 2, 2 * y + k / 2);
                 if cx < width && cy < height {
-                    *child = of(cy * width + cx);
+                    *child = of(cx, cy);
                 }
             }
-            (*key, *cell) = joined(&children, alike, side as f32);
-        }
-    };
-    let across = across.max(1);
-    if cells.len() < SHARED_FROM {
-        keys.chunks_mut(across).zip(cells.chunks_mut(across)).enumerate().for_each(row);
-    } else {
-        keys.par_chunks_mut(across).zip(cells.par_chunks_mut(across)).enumerate().for_each(row);
+            joined(&children, alike, side as f32)
+        }));
     }
-    Level { width: width.div_ceil(2), height: down, keys, cells }
+    Rows { range, width: across, cells }
 }
 
 /// The surface that most of four show, and its samples. Diffuse surfaces have none.
 #[inline]
-fn joined(children: &[(Key, Vec4); 4], alike: &Alike, side: f32) -> (Key, Vec4) {
-    let mut best = (0, children[0].0, Vec4::ZERO);
-    for &(key, _) in children.iter().filter(|(key, _)| key.0 != 0) {
+fn joined(children: &[Cell; 4], alike: &Alike, side: f32) -> Cell {
+    let mut best = (0, Cell { key: children[0].key, value: Vec4::ZERO });
+    for &Cell { key, .. } in children.iter().filter(|child| child.key.0 != 0) {
         let mut votes = 0;
         let mut sum = Vec4::ZERO;
-        for &(other, samples) in children {
-            if alike.holds(key, other, side) {
+        for other in children {
+            if alike.holds(key, other.key, side) {
                 votes += 1;
-                sum += samples;
+                sum += other.value;
             }
         }
         if votes > best.0 {
-            best = (votes, key, sum);
+            best = (votes, Cell { key, value: sum });
         }
         if votes == 4 {
             break;
         }
     }
-    (best.1, best.2)
+    best.1
 }
 
 #[cfg(test)]
@@ -229,7 +272,8 @@ mod tests {
         let objects = Map2d::from_fn(SIZE, SIZE, |x, y| of(x, y).0);
         let depths = Map2d::from_fn(SIZE, SIZE, |x, y| of(x, y).1);
         let made = PullPush::new(&objects, &depths, ALIKE, |i| sample(i % SIZE, i / SIZE));
-        Map2d::from_fn(SIZE, SIZE, |x, y| made.pixel([x, y], of(x, y), sample(x, y)))
+        let bands: Vec<Band<'_>> = (0..SIZE.div_ceil(BAND)).map(|n| made.band(n)).collect();
+        Map2d::from_fn(SIZE, SIZE, |x, y| bands[y / BAND].pixel([x, y], of(x, y), sample(x, y)))
     }
 
     fn is_sampled(x: usize, y: usize) -> bool {
@@ -299,11 +343,9 @@ mod tests {
             let depths = Map2d::new(size[0], size[1], 2.0);
             let made = PullPush::new(&objects, &depths, ALIKE, |i| (i == 0).then_some(Vec3::X));
             let last = [size[0] - 1, size[1] - 1];
-            assert_eq!(made.pixel(last, (1, 2.0), None), Some(Vec3::X));
+            assert_eq!(made.band(0).pixel(last, (1, 2.0), None), Some(Vec3::X));
         }
-        assert!(
-            PullPush::new(&Map2d::new(0, 0, 0), &Map2d::new(0, 0, 0.0), ALIKE, |_| None).levels.len()
-                == LEVELS
-        );
+        let none = PullPush::new(&Map2d::new(0, 0, 0), &Map2d::new(0, 0, 0.0), ALIKE, |_| None);
+        assert!(none.bands.is_empty());
     }
 }

@@ -23,7 +23,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::layer::level_of;
-use super::pull_push::{Alike, ENOUGH, PullPush};
+use super::pull_push::{self, Alike, BAND, ENOUGH, PullPush};
 use super::{Footprint, SplatLayer};
 use crate::display::FrameBuffers;
 use crate::image::Map2d;
@@ -46,8 +46,6 @@ pub struct Reconstruction<'a> {
     /// Radiance that is displayed as white.
     white: f32,
     interpolates: bool,
-    /// What is shown between samples that are no lattice, where that is asked for and there are any.
-    smooth: Option<PullPush>,
 }
 
 impl<'a> Reconstruction<'a> {
@@ -60,27 +58,48 @@ impl<'a> Reconstruction<'a> {
             slope: slope(frame),
             white,
             interpolates: layer.footprint().interpolates(),
-            smooth: None,
         }
     }
 
-    /// For all pixels of a picture: of a layer of [`Footprint::Smooth`] ([`PullPush`]), unless each pixel that has samples
-    /// shows its own. For a few pixels the linear way, which needs no preparation, is told the same by and large.
-    pub fn of_picture(mut self) -> Self {
+    /// What all pixels show, of a layer of [`Footprint::Smooth`] as [`PullPush`] has it unless each pixel that has samples
+    /// shows its own: `of` is given each pixel with its view-dependent radiance. A single pixel ([`Self::pixel`]) is told
+    /// about the same linearly, which needs no preparation.
+    ///
+    /// # Panics
+    /// If the sizes differ: a bug of the caller.
+    pub fn fill<T: Copy + Send>(&self, out: &mut Map2d<T>, of: impl Fn(usize, usize, Vec3) -> T + Sync) {
+        let (width, height) = (self.objects.width(), self.objects.height());
+        assert_eq!((out.width(), out.height()), (width, height), "a picture of another size");
+        let smooth = self.smooth();
+        let width = width.max(1);
+        out.data_mut().par_chunks_mut(width * BAND).enumerate().for_each(|(n, rows)| {
+            let amid = smooth.as_ref().map(|smooth| smooth.band(n));
+            for (y, row) in rows.chunks_mut(width).enumerate() {
+                let y = n * BAND + y;
+                let guides = &self.layer.guides()[1].data()[y * width..];
+                for (x, (out, guide)) in row.iter_mut().zip(guides).enumerate() {
+                    *out = of(x, y, self.pixel_amid(amid.as_ref(), x, y, *guide));
+                }
+            }
+        });
+    }
+
+    /// What lies between samples that are no lattice, where that is asked for and there are any.
+    fn smooth(&self) -> Option<PullPush> {
         let (colors, ranks, _, places) = self.layer.maps();
         let (colors, ranks, places) = (colors.data(), ranks.data(), places.data());
         let is_open = |rank: &u32| level_of(*rank).is_some_and(|level| level != (0, true));
-        if self.layer.footprint() == Footprint::Smooth && ranks.par_iter().any(is_open) {
-            let width = self.objects.width();
-            let white = Vec3::splat(self.white);
-            let sample = |i: usize| {
-                let is_own = places[i] == (i % width) as u32 | ((i / width) as u32) << 16;
-                (is_own && level_of(ranks[i]).is_some()).then(|| colors[i].min(white))
-            };
-            let alike = Alike { slope: self.slope, shares: DEPTH_SHARES };
-            self.smooth = Some(PullPush::new(self.objects, self.depths, alike, sample));
+        if self.layer.footprint() != Footprint::Smooth || !ranks.iter().any(is_open) {
+            return None;
         }
-        self
+        let width = self.objects.width();
+        let white = Vec3::splat(self.white);
+        let sample = |i: usize| {
+            let is_own = places[i] == (i % width) as u32 | ((i / width) as u32) << 16;
+            (is_own && level_of(ranks[i]).is_some()).then(|| colors[i].min(white))
+        };
+        let alike = Alike { slope: self.slope, shares: DEPTH_SHARES };
+        Some(PullPush::new(self.objects, self.depths, alike, sample))
     }
 
     /// Whether a pixel shows a sample that lies on it.
@@ -117,7 +136,7 @@ impl<'a> Reconstruction<'a> {
     }
 
     /// What a pixel without guide shows of all samples around: its own to the bit where those beside it have theirs.
-    fn amid(&self, smooth: &PullPush, x: usize, y: usize) -> Vec3 {
+    fn amid(&self, smooth: &pull_push::Band<'_>, x: usize, y: usize) -> Vec3 {
         let shown = self.layer.color(x, y);
         if self.is_dense(x, y) {
             return shown;
@@ -136,13 +155,19 @@ impl<'a> Reconstruction<'a> {
     /// What a pixel would show if this were its guide; not a number: if it had none.
     #[inline]
     pub fn pixel_led_by(&self, x: usize, y: usize, guide: Vec3) -> Vec3 {
+        self.pixel_amid(None, x, y, guide)
+    }
+
+    /// The same amid all samples around, where they are given.
+    #[inline]
+    fn pixel_amid(&self, smooth: Option<&pull_push::Band<'_>>, x: usize, y: usize, guide: Vec3) -> Vec3 {
         let (colors, ranks, _, places) = self.layer.maps();
         let (own, level) = (colors.at(x, y), level_of(ranks.at(x, y)));
         if !self.interpolates {
             return own;
         }
         let is_exact = level == Some((0, true));
-        match &self.smooth {
+        match smooth {
             // One alone amid others' is no more exact than those.
             Some(smooth) if level.is_some() && guide.is_nan() => return self.amid(smooth, x, y),
             _ if is_exact => return own,
@@ -546,19 +571,22 @@ mod tests {
             for object in [1, 2] {
                 splat(&mut layer, &buffers, object, level, wild(object), |_, _| true);
             }
-            let between = Reconstruction::new(&layer, &buffers, &frame(), f32::INFINITY).of_picture();
-            assert_eq!(between.smooth.is_some(), level < lattice().levels(), "only where it is needed");
+            let between = Reconstruction::new(&layer, &buffers, &frame(), f32::INFINITY);
+            let is_smooth = between.smooth().is_some();
+            assert_eq!(is_smooth, level < lattice().levels(), "only where it is needed");
+            let mut shown = Map2d::new(SIZE, SIZE, Vec3::ZERO);
+            between.fill(&mut shown, |_, _, value| value);
             let mut mixed = 0;
             for (x, y) in pixels().filter(|&(x, y)| layer.is_covered(x, y)) {
-                let value = between.pixel(x, y);
+                let value = shown.at(x, y);
                 let object = buffers.object.at(x, y);
                 assert!((value.z - object as f32).abs() < 1e-5, "{value} at {x}, {y}");
                 mixed += usize::from(value != layer.color(x, y));
-                if between.smooth.is_none() {
+                if !is_smooth {
                     assert_eq!(value, wild(object)(x as f32, y as f32));
                 }
             }
-            assert!(between.smooth.is_none() || mixed > 1000, "{mixed}");
+            assert!(!is_smooth || mixed > 1000, "{mixed}");
         }
         // Without preparation the linear way stands for it.
         let alone = Reconstruction::new(&layer, &buffers, &frame(), f32::INFINITY);

@@ -52,10 +52,10 @@ const DRAWING_SHARE: f32 = 0.4;
 /// Seconds that drawing a pixel may take before the first one is drawn: what the bundled scenes take on two cores, about.
 const UNSEEN_PIXEL: f32 = 2.5e-7;
 /// Shares of a frame's time that a sparse base layer and what follows it in every frame may take together, before it is drawn
-/// coarsely, whose edges show: the first is as late as a frame may be beside a process that takes all cores. Once coarse it
-/// stays so until there is time for more, or it would change from frame to frame.
-const COARSE_FROM: f32 = 1.25;
-const COARSE_UNTIL: f32 = 1.1;
+/// coarsely, whose edges show: the first is as late as 1 frame in 100 may be. Once coarse it stays so until there is time for
+/// more, or it would change from frame to frame.
+const COARSE_FROM: f32 = 1.1;
+const COARSE_UNTIL: f32 = 0.95;
 
 /// Counts of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

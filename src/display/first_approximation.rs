@@ -213,7 +213,7 @@ mod tests {
         let passes = crate::display::cpu_pass::Passes { texture_ids: false };
         crate::display::cpu_pass::draw(&world, &frame, passes, &mut buffers);
         let first = FirstApproximation::new(Arc::new(Probes::of_world(&world)));
-        let wanted = |x: usize, y: usize| (x + y) % 3 != 0;
+        let wanted = |x: usize, y: usize| !(x + y).is_multiple_of(3);
         for side in [1, 2, 4] {
             let cells = first.cells(&world, &frame, &buffers, side, wanted);
             let mut shared = 0;

@@ -49,7 +49,8 @@ pub const MARK_FRAME: u32 = 0;
 /// Share of a frame's time that drawing the base layer may take while the camera moves; where it takes more, it is drawn
 /// sparsely, so that the frame is in time and samples come into it.
 const DRAWING_SHARE: f32 = 0.4;
-/// Seconds that drawing a pixel may take before the first one is drawn: what the bundled scenes take on two cores, about.
+/// Seconds that drawing a pixel is expected to take before the first one is drawn: about what the dearest of the bundled scenes,
+/// the table, takes on two cores (`foveal bench stages`).
 const UNSEEN_PIXEL: f32 = 2.5e-7;
 /// Shares of a frame's time that a sparse base layer and what follows it in every frame may take together, before it is drawn
 /// coarsely, whose edges show: the first is as late as 1 frame in 100 may be. Once coarse it stays so until there is time for

@@ -84,7 +84,7 @@ pub struct PullPush {
 #[derive(Clone, Debug)]
 pub struct Band<'a> {
     of: &'a PullPush,
-    /// Pushed: of each level the band's rows and one beside them above and below.
+    /// Pushed, from the coarsest on: of each level the band's rows, and one beside them above and below.
     levels: Vec<Rows>,
 }
 
@@ -296,6 +296,31 @@ mod tests {
         // A sample in 23 pixels: 4.8 apart.
         assert!(mean < 1.3, "{mean}");
         assert!(inner().all(|(x, y)| off(x, y).abs() < 8.0));
+    }
+
+    /// Bands know nothing of each other: what two of them have made of the same rows must be the same.
+    #[test]
+    fn bands_agree_where_they_overlap() {
+        let objects = Map2d::from_fn(SIZE, SIZE, |x, y| 1 + u32::from(x + y / 3 > 60));
+        let depths = Map2d::from_fn(SIZE, SIZE, |_, y| 2.0 + 0.01 * y as f32);
+        let color = |i: usize| Vec3::new((i % 7) as f32, (i % 11) as f32, (i % 13) as f32);
+        let sample = |i: usize| is_sampled(i % SIZE, i / SIZE).then(|| color(i));
+        let made = PullPush::new(&objects, &depths, ALIKE, sample);
+        let bands: Vec<Band<'_>> = (0..SIZE.div_ceil(BAND)).map(|n| made.band(n)).collect();
+        let mut shared = 0;
+        for pair in bands.windows(2) {
+            for (above, below) in pair[0].levels.iter().zip(&pair[1].levels) {
+                for y in below.range.start..above.range.end {
+                    for x in 0..above.width {
+                        let (a, b) = (above.at(x, y), below.at(x, y));
+                        assert_eq!((a.key, a.value), (b.key, b.value), "{x}, {y}");
+                        shared += usize::from(a.value.w > 0.0);
+                    }
+                }
+            }
+        }
+        // Two rows of each level, where there are as many.
+        assert!(shared > 200, "{shared}");
     }
 
     #[test]

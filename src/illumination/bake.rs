@@ -57,7 +57,7 @@ const TESTED: u64 = 16;
 const LOOKS: (u64, u64) = (1 << 14, 1 << 18);
 
 /// Raised with every change of how a map is computed, or of what of it is kept.
-pub const VERSION: u32 = 22;
+pub const VERSION: u32 = 23;
 
 /// What to bake, and when it is good enough.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

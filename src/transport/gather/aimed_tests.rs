@@ -1,6 +1,6 @@
 use super::*;
 use crate::illumination::{Irradiance, Uniform};
-use crate::scene::{Light, Model, Reflectance, Scene};
+use crate::scene::{Distribution, Light, Model, Reflectance, Roughness, Scene};
 use crate::transport::test_boxes::{Builder, glass, lambert, mean};
 
 /// A map that says 100 on some triangles and 1 elsewhere.
@@ -94,6 +94,43 @@ fn aims_change_the_noise_and_not_the_mean() {
             );
             assert!(!(right && pays) || less < 0.7 * noise, "{less} beside {noise}");
         }
+    }
+}
+
+/// A rough lobe sends light on as a diffuse surface does, so what shines by it alone is looked for, too; a narrow one keeps it
+/// for who stands in the right place.
+#[test]
+fn what_shines_by_a_rough_lobe_is_looked_for() {
+    for (alpha, looked_for) in [(0.3, true), (0.05, false)] {
+        let mut b = Builder::default();
+        let wall = b.material(lambert(0.6));
+        b.cube(Vec3::ZERO, -1.0, wall);
+        let metal = b.material(Model::CookTorrance {
+            diffuse: Reflectance::constant(Vec3::splat(0.002)),
+            specular: Reflectance::constant(Vec3::splat(0.7)),
+            roughness: Roughness { alpha_x: alpha, alpha_y: alpha, distribution: Distribution::Ggx },
+        });
+        b.rectangle(Vec3::new(0.2, -0.1, 0.9), Vec3::Y * 0.1, Vec3::X * 0.1, metal);
+        let mut scene = b.scene();
+        scene.lights = vec![Light::Point {
+            position: Vec3::new(0.2, -0.1, 0.86),
+            intensity: Vec3::splat(0.1),
+            range: f32::INFINITY,
+        }];
+        let bright = BrightSurfaces::new(&scene, &Patches(vec![12, 13]));
+        assert_eq!(bright.share() > 0.0, looked_for, "{alpha}: {}", bright.share());
+        let (accel, lights) = (Accel::build(&scene), Lights::build(&scene));
+        let gather = Gather::new(&scene, &accel, &lights, Trust::Nobody).without_named();
+        let of = |gather: Gather<'_>| {
+            let at = floor(&scene, &accel);
+            mean(40_000, |i| gather.arriving(&at, Media::EMPTY, Stream::new(5, i, 0)).soft)
+        };
+        let ((expected, noise), (found, less)) = (of(gather), of(gather.looking_for(&bright)));
+        assert!(
+            (found - expected).abs() < 4.0 * (noise + less),
+            "{found} ± {less}, not {expected} ± {noise}"
+        );
+        assert!(!looked_for || less < 0.7 * noise, "{less} beside {noise}");
     }
 }
 

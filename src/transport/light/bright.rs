@@ -11,10 +11,13 @@ use glam::Vec3;
 
 use super::tree::{Bounds, LightTree};
 use super::{Receiver, normal_and_area, uniform_barycentrics};
-use crate::geometry::Hit;
+use crate::apart::in_parts;
+use crate::geometry::{Hit, Ray};
 use crate::illumination::Irradiance;
 use crate::image::luminance;
 use crate::scene::{Scene, TriangleIndex};
+use crate::transport::bsdf::Bsdf;
+use crate::transport::interaction::Interaction;
 use crate::transport::surface::SurfacePoint;
 
 /// About so many cells all surfaces are cut into.
@@ -27,6 +30,9 @@ const BRIGHT: f64 = 4.0;
 const MOST: usize = 4096;
 /// Share of all reflected light that bright surfaces must hold to be looked for, and the share of directions at most.
 const SHARE: (f32, f32) = (0.05, 0.5);
+
+/// A footprint of which every texture shows its coarsest level.
+const COARSEST: f32 = 1e30;
 
 /// What belongs to no cell.
 const NONE: u32 = u32::MAX;
@@ -101,7 +107,7 @@ fn cells_of(edge: u32) -> impl Iterator<Item = u32> {
     })
 }
 
-/// Radiance that the side of a triangle reflects at a point under a map, luminance.
+/// Radiance that the side of a triangle reflects at a point under a map, luminance: wide lobes as if they were diffuse.
 fn reflected(
     scene: &Scene,
     map: &dyn Irradiance,
@@ -109,17 +115,33 @@ fn reflected(
     back: bool,
     [b1, b2]: [f32; 2],
 ) -> f64 {
+    let light = [back, !back].map(|back| map.irradiance(triangle, b1, b2, back));
+    if light == [Vec3::ZERO; 2] {
+        return 0.0;
+    }
     let [a, b, c] = scene.mesh.corners(triangle);
-    let normal = (b - a).cross(c - a);
+    let normal = (b - a).cross(c - a).normalize_or_zero();
+    let seen_along = if back { normal } else { -normal };
     let hit = Hit { t: 1.0, triangle, b1, b2 };
     // By the coarsest level of textures: that is in memory whatever walks left out.
-    let point = SurfacePoint::at(scene, if back { normal } else { -normal }, &hit, 1e30);
-    let mut light = point.diffuse_albedo(scene) * map.irradiance(triangle, b1, b2, back);
-    let passed = point.passed_albedo(scene);
-    if passed != Vec3::ZERO {
-        light += passed * map.irradiance(triangle, b1, b2, !back);
+    let point = SurfacePoint::at(scene, seen_along, &hit, COARSEST);
+    let lobes = wide_lobes(scene, seen_along, &hit);
+    let [own, other] = light;
+    let radiance = (point.diffuse_albedo(scene) + lobes) * own + point.passed_albedo(scene) * other;
+    f64::from(luminance(radiance * FRAC_1_PI))
+}
+
+/// Albedo of the lobes that paths meet as they meet diffuse surfaces ([`Bsdf::is_wide`]), for who looks straight at them.
+fn wide_lobes(scene: &Scene, along: Vec3, hit: &Hit) -> Vec3 {
+    let is_rough = scene.material_of(hit.triangle).model.roughness().is_some();
+    if !is_rough || along == Vec3::ZERO {
+        return Vec3::ZERO;
     }
-    f64::from(luminance(light * FRAC_1_PI))
+    let [a, b, c] = scene.mesh.corners(hit.triangle);
+    let point = a * (1.0 - hit.b1 - hit.b2) + b * hit.b1 + c * hit.b2;
+    let at = Interaction::at(scene, &Ray::new(point - along, along), hit).with_footprint(COARSEST);
+    let bsdf = Bsdf::at(scene, &at);
+    if bsdf.is_wide() { bsdf.view_dependent_albedo(at.wo) } else { Vec3::ZERO }
 }
 
 impl BrightSurfaces {
@@ -130,26 +152,24 @@ impl BrightSurfaces {
             let material = scene.material_of(*t);
             material.has_diffuse() && !material.is_emissive()
         };
-        // Not in parallel: many may wait for it in threads that would take each other's work on.
         let areas: Vec<f32> = (0..count).map(|t| normal_and_area(scene.mesh.corners(t)).1).collect();
         let all: f64 = areas.iter().map(|a| f64::from(*a)).sum();
         let cut = |t: u32| (areas[t as usize] * CELLS / all as f32).sqrt().clamp(1.0, EDGE_MAX).ceil() as u32;
-        let cells: Vec<Cell> = (0..count)
-            .filter(|t| is_wanted(t) && areas[*t as usize] > 0.0)
-            .flat_map(|triangle| {
-                let edge = cut(triangle);
-                let area = areas[triangle as usize] / (edge * edge) as f32;
-                [false, true].into_iter().flat_map(move |back| {
-                    cells_of(edge).map(move |number| {
-                        let corners = corners_of(edge, number);
-                        let middle = std::array::from_fn(|k| corners.iter().map(|c| c[k]).sum::<f32>() / 3.0);
-                        let radiance = reflected(scene, map, triangle, back, middle);
-                        Cell { triangle, back, edge, number, radiance, area }
-                    })
-                })
+        let cells_of_side = |triangle: u32, back: bool| {
+            let edge = cut(triangle);
+            let area = areas[triangle as usize] / (edge * edge) as f32;
+            cells_of(edge).map(move |number| {
+                let corners = corners_of(edge, number);
+                let middle = std::array::from_fn(|k| corners.iter().map(|c| c[k]).sum::<f32>() / 3.0);
+                let radiance = reflected(scene, map, triangle, back, middle);
+                Cell { triangle, back, edge, number, radiance, area }
             })
-            .filter(|cell| cell.radiance > 0.0 && cell.radiance.is_finite())
-            .collect();
+        };
+        let cells: Vec<Cell> = in_parts(count as usize, |part| {
+            let triangles = part.map(|t| t as u32).filter(|t| is_wanted(t) && areas[*t as usize] > 0.0);
+            let cells = triangles.flat_map(|t| cells_of_side(t, false).chain(cells_of_side(t, true)));
+            cells.filter(|cell| cell.radiance > 0.0 && cell.radiance.is_finite()).collect()
+        });
         let power = |cell: &Cell| cell.radiance * f64::from(cell.area);
         let total: f64 = cells.iter().map(power).sum();
         let lit: f64 = cells.iter().map(|cell| f64::from(cell.area)).sum();

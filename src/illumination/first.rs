@@ -1,8 +1,7 @@
 //! The first illumination of a scene, within a second: coarse elements, few samples, wide smoothing.
 //!
-//! What named lights bring straight has no noise and is known before all else, so paths look for what it lights brightest from
-//! their first sample on: a patch of sun, a lampshade, which directions by the cosine would find once in a hundred, and a
-//! lobe in it then shows as a glow that is not there.
+//! What named lights make bright is known before all else, so paths look for it from their first sample on: a patch of sun, a
+//! lampshade. Directions by the cosine find that once in a hundred, and a single one then shows as a glow that is not there.
 //!
 //! The first round follows paths to their end, so that all bounces of light are there; the next ones read what it found, as
 //! those of the bake do. Of a dense mesh one vertex speaks for those around it. Nothing in it is guessed: it is a short bake.
@@ -21,7 +20,6 @@ use super::sites::{NONE, Site, Sites};
 use super::stored::{Illumination, Summary, Value};
 use crate::transport::Indexed;
 use crate::transport::gather::{Gather, Trust};
-use crate::transport::light::bright::BrightSurfaces;
 
 /// Texels of the first map.
 const TEXELS: u32 = 16 * 1024;
@@ -54,26 +52,12 @@ pub fn first_picture_while(
     let sites = places.sites.as_ref().unwrap_or(&all);
     let mut gathered = vec![Gathered::default(); sites.all().len()];
     let mut dark = vec![false; gathered.len().div_ceil(BLOCK)];
+    let bright = lights.lit_by_named(scene, accel);
     let mut map = Illumination::default();
     let mut paths = 0;
-    let bright = if lights.has_any_named() {
-        let gather = Gather::new(scene, accel, lights, Trust::Nobody);
-        gathered.par_iter_mut().zip(sites.all()).for_each(|(sums, site)| {
-            if is_wanted() && sums.find_points((scene, accel), &atlas, &points, (site, Look::Few)) {
-                sums.look_at_named(scene, (&atlas, &points), &gather, site);
-            }
-        });
-        let named = places.of_all(all.all().len(), &|i: usize| gathered[i].named());
-        BrightSurfaces::new(scene, &stored(&atlas, &all, (&named, None)))
-    } else {
-        BrightSurfaces::default()
-    };
-    if !is_wanted() {
-        return None;
-    }
     for (round, samples) in SAMPLES.into_iter().enumerate() {
         let trust = if round == 0 { Trust::Nobody } else { Trust::Map(&map) };
-        let gather = Gather::new(scene, accel, lights, trust).without_named().looking_for(&bright);
+        let gather = Gather::new(scene, accel, lights, trust).without_named().looking_for(bright);
         let taken: u64 = gathered
             .par_iter_mut()
             .enumerate()

@@ -74,28 +74,6 @@ impl Gathered {
         self.soft_weight *= KEPT;
     }
 
-    /// Asks what named lights bring straight, where nobody did.
-    pub fn look_at_named(
-        &mut self,
-        scene: &Scene,
-        (atlas, points): (&Atlas, &Points),
-        gather: &Gather<'_>,
-        site: &Site,
-    ) {
-        let usable = self.usable.unwrap_or(0);
-        let looks = usable.count_ones().min(NAMED);
-        if looks == 0 || self.named.is_some() {
-            return;
-        }
-        let found = usable.count_ones();
-        let look = |turn: u32| {
-            let point = points.candidate(scene, atlas, site.element, bit(usable, turn * found / looks)?)?;
-            let at = point.seen_from(scene, site.back).with_footprint(site.width);
-            Some(gather.named(&at, &Bsdf::at(scene, &at), Media::EMPTY))
-        };
-        self.named = Some(((0..looks).filter_map(look).sum::<Vec3>() / looks as f32).to_array());
-    }
-
     /// Takes `count` samples, an even number, at the points found.
     pub fn gather(
         &mut self,
@@ -110,8 +88,17 @@ impl Gathered {
         if found == 0 {
             return;
         }
-        self.look_at_named(scene, (atlas, points), gather, site);
         let side = u64::from(site.element) << 1 | u64::from(site.back);
+        self.named.get_or_insert_with(|| {
+            let looks = found.min(NAMED);
+            let look = |turn: u32| {
+                let point =
+                    points.candidate(scene, atlas, site.element, bit(usable, turn * found / looks)?)?;
+                let at = point.seen_from(scene, site.back).with_footprint(site.width);
+                Some(gather.named(&at, &Bsdf::at(scene, &at), Media::EMPTY))
+            };
+            ((0..looks).filter_map(look).sum::<Vec3>() / looks as f32).to_array()
+        });
         for sample in self.samples..self.samples + count {
             let (half, index) = ((sample & 1) as usize, sample >> 1);
             // Each half comes to all points in turn.

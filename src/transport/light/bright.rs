@@ -10,14 +10,16 @@ use std::f32::consts::FRAC_1_PI;
 use glam::Vec3;
 
 use super::tree::{Bounds, LightTree};
-use super::{Receiver, normal_and_area, uniform_barycentrics};
+use super::{Lights, Receiver, normal_and_area, uniform_barycentrics};
 use crate::apart::in_parts;
-use crate::geometry::{Hit, Ray};
+use crate::geometry::{Accel, Hit, Ray};
 use crate::illumination::Irradiance;
 use crate::image::luminance;
 use crate::scene::{Scene, TriangleIndex};
 use crate::transport::bsdf::Bsdf;
+use crate::transport::gather::{Gather, Trust};
 use crate::transport::interaction::Interaction;
+use crate::transport::medium::Media;
 use crate::transport::surface::SurfacePoint;
 
 /// About so many cells all surfaces are cut into.
@@ -107,28 +109,45 @@ fn cells_of(edge: u32) -> impl Iterator<Item = u32> {
     })
 }
 
-/// Radiance that the side of a triangle reflects at a point under a map, luminance: wide lobes as if they were diffuse.
+/// Irradiance of a point on the front and the back of a triangle.
+type Light<'a> = dyn Fn(TriangleIndex, [f32; 2]) -> [Vec3; 2] + Sync + 'a;
+
+/// Radiance that the side of a triangle reflects at a point under some light, luminance: wide lobes as if they were diffuse.
 fn reflected(
     scene: &Scene,
-    map: &dyn Irradiance,
+    light: [Vec3; 2],
     triangle: TriangleIndex,
     back: bool,
     [b1, b2]: [f32; 2],
 ) -> f64 {
-    let light = [back, !back].map(|back| map.irradiance(triangle, b1, b2, back));
     if light == [Vec3::ZERO; 2] {
         return 0.0;
     }
-    let [a, b, c] = scene.mesh.corners(triangle);
-    let normal = (b - a).cross(c - a).normalize_or_zero();
-    let seen_along = if back { normal } else { -normal };
+    let along = seen_along(scene, triangle, back);
     let hit = Hit { t: 1.0, triangle, b1, b2 };
     // By the coarsest level of textures: that is in memory whatever walks left out.
-    let point = SurfacePoint::at(scene, seen_along, &hit, COARSEST);
-    let lobes = wide_lobes(scene, seen_along, &hit);
-    let [own, other] = light;
+    let point = SurfacePoint::at(scene, along, &hit, COARSEST);
+    let lobes = wide_lobes(scene, along, &hit);
+    let (own, other) = if back { (light[1], light[0]) } else { (light[0], light[1]) };
     let radiance = (point.diffuse_albedo(scene) + lobes) * own + point.passed_albedo(scene) * other;
     f64::from(luminance(radiance * FRAC_1_PI))
+}
+
+/// The direction in which who looks straight at a side of a triangle sees it; 0 where it has no area.
+fn seen_along(scene: &Scene, triangle: TriangleIndex, back: bool) -> Vec3 {
+    let normal = normal_and_area(scene.mesh.corners(triangle)).0;
+    if back { normal } else { -normal }
+}
+
+fn point_of(scene: &Scene, hit: &Hit) -> Vec3 {
+    let [a, b, c] = scene.mesh.corners(hit.triangle);
+    a * (1.0 - hit.b1 - hit.b2) + b * hit.b1 + c * hit.b2
+}
+
+/// A point for who looks straight at it.
+fn looked_at(scene: &Scene, along: Vec3, hit: &Hit) -> Interaction {
+    let ray = Ray::new(point_of(scene, hit) - along, along);
+    Interaction::at(scene, &ray, hit).with_footprint(COARSEST)
 }
 
 /// Albedo of the lobes that paths meet as they meet diffuse surfaces ([`Bsdf::is_wide`]), for who looks straight at them.
@@ -137,16 +156,38 @@ fn wide_lobes(scene: &Scene, along: Vec3, hit: &Hit) -> Vec3 {
     if !is_rough || along == Vec3::ZERO {
         return Vec3::ZERO;
     }
-    let [a, b, c] = scene.mesh.corners(hit.triangle);
-    let point = a * (1.0 - hit.b1 - hit.b2) + b * hit.b1 + c * hit.b2;
-    let at = Interaction::at(scene, &Ray::new(point - along, along), hit).with_footprint(COARSEST);
+    let at = looked_at(scene, along, hit);
     let bsdf = Bsdf::at(scene, &at);
     if bsdf.is_wide() { bsdf.view_dependent_albedo(at.wo) } else { Vec3::ZERO }
 }
 
 impl BrightSurfaces {
-    /// Finds them; there may be none.
+    /// Finds those that are bright under a map; there may be none.
     pub fn new(scene: &Scene, map: &dyn Irradiance) -> Self {
+        let of = |t, [b1, b2]: [f32; 2]| [false, true].map(|back| map.irradiance(t, b1, b2, back));
+        Self::under(scene, &of)
+    }
+
+    /// Finds those that lights with names make bright, exactly: that light has no noise and is known before all else.
+    pub(super) fn lit_by_named(scene: &Scene, accel: &Accel, lights: &Lights) -> Self {
+        if !lights.has_any_named() {
+            return Self::default();
+        }
+        let gather = Gather::new(scene, accel, lights, Trust::Nobody);
+        Self::under(scene, &|triangle, [b1, b2]| {
+            let hit = Hit { t: 1.0, triangle, b1, b2 };
+            [false, true].map(|back| {
+                let along = seen_along(scene, triangle, back);
+                if !lights.named(scene, point_of(scene, &hit)).any(|light| light.wi.dot(along) < 0.0) {
+                    return Vec3::ZERO;
+                }
+                let at = looked_at(scene, along, &hit);
+                gather.named(&at, &Bsdf::at(scene, &at), Media::EMPTY)
+            })
+        })
+    }
+
+    fn under(scene: &Scene, light: &Light<'_>) -> Self {
         let count = scene.mesh.triangles.len() as u32;
         let is_wanted = |t: &u32| {
             let material = scene.material_of(*t);
@@ -155,20 +196,25 @@ impl BrightSurfaces {
         let areas: Vec<f32> = (0..count).map(|t| normal_and_area(scene.mesh.corners(t)).1).collect();
         let all: f64 = areas.iter().map(|a| f64::from(*a)).sum();
         let cut = |t: u32| (areas[t as usize] * CELLS / all as f32).sqrt().clamp(1.0, EDGE_MAX).ceil() as u32;
-        let cells_of_side = |triangle: u32, back: bool| {
+        let cells_on = |triangle: u32| {
             let edge = cut(triangle);
             let area = areas[triangle as usize] / (edge * edge) as f32;
-            cells_of(edge).map(move |number| {
+            cells_of(edge).flat_map(move |number| {
                 let corners = corners_of(edge, number);
                 let middle = std::array::from_fn(|k| corners.iter().map(|c| c[k]).sum::<f32>() / 3.0);
-                let radiance = reflected(scene, map, triangle, back, middle);
-                Cell { triangle, back, edge, number, radiance, area }
+                let light = light(triangle, middle);
+                [false, true].map(|back| {
+                    let radiance = reflected(scene, light, triangle, back, middle);
+                    Cell { triangle, back, edge, number, radiance, area }
+                })
             })
         };
         let cells: Vec<Cell> = in_parts(count as usize, |part| {
             let triangles = part.map(|t| t as u32).filter(|t| is_wanted(t) && areas[*t as usize] > 0.0);
-            let cells = triangles.flat_map(|t| cells_of_side(t, false).chain(cells_of_side(t, true)));
-            cells.filter(|cell| cell.radiance > 0.0 && cell.radiance.is_finite()).collect()
+            triangles
+                .flat_map(cells_on)
+                .filter(|cell| cell.radiance > 0.0 && cell.radiance.is_finite())
+                .collect()
         });
         let power = |cell: &Cell| cell.radiance * f64::from(cell.area);
         let total: f64 = cells.iter().map(power).sum();

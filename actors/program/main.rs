@@ -103,6 +103,23 @@ enum Command {
     Doctor(doctor::DoctorArguments),
 }
 
+impl Command {
+    /// Whether somebody waits for its frames, or it measures what these cost.
+    fn shows(&self) -> bool {
+        match self {
+            #[cfg(feature = "window")]
+            Self::View(_) => true,
+            #[cfg(feature = "serve")]
+            Self::Serve(_) => true,
+            Self::Walk(_) | Self::Replay(_) | Self::Bench(_) => true,
+            Self::Bake(_) | Self::Reference(_) | Self::Trace(_) | Self::Simulate(_) | Self::Log(_) => false,
+            Self::Compare(_) | Self::Explain(_) | Self::Completions(_) | Self::Man(_) | Self::Doctor(_) => {
+                false
+            }
+        }
+    }
+}
+
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
@@ -112,8 +129,10 @@ fn main() -> ExitCode {
         }
     };
     log_to_stderr(&cli);
-    // Before any other thread is there, so that all have it.
-    foveal_runtime::be_prompt();
+    if cli.command.shows() {
+        // Before any other thread is there, so that all have it.
+        foveal_runtime::be_prompt();
+    }
     let progress = Progress { shown: !cli.quiet && std::io::IsTerminal::is_terminal(&std::io::stderr()) };
     let result = match cli.command {
         #[cfg(feature = "window")]

@@ -12,7 +12,6 @@
 //! Nothing in here knows an actor, a channel, a clock, a file or a GPU, and nothing prints.
 
 pub mod allocation;
-mod apart;
 pub mod display;
 pub mod geometry;
 pub mod illumination;

@@ -20,6 +20,7 @@ use super::sites::{NONE, Site, Sites};
 use super::stored::{Illumination, Summary, Value};
 use crate::transport::Indexed;
 use crate::transport::gather::{Gather, Trust};
+use crate::transport::light::bright::BrightSurfaces;
 
 /// Texels of the first map.
 const TEXELS: u32 = 16 * 1024;
@@ -52,12 +53,12 @@ pub fn first_picture_while(
     let sites = places.sites.as_ref().unwrap_or(&all);
     let mut gathered = vec![Gathered::default(); sites.all().len()];
     let mut dark = vec![false; gathered.len().div_ceil(BLOCK)];
-    let bright = lights.lit_by_named(scene, accel);
+    let bright = BrightSurfaces::lit_by_named(scene, accel, lights);
     let mut map = Illumination::default();
     let mut paths = 0;
     for (round, samples) in SAMPLES.into_iter().enumerate() {
         let trust = if round == 0 { Trust::Nobody } else { Trust::Map(&map) };
-        let gather = Gather::new(scene, accel, lights, trust).without_named().looking_for(bright);
+        let gather = Gather::new(scene, accel, lights, trust).without_named().looking_for(&bright);
         let taken: u64 = gathered
             .par_iter_mut()
             .enumerate()

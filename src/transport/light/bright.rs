@@ -8,10 +8,10 @@
 use std::f32::consts::FRAC_1_PI;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::tree::{Bounds, LightTree};
 use super::{Lights, Receiver, normal_and_area, uniform_barycentrics};
-use crate::apart::in_parts;
 use crate::geometry::{Accel, Hit, Ray};
 use crate::illumination::Irradiance;
 use crate::image::luminance;
@@ -109,9 +109,6 @@ fn cells_of(edge: u32) -> impl Iterator<Item = u32> {
     })
 }
 
-/// Irradiance of a point on the front and the back of a triangle.
-type Light<'a> = dyn Fn(TriangleIndex, [f32; 2]) -> [Vec3; 2] + Sync + 'a;
-
 /// Radiance that the side of a triangle reflects at a point under some light, luminance: wide lobes as if they were diffuse.
 fn reflected(
     scene: &Scene,
@@ -161,20 +158,63 @@ fn wide_lobes(scene: &Scene, along: Vec3, hit: &Hit) -> Vec3 {
     if bsdf.is_wide() { bsdf.view_dependent_albedo(at.wo) } else { Vec3::ZERO }
 }
 
+/// How surfaces are cut into cells.
+struct Cuts<'a> {
+    scene: &'a Scene,
+    areas: Vec<f32>,
+    all: f64,
+}
+
+impl<'a> Cuts<'a> {
+    fn new(scene: &'a Scene) -> Self {
+        let count = scene.mesh.triangles.len() as u32;
+        let areas: Vec<f32> = (0..count).map(|t| normal_and_area(scene.mesh.corners(t)).1).collect();
+        let all = areas.iter().map(|a| f64::from(*a)).sum();
+        Self { scene, areas, all }
+    }
+
+    /// The lit cells of both sides of a triangle, `light` being the irradiance of points on its front and its back.
+    fn lit(
+        &self,
+        triangle: TriangleIndex,
+        light: impl Fn([f32; 2]) -> [Vec3; 2],
+    ) -> impl Iterator<Item = Cell> {
+        let (scene, area) = (self.scene, self.areas[triangle as usize]);
+        let material = scene.material_of(triangle);
+        let is_wanted = area > 0.0 && material.has_diffuse() && !material.is_emissive();
+        let edge = (area * CELLS / self.all as f32).sqrt().clamp(1.0, EDGE_MAX).ceil() as u32;
+        let numbers = is_wanted.then(|| cells_of(edge)).into_iter().flatten();
+        let cells = numbers.flat_map(move |number| {
+            let corners = corners_of(edge, number);
+            let middle = std::array::from_fn(|k| corners.iter().map(|c| c[k]).sum::<f32>() / 3.0);
+            let light = light(middle);
+            [false, true].map(|back| {
+                let radiance = reflected(scene, light, triangle, back, middle);
+                Cell { triangle, back, edge, number, radiance, area: area / (edge * edge) as f32 }
+            })
+        });
+        cells.filter(|cell| cell.radiance > 0.0 && cell.radiance.is_finite())
+    }
+}
+
 impl BrightSurfaces {
     /// Finds those that are bright under a map; there may be none.
     pub fn new(scene: &Scene, map: &dyn Irradiance) -> Self {
-        let of = |t, [b1, b2]: [f32; 2]| [false, true].map(|back| map.irradiance(t, b1, b2, back));
-        Self::under(scene, &of)
+        let cuts = Cuts::new(scene);
+        let under_map = |t, [b1, b2]: [f32; 2]| [false, true].map(|back| map.irradiance(t, b1, b2, back));
+        // Not in parallel: many may wait for it in threads that would take each other's work on.
+        let triangles = 0..scene.mesh.triangles.len() as u32;
+        let cells = triangles.flat_map(|t| cuts.lit(t, move |middle| under_map(t, middle))).collect();
+        Self::among(scene, cells)
     }
 
     /// Finds those that lights with names make bright, exactly: that light has no noise and is known before all else.
-    pub(super) fn lit_by_named(scene: &Scene, accel: &Accel, lights: &Lights) -> Self {
+    pub fn lit_by_named(scene: &Scene, accel: &Accel, lights: &Lights) -> Self {
         if !lights.has_any_named() {
             return Self::default();
         }
-        let gather = Gather::new(scene, accel, lights, Trust::Nobody);
-        Self::under(scene, &|triangle, [b1, b2]| {
+        let (cuts, gather) = (Cuts::new(scene), Gather::new(scene, accel, lights, Trust::Nobody));
+        let named = |triangle, [b1, b2]: [f32; 2]| {
             let hit = Hit { t: 1.0, triangle, b1, b2 };
             [false, true].map(|back| {
                 let along = seen_along(scene, triangle, back);
@@ -184,38 +224,15 @@ impl BrightSurfaces {
                 let at = looked_at(scene, along, &hit);
                 gather.named(&at, &Bsdf::at(scene, &at), Media::EMPTY)
             })
-        })
+        };
+        let triangles = (0..scene.mesh.triangles.len() as u32).into_par_iter();
+        let cells = triangles.flat_map_iter(|t| cuts.lit(t, move |middle| named(t, middle))).collect();
+        Self::among(scene, cells)
     }
 
-    fn under(scene: &Scene, light: &Light<'_>) -> Self {
-        let count = scene.mesh.triangles.len() as u32;
-        let is_wanted = |t: &u32| {
-            let material = scene.material_of(*t);
-            material.has_diffuse() && !material.is_emissive()
-        };
-        let areas: Vec<f32> = (0..count).map(|t| normal_and_area(scene.mesh.corners(t)).1).collect();
-        let all: f64 = areas.iter().map(|a| f64::from(*a)).sum();
-        let cut = |t: u32| (areas[t as usize] * CELLS / all as f32).sqrt().clamp(1.0, EDGE_MAX).ceil() as u32;
-        let cells_on = |triangle: u32| {
-            let edge = cut(triangle);
-            let area = areas[triangle as usize] / (edge * edge) as f32;
-            cells_of(edge).flat_map(move |number| {
-                let corners = corners_of(edge, number);
-                let middle = std::array::from_fn(|k| corners.iter().map(|c| c[k]).sum::<f32>() / 3.0);
-                let light = light(triangle, middle);
-                [false, true].map(|back| {
-                    let radiance = reflected(scene, light, triangle, back, middle);
-                    Cell { triangle, back, edge, number, radiance, area }
-                })
-            })
-        };
-        let cells: Vec<Cell> = in_parts(count as usize, |part| {
-            let triangles = part.map(|t| t as u32).filter(|t| is_wanted(t) && areas[*t as usize] > 0.0);
-            triangles
-                .flat_map(cells_on)
-                .filter(|cell| cell.radiance > 0.0 && cell.radiance.is_finite())
-                .collect()
-        });
+    /// The bright ones among cells.
+    fn among(scene: &Scene, cells: Vec<Cell>) -> Self {
+        let count = scene.mesh.triangles.len();
         let power = |cell: &Cell| cell.radiance * f64::from(cell.area);
         let total: f64 = cells.iter().map(power).sum();
         let lit: f64 = cells.iter().map(|cell| f64::from(cell.area)).sum();
@@ -230,7 +247,7 @@ impl BrightSurfaces {
         if !(share >= SHARE.0) {
             return Self::default();
         }
-        let (mut first, mut places) = (vec![NONE; count as usize], Vec::new());
+        let (mut first, mut places) = (vec![NONE; count], Vec::new());
         for (i, cell) in bright.iter().enumerate() {
             let all = 2 * cell.edge * cell.edge;
             let begin = &mut first[cell.triangle as usize];

@@ -27,7 +27,6 @@ use crate::geometry::Accel;
 use crate::image::luminance;
 use crate::math;
 use crate::scene::{Light, Scene, TriangleIndex};
-use bright::BrightSurfaces;
 use distribution::{Choice, EnvironmentDistribution};
 use spherical_triangle::{SAMPLED, SphericalTriangle, barycentrics};
 use tree::{Bounds, LightTree};
@@ -92,8 +91,6 @@ pub struct Lights {
     ending: Vec<(Vec3, f32)>,
     /// Found when it is first asked for.
     sky: Arc<OnceLock<Option<VisibleSky>>>,
-    /// Found when it is first asked for.
-    lit: Arc<OnceLock<BrightSurfaces>>,
 }
 
 /// Front normal and area of a triangle.
@@ -138,7 +135,6 @@ impl Lights {
             radius,
             tree: LightTree::default(),
             sky: Arc::default(),
-            lit: Arc::default(),
             ending: scene.lights.iter().filter_map(Light::lamp).filter(|l| l.1.is_finite()).collect(),
         };
         let mut weights: Vec<f64> = Vec::new();
@@ -233,11 +229,6 @@ impl Lights {
     /// What of the sky is seen from where, if that is worth knowing: looked at once.
     pub fn visible_sky(&self, scene: &Scene, accel: &Accel) -> Option<&VisibleSky> {
         self.sky.get_or_init(|| VisibleSky::new(scene, accel, self.environment.as_ref())).as_ref()
-    }
-
-    /// The surfaces that lights with names make bright: looked for once. A function of the scene alone.
-    pub fn lit_by_named(&self, scene: &Scene, accel: &Accel) -> &BrightSurfaces {
-        self.lit.get_or_init(|| BrightSurfaces::lit_by_named(scene, accel, self))
     }
 
     /// Whether nothing emits.

@@ -15,7 +15,6 @@ use glam::Vec3;
 
 use super::distribution::EnvironmentDistribution;
 use super::towards::Receiver;
-use crate::apart::in_parts;
 use crate::geometry::{Accel, Ray};
 use crate::image::Map2d;
 use crate::rng::Stream;
@@ -87,12 +86,8 @@ impl VisibleSky {
         part(&mut points, 0, (levels, reach), &mut nodes);
         let distribution = even.as_ref().unwrap_or(sky);
         let (mut found, mut open, mut seen) = (0.0, 0.0, Vec::with_capacity(points.len()));
-        let looked = in_parts(points.len(), |part| {
-            let of =
-                |i: usize| tiles.seen_from(scene, accel, (environment, distribution), &points[i], i as u64);
-            part.map(of).collect()
-        });
-        for tiles in looked {
+        for (i, at) in points.iter().enumerate() {
+            let tiles = tiles.seen_from(scene, accel, (environment, distribution), at, i as u64);
             open += tiles.iter().map(|tile| f64::from(tile.0)).sum::<f64>();
             let seen_here: Vec<f32> = tiles.into_iter().map(|(brings, passed)| brings * passed).collect();
             found += seen_here.iter().map(|e| f64::from(*e)).sum::<f64>();

@@ -53,6 +53,9 @@ pub fn first_picture_while(
     let sites = places.sites.as_ref().unwrap_or(&all);
     let mut gathered = vec![Gathered::default(); sites.all().len()];
     let mut dark = vec![false; gathered.len().div_ceil(BLOCK)];
+    if !is_wanted() {
+        return None;
+    }
     let bright = BrightSurfaces::lit_by_named(scene, accel, lights);
     let mut map = Illumination::default();
     let mut paths = 0;

@@ -1,9 +1,9 @@
 //! Surfaces that reflect much light, as lights to look for: a wall in the sun, the inside of a lampshade.
 //!
-//! Of indirect light most comes from few small surfaces that directions by the cosine rarely find. A map says where they are:
-//! the brightest cells of triangles stand in a tree of their own, as lights do, and a share of all directions goes to points
-//! on them. What is found is weighed by the densities of both ways (balance heuristic; Veach 1997, §9.2), so that a map that is
-//! wrong costs noise and nothing else.
+//! Of indirect light most comes from few small surfaces that directions by the cosine rarely find. A map says where they are, or,
+//! before there is one, what named lights bring straight: the brightest cells of triangles stand in a tree of their own, as lights
+//! do, and a share of all directions goes to points on them. What is found is weighed by the densities of both ways (balance
+//! heuristic; Veach 1997, §9.2), so that a map that is wrong costs noise and nothing else.
 
 use std::f32::consts::FRAC_1_PI;
 

@@ -139,17 +139,18 @@ fn loading(a: &StagesArguments) -> Result<(Vec<Row>, World), Failure> {
 }
 
 /// Seconds that the second start takes to have scene and index, its files read again; and bytes of what is kept.
-fn second_start(hall: &MadeScene, runs: u32) -> Result<(Vec<f64>, usize), Failure> {
+fn second_start(hall: &MadeScene, runs: u32) -> Result<(Vec<f64>, u64), Failure> {
     let failed = |e: &dyn std::fmt::Display| Failure::Environment(format!("a scene cannot be kept: {e}"));
     let made_by = [0; 32];
     let loaded = load::load(hall.path()).map_err(|e| failed(&e))?;
     let sources = loaded.sources.ok_or_else(|| failed(&"its files are not known"))?;
     let accel = Accel::build(&loaded.scene);
-    let bytes = kept::encode(&made_by, &sources, &loaded.scene, &accel, &[]).map_err(|e| failed(&e))?;
+    let encoded = kept::encode(&made_by, &sources, &loaded.scene, &accel, &[]).map_err(|e| failed(&e))?;
     let file = hall.path().with_extension("fvscene");
-    kept::save(&file, &bytes).map_err(|e| failed(&e))?;
-    let length = bytes.len();
-    drop((bytes, loaded.scene, accel));
+    encoded.save(&file).map_err(|e| failed(&e))?;
+    let length = encoded.bytes();
+    drop(encoded);
+    drop((loaded.scene, accel));
     let limit = load::LoadOptions::default().file_bytes_max;
     let mut seconds = Vec::new();
     for _ in 0..runs {

@@ -60,11 +60,11 @@ impl Read {
 
 impl Keep {
     fn write(&self, scene: &Scene, accel: &Accel) -> Result<(), KeptError> {
-        let bytes = kept::encode(&self.made_by, &self.sources, scene, accel, &self.warnings)?;
+        let encoded = kept::encode(&self.made_by, &self.sources, scene, accel, &self.warnings)?;
         let folder = self.file.parent().unwrap_or(Path::new("."));
         fs::create_dir_all(folder)?;
-        make_room(folder, EXTENSION, BYTES_MAX, bytes.len() as u64)?;
-        kept::save(&self.file, &bytes)
+        make_room(folder, EXTENSION, BYTES_MAX, encoded.bytes())?;
+        encoded.save(&self.file)
     }
 }
 

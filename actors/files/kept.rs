@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::load::Sources;
-use crate::write_whole;
+use crate::write_pieces;
 use foveal::geometry::Accel;
 use foveal::geometry::kept::AccelHead;
 use foveal::scene::Scene;
@@ -95,35 +95,62 @@ struct Head {
     lists: [u8; 16],
 }
 
-/// The bytes of a file, which `made_by` tells the program that may read it again.
+/// What a file holds: a head and lists, which lie where the scene has them.
+#[derive(Debug)]
+pub struct Encoded<'a> {
+    head: Vec<u8>,
+    lists: Bulk<'a>,
+}
+
+impl Encoded<'_> {
+    /// Bytes of the file.
+    pub fn bytes(&self) -> u64 {
+        (self.head.len() + self.lists.len_bytes()) as u64
+    }
+
+    /// The bytes in turn.
+    pub fn pieces(&self) -> impl Iterator<Item = &[u8]> {
+        std::iter::once(&self.head[..]).chain(self.lists.pieces())
+    }
+
+    /// Writes them to `file`: first beside it, then in one step over what was there.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn save(&self, file: &Path) -> Result<(), KeptError> {
+        Ok(write_pieces(file, self.pieces())?)
+    }
+}
+
+/// What a file will hold, which `made_by` tells the program that may read it again.
 ///
 /// # Errors
 /// [`KeptError::NotKept`] where it would be too large.
-pub fn encode(
+pub fn encode<'a>(
     made_by: &[u8; 32],
     sources: &Sources,
-    scene: &Scene,
-    accel: &Accel,
+    scene: &'a Scene,
+    accel: &'a Accel,
     warnings: &[String],
-) -> Result<Vec<u8>, KeptError> {
-    let mut bulk = Bulk::default();
+) -> Result<Encoded<'a>, KeptError> {
+    let mut lists = Bulk::default();
     let head = Head {
         sources: sources.clone(),
-        scene: scene.keep(&mut bulk).ok_or(KeptError::NotKept)?,
-        accel: accel.keep(&mut bulk),
+        scene: scene.keep(&mut lists).ok_or(KeptError::NotKept)?,
+        accel: accel.keep(&mut lists),
         warnings: warnings.to_vec(),
-        lists: bulk.sum(),
+        lists: lists.sum(),
     };
     let head = postcard::to_stdvec(&head).map_err(|_| KeptError::NotKept)?;
-    let mut bytes = Vec::with_capacity(HEADER + head.len() + bulk.bytes.len());
+    let mut bytes = Vec::with_capacity(HEADER + head.len());
     bytes.extend(MAGIC);
     bytes.extend(VERSION.to_le_bytes());
     bytes.extend(made_by);
     bytes.extend((head.len() as u64).to_le_bytes());
     bytes.extend(checksum(&bytes, &head));
     bytes.extend(head);
-    bytes.extend(bulk.bytes);
-    if bytes.len() as u64 > BYTES_MAX { Err(KeptError::NotKept) } else { Ok(bytes) }
+    let encoded = Encoded { head: bytes, lists };
+    if encoded.bytes() > BYTES_MAX { Err(KeptError::NotKept) } else { Ok(encoded) }
 }
 
 fn checksum(header: &[u8], head: &[u8]) -> [u8; 16] {
@@ -133,7 +160,7 @@ fn checksum(header: &[u8], head: &[u8]) -> [u8; 16] {
     hasher.digest128().to_le_bytes()
 }
 
-/// What [`encode`] wrote for the scene at `path`, if the files that it was read from, each of at most `limit` bytes, are as
+/// What [`encode`] made of the scene at `path`, if the files that it was read from, each of at most `limit` bytes, are as
 /// they were.
 ///
 /// # Errors
@@ -177,14 +204,6 @@ fn read(
     };
     let (made, holds) = rayon::join(made, || sources.hold(path, limit));
     if holds { made.ok_or(KeptError::Damaged) } else { Err(KeptError::Changed) }
-}
-
-/// Writes [`encode`]d bytes to `file`: first beside it, then in one step over what was there.
-///
-/// # Errors
-/// If the file cannot be written.
-pub fn save(file: &Path, bytes: &[u8]) -> Result<(), KeptError> {
-    Ok(write_whole(file, bytes)?)
 }
 
 /// [`decode`] of what lies in a file.

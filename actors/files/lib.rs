@@ -17,11 +17,16 @@ use atomic_write_file::AtomicWriteFile;
 
 /// Writes a file whole: first beside it, then in one step over what was there, whoever else writes the same.
 fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    write_pieces(path, [bytes])
+}
+
+/// [`write_whole`] of bytes one after the other.
+fn write_pieces<'a>(path: &Path, pieces: impl IntoIterator<Item = &'a [u8]>) -> std::io::Result<()> {
     // What cannot take the place of a folder would stay beside it.
     if path.is_dir() {
         return Err(std::io::ErrorKind::IsADirectory.into());
     }
     let mut file = AtomicWriteFile::open(path)?;
-    file.write_all(bytes)?;
+    pieces.into_iter().try_for_each(|piece| file.write_all(piece))?;
     file.commit()
 }

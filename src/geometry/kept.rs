@@ -21,10 +21,10 @@ pub struct AccelHead {
 
 impl Accel {
     /// Writes the index: lists into `bulk`, and what is returned.
-    pub fn keep(&self, bulk: &mut Bulk) -> AccelHead {
+    pub fn keep<'a>(&'a self, bulk: &mut Bulk<'a>) -> AccelHead {
         let (nodes, blocks) = self.wide.parts();
         bulk.put(nodes);
-        bulk.put(&blocks.iter().map(|block| block.index).collect::<Vec<[u32; LEAF]>>());
+        bulk.put_made(&blocks.iter().map(|block| block.index).collect::<Vec<[u32; LEAF]>>());
         AccelHead { nodes: nodes.len(), blocks: blocks.len(), count: self.len(), is_split: self.is_split }
     }
 

@@ -48,9 +48,9 @@ pub fn first_picture_while(
     let atlas = atlas_of(scene, TEXELS, &|t: u32| seen[t as usize], is_wanted)?;
     let points = Points::new(&scene.mesh, &atlas);
     let sides = sides_of(&atlas);
-    let all = Sites::new(&atlas, &sides);
+    let all = Sites::listed(&atlas, &sides);
     let places = Places::among(&all);
-    let sites = places.sites.as_ref().unwrap_or(&all);
+    let sites = &places.sites;
     let mut gathered = vec![Gathered::default(); sites.all().len()];
     let mut dark = vec![false; gathered.len().div_ceil(BLOCK)];
     if !is_wanted() {
@@ -89,8 +89,8 @@ pub fn first_picture_while(
         let shown = if round + 1 < SAMPLES.len() { parts } else { smoothed(sites, parts, known) };
         let light = |i: usize| open[i].then(|| shown[i].iter().map(Noisy::mean).sum::<Vec3>());
         let straight = |i: usize| gathered[i].named().filter(|_| open[i]);
-        let unnamed = places.of_all(all.all().len(), &light);
-        let named = lights.has_any_named().then(|| places.of_all(all.all().len(), &straight));
+        let unnamed = places.of_all(all.len(), &light);
+        let named = lights.has_any_named().then(|| places.of_all(all.len(), &straight));
         let has_indirect = shown.iter().any(|p| p[1].mean() != Vec3::ZERO);
         map = stored(&atlas, &all, (&unnamed, named.as_deref()));
         map.summary.particles = paths;
@@ -113,9 +113,9 @@ fn smoothed(sites: &Sites, parts: Vec<Parts>, known: Vec<bool>) -> Vec<Parts> {
 
 /// Sites that speak for others; all speak for themselves where they are few.
 struct Places {
-    sites: Option<Sites>,
-    /// Per site of the scene, who of them speaks for it.
-    speakers: Vec<Speakers>,
+    sites: Sites,
+    /// Per site of the scene, who of them speaks for it, where not each does for itself.
+    speakers: Option<Vec<Speakers>>,
 }
 
 /// Who speaks for a site.
@@ -128,38 +128,42 @@ struct Speakers {
 
 impl Places {
     /// At most [`PLACES`]: one of each cell of space and direction, cells as small as that allows.
-    fn among(all: &Sites) -> Self {
-        if all.all().len() <= PLACES {
-            return Self { sites: None, speakers: Vec::new() };
+    fn among(all: &[Site]) -> Self {
+        if all.len() <= PLACES {
+            return Self { sites: Sites::of(all.to_vec()), speakers: None };
         }
-        let widest = all.all().iter().map(|s| s.width).fold(0.0f32, f32::max);
+        let widest = all.iter().map(|s| s.width).fold(0.0f32, f32::max);
         let mut size = widest.max(f32::MIN_POSITIVE);
         // Cells of at least the widest site may be too many, or too few by far: then dense meshes have smaller ones.
-        while cells(all, size).0.len() < PLACES / 4 && size > 1e-3 * widest {
+        let mut found = Cells::of(all, size);
+        while found.as_ref().is_some_and(|cells| cells.chosen.len() < PLACES / 4) && size > 1e-3 * widest {
             size *= 0.5;
+            found = Cells::of(all, size);
         }
-        let (mut chosen, mut spokesman) = cells(all, size);
-        while chosen.len() > PLACES {
-            size *= 1.25;
-            (chosen, spokesman) = cells(all, size);
-        }
+        let Cells { chosen, of } = loop {
+            match found {
+                Some(cells) => break cells,
+                None => size *= 1.25,
+            }
+            found = Cells::of(all, size);
+        };
         let wide = |site: &Site| Site { width: site.width.max(size), ..*site };
-        let sites = Sites::of(chosen.iter().map(|i| wide(&all.all()[*i as usize])).collect());
+        let sites = Sites::of(chosen.iter().map(|i| wide(&all[*i as usize])).collect());
         let speakers = |(site, &own): (&Site, &u32)| {
             let (x, y) = site.normal.any_orthonormal_pair();
             let wide = wide(site);
             let beside = |way: Vec3| sites.beside(&wide, site.position + way * (0.5 * wide.width));
             Speakers { own, around: [x, y, -x, -y].map(|way| beside(way).unwrap_or(NONE)) }
         };
-        let speakers = all.all().par_iter().zip(&spokesman).map(speakers).collect();
-        Self { sites: Some(sites), speakers }
+        let speakers = all.par_iter().zip(&of).map(speakers).collect();
+        Self { sites, speakers: Some(speakers) }
     }
 
     /// What light at these places is light of all sites, so many; `None` where nothing is known.
     fn of_all(&self, count: usize, light: &(dyn Fn(usize) -> Option<Vec3> + Sync)) -> Vec<Option<Vec3>> {
-        if self.sites.is_none() {
+        let Some(speakers) = &self.speakers else {
             return (0..count).into_par_iter().map(light).collect();
-        }
+        };
         let spoken = |Speakers { own, around }: &Speakers| {
             let around =
                 around.iter().filter(|place| **place != NONE).filter_map(|place| light(*place as usize));
@@ -167,26 +171,26 @@ impl Places {
             // Where a surface curves too much for neighbours the own cell's is still there.
             if n > 0 { Some(sum / n as f32) } else { light(*own as usize) }
         };
-        self.speakers.par_iter().map(spoken).collect()
+        speakers.par_iter().map(spoken).collect()
     }
 }
 
 /// The map of light at all sites: what is not named, and what is, where there is any.
 fn stored(
     atlas: &Atlas,
-    all: &Sites,
+    all: &[Site],
     (unnamed, named): (&[Option<Vec3>], Option<&[Option<Vec3>]>),
 ) -> Illumination {
     let none: Vec<Value> = vec![None; atlas.elements.len()];
     let sides = |light: &[Option<Vec3>]| {
         let mut sides = [none.clone(), none.clone()];
-        for (site, value) in all.all().iter().zip(light) {
+        for (site, value) in all.iter().zip(light) {
             sides[usize::from(site.back)][site.element as usize] = value.map(|v| v.extend(0.0));
         }
         sides
     };
     let (mut power, mut area) = (Vec3::ZERO, 0.0);
-    for (i, site) in all.all().iter().enumerate() {
+    for (i, site) in all.iter().enumerate() {
         let e = &atlas.elements[site.element as usize];
         let of_named = named.and_then(|named| named[i]);
         power += [unnamed[i], of_named].into_iter().flatten().sum::<Vec3>() * e.opaque;
@@ -202,18 +206,35 @@ fn stored(
     }
 }
 
-/// The first site of each cell of this size and of each of six directions, and which of these is the one of each site.
-fn cells(all: &Sites, size: f32) -> (Vec<u32>, Vec<u32>) {
-    let mut cells: FxHashMap<(IVec3, usize), u32> = FxHashMap::default();
-    let (mut chosen, mut of) = (Vec::new(), Vec::with_capacity(all.all().len()));
-    for (i, site) in all.all().iter().enumerate() {
-        let axis = site.normal.abs().max_position();
-        let towards = 2 * axis + usize::from(site.normal[axis] < 0.0);
-        let cell = cells.entry(((site.position / size).floor().as_ivec3(), towards)).or_insert_with(|| {
-            chosen.push(i as u32);
-            chosen.len() as u32 - 1
-        });
-        of.push(*cell);
+/// Sites by cells of one size and by six directions.
+struct Cells {
+    /// The first site of each.
+    chosen: Vec<u32>,
+    /// Which of these is the one of each site.
+    of: Vec<u32>,
+}
+
+impl Cells {
+    /// `None` where they are more than [`PLACES`].
+    fn of(all: &[Site], size: f32) -> Option<Self> {
+        let key = |site: &Site| {
+            let axis = site.normal.abs().max_position();
+            let towards = 2 * axis + usize::from(site.normal[axis] < 0.0);
+            ((site.position / size).floor().as_ivec3(), towards)
+        };
+        let keys: Vec<(IVec3, usize)> = all.par_iter().map(key).collect();
+        let mut cells: FxHashMap<(IVec3, usize), u32> = FxHashMap::default();
+        let (mut chosen, mut of) = (Vec::new(), Vec::with_capacity(all.len()));
+        for (i, key) in keys.into_iter().enumerate() {
+            let cell = cells.entry(key).or_insert_with(|| {
+                chosen.push(i as u32);
+                chosen.len() as u32 - 1
+            });
+            of.push(*cell);
+            if chosen.len() > PLACES {
+                return None;
+            }
+        }
+        Some(Self { chosen, of })
     }
-    (chosen, of)
 }

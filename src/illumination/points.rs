@@ -76,23 +76,30 @@ pub struct Points {
 impl Points {
     /// Of the elements of `atlas`.
     pub fn new(mesh: &Mesh, atlas: &Atlas) -> Self {
-        let touched: Vec<Vec<u32>> = (0..atlas.corners.len())
+        // Dense meshes are most of them: no memory for each of their triangles.
+        let texels: Vec<Vec<u32>> = (0..atlas.corners.len())
             .into_par_iter()
             .map(|t| match &atlas.corners[t] {
-                Corners::Vertices(v) if atlas.elements[v[0] as usize].area > 0.0 => v.to_vec(),
                 Corners::Vertices(_) => Vec::new(),
                 Corners::Texels(uv) => texels_of(atlas, uv),
             })
             .collect();
+        let touched = || {
+            atlas.corners.iter().zip(&texels).map(|(corners, texels)| match corners {
+                Corners::Vertices(v) if atlas.elements[v[0] as usize].area > 0.0 => &v[..],
+                Corners::Vertices(_) => &[],
+                Corners::Texels(_) => texels,
+            })
+        };
         let mut first = vec![0u32; atlas.elements.len() + 1];
-        touched.iter().flatten().for_each(|&e| first[e as usize + 1] += 1);
+        touched().flatten().for_each(|&e| first[e as usize + 1] += 1);
         for i in 1..first.len() {
             first[i] += first[i - 1];
         }
         let mut next = first.clone();
-        let mut triangles = vec![0; touched.iter().map(Vec::len).sum()];
-        debug_assert_eq!(touched.len(), mesh.triangles.len());
-        for (t, elements) in touched.iter().enumerate() {
+        let mut triangles = vec![0; first.last().map_or(0, |&all| all as usize)];
+        debug_assert_eq!(atlas.corners.len(), mesh.triangles.len());
+        for (t, elements) in touched().enumerate() {
             for &e in elements {
                 triangles[next[e as usize] as usize] = t as u32;
                 next[e as usize] += 1;

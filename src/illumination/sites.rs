@@ -6,6 +6,7 @@
 use std::sync::OnceLock;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::atlas::Atlas;
 
@@ -112,12 +113,17 @@ fn bucket(cell: [i32; 3], level: i32, buckets: usize) -> usize {
 impl Sites {
     /// These elements of `atlas`, by number and whether the back is meant.
     pub fn new(atlas: &Atlas, of: &[(u32, bool)]) -> Self {
+        Self::of(Self::listed(atlas, of))
+    }
+
+    /// The sites of [`Self::new`] alone, for whom neighbours do not matter.
+    pub fn listed(atlas: &Atlas, of: &[(u32, bool)]) -> Vec<Site> {
         let site = |&(element, back): &(u32, bool)| {
             let e = &atlas.elements[element as usize];
             let normal = if back { -e.normal } else { e.normal };
             Site { element, back, position: e.position, normal, width: atlas.width_of(element) }
         };
-        Self::of(of.iter().map(site).collect())
+        of.par_iter().map(site).collect()
     }
 
     /// These.

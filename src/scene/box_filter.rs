@@ -56,18 +56,34 @@ pub(super) fn halved_bytes(
     texels: &[[u8; 4]],
     decode: &Decode,
 ) -> Vec<[u8; 4]> {
-    let steps = SrgbSteps::shared();
-    let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
-    let encode = |[r, g, b, a]: [f32; 4]| match decode.gamma {
-        true => [steps.byte(r), steps.byte(g), steps.byte(b), byte(a)],
-        false => [byte(r), byte(g), byte(b), byte(a)],
-    };
+    if decode.gamma {
+        let steps = SrgbSteps::shared();
+        halved_by(from, to, texels, decode, |v| steps.byte(v))
+    } else {
+        halved_by(from, to, texels, decode, byte)
+    }
+}
+
+#[inline]
+fn byte(v: f32) -> u8 {
+    (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
+}
+
+/// [`halved_bytes`] where `color` makes bytes of what is linear.
+fn halved_by(
+    from: [u32; 2],
+    to: [u32; 2],
+    texels: &[[u8; 4]],
+    decode: &Decode,
+    color: impl Fn(f32) -> u8 + Sync,
+) -> Vec<[u8; 4]> {
     if from != to.map(|n| 2 * n) {
+        let encode = |[r, g, b, a]: [f32; 4]| [color(r), color(g), color(b), byte(a)];
         return halved(from, to, |at| decode.linear(texels[at]), encode);
     }
     // A quarter of a number is exact, so tables can hold quarters.
-    let color = decode.color.map(|v| 0.25 * v);
-    let alpha: [f32; 256] = std::array::from_fn(|a| 0.25 * decode.linear([0, 0, 0, a as u8])[3]);
+    let quarters = decode.color.map(|v| 0.25 * v);
+    let alphas: [f32; 256] = std::array::from_fn(|a| 0.25 * decode.linear([0, 0, 0, a as u8])[3]);
     let width = from[0] as usize;
     rows(to, |y, row| {
         let (above, below) = texels[2 * y * width..2 * (y + 1) * width].split_at(width);
@@ -77,7 +93,10 @@ pub(super) fn halved_bytes(
                 let quarter = |t: [u8; 4]| table[usize::from(t[i])];
                 quarter(a) + quarter(b) + quarter(c) + quarter(d)
             };
-            *texel = encode([sum(&color, 0), sum(&color, 1), sum(&color, 2), sum(&alpha, 3)]);
+            let [red, green, blue] = [0, 1, 2].map(|i| color(sum(&quarters, i)));
+            // Most pictures have no alpha.
+            let is_opaque = a[3] & b[3] & c[3] & d[3] == 255;
+            *texel = [red, green, blue, if is_opaque { 255 } else { byte(sum(&alphas, 3)) }];
         }
     })
 }
@@ -129,7 +148,6 @@ mod tests {
             };
             let sums: Vec<[f32; 4]> = (0..32).map(|i| shares(i % 8, i / 8)).collect();
             assert_eq!(halved(from, to, look, |v| v), sums);
-            let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
             let color = |v: f32| if gamma { crate::image::srgb_byte_from_linear(v) } else { byte(v) };
             let stored: Vec<[u8; 4]> =
                 sums.iter().map(|&[r, g, b, a]| [color(r), color(g), color(b), byte(a)]).collect();

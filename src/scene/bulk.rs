@@ -4,6 +4,8 @@
 //! Each list has a checksum for each piece of it, so that whoever reads a piece looks at it while it is in its cache; the sum of all
 //! is one over these.
 
+use std::borrow::Cow;
+
 use bytemuck::Pod;
 use rayon::prelude::*;
 use xxhash_rust::xxh3::{Xxh3, xxh3_128};
@@ -13,11 +15,10 @@ const ALIGNED: usize = 16;
 /// Bytes that are read and summed at once.
 const PIECE: usize = 1 << 20;
 
-/// Lists one after the other, each from a whole 16 bytes on.
+/// Lists one after the other, each from a whole 16 bytes on: where they lie already, since they may be most of what is in memory.
 #[derive(Debug, Default)]
-pub struct Bulk {
-    /// The bytes.
-    pub bytes: Vec<u8>,
+pub struct Bulk<'a> {
+    lists: Vec<Cow<'a, [u8]>>,
     sums: Sums,
 }
 
@@ -33,13 +34,33 @@ impl Sums {
     }
 }
 
-impl Bulk {
+impl<'a> Bulk<'a> {
     /// Adds a list.
-    pub fn put<T: Pod>(&mut self, list: &[T]) {
-        let bytes: &[u8] = bytemuck::cast_slice(list);
-        self.sums.0.extend(bytes.chunks(PIECE).map(xxh3_128));
-        self.bytes.extend_from_slice(bytes);
-        self.bytes.resize(self.bytes.len().next_multiple_of(ALIGNED), 0);
+    pub fn put<T: Pod>(&mut self, list: &'a [T]) {
+        self.add(Cow::Borrowed(bytemuck::cast_slice(list)));
+    }
+
+    /// Adds a list that nobody else has.
+    pub fn put_made<T: Pod>(&mut self, list: &[T]) {
+        self.add(Cow::Owned(bytemuck::cast_slice(list).to_vec()));
+    }
+
+    fn add(&mut self, list: Cow<'a, [u8]>) {
+        self.sums.0.extend(list.chunks(PIECE).map(xxh3_128));
+        self.lists.push(list);
+    }
+
+    /// The bytes of all lists, in turn.
+    pub fn pieces(&self) -> impl Iterator<Item = &[u8]> {
+        self.lists.iter().flat_map(|list| {
+            let padding = list.len().next_multiple_of(ALIGNED) - list.len();
+            [&list[..], &[0; ALIGNED][..padding]]
+        })
+    }
+
+    /// How many they are.
+    pub fn len_bytes(&self) -> usize {
+        self.pieces().map(<[u8]>::len).sum()
     }
 
     /// The checksum of all lists.
@@ -115,10 +136,11 @@ mod tests {
         bulk.put(&[1u8, 2, 3]);
         bulk.put(&long);
         bulk.put::<[f32; 3]>(&[]);
-        bulk.put(&[[0.5f32; 3]]);
+        bulk.put_made(&[[0.5f32; 3]]);
         let mut behind = vec![9; 5];
-        behind.extend(&bulk.bytes);
-        let within = 5..5 + bulk.bytes.len() as u64;
+        behind.extend(bulk.pieces().flatten());
+        let within = 5..5 + bulk.len_bytes() as u64;
+        assert_eq!(within.end, behind.len() as u64);
         let source = behind.as_slice();
         let mut reader = BulkReader::new(&source, within.clone());
         assert_eq!(reader.take::<u8>(3), Some(vec![1, 2, 3]));

@@ -87,7 +87,7 @@ struct TextureHead {
 
 impl Scene {
     /// Writes the scene: lists into `bulk`, and what is returned. `None` where a texture is not all in memory.
-    pub fn keep(&self, bulk: &mut Bulk) -> Option<SceneHead> {
+    pub fn keep<'a>(&'a self, bulk: &mut Bulk<'a>) -> Option<SceneHead> {
         let mesh = &self.mesh;
         let lengths = MeshHead {
             vertices: mesh.positions.len(),
@@ -101,7 +101,7 @@ impl Scene {
         bulk.put(&mesh.uvs1);
         bulk.put(&mesh.tangents);
         bulk.put(&mesh.triangles);
-        bulk.put(&mesh.materials.iter().map(|m| m.0).collect::<Vec<u32>>());
+        bulk.put_made(&mesh.materials.iter().map(|m| m.0).collect::<Vec<u32>>());
         bulk.put(&mesh.objects);
         let environment = self.environment.as_ref().map(|e| {
             let map = e.map.as_ref().map(|map| {

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use glam::Vec3;
 
 use super::Library;
+use super::ahead::Ahead;
 use super::error::{Place, SceneError, Warning};
 use super::gltf::image_based::CubeMap;
 use super::obj::ObjFile;
@@ -60,6 +61,8 @@ pub(super) struct Joined {
     taken: HashSet<String>,
     /// What glTF files hold besides.
     pub own: Own,
+    /// Pictures decoded while meshes were read.
+    pub ahead: Ahead,
 }
 
 /// Lights, cameras and their paths of glTF files.

@@ -134,6 +134,16 @@ impl Folder {
         found
     }
 
+    /// As [`Self::find`], without that it counts as asked.
+    pub fn peek(&self, base: &Path, name: &str) -> Option<PathBuf> {
+        self.look_for(base, name).ok()
+    }
+
+    /// Bytes of a file that is read at most.
+    pub fn limit(&self) -> u64 {
+        self.limit
+    }
+
     fn look_for(&self, base: &Path, name: &str) -> Result<PathBuf, FileProblem> {
         let first = self.find_exact(base, name);
         if first != Err(FileProblem::Missing) {

@@ -4,6 +4,7 @@
 //! line, or the whole is refused with a [`SceneError`] that says what to do. No file outside the
 //! scene's folder is read, and nothing is allocated by a number in a file without a bound.
 
+mod ahead;
 mod assemble;
 mod error;
 #[cfg(test)]
@@ -31,6 +32,7 @@ use glam::Vec3;
 pub use error::{FileProblem, Place, SceneError, Warning};
 pub use sidecar::FORMAT;
 
+use ahead::{Ahead, Surroundings};
 use assemble::Joined;
 pub use folder::Sources;
 use folder::{Folder, read_file};
@@ -141,8 +143,13 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
 
     sidecar.gltf.ignored.extend(options.ignored_extensions.iter().cloned());
     sidecar.gltf.variant = options.variant.clone().or(sidecar.gltf.variant);
-    let mut joined =
-        read_meshes(path, is_mesh, &sidecar_path, &sidecar, &mut folder, options, &mut warnings)?;
+    let map = sidecar.environment.as_ref().and_then(|table| table.map.as_ref());
+    let map = map.and_then(|map| folder.peek(Path::new(""), &map.name));
+    let (joined, surroundings) = rayon::join(
+        || read_meshes(path, is_mesh, &sidecar_path, &sidecar, &mut folder, options, &mut warnings),
+        || map.and_then(|found| Surroundings::decode(found, options)),
+    );
+    let mut joined = joined?;
     let own = std::mem::take(&mut joined.own);
     let has_lights = !own.lights.is_empty();
     sidecar.lights.extend(own.lights);
@@ -159,7 +166,8 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     let mut requests = TextureRequests::default();
     let Materials { mut materials, filters, pending } =
         materials(&joined, &sidecar, &folder, &mut requests, &mut warnings);
-    let (mut textures, ids) = requests.load(&mut folder, options, &mut warnings);
+    let (mut textures, ids) =
+        requests.load(&mut folder, std::mem::take(&mut joined.ahead), options, &mut warnings);
     for m in &mut materials {
         resolve_maps(m, &ids);
     }
@@ -169,7 +177,7 @@ pub fn load_with(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneErro
     hidden_texels::recolor(&mut materials, &mut textures);
     // Pictures that others were made of are gone by now, and their coarser levels were never made.
     complete(&mut textures, |_| true);
-    let mut environment = environment(&sidecar, &mut folder, options, &mut warnings);
+    let mut environment = environment(&sidecar, &mut folder, surroundings, options, &mut warnings);
     let mut has_cube_map = false;
     if let (None, Some((cube_map, place))) = (&environment, own.cube_map) {
         match gltf::image_based::environment(cube_map, sidecar.up, &mut folder, options) {
@@ -262,7 +270,7 @@ fn read_meshes(
         None
     };
     let mut read = |name: &str, asked_by, joined: &mut Joined, warnings: &mut Vec<Warning>| {
-        let source = MeshSource { name, asked_by, choices: &sidecar.gltf, options };
+        let source = MeshSource { name, asked_by, sidecar, options };
         read_mesh(&source, folder, joined, warnings)
     };
     let Some(files) = &sidecar.files else {
@@ -290,7 +298,7 @@ fn read_meshes(
 struct MeshSource<'a> {
     name: &'a str,
     asked_by: Option<Place>,
-    choices: &'a gltf::Choices,
+    sidecar: &'a Sidecar,
     options: &'a LoadOptions,
 }
 
@@ -310,7 +318,8 @@ fn read_mesh(
     let is_gltf =
         found.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb") || e.eq_ignore_ascii_case("gltf"));
     if is_gltf {
-        let file = gltf::parse(&bytes, &shown, &base, folder, source.choices, source.options, warnings)?;
+        let choices = &source.sidecar.gltf;
+        let file = gltf::parse(&bytes, &shown, &base, folder, choices, source.options, warnings)?;
         drop(bytes);
         joined.own.any = true;
         joined.own.lights.extend(file.lights);
@@ -324,11 +333,16 @@ fn read_mesh(
         joined.add(file.mesh, shown, base, vec![library]);
         return Ok(());
     }
-    let file = obj::parse(&bytes, &shown, warnings)?;
+    let pictures = ahead::of_obj(&bytes, &base, source.sidecar, folder);
+    let (file, pictures) =
+        rayon::join(|| obj::parse(&bytes, &shown, warnings), || Ahead::decode(pictures, source.options));
+    let file = file?;
+    joined.ahead.extend(pictures);
     drop(bytes);
     let mut libraries = Vec::new();
     for (text, line) in &file.libraries {
-        for library in library_names(folder, &base, text) {
+        let is_there = |base: &Path, name: &str| folder.find(base, name) != Err(FileProblem::Missing);
+        for library in library_names(&base, text, is_there) {
             let place = Place::new(&shown, *line);
             let read = folder.find(&base, &library).and_then(|f| Ok((folder.read(&f)?, f)));
             match read {
@@ -393,14 +407,14 @@ struct Materials {
 }
 
 /// `mtllib` names one file with blanks, or several.
-fn library_names(folder: &Folder, base: &Path, text: &str) -> Vec<String> {
+fn library_names(base: &Path, text: &str, is_there: impl Fn(&Path, &str) -> bool) -> Vec<String> {
     let whole = text.trim_matches('"');
-    if folder.find(base, whole) != Err(FileProblem::Missing) {
+    if is_there(base, whole) {
         return vec![whole.to_owned()];
     }
     let mut words = escaped_words(text);
     words.dedup();
-    let any = words.iter().any(|w| folder.find(base, w) != Err(FileProblem::Missing));
+    let any = words.iter().any(|w| is_there(base, w));
     if any { words } else { vec![whole.to_owned()] }
 }
 
@@ -568,6 +582,7 @@ fn resolve_maps(material: &mut Material, ids: &[Option<TextureId>]) {
 fn environment(
     sidecar: &Sidecar,
     folder: &mut Folder,
+    ahead: Option<Surroundings>,
     options: &LoadOptions,
     warnings: &mut Vec<Warning>,
 ) -> Option<Environment> {
@@ -575,11 +590,17 @@ fn environment(
     let mut environment =
         Environment { radiance: table.radiance, map: None, rotate_up: table.rotate_up, up: sidecar.up };
     let Some(file) = &table.map else { return Some(environment) };
-    let read = folder.find(Path::new(""), &file.name).and_then(|f| Ok((folder.read(&f)?, f)));
-    let decoded = match read {
-        Ok((bytes, found)) => textures::radiance_map(&bytes, &found, options),
-        Err(problem) => Err(problem.to_string()),
-    };
+    let found = folder.find(Path::new(""), &file.name);
+    let decoded = found.map_err(|problem| problem.to_string()).and_then(|found| match ahead {
+        Some(ahead) if ahead.found == found => {
+            folder.note(folder.relative(&found), ahead.hash);
+            ahead.made
+        }
+        _ => {
+            let bytes = folder.read(&found).map_err(|problem| problem.to_string())?;
+            textures::radiance_map(&bytes, &found, options)
+        }
+    });
     match decoded {
         Ok((map, bad)) => {
             if bad > 0 {

@@ -60,7 +60,8 @@ pub(super) fn parse(bytes: &[u8], path: &Path, warnings: &mut Vec<Warning>) -> R
         tobj::LoadOptions { single_index: true, triangulate: false, ignore_points: true, ignore_lines: true };
     // Materials are resolved beside the stream, so no library is ever asked for.
     let none = |_: &Path| Err(tobj::LoadError::OpenFileFailed);
-    let (models, _) = tobj::load_obj_buf(&mut std::io::BufReader::new(&mut lines), &options, none)
+    let (models, _) = lines
+        .read(|mut clean| tobj::load_obj_buf(&mut clean, &options, none))
         .map_err(|e| SceneError::invalid(Place::new(path, 0), format!("not readable as OBJ: {e}")))?;
     report(&lines.odd, path, warnings);
     let mut file = ObjFile {

@@ -8,13 +8,18 @@
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
-use std::io::Read;
+use std::io::{BufRead, Read};
+use std::sync::mpsc::sync_channel;
 
 /// Faces with more corners than this are left out: cutting them up takes quadratic time at worst.
 pub(super) const CORNERS_MAX: usize = 1 << 16;
 
 /// Bytes made at a time.
 const CHUNK: usize = 64 * 1024;
+/// Chunks made before the first of them is read.
+const CHUNKS_AHEAD: usize = 16;
+/// Text that is worth a thread of its own.
+const WORTH: usize = 1 << 20;
 
 /// Consecutive faces of one name, material and smoothing group.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -128,6 +133,14 @@ impl<'a> Iterator for Words<'a> {
     }
 }
 
+/// Whether a word is a finite number at sight: digits and at most one point between or before them.
+fn is_plain(word: &str) -> bool {
+    let word = word.strip_prefix('-').unwrap_or(word).as_bytes();
+    let digits = word.iter().filter(|b| b.is_ascii_digit()).count();
+    let points = word.iter().filter(|b| **b == b'.').count();
+    (1..=32).contains(&digits) && points <= 1 && digits + points == word.len()
+}
+
 /// Counts of v, vt and vn.
 fn counted(keyword: &str) -> Option<usize> {
     ["v", "vt", "vn"].iter().position(|k| *k == keyword)
@@ -138,9 +151,8 @@ pub(super) struct ObjLines<'a> {
     lines: Lines<'a>,
     /// The line that is read.
     line: u32,
-    /// Clean text, of which so many bytes are handed on.
+    /// Clean text that is to be handed on.
     out: Vec<u8>,
-    handed: usize,
     /// Counts of v, vt, vn so far, and in the whole file: faces may refer forward.
     counts: [usize; 3],
     totals: [usize; 3],
@@ -185,7 +197,6 @@ impl<'a> ObjLines<'a> {
             line: 0,
             // What absent texture coordinates and normals refer to.
             out: b"vt 0 0\nvn 0 0 0\n".to_vec(),
-            handed: 0,
             counts: [0; 3],
             totals,
             faces: 0,
@@ -274,7 +285,8 @@ impl<'a> ObjLines<'a> {
 
     /// Hands on a number, or `instead` where there is none. Whether it was a finite one.
     fn coordinate(&mut self, word: Option<&str>, instead: &str) -> bool {
-        let number = word.and_then(|w| w.parse::<f32>().ok());
+        let number = |w: &str| if is_plain(w) { Some(0.0) } else { w.parse::<f32>().ok() };
+        let number = word.and_then(number);
         self.put(" ");
         self.put(word.filter(|_| number.is_some()).unwrap_or(instead));
         number.is_some_and(f32::is_finite)
@@ -341,20 +353,73 @@ impl<'a> ObjLines<'a> {
     }
 }
 
-impl Read for ObjLines<'_> {
-    fn read(&mut self, buf: &mut [u8]) -> std::io::Result<usize> {
-        if self.handed == self.out.len() {
-            self.out.clear();
-            self.handed = 0;
-            while self.out.len() < CHUNK
-                && let Some((number, line)) = self.lines.next()
-            {
-                self.line = number;
-                self.statement(&line);
+impl ObjLines<'_> {
+    /// The next clean text; empty after the last.
+    fn chunk(&mut self) -> Vec<u8> {
+        while self.out.len() < CHUNK
+            && let Some((number, line)) = self.lines.next()
+        {
+            self.line = number;
+            self.statement(&line);
+        }
+        std::mem::take(&mut self.out)
+    }
+
+    /// What `read` makes of the clean text. A long one is cleaned on a thread beside the one that reads it.
+    pub fn read<R>(&mut self, mut read: impl FnMut(&mut dyn BufRead) -> R) -> R {
+        if self.lines.rest.is_some_and(|text| text.len() >= WORTH) {
+            let (to, from) = sync_channel(CHUNKS_AHEAD);
+            let lines = &mut *self;
+            let beside = std::thread::scope(|scope| {
+                let clean = move || loop {
+                    let chunk = lines.chunk();
+                    let is_last = chunk.is_empty();
+                    if to.send(chunk).is_err() || is_last {
+                        break;
+                    }
+                };
+                std::thread::Builder::new().spawn_scoped(scope, clean).ok()?;
+                Some(read(&mut Chunks::of(|| from.recv().unwrap_or_default())))
+            });
+            if let Some(made) = beside {
+                return made;
             }
         }
-        let count = (&self.out[self.handed..]).read(buf)?;
-        self.handed += count;
+        read(&mut Chunks::of(|| self.chunk()))
+    }
+}
+
+/// A stream of chunks, the last of which is empty.
+struct Chunks<F> {
+    next: F,
+    chunk: Vec<u8>,
+    /// Bytes of it that are read.
+    at: usize,
+}
+
+impl<F: FnMut() -> Vec<u8>> Chunks<F> {
+    fn of(next: F) -> Self {
+        Self { next, chunk: Vec::new(), at: 0 }
+    }
+}
+
+impl<F: FnMut() -> Vec<u8>> BufRead for Chunks<F> {
+    fn fill_buf(&mut self) -> std::io::Result<&[u8]> {
+        if self.at == self.chunk.len() {
+            (self.chunk, self.at) = ((self.next)(), 0);
+        }
+        Ok(&self.chunk[self.at..])
+    }
+
+    fn consume(&mut self, count: usize) {
+        self.at = self.chunk.len().min(self.at + count);
+    }
+}
+
+impl<F: FnMut() -> Vec<u8>> Read for Chunks<F> {
+    fn read(&mut self, buf: &mut [u8]) -> std::io::Result<usize> {
+        let count = self.fill_buf()?.read(buf)?;
+        self.consume(count);
         Ok(count)
     }
 }
@@ -366,7 +431,7 @@ mod tests {
     fn clean(text: &str) -> (String, BTreeMap<Oddity, Tally>) {
         let mut lines = ObjLines::new(text);
         let mut out = String::new();
-        lines.read_to_string(&mut out).unwrap();
+        lines.read(|text| text.read_to_string(&mut out)).unwrap();
         let body = out.strip_prefix("vt 0 0\nvn 0 0 0\n").unwrap();
         (body.replace('\n', ";"), lines.odd)
     }
@@ -461,15 +526,45 @@ mod tests {
         ] {
             let text = format!("{v}{rest}\n");
             let mut clean = String::new();
-            ObjLines::new(&text).read_to_string(&mut clean).expect("clean");
+            ObjLines::new(&text).read(|text| text.read_to_string(&mut clean)).expect("clean");
             assert_eq!(corners(&clean), Some(expected), "{what}, cleaned");
             assert_ne!(corners(&text), Some(expected), "{what}, as it is");
         }
         // What it reads by itself comes out with the same corners.
         let sound = format!("{v}vt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3/1/1\nf -1/-1 -2/-1 -3/-1\nl 1 2\n");
         let mut clean = String::new();
-        ObjLines::new(&sound).read_to_string(&mut clean).expect("clean");
+        ObjLines::new(&sound).read(|text| text.read_to_string(&mut clean)).expect("clean");
         assert_eq!((corners(&sound), corners(&clean)), (Some(6), Some(6)));
+    }
+
+    #[test]
+    fn a_long_text_is_cleaned_beside_as_a_short_one() {
+        let short: String =
+            (0..20_000).map(|i| format!("v {i} .5 -1e{}\nf -1 -1 {}\n", i % 60, i % 9)).collect();
+        let long = short.clone() + &"\n".repeat(WORTH);
+        assert!(short.len() < WORTH && clean(&short) == clean(&long));
+        // Who reads does not have to read to the end.
+        let first = ObjLines::new(&long).read(|text| text.lines().next().transpose());
+        assert_eq!(first.expect("text"), Some("vt 0 0".to_owned()));
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn what_is_plain_is_a_finite_number(word in "-{0,2}[0-9.]{0,40}[0-9.e+]{0,1}") {
+            if is_plain(&word) {
+                proptest::prop_assert!(word.parse::<f32>().is_ok_and(f32::is_finite), "{word}");
+            }
+        }
+    }
+
+    #[test]
+    fn numbers_plain_at_sight() {
+        for plain in ["0", "-1", "1.5", ".5", "-.5", "2.", "00012.250"] {
+            assert!(is_plain(plain), "{plain}");
+        }
+        for not in ["", "-", ".", "-.", "1e3", "+1", "--1", "1-", "1.2.3", "nan", "inf", "0x1", "1_0"] {
+            assert!(!is_plain(not), "{not}");
+        }
     }
 
     #[test]
@@ -477,7 +572,7 @@ mod tests {
         let mut lines = ObjLines::new(
             "v 0 0 0\nf 1 1 1\nusemtl  a b \nf 1 1 1\ng x\ng x\nf 1 1 1\nf 1 1 1\ns 2\nf 1 1 1\nusemtl a b\nusemtl #c\ns off\nf 1 1 1\n",
         );
-        std::io::copy(&mut lines, &mut std::io::sink()).unwrap();
+        lines.read(|mut text| std::io::copy(&mut text, &mut std::io::sink())).unwrap();
         assert_eq!(lines.materials, [("a b".to_owned(), 3), ("#c".to_owned(), 12)]);
         assert_eq!(lines.names, ["", "x"]);
         let s = |first_face, name, material, smoothing| Segment { first_face, name, material, smoothing };

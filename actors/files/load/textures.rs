@@ -10,6 +10,7 @@ use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Lim
 use rayon::prelude::*;
 
 use super::LoadOptions;
+use super::ahead::{Ahead, Key, Picture};
 use super::error::{FileProblem, Place, Warning};
 use super::folder::{Contents, Folder, read_file};
 use super::mtl::MapStatement;
@@ -97,12 +98,13 @@ impl TextureRequests {
     pub fn load(
         self,
         folder: &mut Folder,
+        mut ahead: Ahead,
         options: &LoadOptions,
         warnings: &mut Vec<Warning>,
     ) -> (Vec<Texture>, Vec<Option<TextureId>>) {
         // One decoding for all requests of a file that read it the same way.
-        let mut jobs: Vec<(PathBuf, bool)> = Vec::new();
-        let mut job_of: HashMap<(PathBuf, bool), usize> = HashMap::new();
+        let mut jobs: Vec<Key> = Vec::new();
+        let mut job_of: HashMap<Key, usize> = HashMap::new();
         let of_request: Vec<Option<usize>> = self
             .list
             .iter()
@@ -114,8 +116,18 @@ impl TextureRequests {
                 }))
             })
             .collect();
-        let files: Vec<Result<(Encoded, u64), String>> =
-            jobs.par_iter().map(|(path, _)| open(path, self.in_memory.get(path), options)).collect();
+        let made: Vec<Option<Picture>> = jobs.iter().map(|key| ahead.take(key)).collect();
+        let files: Vec<Result<(Encoded, u64), String>> = jobs
+            .par_iter()
+            .zip(made)
+            .map(|((path, _), made)| match made {
+                Some(picture) => {
+                    let bytes = picture.bytes;
+                    Ok((Encoded::Made(picture), bytes))
+                }
+                None => open(path, self.in_memory.get(path), options),
+            })
+            .collect();
         // The sum is bounded in the order of the list, so that the same ones are kept every time.
         let mut left = options.texture_bytes_max;
         let files: Vec<Result<Encoded, String>> = files
@@ -134,15 +146,19 @@ impl TextureRequests {
             .collect();
         for ((path, _), file) in jobs.iter().zip(&files) {
             // What is in memory lies in files that were noted when they were read.
-            if let Ok(Encoded::File(f)) = file {
-                folder.note(folder.relative(path), f.hash);
+            if let Ok(Encoded::File(Contents { hash, .. }) | Encoded::Made(Picture { hash, .. })) = file {
+                folder.note(folder.relative(path), *hash);
             }
         }
         let decoded: Vec<Result<(Arc<MipChain>, bool), String>> = jobs
             .par_iter()
             .zip(files)
             .map(|((path, is_color), file)| {
-                let (mips, alpha) = decode(file?.bytes(), path, *is_color, options)?;
+                let (mips, alpha) = match &file? {
+                    Encoded::File(contents) => decode(&contents.bytes, path, *is_color, options)?,
+                    Encoded::Memory(bytes) => decode(bytes, path, *is_color, options)?,
+                    Encoded::Made(picture) => return picture.made.clone(),
+                };
                 Ok((Arc::new(mips), alpha))
             })
             .collect();
@@ -213,29 +229,22 @@ fn reader<'a>(bytes: &'a [u8], path: &Path) -> Result<ImageReader<Cursor<&'a [u8
     Ok(reader)
 }
 
-/// A picture's bytes.
+/// A picture's bytes, or what was made of them already.
 enum Encoded {
     File(Contents),
     Memory(Arc<Vec<u8>>),
-}
-
-impl Encoded {
-    fn bytes(&self) -> &[u8] {
-        match self {
-            Self::File(contents) => &contents.bytes,
-            Self::Memory(bytes) => bytes,
-        }
-    }
+    Made(Picture),
 }
 
 /// Reads a file, where the picture is not in memory, and, from its header alone, how many bytes its pixels will take.
 fn open(path: &Path, kept: Option<&Arc<Vec<u8>>>, options: &LoadOptions) -> Result<(Encoded, u64), String> {
-    let encoded = match kept {
-        Some(bytes) => Encoded::Memory(bytes.clone()),
-        None => Encoded::File(read_file(path, options.file_bytes_max).map_err(|p| p.to_string())?),
-    };
-    let bytes = pixel_bytes(encoded.bytes(), path, options)?;
-    Ok((encoded, bytes))
+    if let Some(encoded) = kept {
+        let bytes = pixel_bytes(encoded, path, options)?;
+        return Ok((Encoded::Memory(encoded.clone()), bytes));
+    }
+    let contents = read_file(path, options.file_bytes_max).map_err(|p| p.to_string())?;
+    let bytes = pixel_bytes(&contents.bytes, path, options)?;
+    Ok((Encoded::File(contents), bytes))
 }
 
 /// Columns and rows, from the header alone.
@@ -251,7 +260,8 @@ fn size(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<(u32, u32), 
     r.into_dimensions().map_err(|e| format!("is no readable picture: {e}"))
 }
 
-fn pixel_bytes(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<u64, String> {
+/// Bytes that a picture's pixels will take, from its header alone, or why it is too large.
+pub(super) fn pixel_bytes(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<u64, String> {
     let (w, h) = size(bytes, path, options)?;
     let side = options.texture_side_max;
     if w > side || h > side {
@@ -294,7 +304,7 @@ fn pixels(bytes: &[u8], path: &Path, options: &LoadOptions) -> Result<DynamicIma
 }
 
 /// A picture, the finest level of its chain alone, and whether it has an alpha channel.
-fn decode(
+pub(super) fn decode(
     bytes: &[u8],
     path: &Path,
     is_color: bool,

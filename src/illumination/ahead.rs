@@ -55,7 +55,7 @@ pub fn ahead(
     for turn in 0..=AROUND {
         found.retain(|&site| site != NONE && !std::mem::replace(&mut ahead[site as usize], true));
         if turn < AROUND {
-            found = found.iter().flat_map(|&site| sites.links_of(site)).collect();
+            found = found.par_iter().flat_map_iter(|&site| sites.links_of(site)).collect();
         }
     }
     ahead

@@ -9,18 +9,17 @@ use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use foveal::image::Map2d;
 use foveal::scene::TextureId;
 use foveal::scene::texture::MipChain;
-use glam::Vec3;
 use memchr::memmem;
 use rayon::prelude::*;
 
 use super::folder::{Folder, read_file};
 use super::from_mtl::{self, Doubts};
+use super::meshes::library_names;
 use super::mtl::{self, MapStatement};
 use super::sidecar::Sidecar;
-use super::{LoadOptions, library_names, textures};
+use super::{LoadOptions, textures};
 
 /// Where a picture is, and whether it is a colour.
 pub(super) type Key = (PathBuf, bool);
@@ -123,25 +122,6 @@ fn statements<'a>(text: &'a [u8], keyword: &'a [u8]) -> impl Iterator<Item = Str
         let end = memchr::memchr2(b'\n', b'\r', rest).unwrap_or(rest.len());
         starts.then(|| String::from_utf8_lossy(&rest[..end]).trim().to_owned())
     })
-}
-
-/// A map of what is around a scene, decoded ahead.
-pub(super) struct Surroundings {
-    /// Where it is.
-    pub found: PathBuf,
-    /// BLAKE3 of its file.
-    pub hash: [u8; 32],
-    /// The map and the number of its texels that were no radiance, or why there is none.
-    pub made: Result<(Map2d<Vec3>, usize), String>,
-}
-
-impl Surroundings {
-    /// Of a file that was found; `None` where it cannot be read, which is said where it is asked for.
-    pub fn decode(found: PathBuf, options: &LoadOptions) -> Option<Self> {
-        let contents = read_file(&found, options.file_bytes_max).ok()?;
-        let made = textures::radiance_map(&contents.bytes, &found, options);
-        Some(Self { found, hash: contents.hash, made })
-    }
 }
 
 #[cfg(test)]

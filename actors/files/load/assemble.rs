@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 
-use super::Library;
 use super::ahead::Ahead;
 use super::error::{Place, SceneError, Warning};
 use super::gltf::image_based::CubeMap;
+use super::meshes::Library;
 use super::obj::ObjFile;
 use foveal::scene::thing::{ThingSource, Things, escaped};
 use foveal::scene::{CameraPath, ExtensionUse, Light, MaterialId, Mesh, NamedCamera, TriangleIndex};

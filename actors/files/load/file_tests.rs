@@ -3,9 +3,12 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::Vec3;
+
 use super::*;
 
 use foveal::math;
+use foveal::scene::{Model, Reflectance, TextureId};
 
 /// A folder that is removed when the test ends.
 pub(super) struct TempFolder(pub PathBuf);
@@ -199,7 +202,6 @@ fn several_libraries_in_one_line_and_one_with_blanks() {
         other => panic!("{other:?}"),
     };
     assert_eq!((albedo(0), albedo(1)), (0.99 * Vec3::X, 0.99 * Vec3::Y));
-    assert_eq!(escaped_words(" a\\ b.mtl  c\\d.mtl\\"), ["a b.mtl", "c\\d.mtl\\"]);
 }
 
 #[test]

@@ -12,19 +12,23 @@
 
 use std::sync::{Arc, OnceLock};
 
-use glam::{DVec3, Vec3, Vec4};
+use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 pub mod orders;
 pub mod particles;
 mod rounds;
+mod settings;
+mod totals;
 
 use orders::{Gatherers, Here};
 use rounds::Rounds;
+pub use settings::{BakeSettings, VERSION, cache_key, early_key};
+use totals::Totals;
 
 use super::ahead::ahead;
-use super::atlas::{Atlas, ConformalCharts, Element};
+use super::atlas::{Atlas, ConformalCharts};
 use super::filter::{Noisy, Parts, Smoothing};
 use super::first::first_picture_while;
 use super::gathered::Gathered;
@@ -33,7 +37,6 @@ use super::seen::seen;
 use super::sites::{Site, Sites};
 use super::statement::{HeldBack, HeldBackState, Statement};
 use super::stored::{Illumination, Summary, Value};
-use crate::image::luminance;
 use crate::scene::Scene;
 use crate::transport::Indexed;
 use crate::transport::caustic::Sources;
@@ -55,53 +58,6 @@ const BLOCK: usize = 64;
 const TESTED: u64 = 16;
 /// Looks for what is in sight, at least and at most: one for each texel.
 const LOOKS: (u64, u64) = (1 << 14, 1 << 18);
-
-/// Raised with every change of how a map is computed, or of what of it is kept.
-pub const VERSION: u32 = 23;
-
-/// What to bake, and when it is good enough.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct BakeSettings {
-    /// Texels of the lightmap, about; 0 stores everything per vertex.
-    pub texels: u32,
-    /// Seed of all random numbers.
-    pub seed: u64,
-    /// Stop after this many paths.
-    pub particles: Option<u64>,
-    /// Fine elements also where no camera and no path leads.
-    pub everything: bool,
-    /// Stop at this relative error ([`Summary::relative_error`]), for example 0.02.
-    pub error: Option<f32>,
-}
-
-impl Default for BakeSettings {
-    fn default() -> Self {
-        Self { texels: 256 * 1024, seed: 1, particles: Some(1 << 24), everything: false, error: Some(0.02) }
-    }
-}
-
-/// Key of a cache file: everything that decides the values, except how far the bake went, which the
-/// file's summary says.
-pub fn cache_key(scene: &Scene, settings: &BakeSettings) -> [u8; 32] {
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(b"foveal illumination");
-    hasher.update(&VERSION.to_le_bytes());
-    hasher.update(&scene.content_hash);
-    hasher.update(&settings.texels.to_le_bytes());
-    hasher.update(&settings.seed.to_le_bytes());
-    hasher.update(&[u8::from(settings.everything)]);
-    *hasher.finalize().as_bytes()
-}
-
-/// Key of a map that a bake publishes on its way, after some of its rounds: with what decides the values, as far as those
-/// came, the number of paths, which the rounds share.
-pub fn early_key(scene: &Scene, settings: &BakeSettings) -> [u8; 32] {
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(b"early");
-    hasher.update(&cache_key(scene, settings));
-    hasher.update(&settings.particles.unwrap_or(u64::MAX).to_le_bytes());
-    *hasher.finalize().as_bytes()
-}
 
 /// What a bake is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -572,46 +528,6 @@ impl Baker {
             rounds: self.round,
             round_share: self.next as f32 / self.rounds.sites(self.round).len().max(1) as f32,
             relative_error: self.relative_error,
-        }
-    }
-}
-
-/// Sums over all sites.
-#[derive(Default)]
-struct Totals {
-    power: DVec3,
-    area: f64,
-    /// Of what is in sight, times the area: squared luminance, and the variances of straight and of all other light.
-    squared: f64,
-    variances: [f64; 2],
-    soft: f64,
-}
-
-impl Totals {
-    fn add(&mut self, element: &Element, value: Vec4, parts: &Parts, seen: bool) {
-        let area = f64::from(element.opaque);
-        self.power += value.truncate().as_dvec3() * area;
-        self.area += 0.5 * area;
-        self.soft += f64::from(luminance(parts[1].mean())) * area;
-        if seen {
-            self.squared += f64::from(luminance(value.truncate())).powi(2) * area;
-            self.variances[0] += f64::from(0.5 * parts[0].variance) * area;
-            self.variances[1] += f64::from(0.5 * (parts[1].variance + parts[2].variance)) * area;
-        }
-    }
-
-    fn summary(&self, baker: &Baker) -> Summary {
-        let relative = |v: f64| if self.squared > 0.0 { (v / self.squared).sqrt() as f32 } else { 0.0 };
-        let mean = if self.area > 0.0 { (self.power / self.area).as_vec3() } else { Vec3::ZERO };
-        Summary {
-            particles: baker.paths,
-            rounds: baker.round + 1,
-            direct_error: relative(self.variances[0]),
-            particle_error: relative(self.variances[1]),
-            mean: mean.to_array(),
-            has_indirect: self.soft > 0.0,
-            notes: baker.atlas.notes.clone(),
-            ..Summary::default()
         }
     }
 }

@@ -9,7 +9,8 @@ use foveal_actors::insight::Insight;
 use foveal_actors::renderer::{FrameCounts, Renderer};
 use foveal_runtime::Ending;
 
-use super::{Engine, Event, Frame, LEAVING, Standing, quality_of};
+use super::frames::quality_of;
+use super::{Engine, Event, Frame, LEAVING, Standing};
 use crate::failure::Failure;
 use crate::look::{self, Mirror};
 use crate::opened::Opened;

@@ -16,7 +16,7 @@ use crate::actor::supervise::OnPanic;
 use crate::actor::{Actor, Cx};
 use crate::mailbox::{Address, Bounds, Envelope};
 use crate::message::{ActorId, Digest, Lane, Message};
-use crate::pool::Bitmap;
+use crate::pool::bitmap::Bitmap;
 use crate::runtime::Runtime;
 use crate::runtime::config::Config;
 use crate::scheduler::eventcount::EventCount;

@@ -3,7 +3,8 @@
 //! The pool decides nothing: whoever pushes chooses bucket (0 is popped first), epoch and size. Each pop is a delivery
 //! of the worker that made it, so a recording knows who did what, and replay hands each job to the same worker.
 
-mod bitmap;
+pub(crate) mod bitmap;
+mod heap;
 mod keep;
 mod lease;
 mod seat;
@@ -11,7 +12,6 @@ mod seat;
 use crossbeam_queue::SegQueue;
 use serde::{Deserialize, Serialize};
 use std::fmt;
-use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -33,7 +33,7 @@ use crate::scheduler::signals::signal;
 
 pub use crate::actor::seat::KILLS_MAX;
 
-pub(crate) use bitmap::Bitmap;
+use heap::{Carried, Entry, Heap};
 use keep::Keeping;
 pub use keep::Kept;
 use lease::Hold;
@@ -155,51 +155,6 @@ pub struct PoolStats {
     pub disorder: u64,
 }
 
-struct Entry<J> {
-    id: u64,
-    attempt: u32,
-    epoch: u64,
-    bucket: u32,
-    /// Deliveries to its maker before it was pushed, the one at hand included.
-    pushed_in: u64,
-    job: Carried<J>,
-    /// Whether one of the two who have it has come to its end, where it was [shared](Cx::share).
-    rival: Option<Arc<AtomicBool>>,
-}
-
-impl<J> Entry<J> {
-    /// The same job for two: whoever has it, and those who get it if that one does not come to its end.
-    fn split(self) -> (Self, Self) {
-        let job = match self.job {
-            Carried::Alone(job) => Arc::new(job),
-            Carried::Shared(job) => job,
-        };
-        let rival = self.rival.clone();
-        (
-            Self { job: Carried::Shared(Arc::clone(&job)), rival, ..self },
-            Self { job: Carried::Shared(job), ..self },
-        )
-    }
-}
-
-/// A job on its way. It lies in its entry as long as nobody else needs it: memory that one thread takes and another
-/// gives back costs more than the way through the pool.
-enum Carried<J> {
-    Alone(J),
-    Shared(Arc<J>),
-}
-
-impl<J> Deref for Carried<J> {
-    type Target = J;
-
-    fn deref(&self) -> &J {
-        match self {
-            Self::Alone(job) => job,
-            Self::Shared(job) => job,
-        }
-    }
-}
-
 /// One worker's place at a pool.
 struct Place<J> {
     number: usize,
@@ -211,51 +166,6 @@ struct Place<J> {
     hold: Hold<J>,
     /// Of a worker that keeps jobs, those.
     keeping: Option<Keeping<J>>,
-}
-
-/// Jobs by priority.
-struct Heap<J> {
-    buckets: Box<[SegQueue<Entry<J>>]>,
-    bitmap: Bitmap,
-}
-
-impl<J> Heap<J> {
-    fn new() -> Self {
-        Self { buckets: (0..BUCKETS).map(|_| SegQueue::new()).collect(), bitmap: Bitmap::new() }
-    }
-
-    fn put(&self, entry: Entry<J>) {
-        let bucket = entry.bucket;
-        self.buckets[bucket as usize].push(entry);
-        self.bitmap.raise(bucket);
-    }
-
-    fn take(&self, base: u32) -> Option<Entry<J>> {
-        self.bitmap.take(
-            base,
-            |bucket| self.buckets[bucket as usize].pop(),
-            |bucket| self.buckets[bucket as usize].is_empty(),
-        )
-    }
-
-    /// How far behind `base` (cyclically) the first bucket is that has something; 64 where none has.
-    fn rank(&self, base: u32) -> u32 {
-        let mut bits = self.bitmap.from(base);
-        while bits != 0 {
-            let rank = bits.trailing_zeros();
-            // A bucket keeps its bit until somebody finds it empty.
-            if !self.buckets[((base + rank) % 64) as usize].is_empty() {
-                return rank;
-            }
-            bits &= bits - 1;
-        }
-        64
-    }
-
-    /// Whether something waits in one of the first `rank` buckets.
-    fn has_better(&self, base: u32, rank: u32) -> bool {
-        (0..rank).any(|step| !self.buckets[((base + step) % 64) as usize].is_empty())
-    }
 }
 
 struct Shared<J: Job> {
@@ -307,12 +217,12 @@ impl<J: Job> Shared<J> {
 
     /// Whether something waits for a worker of this kind.
     fn is_empty_for(&self, keeps: bool) -> bool {
-        self.common.bitmap.is_empty() && (keeps || self.own.bitmap.is_empty())
+        self.common.is_empty() && (keeps || self.own.is_empty())
     }
 
     /// Wakes somebody for what waits: rather one that does the job than one that keeps it.
     fn wake(&self, thread: &ThreadCx) {
-        let keeper = || if self.common.bitmap.is_empty() { None } else { self.idle_keepers.notify_one() };
+        let keeper = || if self.common.is_empty() { None } else { self.idle_keepers.notify_one() };
         if let Some(place) = self.idle.notify_one().or_else(keeper)
             && let Some(place) = self.places().iter().find(|other| other.number == place)
         {
@@ -384,7 +294,7 @@ impl<J: Job> Shared<J> {
 
     fn take(&self, keeps: bool) -> Option<Entry<J>> {
         let base = self.base.load(Ordering::Relaxed);
-        let entry = if keeps || self.own.bitmap.is_empty() {
+        let entry = if keeps || self.own.is_empty() {
             self.common.take(base)?
         } else if self.own.rank(base) <= self.common.rank(base) {
             self.own.take(base).or_else(|| self.common.take(base))?
@@ -556,7 +466,7 @@ impl<M: Message> Cx<'_, M> {
     pub fn age<J: Job>(&mut self, pool: &JobPool<J>) {
         let shared = &pool.shared;
         let base = shared.base.load(Ordering::Relaxed);
-        let is_empty = |heap: &Heap<J>| heap.buckets[base as usize].is_empty();
+        let is_empty = |heap: &Heap<J>| heap.has_none_in(base);
         if is_empty(&shared.common) && is_empty(&shared.own) {
             shared.base.store((base + 1) % 64, Ordering::Relaxed);
         }

@@ -25,6 +25,7 @@ mod stepper;
 pub mod when;
 pub mod why;
 mod why_light;
+mod why_notes;
 mod why_path;
 
 pub use beside::Beside;

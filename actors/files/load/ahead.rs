@@ -33,7 +33,7 @@ pub(super) struct Picture {
     pub hash: [u8; 32],
     /// Of its pixels.
     pub bytes: u64,
-    /// Its finest level and whether it has an alpha channel, or why not.
+    /// All its levels and whether it has an alpha channel, or why not.
     pub made: Result<(Arc<MipChain>, bool), String>,
 }
 
@@ -67,7 +67,8 @@ impl Ahead {
         let within: Vec<_> = within.collect();
         let decoded = within.into_par_iter().map(|(key, contents, bytes)| {
             let made = textures::decode(&contents.bytes, &key.0, key.1, options);
-            let made = made.map(|(mips, alpha)| (Arc::new(mips), alpha));
+            // With its coarser levels: whoever reads the meshes may take longer.
+            let made = made.map(|(mips, alpha)| (Arc::new(mips.completed()), alpha));
             (key, Picture { hash: contents.hash, bytes, made })
         });
         Self(decoded.collect())

@@ -18,7 +18,7 @@ pub struct BakeSettings {
     pub particles: Option<u64>,
     /// Fine elements also where no camera and no path leads.
     pub everything: bool,
-    /// Stop at this relative error ([`Summary::relative_error`]), for example 0.02.
+    /// Stop at this relative error ([`Summary::relative_error`](super::Summary::relative_error)), for example 0.02.
     pub error: Option<f32>,
 }
 

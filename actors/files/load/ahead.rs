@@ -47,19 +47,15 @@ impl Ahead {
         self.0.remove(key)
     }
 
-    /// Adds what was made for another mesh.
-    pub fn extend(&mut self, other: Self) {
-        self.0.extend(other.0);
-    }
-
-    /// Decodes pictures in parallel, as far as all of them together keep within the bound.
-    pub fn decode(keys: Vec<Key>, options: &LoadOptions) -> Self {
-        let read = keys.into_par_iter().filter_map(|key| {
+    /// Decodes pictures in parallel that are not there yet, as far as all of them together keep within the bound.
+    pub fn decode(&mut self, keys: Vec<Key>, options: &LoadOptions) {
+        let missing: Vec<Key> = keys.into_iter().filter(|key| !self.0.contains_key(key)).collect();
+        let read = missing.into_par_iter().filter_map(|key| {
             let contents = read_file(&key.0, options.file_bytes_max).ok()?;
             let bytes = textures::pixel_bytes(&contents.bytes, &key.0, options).ok()?;
             Some((key, contents, bytes))
         });
-        let mut left = options.texture_bytes_max;
+        let mut left = options.texture_bytes_max.saturating_sub(self.0.values().map(|p| p.bytes).sum());
         let within = read.collect::<Vec<_>>().into_iter().map_while(|(key, contents, bytes)| {
             left = left.checked_sub(bytes)?;
             Some((key, contents, bytes))
@@ -71,7 +67,7 @@ impl Ahead {
             let made = made.map(|(mips, alpha)| (Arc::new(mips.completed()), alpha));
             (key, Picture { hash: contents.hash, bytes, made })
         });
-        Self(decoded.collect())
+        self.0.par_extend(decoded);
     }
 }
 
@@ -199,8 +195,18 @@ mod tests {
         let names: Vec<_> = guess.iter().map(|(found, is_color)| (root.relative(found), *is_color)).collect();
         let expected = [("own", true), ("wall", true), ("mask", false), ("broken", true)];
         assert_eq!(names, expected.map(|(name, is_color)| (format!("maps/{name}.png"), is_color)));
-        let decoded = Ahead::decode(guess, &LoadOptions::default());
+        let mut decoded = Ahead::default();
+        decoded.decode(guess.clone(), &LoadOptions::default());
         assert_eq!(decoded.0.len(), 3, "what cannot be read is left to those who say so");
+
+        // Another mesh with the same pictures: none is decoded again, and all keep within one bound.
+        let two = LoadOptions { texture_bytes_max: 2 * 8 * 4 * 4, ..LoadOptions::default() };
+        let mut decoded = Ahead::default();
+        decoded.decode(guess[..2].to_vec(), &two);
+        let made = |ahead: &Ahead| ahead.0[&guess[0]].made.clone().expect("decoded").0;
+        let first = made(&decoded);
+        decoded.decode(guess.clone(), &two);
+        assert!(decoded.0.len() == 2 && Arc::ptr_eq(&first, &made(&decoded)));
         fs::remove_dir_all(&folder).expect("removed");
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::ahead::{self, Ahead};
+use super::ahead;
 use super::assemble::Joined;
 use super::error::{FileProblem, Place, SceneError, Warning};
 use super::folder::Folder;
@@ -92,10 +92,10 @@ fn read_mesh(
         return Ok(());
     }
     let pictures = ahead::of_obj(&bytes, &base, source.sidecar, folder);
-    let (file, pictures) =
-        rayon::join(|| obj::parse(&bytes, &shown, warnings), || Ahead::decode(pictures, source.options));
+    let ahead = &mut joined.ahead;
+    let (file, ()) =
+        rayon::join(|| obj::parse(&bytes, &shown, warnings), || ahead.decode(pictures, source.options));
     let file = file?;
-    joined.ahead.extend(pictures);
     drop(bytes);
     let mut libraries = Vec::new();
     for (text, line) in &file.libraries {

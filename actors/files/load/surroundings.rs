@@ -30,6 +30,7 @@ impl Surroundings {
     }
 }
 
+/// What a sidecar says of it, with its map as decoded `ahead` or now; without where that cannot be.
 pub(super) fn environment(
     sidecar: &Sidecar,
     folder: &mut Folder,

@@ -1,4 +1,4 @@
-//! Bounds of up to sixteen rays that point into one octant, tested against eight boxes at once.
+//! Bounds of up to sixteen rays, tested against eight boxes at once: tight where they point into one octant.
 
 use glam::Vec3;
 
@@ -18,6 +18,8 @@ pub(super) struct Beam<E: Simd<8>> {
     upper: [E::Lanes; 3],
     /// The sides of a box where the rays enter and leave.
     sides: [[usize; 2]; 3],
+    /// Whether they point into one octant. An axis along which they point both ways bounds nothing.
+    pub is_bounded: bool,
 }
 
 impl<V: Vectors> Beam<V> {
@@ -43,12 +45,17 @@ impl<V: Vectors> Beam<V> {
     #[inline(always)]
     fn new(v: V, bounds: [[f32; 2]; 3], inverse: &[<V as Simd<16>>::Lanes; 3]) -> Self {
         let [x, y, z] = *inverse;
-        let lower = [least(v, x), least(v, y), least(v, z)];
-        let upper = [most(v, x), most(v, y), most(v, z)];
+        let mut lower = [least(v, x), least(v, y), least(v, z)];
+        let mut upper = [most(v, x), most(v, y), most(v, z)];
+        let is_bounded = [0, 1, 2].map(|k| lower[k] > 0.0 || upper[k] < 0.0);
         let e = |value: f32| Simd::<8>::splat(v, value);
         // Upwards, the farther a ray has come before it begins, the sooner it is there.
         let [fx, fy, fz] = [0, 1, 2].map(|k| {
             let [least, largest] = bounds[k];
+            if !is_bounded[k] {
+                (lower[k], upper[k]) = (1.0, 1.0);
+                return [f32::INFINITY, f32::NEG_INFINITY];
+            }
             if lower[k] > 0.0 { [largest, least] } else { [least, largest] }
         });
         Self {
@@ -56,6 +63,7 @@ impl<V: Vectors> Beam<V> {
             lower: [e(lower[0]), e(lower[1]), e(lower[2])],
             upper: [e(upper[0]), e(upper[1]), e(upper[2])],
             sides: std::array::from_fn(|k| if lower[k] > 0.0 { [k, k + 3] } else { [k + 3, k] }),
+            is_bounded: is_bounded == [true; 3],
         }
     }
 }

@@ -72,7 +72,7 @@ impl Node {
 
 /// Exits are enlarged by this, so that a box is never missed by rounding: 1 + 2γ(3) (Ize 2013), and one more rounding,
 /// since it is the inverse of the direction that is enlarged.
-const FAR: f32 = 1.0 + 2.0 * gamma(4);
+pub(super) const FAR: f32 = 1.0 + 2.0 * gamma(4);
 
 /// A ray prepared for boxes.
 #[derive(Clone, Copy)]

@@ -1,20 +1,21 @@
 //! Sixteen shadow rays at once, from neighbouring points to one light.
 //!
-//! Rays that point into one octant, along one dominant axis, go through the tree as one beam (`super::beam`); of a
-//! leaf's triangles those are tested that the beam may meet, for all rays at once. Each ray meets a triangle by the very
-//! operations of a single ray (`super::block`), so that what is found does not depend on its company, to the bit.
-//! A shadow is often thrown by what threw the last one: that leaf is looked at first.
+//! What bounds all of them tells of eight boxes at once which ones any may meet (`super::beam`); of these sixteen rays at
+//! once are asked, one box after the other, so that each goes only where it would go alone. Of a leaf's triangles those are
+//! tested that any may meet, for all rays at once or, where few came so far, for one ray all at once. Each ray meets boxes
+//! and triangles by the very operations of a single ray (`super::node`, `super::block`), so that what is found does not
+//! depend on its company, to the bit. A shadow is often thrown by what threw the last one: that leaf is looked at first.
 
 use arrayvec::ArrayVec;
 
 use super::Ray;
-use super::beam::{Beam, most, transposed};
-use super::block::{Block, axes, exact};
+use super::beam::{Beam, least, most};
+use super::block::{Block, LEAF, Shear, exact};
 use super::level::{Vectors, Work};
-use super::node::Child;
+use super::node::{CHILDREN, Child, FAR, Node, Slabs};
 use super::packet::LANES;
 use super::simd::Simd;
-use super::stack::{STACK, Stack};
+use super::stack::{Entry, STACK, Stack};
 use super::wide::{LeafHit, Wide};
 
 /// What a hit is to a shadow ray.
@@ -65,17 +66,11 @@ struct Cast<'a, F> {
 }
 
 /// Largest components of directions that lie beyond these are followed one by one: their inverses would not be numbers.
-const USUAL: std::ops::RangeInclusive<f32> = 1e-15..=1e15;
+const USUAL: [f32; 2] = [1e-15, 1e15];
 
-/// Fewer rays than these gain nothing by company.
-const FEWEST: u32 = 4;
-
-/// Rays of one beam begin and end within this share of their length of each other: wider beams meet more boxes than their
-/// rays do one by one.
-const WIDTH: f32 = 1.0 / 16.0;
-
-/// Beams of fewer than [`FEWEST`] rays before the others are left alone, too: such rays go to no one light.
-const STRAYS: u32 = 2;
+/// As many rays as these, or as there are boxes to be asked, are sooner there one by one: one meets eight boxes or triangles
+/// at once.
+const FEW: u32 = 3;
 
 impl<F: Fn(usize, LeafHit) -> Meets> Work for Cast<'_, F> {
     type Output = Shadows;
@@ -95,164 +90,190 @@ impl<F: Fn(usize, LeafHit) -> Meets> Cast<'_, F> {
     #[inline(always)]
     fn go<V: Vectors>(&mut self, v: V, stack: &mut impl Stack) -> Shadows {
         let mut shadows = Shadows::default();
-        let mut left = self.lanes;
-        for lane in bits(self.lanes) {
-            let ray = &self.rays[lane];
-            // As single rays do, which hit nothing then.
-            if !ray.direction.is_finite() || !ray.origin.is_finite() || ray.direction == glam::Vec3::ZERO {
-                left &= !(1 << lane);
-            } else if !USUAL.contains(&ray.direction.abs().max_element()) {
-                left &= !(1 << lane);
-                shadows.unclear |= 1 << lane;
+        let mut asked = self.lanes;
+        let mut company = Company::new(v, self.rays, asked);
+        let (usual, is_ray) = company.fit(v);
+        if asked & usual != asked {
+            // What is no ray hits nothing, as alone.
+            shadows.unclear = asked & is_ray & !usual;
+            asked &= usual;
+            if asked == 0 {
+                return shadows;
             }
+            company = Company::new(v, self.rays, asked);
         }
         let before = *self.last;
-        let mut strays = 0;
-        while left != 0 {
-            if strays == STRAYS {
-                shadows.unclear |= left;
-                break;
-            }
-            let first = left.trailing_zeros() as usize;
-            // Who is not asked goes along with one who is.
-            let theirs: [usize; LANES] = std::array::from_fn(|l| if left >> l & 1 != 0 { l } else { first });
-            let directions = transposed(v, &theirs.map(|l| self.rays[l].direction));
-            let origins = transposed(v, &theirs.map(|l| self.rays[l].origin));
-            let (inverse, alike) = alike(v, &directions, first);
-            let alike = alike & self.beside(v, &origins, &directions, first);
-            let members = alike & left;
-            left &= !members;
-            if members.count_ones() < FEWEST {
-                shadows.unclear |= members;
-                strays += 1;
-                continue;
-            }
-            let group = Group::new(v, self.rays, &theirs, &origins, &directions, first);
-            let beam = if alike == ALL {
-                Beam::from_points(v, &origins, &inverse)
-            } else {
-                let theirs: [usize; LANES] =
-                    std::array::from_fn(|l| if members >> l & 1 != 0 { l } else { first });
-                let directions = transposed(v, &theirs.map(|l| self.rays[l].direction));
-                let (inverse, _) = self::alike(v, &directions, first);
-                Beam::from_points(v, &transposed(v, &theirs.map(|l| self.rays[l].origin)), &inverse)
-            };
-            let mut found = Found { open: members, shadows, last: LastShadow(None) };
-            self.travel(v, &group, &beam, before, &mut found, stack);
-            shadows = found.shadows;
-            if found.last.0.is_some() {
-                *self.last = found.last;
-            } else if shadows.blocked & members == 0 {
-                *self.last = LastShadow(None);
-            }
-            stack.clear();
+        let mut found = Found { open: asked, shadows, last: LastShadow(None) };
+        if company.axis.is_some() {
+            self.travel::<false, V>(v, &company, before, &mut found, stack);
+        } else {
+            self.travel::<true, V>(v, &company, before, &mut found, stack);
+        }
+        shadows = found.shadows;
+        if found.last.0.is_some() || shadows.blocked == 0 {
+            *self.last = found.last;
         }
         shadows.unclear &= !shadows.blocked;
         shadows
     }
 
-    /// A bit for each ray that begins and ends near ray `first`.
     #[inline(always)]
-    fn beside<S: Simd<16>>(
-        &self,
-        s: S,
-        origins: &[S::Lanes; 3],
-        directions: &[S::Lanes; 3],
-        first: usize,
-    ) -> u32 {
-        let ray = &self.rays[first];
-        let length = ray.direction.abs().max_element();
-        // A ray without end is as long as the scene is large.
-        let reach = if ray.t_max.is_finite() { 1.0 } else { self.wide.largest_side() / length };
-        let width = s.splat(length * reach * WIDTH);
-        let (zero, reach_lanes) = (s.splat(0.0), s.splat(reach));
-        let mut near = ALL;
-        for axis in 0..3 {
-            let (origin, direction) = (origins[axis], directions[axis]);
-            let end = s.add(origin, s.mul(direction, reach_lanes));
-            let (from, to) = (ray.origin[axis], ray.origin[axis] + ray.direction[axis] * reach);
-            for (lanes, own) in [(origin, from), (end, to)] {
-                let apart = s.sub(lanes, s.splat(own));
-                near &= s.bits(s.at_most(s.max(apart, s.sub(zero, apart)), width));
-            }
-        }
-        // Itself in any case: numbers may be too large.
-        near | 1 << first
-    }
-
-    #[inline(always)]
-    fn travel<V: Vectors>(
+    fn travel<const MIXED: bool, V: Vectors>(
         &self,
         v: V,
-        group: &Group<V>,
-        beam: &Beam<V>,
+        company: &Company<V>,
         before: LastShadow,
         found: &mut Found,
         stack: &mut impl Stack,
     ) {
         let (nodes, blocks) = self.wide.parts();
-        let farthest = most(v, group.t_max);
-        if let Some(block) = before.0
-            && self.leaf(v, group, beam, farthest, (block, &blocks[block as usize]), found)
-        {
-            return;
+        let shears = Shears::new::<MIXED>(v, company);
+        let bundle = Bundle::new(v, company);
+        if let Some(block) = before.0 {
+            let rays = found.open;
+            self.leaf::<MIXED, V>(v, &shears, &bundle, (block, &blocks[block as usize]), rays, found);
+            if found.open == 0 {
+                return;
+            }
         }
-        let mut current = Child::node(0);
+        let mut current = Entry::of_rays(found.open, Child::node(0));
+        loop {
+            let (rays, child) = (current.rays() & found.open, current.child());
+            let mut next = None;
+            if rays != 0 {
+                let slots = if child.is_leaf() {
+                    0
+                } else {
+                    bundle.meet(v, |side| Simd::<8>::load(v, &nodes[child.index()].bounds[side]))
+                };
+                if rays.count_ones() <= slots.count_ones().max(FEW) {
+                    for ray in bits(rays) {
+                        self.alone(v, ray, child, found, stack);
+                    }
+                } else if child.is_leaf() {
+                    let index = child.index();
+                    self.leaf::<MIXED, V>(v, &shears, &bundle, (index as u32, &blocks[index]), rays, found);
+                } else {
+                    next = self.enter(v, company, (&nodes[child.index()], slots), rays, stack);
+                }
+                if found.open == 0 {
+                    return;
+                }
+            }
+            let Some(entry) = next.or_else(|| stack.pop()) else { return };
+            current = entry;
+        }
+    }
+
+    /// Which of the children that `slots` names rays enter: the one to go on with, the others on the stack.
+    #[inline(always)]
+    fn enter<V: Vectors>(
+        &self,
+        v: V,
+        company: &Company<V>,
+        (node, slots): (&Node, u32),
+        rays: u32,
+        stack: &mut impl Stack,
+    ) -> Option<Entry> {
+        let mut next: Option<Entry> = None;
+        for slot in bits(slots) {
+            let slot = slot & (CHILDREN - 1);
+            let here = company.meet(v, node, slot) & rays;
+            if here == 0 {
+                continue;
+            }
+            let entry = Entry::of_rays(here, node.child[slot]);
+            // Where most go a blocker is most likely found.
+            match &mut next {
+                None => next = Some(entry),
+                Some(next) if here.count_ones() > next.rays().count_ones() => {
+                    stack.push(std::mem::replace(next, entry));
+                }
+                Some(_) => stack.push(entry),
+            }
+        }
+        next
+    }
+
+    /// Tests the triangles of a leaf.
+    #[inline(always)]
+    fn leaf<const MIXED: bool, V: Vectors>(
+        &self,
+        v: V,
+        shears: &Shears<V>,
+        bundle: &Bundle<V>,
+        (index, block): (u32, &Block),
+        rays: u32,
+        found: &mut Found,
+    ) {
+        let sides = block.bounds(v);
+        for lane in bits(bundle.meet(v, |side| sides[side]) & block.used()) {
+            let Some(hits) = shears.meet::<MIXED>(v, block, lane, rays & found.open) else { continue };
+            for ray in bits(hits.mask) {
+                let (t, triangle) = (hits.t[ray], block.index[lane]);
+                self.met(ray, LeafHit { t, triangle, b1: hits.b1[ray], b2: hits.b2[ray] }, index, found);
+            }
+            if rays & found.open == 0 {
+                return;
+            }
+        }
+    }
+
+    /// The way of one ray from here on, as it goes alone.
+    #[inline(always)]
+    fn alone<V: Vectors>(&self, v: V, ray: usize, from: Child, found: &mut Found, stack: &mut impl Stack) {
+        let (nodes, blocks) = self.wide.parts();
+        let Ray { origin, direction, t_min, t_max, .. } = self.rays[ray];
+        let (t_min, t_max) = (t_min.max(0.0), t_max.next_down());
+        let (slabs, shear) = (Slabs::new(v, origin, direction, t_min), Shear::new(v, origin, direction));
+        let below = stack.len();
+        let mut current = from;
         loop {
             if current.is_leaf() {
-                let index = current.index();
-                if self.leaf(v, group, beam, farthest, (index as u32, &blocks[index]), found) {
-                    return;
+                let block = &blocks[current.index()];
+                if let Some(hits) = block.intersect(v, &shear, t_min, t_max) {
+                    for lane in bits(hits.mask) {
+                        let lane = lane & (LEAF - 1);
+                        let (t, triangle) = (hits.t[lane], block.index[lane]);
+                        let hit = LeafHit { t, triangle, b1: hits.b1[lane], b2: hits.b2[lane] };
+                        self.met(ray, hit, current.index() as u32, found);
+                        if found.open >> ray & 1 == 0 {
+                            stack.truncate(below);
+                            return;
+                        }
+                    }
                 }
             } else {
                 let node = &nodes[current.index()];
-                let (enter, mask) = beam.meet(v, |side| Simd::<8>::load(v, &node.bounds[side]), farthest);
+                let (enter, mask) = slabs.intersect(node, t_max);
                 if mask != 0 {
                     current = stack.visit::<false>(node, &enter, mask, |_| ());
                     continue;
                 }
             }
-            let Some(next) = stack.pop() else { return };
-            current = next.child();
+            if stack.len() == below {
+                return;
+            }
+            let Some(entry) = stack.pop() else { return };
+            current = entry.child();
         }
     }
 
-    /// Tests the triangles of a leaf that the beam may meet; says whether all rays are blocked.
     #[inline(always)]
-    fn leaf<V: Vectors>(
-        &self,
-        v: V,
-        group: &Group<V>,
-        beam: &Beam<V>,
-        farthest: f32,
-        (index, block): (u32, &Block),
-        found: &mut Found,
-    ) -> bool {
-        let sides = block.bounds(v);
-        let (_, within) = beam.meet(v, |side| sides[side], farthest);
-        for lane in bits(within & block.used()) {
-            let Some(hits) = group.meet(v, block, lane, found.open) else { continue };
-            for ray in bits(hits.mask) {
-                let (t, triangle) = (hits.t[ray], block.index[lane]);
-                match (self.meets)(ray, LeafHit { t, triangle, b1: hits.b1[ray], b2: hits.b2[ray] }) {
-                    Meets::Nothing => {}
-                    Meets::Other => found.shadows.unclear |= 1 << ray,
-                    Meets::Blocker => {
-                        found.shadows.blocked |= 1 << ray;
-                        found.open &= !(1 << ray);
-                        found.last = LastShadow(Some(index));
-                    }
-                }
-            }
-            if found.open == 0 {
-                return true;
+    fn met(&self, ray: usize, hit: LeafHit, leaf: u32, found: &mut Found) {
+        match (self.meets)(ray, hit) {
+            Meets::Nothing => {}
+            Meets::Other => found.shadows.unclear |= 1 << ray,
+            Meets::Blocker => {
+                found.shadows.blocked |= 1 << ray;
+                found.open &= !(1 << ray);
+                found.last = LastShadow(Some(leaf));
             }
         }
-        false
     }
 }
 
-/// What is known of the rays of a beam.
+/// What is known of the rays.
 struct Found {
     /// Those that nothing blocks so far.
     open: u32,
@@ -275,30 +296,158 @@ fn bits(mut mask: u32) -> impl Iterator<Item = usize> {
     })
 }
 
-/// The inverses of directions, and a bit for each that points as that of `lane` does: into its octant, along its dominant
-/// axis. A component of nearly zero would make 0 · ∞: boxes are padded by far more than is added here.
-#[inline(always)]
-fn alike<S: Simd<16>>(s: S, directions: &[S::Lanes; 3], lane: usize) -> ([S::Lanes; 3], u32) {
-    let zero = s.splat(0.0);
-    let [x, y, z] = *directions;
-    let (ax, ay, az) = (s.max(x, s.sub(zero, x)), s.max(y, s.sub(zero, y)), s.max(z, s.sub(zero, z)));
-    let least = s.mul(s.max(s.max(ax, ay), az), s.splat(1e-20));
-    let usual = |d: S::Lanes, a: S::Lanes| s.select(s.below(a, least), least, d);
-    let (x, y, z) = (usual(x, ax), usual(y, ay), usual(z, az));
-    let one = s.splat(1.0);
-    let inverse = [s.div(one, x), s.div(one, y), s.div(one, z)];
-    // The axis as a single ray chooses it (`block::dominant`).
-    let (xy, xz, yz) = (s.bits(s.below(ay, ax)), s.bits(s.below(az, ax)), s.bits(s.below(az, ay)));
-    let (along_x, along_y) = (xy & xz, !xy & yz);
-    let up = [s.bits(s.below(zero, x)), s.bits(s.below(zero, y)), s.bits(s.below(zero, z))];
-    let same = |all: u32, bits: u32| all & if bits >> lane & 1 != 0 { bits } else { !bits };
-    (inverse, [up[0], up[1], up[2], along_x, along_y].into_iter().fold(ALL, same))
+/// The rays, axis by axis. Those that nobody asks for are copies of the first one.
+struct Company<S: Simd<16>> {
+    origin: [S::Lanes; 3],
+    direction: [S::Lanes; 3],
+    /// Never 0 or infinite: a component of nearly zero would make 0 · ∞, and boxes are padded by far more than it is moved.
+    inverse: [S::Lanes; 3],
+    /// A little larger, for where rays leave boxes.
+    to_far: [S::Lanes; 3],
+    /// Which of them point upwards along each axis.
+    up: [S::Mask; 3],
+    t_min: S::Lanes,
+    /// The last distance that counts.
+    t_max: S::Lanes,
+    /// Which axis dominates each direction, as a single ray chooses it (`block::axes`): x, else y, else z.
+    along: [S::Mask; 2],
+    /// The one that dominates them all.
+    axis: Option<usize>,
 }
 
-/// Rays along one dominant axis, prepared for triangles as [`super::block::Shear`] prepares one.
-struct Group<S: Simd<16>> {
+impl<S: Simd<16>> Company<S> {
+    #[inline(always)]
+    fn new(s: S, rays: &[Ray; LANES], asked: u32) -> Self {
+        let first = asked.trailing_zeros() as usize & (LANES - 1);
+        let (mut origins, mut directions) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+        let mut limits = [[0.0; LANES]; 2];
+        for lane in 0..LANES {
+            let ray = &rays[if asked >> lane & 1 != 0 { lane } else { first }];
+            for axis in 0..3 {
+                (origins[axis][lane], directions[axis][lane]) = (ray.origin[axis], ray.direction[axis]);
+            }
+            (limits[0][lane], limits[1][lane]) = (ray.t_min, ray.t_max.next_down());
+        }
+        let origin = [s.load(&origins[0]), s.load(&origins[1]), s.load(&origins[2])];
+        let direction = [s.load(&directions[0]), s.load(&directions[1]), s.load(&directions[2])];
+        let [dx, dy, dz] = direction;
+        let (ax, ay, az) = (magnitude(s, dx), magnitude(s, dy), magnitude(s, dz));
+        let least = s.mul(s.max(s.max(ax, ay), az), s.splat(1e-20));
+        let x = s.and(s.below(ay, ax), s.below(az, ax));
+        let y = s.without(s.below(az, ay), s.below(ay, ax));
+        let axis = match (s.bits(x), s.bits(y)) {
+            (ALL, _) => Some(0),
+            (0, ALL) => Some(1),
+            (0, 0) => Some(2),
+            _ => None,
+        };
+        let [x_inverse, y_inverse, z_inverse] =
+            [inverse(s, dx, ax, least), inverse(s, dy, ay, least), inverse(s, dz, az, least)];
+        let (far, zero) = (s.splat(FAR), s.splat(0.0));
+        Self {
+            origin,
+            direction,
+            inverse: [x_inverse, y_inverse, z_inverse],
+            to_far: [s.mul(x_inverse, far), s.mul(y_inverse, far), s.mul(z_inverse, far)],
+            up: [s.below(zero, x_inverse), s.below(zero, y_inverse), s.below(zero, z_inverse)],
+            t_min: s.max(s.load(&limits[0]), zero),
+            t_max: s.load(&limits[1]),
+            along: [x, y],
+            axis,
+        }
+    }
+
+    /// A bit for each ray whose numbers allow it to go along, and for each that is a ray at all.
+    #[inline(always)]
+    fn fit(&self, s: S) -> (u32, u32) {
+        let [x, y, z] = self.direction;
+        let (x, y, z) = (magnitude(s, x), magnitude(s, y), magnitude(s, z));
+        let largest = s.max(s.max(x, y), z);
+        // What is not a number has no magnitude that is at most anything.
+        let finite = |a: S::Lanes| s.bits(s.at_most(a, s.splat(f32::MAX)));
+        let [ox, oy, oz] = self.origin;
+        let (ox, oy, oz) = (magnitude(s, ox), magnitude(s, oy), magnitude(s, oz));
+        let all = finite(x) & finite(y) & finite(z) & finite(ox) & finite(oy) & finite(oz);
+        let usual = s.and(s.at_most(s.splat(USUAL[0]), largest), s.at_most(largest, s.splat(USUAL[1])));
+        (all & s.bits(usual), all & s.bits(s.below(s.splat(0.0), largest)))
+    }
+
+    /// A bit for each ray that meets the box of a child, where it counts.
+    #[inline(always)]
+    fn meet(&self, s: S, node: &Node, slot: usize) -> u32 {
+        let (mut enter, mut leave) = (self.t_min, self.t_max);
+        for axis in 0..3 {
+            let (low, high) = (s.splat(node.bounds[axis][slot]), s.splat(node.bounds[axis + 3][slot]));
+            let from = self.origin[axis];
+            let near = s.sub(s.select(self.up[axis], low, high), from);
+            let far = s.sub(s.select(self.up[axis], high, low), from);
+            enter = s.max(s.mul(near, self.inverse[axis]), enter);
+            leave = s.min(s.mul(far, self.to_far[axis]), leave);
+        }
+        s.bits(s.at_most(enter, leave))
+    }
+}
+
+#[inline(always)]
+fn inverse<S: Simd<16>>(s: S, d: S::Lanes, magnitude: S::Lanes, least: S::Lanes) -> S::Lanes {
+    s.div(s.splat(1.0), s.select(s.below(magnitude, least), least, d))
+}
+
+#[inline(always)]
+fn magnitude<S: Simd<16>>(s: S, a: S::Lanes) -> S::Lanes {
+    s.max(a, s.sub(s.splat(0.0), a))
+}
+
+/// What bounds all of the rays, for eight boxes at once.
+struct Bundle<E: Simd<8>> {
+    beam: Beam<E>,
+    /// The box around all of them, where they do not point into one octant.
+    around: Option<[E::Lanes; 6]>,
+    farthest: f32,
+}
+
+impl<V: Vectors> Bundle<V> {
+    #[inline(always)]
+    fn new(v: V, company: &Company<V>) -> Self {
+        let farthest = most(v, company.t_max);
+        let beam = Beam::from_points(v, &company.origin, &company.inverse);
+        let mut around = None;
+        if !beam.is_bounded {
+            let mut sides = [Simd::<8>::splat(v, 0.0); 6];
+            for axis in 0..3 {
+                let (from, way) = (company.origin[axis], company.direction[axis]);
+                let to = Simd::<16>::add(v, from, Simd::<16>::mul(v, way, company.t_max));
+                let (low, high) = (Simd::<16>::min(v, to, from), Simd::<16>::max(v, to, from));
+                let (low, high) = (least(v, low), most(v, high));
+                let rounding = 4.0 * f32::EPSILON * low.abs().max(high.abs());
+                sides[axis] = Simd::<8>::splat(v, low - rounding);
+                sides[axis + 3] = Simd::<8>::splat(v, high + rounding);
+            }
+            around = Some(sides);
+        }
+        Self { beam, around, farthest }
+    }
+
+    /// A bit for each box that any ray may meet. `side` gives their lower x, y, z and then their upper ones.
+    #[inline(always)]
+    fn meet(&self, v: V, side: impl Fn(usize) -> <V as Simd<8>>::Lanes) -> u32 {
+        let (_, mut met) = self.beam.meet(v, &side, self.farthest);
+        if let Some(around) = &self.around {
+            for axis in 0..3 {
+                let begins = Simd::<8>::at_most(v, side(axis), around[axis + 3]);
+                let ends = Simd::<8>::at_most(v, around[axis], side(axis + 3));
+                met &= Simd::<8>::bits(v, Simd::<8>::and(v, begins, ends));
+            }
+        }
+        met
+    }
+}
+
+/// Rays prepared for triangles as [`Shear`] prepares one.
+struct Shears<S: Simd<16>> {
     axes: [usize; 3],
-    /// In the order of the axes.
+    along: [S::Mask; 2],
+    /// In the order of the axes of each.
     origin: [S::Lanes; 3],
     x: S::Lanes,
     y: S::Lanes,
@@ -315,48 +464,68 @@ struct TriangleHits {
     b2: [f32; LANES],
 }
 
-impl<S: Simd<16>> Group<S> {
-    /// `rays[of[l]]` for each l, whose origins and directions are also given axis by axis; `first` says along which axes.
+impl<S: Simd<16>> Shears<S> {
+    /// `MIXED`: whether the rays differ in their dominant axis. Which of the two other axes comes first does not matter to a
+    /// bit: all of what follows changes its sign, twice.
     #[inline(always)]
-    fn new(
-        s: S,
-        rays: &[Ray; LANES],
-        of: &[usize; LANES],
-        origins: &[S::Lanes; 3],
-        d: &[S::Lanes; 3],
-        first: usize,
-    ) -> Self {
-        let [kx, ky, kz] = axes(rays[first].direction);
-        let limit = |of_ray: fn(&Ray) -> f32| s.load(&of.map(|l| of_ray(&rays[l])));
-        Self {
-            axes: [kx, ky, kz],
-            origin: [origins[kx], origins[ky], origins[kz]],
-            x: s.div(d[kx], d[kz]),
-            y: s.div(d[ky], d[kz]),
-            z: s.div(s.splat(1.0), d[kz]),
-            t_min: limit(|ray| ray.t_min.max(0.0)),
-            // A hit at t_max itself does not count.
-            t_max: limit(|ray| ray.t_max.next_down()),
+    fn new<const MIXED: bool>(s: S, company: &Company<S>) -> Self {
+        let kz = company.axis.unwrap_or(2);
+        let mut shears = Self {
+            axes: [(kz + 1) % 3, (kz + 2) % 3, kz],
+            along: company.along,
+            origin: [company.t_min; 3],
+            x: company.t_min,
+            y: company.t_min,
+            z: company.t_min,
+            t_min: company.t_min,
+            t_max: company.t_max,
+        };
+        shears.origin = shears.in_order::<MIXED>(s, company.origin);
+        let [x, y, z] = shears.in_order::<MIXED>(s, company.direction);
+        (shears.x, shears.y, shears.z) = (s.div(x, z), s.div(y, z), s.div(s.splat(1.0), z));
+        shears
+    }
+
+    /// Coordinates in the order of the axes of each ray.
+    #[inline(always)]
+    fn in_order<const MIXED: bool>(&self, s: S, of: [S::Lanes; 3]) -> [S::Lanes; 3] {
+        if MIXED {
+            let [x, y, z] = of;
+            let [along_x, along_y] = self.along;
+            [
+                s.select(along_x, y, s.select(along_y, z, x)),
+                s.select(along_x, z, s.select(along_y, x, y)),
+                s.select(along_x, x, s.select(along_y, y, z)),
+            ]
+        } else {
+            let [kx, ky, kz] = self.axes;
+            [of[kx], of[ky], of[kz]]
         }
     }
 
     /// A corner in the frames of the rays.
     #[inline(always)]
-    fn sheared(&self, s: S, block: &Block, c: usize, lane: usize) -> [S::Lanes; 3] {
-        let [kx, ky, kz] = self.axes;
-        let corner = |k: usize| s.splat(block.corner[c][k][lane]);
-        let z = s.sub(corner(kz), self.origin[2]);
-        let x = s.sub(s.sub(corner(kx), self.origin[0]), s.mul(self.x, z));
-        let y = s.sub(s.sub(corner(ky), self.origin[1]), s.mul(self.y, z));
+    fn sheared<const MIXED: bool>(&self, s: S, block: &Block, c: usize, lane: usize) -> [S::Lanes; 3] {
+        let [x, y, z] = if MIXED {
+            let [x, y, z] = &block.corner[c];
+            self.in_order::<MIXED>(s, [s.splat(x[lane]), s.splat(y[lane]), s.splat(z[lane])])
+        } else {
+            let [kx, ky, kz] = self.axes;
+            let of = &block.corner[c];
+            [s.splat(of[kx][lane]), s.splat(of[ky][lane]), s.splat(of[kz][lane])]
+        };
+        let z = s.sub(z, self.origin[2]);
+        let x = s.sub(s.sub(x, self.origin[0]), s.mul(self.x, z));
+        let y = s.sub(s.sub(y, self.origin[1]), s.mul(self.y, z));
         [x, y, z]
     }
 
     /// Where those of the rays that `open` has a bit for meet a triangle; `None` where none does.
     #[inline(always)]
-    fn meet(&self, s: S, block: &Block, lane: usize, open: u32) -> Option<TriangleHits> {
-        let [ax, ay, az] = self.sheared(s, block, 0, lane);
-        let [bx, by, bz] = self.sheared(s, block, 1, lane);
-        let [cx, cy, cz] = self.sheared(s, block, 2, lane);
+    fn meet<const MIXED: bool>(&self, s: S, block: &Block, lane: usize, open: u32) -> Option<TriangleHits> {
+        let [ax, ay, az] = self.sheared::<MIXED>(s, block, 0, lane);
+        let [bx, by, bz] = self.sheared::<MIXED>(s, block, 1, lane);
+        let [cx, cy, cz] = self.sheared::<MIXED>(s, block, 2, lane);
         let u = s.sub(s.mul(cx, by), s.mul(cy, bx));
         let v = s.sub(s.mul(ax, cy), s.mul(ay, cx));
         let w = s.sub(s.mul(bx, ay), s.mul(by, ax));

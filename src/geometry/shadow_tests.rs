@@ -79,7 +79,7 @@ fn packets_find_what_single_rays_find() {
             accel
         });
         let all: Vec<Accel> = all.collect();
-        let blocks = |hit: &Hit| !hit.triangle.is_multiple_of(5) || hit.b1 < 0.25;
+        let blocks = |hit: &Hit| !hit.triangle.is_multiple_of(2) || hit.b1 < 0.25;
         let mut last = vec![LastShadow::default(); all.len()];
         let mut counts = [0; 3];
         for i in 0..4000 {
@@ -88,40 +88,36 @@ fn packets_find_what_single_rays_find() {
             let single = singly(&best, &scene, &rays, lanes, &blocks);
             for (accel, last) in all.iter().zip(&mut last) {
                 let found = accel.shadows(&scene, &rays, lanes, last, blocks);
-                assert_eq!(found.blocked & !single.blocked, 0, "packet {i}: {found:?} {single:?}");
-                // Who is alone is to be asked alone.
-                let known = lanes & !found.unclear;
-                assert_eq!(found.blocked & known, single.blocked & known, "packet {i}");
-                assert_eq!(single.unclear & !found.unclear, 0, "packet {i}");
-                for (count, lanes) in counts.iter_mut().zip([found.blocked, found.unclear, known]) {
+                assert_eq!(found, single, "packet {i}");
+                let open = lanes & !found.unclear & !found.blocked;
+                for (count, lanes) in counts.iter_mut().zip([found.blocked, found.unclear, open]) {
                     *count += lanes.count_ones();
                 }
             }
         }
-        assert!(counts.iter().all(|&count| count > 4000), "{counts:?}");
+        assert!(counts.iter().all(|&count| count > 2000), "{counts:?}");
     }
 }
 
-/// Coherent rays are told about by the packet itself.
+/// Rays from nearby to one light, along all axes and from all sides of it.
 #[test]
 fn rays_to_one_light_go_together() {
     let scene = of_triangles(&scenery(1000));
     let accel = Accel::build(&scene);
-    let light = Vec3::new(0.3, 3.0, 0.2);
-    let mut alone = 0;
-    for i in 0..1000 {
+    let mut blocked = 0;
+    for i in 0..3000 {
         let mut s = Stream::new(34, i, 0);
         let from = vector(&mut s);
+        let light = if i % 3 == 0 { from + 0.02 * vector(&mut s) } else { Vec3::new(0.3, 3.0, 0.2) };
         let rays = std::array::from_fn(|_| {
             let origin = from + 0.01 * vector(&mut s);
             Ray { t_max: 1.0 - 1e-4, ..Ray::new(origin, light - origin) }
         });
         let found = accel.shadows(&scene, &rays, 0xffff, &mut LastShadow::default(), |_| true);
-        alone += found.unclear.count_ones();
-        let single = singly(&accel, &scene, &rays, 0xffff & !found.unclear, &|_| true);
-        assert_eq!(found.blocked, single.blocked);
+        assert_eq!(found, singly(&accel, &scene, &rays, 0xffff, &|_| true), "packet {i}");
+        blocked += found.blocked.count_ones();
     }
-    assert!(alone < 1000, "{alone} of 16000");
+    assert!((8_000..40_000).contains(&blocked), "{blocked} of 48000");
 }
 
 #[test]

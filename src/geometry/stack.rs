@@ -9,7 +9,7 @@ use super::node::{CHILDREN, Child, Node};
 /// Entries of a stack on the thread's own; deeper trees get a heap allocation.
 pub(super) const STACK: usize = 128;
 
-/// Something to be visited: entry distance (as bits, which sort as the distances do) above, child below.
+/// Something to be visited: entry distance (as bits, which sort as the distances do) or the rays that enter above, child below.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Entry(u64);
 
@@ -17,6 +17,18 @@ impl Entry {
     #[inline]
     fn new(t: f32, child: Child) -> Self {
         Self(u64::from(t.to_bits()) << 32 | u64::from(child.0))
+    }
+
+    /// What `rays` enter, a bit for each.
+    #[inline]
+    pub fn of_rays(rays: u32, child: Child) -> Self {
+        Self(u64::from(rays) << 32 | u64::from(child.0))
+    }
+
+    /// The rays that enter it.
+    #[inline]
+    pub fn rays(self) -> u32 {
+        (self.0 >> 32) as u32
     }
 
     /// Where the ray enters its box.
@@ -36,7 +48,7 @@ impl Entry {
 pub(super) trait Stack: DerefMut<Target = [Entry]> {
     fn push(&mut self, entry: Entry);
     fn pop(&mut self) -> Option<Entry>;
-    fn clear(&mut self);
+    fn truncate(&mut self, len: usize);
 
     /// Takes the children of `node` that `mask` names, which is not 0: returns one, the nearest if `ORDERED`, and puts the
     /// others on top, near ones last if `ORDERED`. `enter`: where the ray enters each; `meet` is told of all of them.
@@ -91,8 +103,8 @@ macro_rules! stack {
             }
 
             #[inline(always)]
-            fn clear(&mut self) {
-                self.clear();
+            fn truncate(&mut self, len: usize) {
+                self.truncate(len);
             }
         }
     };

@@ -88,15 +88,6 @@ impl Wide {
         self.nodes.len() * size_of::<Node>() + self.blocks.len() * size_of::<Block>()
     }
 
-    /// The largest side of the box around everything; 0 where there is nothing.
-    #[inline]
-    pub fn largest_side(&self) -> f32 {
-        let Some(root) = self.nodes.first() else { return 0.0 };
-        let least = |axis: usize| root.bounds[axis].iter().copied().fold(f32::INFINITY, f32::min);
-        let most = |axis: usize| root.bounds[axis + 3].iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        (0..3).map(|axis| most(axis) - least(axis)).fold(0.0, f32::max)
-    }
-
     /// Whether it holds nothing.
     #[inline]
     pub fn is_empty(&self) -> bool {

@@ -1,9 +1,10 @@
 //! Discrete choice by weight, and directions drawn from an environment's radiance.
 
 use std::f64::consts::{PI, TAU};
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 
 use crate::image::{Map2d, luminance};
 use crate::math;
@@ -82,24 +83,23 @@ impl EnvironmentDistribution {
         }
         let (width, height) = (w.min(COLUMNS_MAX), h.min(COLUMNS_MAX / 2));
         let mut weights = vec![0.0f64; width * height];
-        let mut integral = glam::DVec3::ZERO;
-        let scale = environment.radiance;
-        for y in 0..h {
-            let solid_angle = row_solid_angle(y, h) / w as f64;
-            let rows = y * height / h..=((y + 1) * height).div_ceil(h) - 1;
-            for x in 0..w {
-                let mean = interpolated_mean(map, x, y) * scale;
-                integral += mean.as_dvec3() * solid_angle;
-                let weight = f64::from(luminance(mean)) * solid_angle;
-                let weight = if weight.is_finite() { weight.max(0.0) } else { 0.0 };
-                // Every cell that the texel touches, so that none that shines is without weight.
-                for row in rows.clone() {
-                    for column in x * width / w..=((x + 1) * width).div_ceil(w) - 1 {
-                        weights[row * width + column] += weight;
+        // Row by row in parallel; the same sums on any number of threads.
+        let integrals: Vec<DVec3> = weights
+            .par_chunks_mut(width)
+            .enumerate()
+            .map(|(row, weights)| {
+                let mut integral = DVec3::ZERO;
+                for y in touched(row, height, h) {
+                    let sum = add_row(map, (y, environment.radiance), weights);
+                    // What lies in several rows of cells counts in the first.
+                    if y * height / h == row {
+                        integral += sum;
                     }
                 }
-            }
-        }
+                integral
+            })
+            .collect();
+        let integral: DVec3 = integrals.into_iter().sum();
         let rows = Choice::new(weights.chunks_exact(width).map(|row| row.iter().sum()));
         let integral = integral.as_vec3();
         if rows.total() <= 0.0 || !rows.total().is_finite() || !integral.is_finite() {
@@ -193,6 +193,31 @@ impl EnvironmentDistribution {
     }
 }
 
+/// Which of `count` equal parts of a length the one of number `i` among `parts` touches.
+fn touched(i: usize, parts: usize, count: usize) -> RangeInclusive<usize> {
+    i * count / parts..=((i + 1) * count).div_ceil(parts) - 1
+}
+
+/// Adds the weights of row `y` of a map to cells, to every one that a texel touches, so that none that shines is without; and
+/// says what the row radiates, ∫ L dω.
+fn add_row(map: &Map2d<Vec3>, (y, scale): (usize, Vec3), cells: &mut [f64]) -> DVec3 {
+    let (w, width) = (map.width(), cells.len());
+    let solid_angle = row_solid_angle(y, map.height()) / w as f64;
+    let mut integral = DVec3::ZERO;
+    for x in 0..w {
+        let mean = interpolated_mean(map, x, y) * scale;
+        integral += mean.as_dvec3() * solid_angle;
+        let weight = f64::from(luminance(mean)) * solid_angle;
+        let weight = if weight.is_finite() { weight.max(0.0) } else { 0.0 };
+        if width == w {
+            cells[x] += weight;
+        } else {
+            cells[touched(x, w, width)].iter_mut().for_each(|cell| *cell += weight);
+        }
+    }
+    integral
+}
+
 /// Cosine of the upper edge of a row of `height`, from straight up.
 fn row_cosine(row: usize, height: usize) -> f64 {
     math::cos(PI * row as f64 / height as f64)
@@ -206,8 +231,8 @@ fn row_solid_angle(row: usize, height: usize) -> f64 {
 /// Mean over a texel of the bilinear interpolant that `Environment::radiance` reads: positive wherever that is.
 fn interpolated_mean(map: &Map2d<Vec3>, x: usize, y: usize) -> Vec3 {
     let (w, h) = (map.width(), map.height());
-    let left = (x + w - 1) % w;
-    let right = (x + 1) % w;
+    let left = if x == 0 { w - 1 } else { x - 1 };
+    let right = if x + 1 == w { 0 } else { x + 1 };
     let row = |y: usize| (map.at(left, y) + map.at(right, y)) * 0.125 + map.at(x, y) * 0.75;
     (row(y.saturating_sub(1)) + row((y + 1).min(h - 1))) * 0.125 + row(y) * 0.75
 }

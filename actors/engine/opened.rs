@@ -202,13 +202,12 @@ pub(crate) fn with_light(
         false => as_read.edited(scene, edits).map(Arc::new),
     };
     let changed = edited(&scene).map_err(|e| Failure::Input(format!("{}: {e}", path.display())))?;
-    // What is kept is read while the geometry index is built.
+    // What is kept is read, and the lights are made ready, while the geometry index is built.
     let index = read.accel.take();
-    let (accel, kept) = rayon::join(
+    let (accel, (kept, mut lights)) = rayon::join(
         || index.unwrap_or_else(|| told("geometry index", || Arc::new(Accel::build(&scene)))),
-        || kept(&changed, light, &mut warnings),
+        || (kept(&changed, light, &mut warnings), told("lights", || Arc::new(Lights::build(&scene)))),
     );
-    let mut lights = told("lights", || Arc::new(Lights::build(&scene)));
     // As it was read: an exposure that followed the lamps would undo what is done to them.
     let mut scene = told("exposure", || metered(scene, &accel, &lights));
     read.keep(&scene, &accel);

@@ -294,6 +294,35 @@ mod tests {
         assert!((d.integral.x - 4.0 * std::f32::consts::PI).abs() < 1e-5);
     }
 
+    /// A map of which some texels lie in two columns or rows of cells: each that shines reaches all of its cells, no light is
+    /// counted twice, and threads do not matter.
+    #[test]
+    fn maps_larger_than_the_cells_lose_nothing() {
+        let lit = |x: usize, y: usize| x % 97 == 5 && y % 31 == 3;
+        let (w, h) = (COLUMNS_MAX + 307, COLUMNS_MAX / 2 + 211);
+        let map = Map2d::from_fn(w, h, |x, y| if lit(x, y) { Vec3::splat(5.0) } else { Vec3::ZERO });
+        let environment = Environment { map: Some(map), ..Environment::constant(Vec3::ONE) };
+        let d = EnvironmentDistribution::new(&environment).expect("something shines");
+        assert_eq!(d.size(), (COLUMNS_MAX, COLUMNS_MAX / 2));
+        let mut integral = 0.0;
+        let map = environment.map.as_ref().expect("a map");
+        for y in 0..h {
+            integral += (0..w).map(|x| f64::from(interpolated_mean(map, x, y).x)).sum::<f64>()
+                * row_solid_angle(y, h)
+                / w as f64;
+            for x in (0..w).filter(|x| lit(*x, y)) {
+                let columns = touched(x, w, COLUMNS_MAX);
+                for row in touched(y, h, COLUMNS_MAX / 2) {
+                    assert!(columns.clone().all(|column| d.density(column, row) > 0.0), "{x} {y}");
+                }
+            }
+        }
+        assert!((f64::from(d.integral.x) / integral - 1.0).abs() < 1e-6, "{} {integral}", d.integral);
+        let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
+        let alone = one.install(|| EnvironmentDistribution::new(&environment)).expect("something shines");
+        assert!(alone.columns == d.columns && alone.rows.sums == d.rows.sums && alone.integral == d.integral);
+    }
+
     #[test]
     fn darkness_has_no_distribution() {
         assert!(EnvironmentDistribution::new(&Environment::constant(Vec3::ZERO)).is_none());

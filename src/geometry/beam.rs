@@ -37,7 +37,11 @@ impl<V: Vectors> Beam<V> {
         inverse: &[<V as Simd<16>>::Lanes; 3],
     ) -> Self {
         let [x, y, z] = *origin;
-        let bounds = [[least(v, x), most(v, x)], [least(v, y), most(v, y)], [least(v, z), most(v, z)]];
+        let bounds = [
+            [Simd::<16>::least(v, x), Simd::<16>::most(v, x)],
+            [Simd::<16>::least(v, y), Simd::<16>::most(v, y)],
+            [Simd::<16>::least(v, z), Simd::<16>::most(v, z)],
+        ];
         Self::new(v, bounds, inverse)
     }
 
@@ -45,8 +49,8 @@ impl<V: Vectors> Beam<V> {
     #[inline(always)]
     fn new(v: V, bounds: [[f32; 2]; 3], inverse: &[<V as Simd<16>>::Lanes; 3]) -> Self {
         let [x, y, z] = *inverse;
-        let mut lower = [least(v, x), least(v, y), least(v, z)];
-        let mut upper = [most(v, x), most(v, y), most(v, z)];
+        let mut lower = [Simd::<16>::least(v, x), Simd::<16>::least(v, y), Simd::<16>::least(v, z)];
+        let mut upper = [Simd::<16>::most(v, x), Simd::<16>::most(v, y), Simd::<16>::most(v, z)];
         let is_bounded = [0, 1, 2].map(|k| lower[k] > 0.0 || upper[k] < 0.0);
         let e = |value: f32| Simd::<8>::splat(v, value);
         // Upwards, the farther a ray has come before it begins, the sooner it is there.
@@ -85,27 +89,6 @@ impl<E: Simd<8>> Beam<E> {
         let leave = e.min(e.mul(leave, e.splat(1.0 + 2.0 * gamma(3))), e.splat(farthest));
         (e.store(enter), e.bits(e.at_most(enter, leave)))
     }
-}
-
-/// Pairs, pairs of pairs, and so on. What is not a number counts for nothing unless all is.
-#[inline(always)]
-fn fold<S: Simd<16>>(s: S, lanes: S::Lanes, choose: impl Fn(f32, f32) -> f32) -> f32 {
-    let lanes = s.store(lanes);
-    let eight: [f32; 8] = std::array::from_fn(|i| choose(lanes[i], lanes[i + 8]));
-    let four: [f32; 4] = std::array::from_fn(|i| choose(eight[i], eight[i + 4]));
-    choose(choose(four[0], four[2]), choose(four[1], four[3]))
-}
-
-/// The least of sixteen numbers.
-#[inline(always)]
-pub(super) fn least<S: Simd<16>>(s: S, lanes: S::Lanes) -> f32 {
-    fold(s, lanes, |a, b| if a < b { a } else { b })
-}
-
-/// The largest.
-#[inline(always)]
-pub(super) fn most<S: Simd<16>>(s: S, lanes: S::Lanes) -> f32 {
-    fold(s, lanes, |a, b| if a > b { a } else { b })
 }
 
 /// Vectors axis by axis.

@@ -9,7 +9,7 @@
 use arrayvec::ArrayVec;
 use glam::Vec3;
 
-use super::beam::{Beam, inverses, most, transposed};
+use super::beam::{Beam, inverses, transposed};
 use super::block::CUT_OUT;
 use super::level::{Vectors, Work};
 use super::node::Child;
@@ -294,9 +294,9 @@ impl<S: Simd<16>> Packet<S> {
         if s.bits(closer) == 0 {
             return false;
         }
-        let (b1, b2) = (s.div(v, determinant), s.div(w, determinant));
         if index & CUT_OUT != 0 {
-            let (b1, b2, bits) = (s.store(b1), s.store(b2), s.bits(closer));
+            let (b1, b2) = (s.store(s.div(v, determinant)), s.store(s.div(w, determinant)));
+            let bits = s.bits(closer);
             let bound = std::array::from_fn(|l| {
                 if bits >> l & 1 != 0 && is_there(triangle, b1[l], b2[l]) { f32::INFINITY } else { 0.0 }
             });
@@ -304,8 +304,9 @@ impl<S: Simd<16>> Packet<S> {
         }
         hits.t = s.select(closer, t, hits.t);
         hits.triangle = s.select(closer, s.splat(f32::from_bits(triangle)), hits.triangle);
-        hits.b1 = s.select(closer, b1, hits.b1);
-        hits.b2 = s.select(closer, b2, hits.b2);
+        hits.v = s.select(closer, v, hits.v);
+        hits.w = s.select(closer, w, hits.w);
+        hits.determinant = s.select(closer, determinant, hits.determinant);
         true
     }
 }
@@ -353,21 +354,23 @@ struct ClosestHits<S: Simd<16>> {
     t: S::Lanes,
     /// Triangles, as bits.
     triangle: S::Lanes,
-    b1: S::Lanes,
-    b2: S::Lanes,
+    /// Edge functions of the second and third corner, and the sum of all three, by which they are weights.
+    v: S::Lanes,
+    w: S::Lanes,
+    determinant: S::Lanes,
 }
 
 impl<S: Simd<16>> ClosestHits<S> {
     #[inline(always)]
     fn new(s: S) -> Self {
         let zero = s.splat(0.0);
-        Self { t: s.splat(f32::INFINITY), triangle: zero, b1: zero, b2: zero }
+        Self { t: s.splat(f32::INFINITY), triangle: zero, v: zero, w: zero, determinant: s.splat(1.0) }
     }
 
     /// Up to where something may still be closer, for rays that have `reach`.
     #[inline(always)]
     fn farthest(&self, s: S, reach: S::Lanes) -> f32 {
-        most(s, s.min(self.t, reach))
+        s.most(s.min(self.t, reach))
     }
 
     #[inline(always)]
@@ -375,8 +378,8 @@ impl<S: Simd<16>> ClosestHits<S> {
         PacketHit {
             t: s.store(self.t),
             triangle: bytemuck::cast(s.store(self.triangle)),
-            b1: s.store(self.b1),
-            b2: s.store(self.b2),
+            b1: s.store(s.div(self.v, self.determinant)),
+            b2: s.store(s.div(self.w, self.determinant)),
         }
     }
 }

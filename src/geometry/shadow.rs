@@ -9,7 +9,7 @@
 use arrayvec::ArrayVec;
 
 use super::Ray;
-use super::beam::{Beam, least, most};
+use super::beam::Beam;
 use super::block::{Block, LEAF, Shear, exact};
 use super::level::{Vectors, Work};
 use super::node::{CHILDREN, Child, FAR, Node, Slabs};
@@ -351,7 +351,8 @@ impl<S: Simd<16>> Company<S> {
             to_far: [s.mul(x_inverse, far), s.mul(y_inverse, far), s.mul(z_inverse, far)],
             up: [s.below(zero, x_inverse), s.below(zero, y_inverse), s.below(zero, z_inverse)],
             t_min: s.max(s.load(&limits[0]), zero),
-            t_max: s.load(&limits[1]),
+            // What is not a number lets nothing count.
+            t_max: s.max(s.load(&limits[1]), s.splat(-1.0)),
             along: [x, y],
             axis,
         }
@@ -409,7 +410,7 @@ struct Bundle<E: Simd<8>> {
 impl<V: Vectors> Bundle<V> {
     #[inline(always)]
     fn new(v: V, company: &Company<V>) -> Self {
-        let farthest = most(v, company.t_max);
+        let farthest = Simd::<16>::most(v, company.t_max);
         let beam = Beam::from_points(v, &company.origin, &company.inverse);
         let mut around = None;
         if !beam.is_bounded {
@@ -418,7 +419,7 @@ impl<V: Vectors> Bundle<V> {
                 let (from, way) = (company.origin[axis], company.direction[axis]);
                 let to = Simd::<16>::add(v, from, Simd::<16>::mul(v, way, company.t_max));
                 let (low, high) = (Simd::<16>::min(v, to, from), Simd::<16>::max(v, to, from));
-                let (low, high) = (least(v, low), most(v, high));
+                let (low, high) = (Simd::<16>::least(v, low), Simd::<16>::most(v, high));
                 let rounding = 4.0 * f32::EPSILON * low.abs().max(high.abs());
                 sides[axis] = Simd::<8>::splat(v, low - rounding);
                 sides[axis + 3] = Simd::<8>::splat(v, high + rounding);

@@ -36,6 +36,31 @@ pub(super) trait Simd<const N: usize>: Copy {
     fn bits(self, mask: Self::Mask) -> u32;
     /// `yes` where the mask holds, else `no`.
     fn select(self, mask: Self::Mask, yes: Self::Lanes, no: Self::Lanes) -> Self::Lanes;
+
+    /// The least of them, none of which is NaN.
+    #[inline(always)]
+    fn least(self, a: Self::Lanes) -> f32 {
+        folded(self.store(a), |a, b| if a < b { a } else { b })
+    }
+
+    /// The largest of them, none of which is NaN.
+    #[inline(always)]
+    fn most(self, a: Self::Lanes) -> f32 {
+        folded(self.store(a), |a, b| if a > b { a } else { b })
+    }
+}
+
+/// Pairs, pairs of pairs, and so on.
+#[inline(always)]
+fn folded<const N: usize>(mut all: [f32; N], choose: impl Fn(f32, f32) -> f32) -> f32 {
+    let mut half = N / 2;
+    while half > 0 {
+        for i in 0..half {
+            all[i] = choose(all[i], all[i + half]);
+        }
+        half /= 2;
+    }
+    all[0]
 }
 
 /// Operations with two operands, each as `$does` says of them and of the token.
@@ -249,6 +274,16 @@ mod x86 {
         #[inline(always)]
         fn select(self, mask: __mmask16, yes: __m512, no: __m512) -> __m512 {
             self.0.avx512f._mm512_mask_blend_ps(mask, no, yes)
+        }
+
+        #[inline(always)]
+        fn least(self, a: __m512) -> f32 {
+            self.0.avx512f._mm512_reduce_min_ps(a)
+        }
+
+        #[inline(always)]
+        fn most(self, a: __m512) -> f32 {
+            self.0.avx512f._mm512_reduce_max_ps(a)
         }
     }
 }

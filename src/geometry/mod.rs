@@ -11,6 +11,7 @@ mod block;
 pub mod bvh;
 pub mod bvh_peers;
 mod collapse;
+mod company;
 pub mod kept;
 mod level;
 mod node;

@@ -87,7 +87,9 @@ impl Environment {
         let y = v * h as f32 - 0.5;
         let (x0, y0) = (x.floor(), y.floor());
         let (fx, fy) = (x - x0, y - y0);
-        let columns = [(x0 as isize).rem_euclid(w), (x0 as isize + 1).rem_euclid(w)];
+        // At most one column beyond either side: a remainder would take longer than all else here.
+        let around = |c: isize| if c < 0 { c + w } else { c - if c < w { 0 } else { w } };
+        let columns = [around(x0 as isize), around(x0 as isize + 1)];
         let row = |y: isize| {
             let y = y.clamp(0, h - 1) as usize;
             let [a, b] = columns.map(|c| map.at(c as usize, y));

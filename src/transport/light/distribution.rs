@@ -59,6 +59,9 @@ impl Choice {
 /// Most columns of an environment's cells; larger maps share cells, which costs noise but no bias.
 const COLUMNS_MAX: usize = 2048;
 
+/// Steps of the shares of a row of which columns are known.
+const GUIDES: usize = 64;
+
 /// Directions drawn in proportion to an environment's luminance. Within a cell of the map they are uniform in
 /// solid angle.
 #[derive(Clone, Debug)]
@@ -67,7 +70,12 @@ pub struct EnvironmentDistribution {
     height: usize,
     /// Per row, the share of the row's weight up to and including each column, in [0, 1].
     columns: Vec<f32>,
+    /// Per row the column that each of [`GUIDES`] equal steps of its shares leads to, and the width: a search of the whole row is
+    /// slow where the table is larger than a cache.
+    guides: Vec<u16>,
     rows: Choice,
+    /// Cosine of the upper edge of each row, from straight up, and of the lower edge of the last one.
+    cosines: Vec<f64>,
     /// ∫ L dω per band.
     pub integral: Vec3,
 }
@@ -105,16 +113,15 @@ impl EnvironmentDistribution {
         if rows.total() <= 0.0 || !rows.total().is_finite() || !integral.is_finite() {
             return None;
         }
-        let mut columns = Vec::with_capacity(weights.len());
-        for row in weights.chunks_exact(width) {
-            let total: f64 = row.iter().sum();
-            let mut sum = 0.0;
-            columns.extend(row.iter().map(|w| {
-                sum += w;
-                if total > 0.0 { (sum / total) as f32 } else { 0.0 }
-            }));
-        }
-        Some(Self { width, height, columns, rows, integral })
+        let mut columns = vec![0.0f32; weights.len()];
+        let mut guides = vec![0u16; height * (GUIDES + 1)];
+        columns
+            .par_chunks_mut(width)
+            .zip(guides.par_chunks_mut(GUIDES + 1))
+            .zip(weights.par_chunks(width))
+            .for_each(|((columns, guides), weights)| shares(weights, columns, guides));
+        let cosines = (0..=height).map(|row| math::cos(PI * row as f64 / height as f64)).collect();
+        Some(Self { width, height, columns, guides, rows, cosines, integral })
     }
 
     /// Columns and rows of cells.
@@ -138,7 +145,7 @@ impl EnvironmentDistribution {
 
     /// Density per solid angle in a cell.
     pub fn density(&self, column: usize, row: usize) -> f64 {
-        self.weight(row, column..column + 1) * self.width as f64 / row_solid_angle(row, self.height)
+        self.weight(row, column..column + 1) * self.width as f64 / self.row_solid_angle(row)
     }
 
     /// Probability of some columns of a row.
@@ -151,12 +158,15 @@ impl EnvironmentDistribution {
     /// Solid angle of a rectangle of cells, and whether it is wider than high.
     pub fn extent(&self, columns: &Range<usize>, rows: &Range<usize>) -> (f64, bool) {
         let share = columns.len() as f64 / self.width as f64;
-        let solid_angle =
-            TAU * share * (row_cosine(rows.start, self.height) - row_cosine(rows.end, self.height));
+        let solid_angle = TAU * share * (self.cosines[rows.start] - self.cosines[rows.end]);
         let high = PI * rows.len() as f64 / self.height as f64;
         // In both directions at least one cell is left.
         let wide = solid_angle > high * high || rows.len() == 1;
         (solid_angle, wide && columns.len() > 1)
+    }
+
+    fn row_solid_angle(&self, row: usize) -> f64 {
+        TAU * (self.cosines[row] - self.cosines[row + 1])
     }
 
     /// A direction and its density per solid angle.
@@ -183,13 +193,35 @@ impl EnvironmentDistribution {
         let first = if columns.start == 0 { 0.0 } else { shares[columns.start - 1] };
         let last = shares[columns.end - 1];
         let x = (first + u as f32 * (last - first)).min(last.next_down());
-        let column = shares.partition_point(|&s| s <= x);
+        // Steps are powers of two, so that none of the shares between is missed.
+        let step = ((x * GUIDES as f32) as usize).min(GUIDES - 1);
+        let guides = &self.guides[row * (GUIDES + 1) + step..][..2];
+        let [low, high] = [guides[0], guides[1]].map(|column| usize::from(column).min(columns.end));
+        let column = low + shares[low..high].partition_point(|&s| s <= x);
         let before = if column == 0 { 0.0 } else { shares[column - 1] };
         let u = ((x - before) / (shares[column] - before)).clamp(0.0, 1.0);
-        let (top, bottom) = (row_cosine(row, self.height), row_cosine(row + 1, self.height));
+        let (top, bottom) = (self.cosines[row], self.cosines[row + 1]);
         let theta = math::acos((top + (bottom - top) * v).clamp(-1.0, 1.0));
         let position = [(column as f32 + u) / self.width as f32, (theta / PI) as f32];
         (self.density(column, row) > 0.0).then(|| (environment.direction(position), column))
+    }
+}
+
+/// The shares of columns of these weights, and where steps of them lead.
+fn shares(weights: &[f64], columns: &mut [f32], guides: &mut [u16]) {
+    let total: f64 = weights.iter().sum();
+    let mut sum = 0.0;
+    for (column, weight) in columns.iter_mut().zip(weights) {
+        sum += weight;
+        *column = if total > 0.0 { (sum / total) as f32 } else { 0.0 };
+    }
+    let mut column = 0;
+    for (step, guide) in guides.iter_mut().enumerate() {
+        let x = step as f32 / GUIDES as f32;
+        while columns.get(column).is_some_and(|&share| share <= x) {
+            column += 1;
+        }
+        *guide = column as u16;
     }
 }
 
@@ -218,14 +250,10 @@ fn add_row(map: &Map2d<Vec3>, (y, scale): (usize, Vec3), cells: &mut [f64]) -> D
     integral
 }
 
-/// Cosine of the upper edge of a row of `height`, from straight up.
-fn row_cosine(row: usize, height: usize) -> f64 {
-    math::cos(PI * row as f64 / height as f64)
-}
-
-/// Solid angle of a row.
+/// Solid angle of a row of `height`.
 fn row_solid_angle(row: usize, height: usize) -> f64 {
-    TAU * (row_cosine(row, height) - row_cosine(row + 1, height))
+    let cosine = |row: usize| math::cos(PI * row as f64 / height as f64);
+    TAU * (cosine(row) - cosine(row + 1))
 }
 
 /// Mean over a texel of the bilinear interpolant that `Environment::radiance` reads: positive wherever that is.
@@ -321,6 +349,36 @@ mod tests {
         let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
         let alone = one.install(|| EnvironmentDistribution::new(&environment)).expect("something shines");
         assert!(alone.columns == d.columns && alone.rows.sums == d.rows.sums && alone.integral == d.integral);
+    }
+
+    /// Columns are found as a search of all of them finds them, in whole rows and in parts: with few and with most of the light in
+    /// one place, and at the ends of all steps.
+    #[test]
+    fn guides_lead_to_the_column_that_a_search_finds() {
+        for exponent in [0, 1, 8, 60] {
+            let map = Map2d::from_fn(300, 4, |x, y| {
+                let u = Stream::new(6, (300 * y + x) as u64, 0).next_f32();
+                Vec3::splat(if u < 0.1 { 0.0 } else { u.powi(exponent) })
+            });
+            let environment = Environment { map: Some(map), ..Environment::constant(Vec3::ONE) };
+            let d = EnvironmentDistribution::new(&environment).expect("something shines");
+            for i in 0..4000u64 {
+                let mut s = Stream::new(7, i, 0);
+                let row = i as usize % 4;
+                let ends = [s.next_f32(), s.next_f32()].map(|u| (u * 300.0) as usize);
+                let columns =
+                    if i % 3 == 0 { 0..300 } else { ends[0].min(ends[1])..ends[0].max(ends[1]) + 1 };
+                let u = if i % 2 == 0 { s.next_f32() } else { (i % 64) as f32 / 64.0 };
+                let shares = &d.columns[row * 300..][..300];
+                let first = if columns.start == 0 { 0.0 } else { shares[columns.start - 1] };
+                let last = shares[columns.end - 1];
+                let x = (first + u * (last - first)).min(last.next_down());
+                let searched = shares[..columns.end].partition_point(|&s| s <= x);
+                let found = d.sample_row(&environment, row, columns.clone(), [f64::from(u), 0.5]);
+                assert_eq!(found.map_or(searched, |(_, column)| column), searched, "{row} {columns:?} {u}");
+                assert!(found.is_some() || d.density(searched, row) == 0.0);
+            }
+        }
     }
 
     #[test]

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3;
 
 /// Changes with every change of a message.
-pub const PROTOCOL: u16 = 5;
+pub const PROTOCOL: u16 = 6;
 /// Most bytes of a message.
 pub const MESSAGE_BYTES_MAX: usize = 2 << 20;
 /// Most bytes of one piece of a blob.

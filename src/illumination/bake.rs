@@ -12,7 +12,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -29,12 +29,12 @@ use totals::Totals;
 
 use super::ahead::ahead;
 use super::atlas::{Atlas, ConformalCharts};
-use super::filter::{Noisy, Parts, Smoothing};
+use super::filter::{Noisy, Parts, Smoothed, Smoothing};
 use super::first::first_picture_while;
 use super::gathered::Gathered;
 use super::points::Points;
 use super::seen::seen;
-use super::sites::{Site, Sites};
+use super::sites::{NONE, Sites, by_element};
 use super::statement::{HeldBack, HeldBackState, Statement};
 use super::stored::{Illumination, Summary, Value};
 use crate::scene::Scene;
@@ -44,7 +44,8 @@ use crate::transport::light::bright::BrightSurfaces;
 
 /// As many times more take those that the start view shows, in a round before and in all of them.
 const AHEAD: u32 = 2;
-/// Samples of the back of an element in the first round over all, which tell whether there is any light.
+/// Samples of the back of an element in the first round over all, which tell whether there is any light; and of what was seen
+/// ahead of it.
 const FIRST_LOOK: u32 = 2;
 /// What a site out of sight takes, as a share: it may light what is in sight.
 const UNSEEN: u32 = 8;
@@ -201,10 +202,7 @@ impl Baker {
             return None;
         }
         let is_seen = |element: u32| watched[atlas.elements[element as usize].triangle as usize];
-        let mut site_of = vec![[u32::MAX; 2]; atlas.elements.len()];
-        for (i, site) in sites.all().iter().enumerate() {
-            site_of[site.element as usize][usize::from(site.back)] = i as u32;
-        }
+        let site_of = by_element(sites.all(), atlas.elements.len(), |i| i as u32);
         let is_ahead = ahead((scene, indexed.accel), &atlas, &sites, &site_of);
         Some(Self {
             rounds: Rounds::new(&is_ahead),
@@ -332,7 +330,7 @@ impl Baker {
             Doing::Smooth(mut smoothing) => {
                 self.doing = match smoothing.step(SMOOTHED) {
                     None => Doing::Smooth(smoothing),
-                    Some(parts) => Doing::Test(self.stored(&parts)),
+                    Some(smoothed) => Doing::Test(self.stored(&smoothed)),
                 };
                 Step::Going
             }
@@ -374,11 +372,9 @@ impl Baker {
     fn samples_of_round(&self) -> u32 {
         let whole = self.rounds.samples(self.round);
         let Some(most) = self.settings.particles else { return whole };
-        let of = |i: usize| match (self.ahead[i], self.seen[i]) {
-            (true, _) => f64::from(AHEAD),
-            (_, true) => 1.0,
-            _ => 1.0 / f64::from(UNSEEN),
-        };
+        let phase = self.rounds.phase(self.round);
+        // What a site takes of a whole round, as a share of it.
+        let of = |i: usize| f64::from(self.samples_at(i, whole, phase)) / f64::from(whole);
         let open = |i: &usize| self.gathered[*i].is_open() && !self.dark[i / BLOCK];
         let sites: f64 = self.rounds.sites(self.round).iter().map(|i| *i as usize).filter(open).map(of).sum();
         let left = most.saturating_sub(self.paths) as f64 / sites.max(1.0);
@@ -387,26 +383,28 @@ impl Baker {
         whole.min(2 * (0.5 * left).ceil().min(f64::from(whole)) as u32).max(least)
     }
 
-    /// The filter of what the round gathered.
+    /// The filter of what the round gathered. Where no light comes nothing is smoothed, nor does it darken what is beside it; and a
+    /// first estimate tells what was gathered nothing.
     fn smoothing(&self) -> Smoothing {
-        let own = |(i, g): (usize, &Gathered)| match g.samples() {
-            0 => self.begun(i),
-            _ => g.parts(self.per_flux(self.sites.all()[i].element)),
+        let is_known = |i: &usize| {
+            let gathered = &self.gathered[*i];
+            gathered.is_open() && gathered.samples() > 0 && !self.dark[i / BLOCK]
         };
-        // Where no light comes nothing is smoothed, nor does it darken what is beside it; and a first estimate tells what was
-        // gathered nothing.
-        let known = |(i, g): (usize, &Gathered)| g.is_open() && g.samples() > 0 && !self.dark[i / BLOCK];
-        let each = || self.gathered.iter().enumerate();
-        let known: Vec<bool> = each().map(known).collect();
-        Smoothing::new(&self.sites, self.gathered.par_iter().enumerate().map(own).collect(), &known)
+        let known: Vec<u32> = (0..self.gathered.len()).filter(is_known).map(|i| i as u32).collect();
+        let gathered = known.par_iter().map(|i| self.parts(*i as usize)).collect();
+        Smoothing::new(&self.sites, known, gathered)
     }
 
-    /// The light that the round began with at a site that nobody has come to.
-    fn begun(&self, i: usize) -> Parts {
+    /// What was gathered at a site; the light that the round began with where nobody has come to it.
+    fn parts(&self, i: usize) -> Parts {
         let site = &self.sites.all()[i];
-        let e = &self.atlas.elements[site.element as usize];
-        let begun = self.map.lookup_unnamed(e.triangle, e.b1, e.b2, site.back).truncate();
-        [Noisy::default(), Noisy::new([begun; 2]), Noisy::default()]
+        match self.gathered[i].samples() {
+            0 => {
+                let begun = self.map.unnamed_of(site.element as usize, site.back).truncate();
+                [Noisy::default(), Noisy::new([begun; 2]), Noisy::default()]
+            }
+            _ => self.gathered[i].parts(self.per_flux(site.element)),
+        }
     }
 
     /// Irradiance on an element per flux of one half of the particles, m⁻².
@@ -415,39 +413,47 @@ impl Baker {
         if self.particles > 0 && area > 0.0 { 2.0 / (self.particles as f32 * area) } else { 0.0 }
     }
 
-    /// The map that smoothed parts make.
-    fn stored(&self, parts: &[Parts]) -> Illumination {
+    /// The map that smoothed parts make; at other sites what was gathered stands for itself.
+    fn stored(&self, smoothed: &Smoothed) -> Illumination {
         let elements = self.atlas.elements.len();
-        let mut sides: [Vec<Value>; 2] = [vec![None; elements], vec![None; elements]];
-        let (mut named, mut unfound) = (sides.clone(), sides.clone());
+        let nothing = |wanted: bool| -> [Vec<Value>; 2] {
+            let of = if wanted { elements } else { 0 };
+            [vec![None; of], vec![None; of]]
+        };
+        let (has_named, has_particles) = (self.has_named, self.particles > 0);
+        let (mut sides, mut named, mut unfound) = (nothing(true), nothing(has_named), nothing(has_particles));
+        let mut number = vec![NONE; self.gathered.len()];
+        smoothed.known.iter().zip(0..).for_each(|(&i, k)| number[i as usize] = k);
+        let of = |i: usize| smoothed.parts.get(number[i] as usize).copied().unwrap_or_else(|| self.parts(i));
+        let shown: Vec<Parts> = (0..self.gathered.len()).into_par_iter().map(of).collect();
         let mut totals = Totals::default();
-        let shown = |(i, (site, parts)): (usize, (&Site, &Parts))| {
+        // In the order of sites: sums depend on it.
+        for (i, (site, parts)) in self.sites.all().iter().zip(&shown).enumerate() {
             let gathered = &self.gathered[i];
             if !gathered.is_open() {
-                return None;
+                continue;
             }
+            let (side, element) = (usize::from(site.back), site.element as usize);
             let light: Vec3 = parts.iter().map(Noisy::mean).sum();
             let variance = parts.iter().map(|p| 0.5 * p.variance).sum::<f32>();
-            let e = &self.atlas.elements[site.element as usize];
-            // As smoothing: where nobody has come yet what there was stays.
-            let begun = || self.map.lookup_named(e.triangle, e.b1, e.b2, site.back);
-            let straight = gathered.named().unwrap_or_else(begun).extend(0.0);
-            let unfound = (parts[2].mean() * gathered.unfound_share()).extend(0.0);
-            Some([light.extend(variance.sqrt()), straight, unfound])
-        };
-        let shown: Vec<_> = self.sites.all().par_iter().zip(parts).enumerate().map(shown).collect();
-        // In the order of sites: sums depend on it.
-        for (i, (site, parts)) in self.sites.all().iter().zip(parts).enumerate() {
-            let Some([value, straight, beyond]) = shown[i] else { continue };
-            let (side, element) = (usize::from(site.back), site.element as usize);
-            (sides[side][element], named[side][element]) = (Some(value), Some(straight));
-            unfound[side][element] = Some(beyond);
+            let value = light.extend(variance.sqrt());
+            sides[side][element] = Some(value);
+            let mut straight = Vec4::ZERO;
+            if has_named {
+                // As smoothing: where nobody has come yet what there was stays.
+                let begun = || self.map.named_of(element, site.back);
+                straight = gathered.named().unwrap_or_else(begun).extend(0.0);
+                named[side][element] = Some(straight);
+            }
+            if has_particles {
+                unfound[side][element] = Some((parts[2].mean() * gathered.unfound_share()).extend(0.0));
+            }
             totals.add(&self.atlas.elements[element], value + straight, parts, self.seen[i]);
         }
         let [front, back] = sides;
         let map = Illumination::new(&self.atlas, front, back, totals.summary(self));
-        let map = map.with_unfound(&self.atlas, unfound);
-        if self.has_named { map.with_named(&self.atlas, named) } else { map }
+        let map = if has_particles { map.with_unfound(&self.atlas, unfound) } else { map };
+        if has_named { map.with_named(&self.atlas, named) } else { map }
     }
 
     /// What was gathered so far, smoothed: where the round that has begun did not come to, the one before shows.
@@ -460,8 +466,8 @@ impl Baker {
             Doing::Gather => self.smoothing(),
         };
         loop {
-            if let Some(parts) = smoothing.step(usize::MAX >> 1) {
-                return self.stored(&parts);
+            if let Some(smoothed) = smoothing.step(usize::MAX >> 1) {
+                return self.stored(&smoothed);
             }
         }
     }

@@ -71,13 +71,20 @@ pub type Parts = [Noisy; PARTS];
 /// Of each part what a site has too much.
 type Excess = [Vec3; PARTS];
 
+/// What a filter came to.
+#[derive(Clone, Debug, Default)]
+pub struct Smoothed {
+    /// The sites that anything is known of, in ascending order.
+    pub known: Vec<u32>,
+    /// Their light, in this order.
+    pub parts: Vec<Parts>,
+}
+
 /// A filter under way. It goes over those sites alone that anything is known of, by numbers of their own: of the first rounds of a
 /// bake these are few.
 #[derive(Clone, Debug)]
 pub struct Smoothing {
-    /// What is to come out, of all sites; so far what went in.
-    all: Vec<Parts>,
-    /// Which of them the known ones are.
+    /// Which of all sites they are.
     known: Vec<u32>,
     surface: Surface,
     from: Vec<Parts>,
@@ -135,29 +142,27 @@ struct Around<'a> {
 }
 
 impl Smoothing {
-    /// Of what was `gathered` at each site; those not `known` tell the others nothing.
-    pub fn new(sites: &Sites, gathered: Vec<Parts>, known: &[bool]) -> Self {
-        let known: Vec<u32> = (0..known.len() as u32).filter(|i| known[*i as usize]).collect();
+    /// Of what was gathered at the sites that are known, in ascending order; the others tell these nothing.
+    pub fn new(sites: &Sites, known: Vec<u32>, gathered: Vec<Parts>) -> Self {
         Self {
             surface: Surface::new(sites, &known),
-            from: known.iter().map(|&i| gathered[i as usize]).collect(),
+            has_caustics: gathered.iter().any(|parts| parts[CAUSTIC].halves != [Vec3::ZERO; 2]),
+            from: gathered,
             lights: Vec::new(),
             to: Vec::new(),
             telling: vec![true; known.len()],
             active: (0..known.len() as u32).collect(),
             reaching: Vec::new(),
-            has_caustics: gathered.iter().any(|parts| parts[CAUSTIC].halves != [Vec3::ZERO; 2]),
             excess: Vec::new(),
             spread: Vec::new(),
             pass: 0,
             hops: Vec::new(),
-            all: gathered,
             known,
         }
     }
 
     /// Does some more of it, `count` sites about. What comes out once it is done.
-    pub fn step(&mut self, count: usize) -> Option<Vec<Parts>> {
+    pub fn step(&mut self, count: usize) -> Option<Smoothed> {
         if self.pass > PEAKS {
             return self.spread_excess(count);
         }
@@ -212,7 +217,7 @@ impl Smoothing {
     }
 
     /// Spreads what peaks held over what is as bright around them: cut away, it would be missing everywhere.
-    fn spread_excess(&mut self, count: usize) -> Option<Vec<Parts>> {
+    fn spread_excess(&mut self, count: usize) -> Option<Smoothed> {
         let done = self.spread.len();
         let end = done.saturating_add(count).min(self.active.len());
         if done == 0 {
@@ -248,11 +253,8 @@ impl Smoothing {
     }
 
     /// What comes out.
-    fn done(&mut self) -> Vec<Parts> {
-        for (&i, parts) in self.known.iter().zip(&self.from) {
-            self.all[i as usize] = *parts;
-        }
-        std::mem::take(&mut self.all)
+    fn done(&mut self) -> Smoothed {
+        Smoothed { known: std::mem::take(&mut self.known), parts: std::mem::take(&mut self.from) }
     }
 }
 
@@ -519,14 +521,19 @@ mod tests {
         (0..SIDE * SIDE).map(part).collect()
     }
 
-    fn smoothed(parts: Vec<Parts>, known: Vec<bool>) -> Vec<f32> {
-        let mut smoothing = Smoothing::new(&floor(), parts, &known);
+    /// In pieces, as a walk does it.
+    fn filtered(parts: Vec<Parts>) -> Vec<Parts> {
+        let known = (0..parts.len() as u32).collect();
+        let mut smoothing = Smoothing::new(&floor(), known, parts);
         loop {
-            // In pieces, as a walk does it.
-            if let Some(parts) = smoothing.step(1000) {
-                return parts.iter().map(|p| p[0].mean().x).collect();
+            if let Some(Smoothed { parts, .. }) = smoothing.step(1000) {
+                return parts;
             }
         }
+    }
+
+    fn smoothed(parts: Vec<Parts>) -> Vec<f32> {
+        filtered(parts).iter().map(|p| p[0].mean().x).collect()
     }
 
     fn deviation(values: impl Iterator<Item = f32>) -> f32 {
@@ -537,12 +544,7 @@ mod tests {
     #[test]
     fn noise_is_smoothed_away_and_told() {
         let parts = noisy(|_, _| 1.0, 0.5, 1);
-        let mut smoothing = Smoothing::new(&floor(), parts.clone(), &vec![true; parts.len()]);
-        let out = loop {
-            if let Some(parts) = smoothing.step(SIDE * SIDE) {
-                break parts;
-            }
-        };
+        let out = filtered(parts);
         let left = deviation(out.iter().map(|p| p[0].mean().x - 1.0));
         let told = deviation(out.iter().map(|p| (0.5 * p[0].variance).sqrt()));
         assert!(left < 0.08 * 0.5, "{left}");
@@ -553,7 +555,7 @@ mod tests {
     #[test]
     fn edges_that_samples_show_stay() {
         let edge = |x: usize, _| if x < SIDE / 2 { 0.2 } else { 1.0 };
-        let out = smoothed(noisy(edge, 0.1, 2), vec![true; SIDE * SIDE]);
+        let out = smoothed(noisy(edge, 0.1, 2));
         let off = deviation(out.iter().enumerate().map(|(i, v)| v - edge(i % SIDE, 0)));
         assert!(off < 0.03, "{off}");
     }
@@ -568,7 +570,7 @@ mod tests {
                 *part = Parts::default();
             }
         }
-        let out = smoothed(parts, vec![true; SIDE * SIDE]);
+        let out = smoothed(parts);
         assert!((0..SIDE * SIDE).filter(|i| i % SIDE >= SIDE / 2).all(|i| out[i] == 0.0));
         let lit = (0..SIDE * SIDE).filter(|i| i % SIDE < SIDE / 2 - 2).map(|i| out[i]);
         let mean = lit.clone().sum::<f32>() / lit.clone().count() as f32;
@@ -583,7 +585,7 @@ mod tests {
             (40..44, 40..44) => 9.0,
             _ => 1.0,
         };
-        let out = smoothed(noisy(light, 0.0, 3), vec![true; SIDE * SIDE]);
+        let out = smoothed(noisy(light, 0.0, 3));
         // What the spot held lies around it, and nowhere stands out.
         let most = (0..SIDE * SIDE).filter(|i| !(40..44).contains(&(i % SIDE))).map(|i| out[i]);
         let most = most.fold(0.0, f32::max);
@@ -604,7 +606,7 @@ mod tests {
             (x, y) if x < 40 && y >= 30 && x + 25 == y => 3.0,
             _ => 1.0,
         };
-        let out = smoothed(noisy(light, 0.0, 4), vec![true; SIDE * SIDE]);
+        let out = smoothed(noisy(light, 0.0, 4));
         let spots = (0..SIDE * SIDE).filter(|i| is_spot(i % SIDE, i / SIDE)).map(|i| out[i]);
         assert!(spots.fold(0.0, f32::max) < 1.05);
         assert!((9..55).all(|y| out[y * SIDE + 40] > 2.95));
@@ -628,12 +630,7 @@ mod tests {
             parts.iter().map(|p| luminance(p[CAUSTIC].mean())).sum::<f32>() / parts.len() as f32
         };
         let before = mean(&parts);
-        let mut smoothing = Smoothing::new(&floor(), parts.clone(), &vec![true; parts.len()]);
-        let out = loop {
-            if let Some(out) = smoothing.step(1000) {
-                break out;
-            }
-        };
+        let out = filtered(parts);
         assert!((mean(&out) / before - 1.0).abs() < 0.02, "{} of {before}", mean(&out));
         let off = deviation(out.iter().map(|p| luminance(p[CAUSTIC].mean()) - before));
         assert!(off < before, "{off} of {before}");
@@ -642,24 +639,23 @@ mod tests {
     #[test]
     fn without_noise_nothing_changes() {
         let ramp = |x: usize, y: usize| 0.1 + 0.01 * x as f32 + if y > 40 { 1.0 } else { 0.0 };
-        let out = smoothed(noisy(ramp, 0.0, 3), vec![true; SIDE * SIDE]);
+        let out = smoothed(noisy(ramp, 0.0, 3));
         assert!(out.iter().enumerate().all(|(i, v)| *v == ramp(i % SIDE, i / SIDE)));
     }
 
     #[test]
     fn what_is_not_known_tells_nothing() {
-        let hole =
-            |x: usize, y: usize| if (20..24).contains(&x) && (20..24).contains(&y) { 0.0 } else { 1.0 };
-        let known = (0..SIDE * SIDE).map(|i| hole(i % SIDE, i / SIDE) > 0.0).collect();
-        let mut parts = noisy(|_, _| 1.0, 0.3, 4);
-        for (i, p) in parts.iter_mut().enumerate() {
-            if hole(i % SIDE, i / SIDE) == 0.0 {
-                *p = Parts::default();
+        let is_hole = |i: usize| (20..24).contains(&(i % SIDE)) && (20..24).contains(&(i / SIDE));
+        let known: Vec<u32> = (0..(SIDE * SIDE) as u32).filter(|i| !is_hole(*i as usize)).collect();
+        let all = noisy(|_, _| 1.0, 0.3, 4);
+        let parts = known.iter().map(|i| all[*i as usize]).collect();
+        let mut smoothing = Smoothing::new(&floor(), known.clone(), parts);
+        let out = loop {
+            if let Some(out) = smoothing.step(1000) {
+                break out;
             }
-        }
-        let out = smoothed(parts, known);
-        let beside = (0..SIDE * SIDE).filter(|i| hole(i % SIDE, i / SIDE) > 0.0).map(|i| out[i] - 1.0);
-        assert!(deviation(beside) < 0.03);
-        assert_eq!(out[22 * SIDE + 22], 0.0);
+        };
+        assert_eq!(out.known, known);
+        assert!(deviation(out.parts.iter().map(|p| p[0].mean().x - 1.0)) < 0.03);
     }
 }

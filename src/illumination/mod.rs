@@ -11,6 +11,7 @@ pub mod filter;
 pub mod first;
 pub mod gathered;
 pub mod packed;
+mod places;
 pub mod points;
 mod raster;
 pub mod reference;

@@ -8,7 +8,7 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::atlas::{Atlas, Corners};
-use super::raster::clipped_area;
+use super::raster::{clipped_area, inside};
 use crate::geometry::{Accel, Hit, Ray};
 use crate::rng::{Stream, hash, unit_f32};
 use crate::scene::{Mesh, Scene};
@@ -169,7 +169,11 @@ impl Points {
         let step = (covered.len() as u32).div_ceil(RAYS).max(1) as usize;
         let all = || covered.iter().fold(0, |bits, (k, _)| bits | 1 << k);
         let free = |(k, p): &(u32, Point)| looks(*k, p, 1) == Buried::Free;
-        if covered.iter().step_by(step).all(free) || look == Look::Brief && covered.iter().any(free) {
+        let suffices = match look {
+            Look::Brief => covered.iter().any(free),
+            Look::Few | Look::Close => covered.iter().step_by(step).all(free),
+        };
+        if suffices {
             return all();
         }
         let found: Vec<(u32, Buried)> = covered.iter().map(|(k, p)| (*k, looks(*k, p, RAYS))).collect();
@@ -186,9 +190,11 @@ fn texels_of(atlas: &Atlas, uv: &[Vec2; 3]) -> Vec<u32> {
     let low = uv[0].min(uv[1]).min(uv[2]).max(Vec2::ZERO);
     let high = uv[0].max(uv[1]).max(uv[2]).max(Vec2::ZERO);
     let mut found = Vec::new();
+    let is_inside = inside(uv);
     for y in low.y as u32..=(high.y as u32).min(atlas.height - 1) {
         for x in low.x as u32..=(high.x as u32).min(atlas.width - 1) {
-            if clipped_area(uv, Vec2::new(x as f32, y as f32)).0 > 0.0 {
+            let corner = Vec2::new(x as f32, y as f32);
+            if is_inside(corner) || clipped_area(uv, corner).0 > 0.0 {
                 found.push(y * atlas.width + x);
             }
         }

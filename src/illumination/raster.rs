@@ -61,9 +61,12 @@ fn add_triangle(
     let high = uv[0].max(uv[1]).max(uv[2]);
     let (x0, y0) = (low.x as u32, low.y as u32);
     let (x1, y1) = ((high.x.max(0.0) as u32).min(width - 1), (high.y.max(0.0) as u32).min(height - 1));
+    let is_inside = inside(uv);
     for y in y0..=y1 {
         for x in x0..=x1 {
-            let (area, centroid) = clipped_area(uv, Vec2::new(x as f32, y as f32));
+            let corner = Vec2::new(x as f32, y as f32);
+            let (area, centroid) =
+                if is_inside(corner) { (1.0, corner + 0.5) } else { clipped_area(uv, corner) };
             if area <= 0.0 {
                 continue;
             }
@@ -83,6 +86,18 @@ fn add_triangle(
             }
         }
     }
+}
+
+/// Whether a texel at its corner of least coordinates is sure to lie inside a triangle, without clipping it.
+pub(super) fn inside(uv: &[Vec2; 3]) -> impl Fn(Vec2) -> bool {
+    let doubled = (uv[1] - uv[0]).perp_dot(uv[2] - uv[0]);
+    let sides = [0, 1, 2].map(|i| {
+        let (a, b) = (uv[i], uv[(i + 1) % 3]);
+        let along = (b - a) * doubled.signum();
+        // Half of a texel's extent across the side, and more than rounding moves it.
+        (a, along, (0.5 + 1e-3) * (along.x.abs() + along.y.abs()))
+    });
+    move |corner| sides.iter().all(|(a, along, reach)| along.perp_dot(corner + 0.5 - a) > *reach)
 }
 
 /// Area and centroid of the part of a triangle inside the unit square at `corner` (Sutherland–Hodgman).
@@ -129,6 +144,7 @@ pub(super) fn clipped_area(triangle: &[Vec2; 3], corner: Vec2) -> (f32, Vec2) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rng::Stream;
 
     #[test]
     fn clipped_areas_of_a_triangle_sum_to_its_area() {
@@ -151,5 +167,26 @@ mod tests {
     fn a_square_inside_a_triangle_is_whole() {
         let triangle = [Vec2::new(-10.0, -10.0), Vec2::new(30.0, -10.0), Vec2::new(-10.0, 30.0)];
         assert_eq!(clipped_area(&triangle, Vec2::new(2.0, 3.0)), (1.0, Vec2::new(2.5, 3.5)));
+    }
+
+    /// What is taken for inside without clipping has all of a texel's area; most of a large triangle is.
+    #[test]
+    fn texels_inside_a_triangle_are_whole() {
+        let mut inside_all = 0;
+        for i in 0..200 {
+            let mut s = Stream::new(41, i, 0);
+            let uv = [(); 3].map(|()| Vec2::new(s.next_f32(), s.next_f32()) * 40.0);
+            let is_inside = inside(&uv);
+            for (y, x) in (0..40).flat_map(|y| (0..40).map(move |x| (y, x))) {
+                let corner = Vec2::new(x as f32, y as f32);
+                if is_inside(corner) {
+                    inside_all += 1;
+                    let (area, centroid) = clipped_area(&uv, corner);
+                    let is_whole = (area - 1.0).abs() < 1e-3 && centroid.distance(corner + 0.5) < 1e-3;
+                    assert!(is_whole, "{uv:?} {corner}");
+                }
+            }
+        }
+        assert!(inside_all > 10_000, "{inside_all}");
     }
 }

@@ -25,6 +25,15 @@ const HALF: f32 = 0.71;
 /// No site.
 pub const NONE: u32 = u32::MAX;
 
+/// Per element the numbers of its front and its back, or [`NONE`]; `number`: what the one of a site is.
+pub fn by_element(sites: &[Site], elements: usize, number: impl Fn(usize) -> u32) -> Vec<[u32; 2]> {
+    let mut of = vec![[NONE; 2]; elements];
+    for (i, site) in sites.iter().enumerate() {
+        of[site.element as usize][usize::from(site.back)] = number(i);
+    }
+    of
+}
+
 /// One side of an element.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Site {

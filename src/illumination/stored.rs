@@ -270,6 +270,17 @@ impl Illumination {
         self.named.as_ref().map_or(Vec4::ZERO, |named| named.value(element, back).extend(0.0))
     }
 
+    /// What is stored of a side of an element: irradiance without what named lights bring straight, where that is kept apart, and
+    /// the standard error of its luminance.
+    pub fn unnamed_of(&self, element: usize, back: bool) -> Vec4 {
+        self.value(element, back)
+    }
+
+    /// What comes straight from named lights to a side of an element, where that is kept apart.
+    pub fn named_of(&self, element: usize, back: bool) -> Vec3 {
+        self.named_value(element, back).truncate()
+    }
+
     /// All irradiance on a side of an element, and the standard error of its luminance.
     #[inline]
     pub fn total(&self, element: usize, back: bool) -> Vec4 {

@@ -28,10 +28,21 @@ const SITES: usize = 256;
 pub struct Order {
     /// Samples of a site in the round.
     samples: u32,
-    /// Whether the round is the first over all sites.
-    first: bool,
+    /// When it is.
+    phase: Phase,
     /// By number, with what is known of each.
     sites: Vec<(u32, Gathered)>,
+}
+
+/// When a round is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum Phase {
+    /// Before the rounds over all sites.
+    Early,
+    /// The first of these.
+    First,
+    /// After that.
+    Later,
 }
 
 /// What is known of an order's sites once light was gathered there, in the same order.
@@ -103,8 +114,7 @@ impl Gatherers for WhileWanted<'_> {
 impl Baker {
     /// Gathers at some more sites of the round.
     pub(super) fn gather(&mut self, indexed: Indexed<'_>, gatherers: &dyn Gatherers) {
-        // The first round that comes to all sites tells which are dark.
-        let first = self.whole_rounds() == 0;
+        let phase = self.rounds.phase(self.round);
         // Decided at the beginning of the round; later the paths that are left say something else.
         let samples = self.round_samples.unwrap_or_else(|| self.samples_of_round());
         self.round_samples = Some(samples);
@@ -119,10 +129,10 @@ impl Baker {
                 continue;
             }
             if in_order >= SAMPLES || orders.last().is_none_or(|order| order.sites.len() >= SITES) {
-                orders.push(Order { samples, first, sites: Vec::new() });
+                orders.push(Order { samples, phase, sites: Vec::new() });
                 in_order = 0;
             }
-            let taken = u64::from(self.samples_at(i, samples, first));
+            let taken = u64::from(self.samples_at(i, samples, phase));
             (batch, in_order) = (batch + taken, in_order + taken);
             if let Some(order) = orders.last_mut() {
                 order.sites.push((i as u32, self.gathered[i]));
@@ -141,7 +151,8 @@ impl Baker {
         if end < count {
             return;
         }
-        if first && self.round >= self.rounds.early() {
+        // The first round that comes to all sites tells which are dark.
+        if phase == Phase::First {
             let blocks = self.gathered.chunks(BLOCK).map(|block| !block.iter().any(Gathered::is_lit));
             self.dark = blocks.collect();
         }
@@ -150,11 +161,13 @@ impl Baker {
     }
 
     /// Samples that a site takes in a round.
-    fn samples_at(&self, i: usize, samples: u32, first: bool) -> u32 {
-        match (self.ahead[i], self.seen[i], first && self.sites.all()[i].back) {
-            (true, ..) => AHEAD * samples,
-            (.., true) => FIRST_LOOK,
-            (_, true, _) => samples,
+    pub(super) fn samples_at(&self, i: usize, samples: u32, phase: Phase) -> u32 {
+        match (phase, self.ahead[i], self.seen[i]) {
+            // It had its share of this round in the one before.
+            (Phase::First, true, _) => FIRST_LOOK,
+            (_, true, _) => AHEAD * samples,
+            (Phase::First, ..) if self.sites.all()[i].back => FIRST_LOOK,
+            (.., true) => samples,
             _ => (samples / UNSEEN).next_multiple_of(2).max(2),
         }
     }
@@ -187,7 +200,7 @@ impl Baker {
             if !sums.find_points((indexed.scene, indexed.accel), atlas, points, (site, look)) {
                 return sums;
             }
-            let count = self.samples_at(i, order.samples, order.first);
+            let count = self.samples_at(i, order.samples, order.phase);
             sums.begin_round();
             sums.gather(indexed.scene, (atlas, points), &gather, site, (self.settings.seed, count));
             sums

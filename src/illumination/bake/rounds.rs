@@ -1,12 +1,17 @@
 //! In which order a bake comes to its sites, and how often: what the start view shows first.
 
+use std::cmp::Ordering;
+
+use super::orders::Phase;
+
 /// Samples of a site in the first round over all of them; every later round doubles them.
 pub(super) const FIRST_ROUND: u32 = 4;
 /// Rounds over all sites at most; by then there is nothing left to see.
 pub(super) const ROUNDS_MAX: u32 = 16;
-/// Samples of rounds before them over what the start view shows, [`super::AHEAD`] times as many of a site: few,
-/// for a map soon, but not so few that chance alone leaves a site without light.
-pub(super) const EARLY: [u32; 2] = [2, 2];
+/// Samples of rounds before them over what the start view shows, [`super::AHEAD`] times as many of a site: few at first,
+/// for a map soon, but not so few that chance alone leaves a site without light. What they take in the last of these they need
+/// not take in the first round over all.
+pub(super) const EARLY: [u32; 3] = [2, 2, FIRST_ROUND];
 
 /// In which order a bake comes to its sites: [`EARLY`] rounds are of those ahead alone, then each is over all.
 pub(super) struct Rounds {
@@ -31,6 +36,15 @@ impl Rounds {
     /// Rounds over all sites before this one.
     pub(super) fn whole(&self, round: u32) -> u32 {
         round.saturating_sub(self.early())
+    }
+
+    /// When a round is.
+    pub(super) fn phase(&self, round: u32) -> Phase {
+        match round.cmp(&self.early()) {
+            Ordering::Less => Phase::Early,
+            Ordering::Equal => Phase::First,
+            Ordering::Greater => Phase::Later,
+        }
     }
 
     /// The sites of a round.
@@ -64,13 +78,15 @@ mod tests {
         for ahead in [vec![false; 7], vec![true; 7], (0..7).map(|i| i % 3 == 1).collect::<Vec<_>>()] {
             let rounds = Rounds::new(&ahead);
             let is_any = ahead.contains(&true);
-            assert_eq!(rounds.early(), if is_any { 2 } else { 0 });
+            assert_eq!(rounds.early(), if is_any { 3 } else { 0 });
             for round in 0..rounds.most() {
                 let mut sites = rounds.sites(round).to_vec();
                 sites.sort_unstable();
                 let of = |i: &u32| round >= rounds.early() || ahead[*i as usize];
                 assert!(sites.into_iter().eq((0..7).filter(of)), "{round}");
                 assert!(round <= rounds.early() || rounds.samples(round) == 2 * rounds.samples(round - 1));
+                let spared = round == rounds.early() && is_any;
+                assert!(!spared || rounds.samples(round) == rounds.samples(round - 1));
                 assert!((AHEAD * rounds.samples(round)).is_multiple_of(2));
             }
             assert_eq!(

@@ -59,8 +59,8 @@ fn bundled_scenes_are_lit_as_paths_light_them() {
         let mut baker = Baker::new(indexed, &settings);
         let (known, noise) = points_in_sight((&scene, &accel, &lights), &baker, 150, 1024);
         assert!(noise < 0.04, "{name}: {noise}");
-        // Two rounds of what the start view shows, and three of everything.
-        for _ in 0..5 {
+        // Three rounds of what the start view shows, and three of everything.
+        for _ in 0..6 {
             while matches!(baker.step(indexed), Step::Going) {}
         }
         let map = baker.map().clone();

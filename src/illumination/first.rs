@@ -31,7 +31,7 @@ const LOOKS: [u32; 2] = [160, 120];
 /// Samples of a place in each round: of one that the start view does not show, and of one that it does. Those of the first round,
 /// whose paths are followed to their end, take three times as long as those of the next ones, which read what the ones before
 /// them found.
-const SAMPLES: [[u32; 2]; 3] = [[2, 2], [2, 12], [2, 8]];
+const SAMPLES: [[u32; 2]; 3] = [[2, 2], [6, 12], [4, 8]];
 /// Sites that share the decision whether light can reach them.
 const BLOCK: usize = 64;
 
@@ -72,10 +72,9 @@ pub fn first_picture_while(
             .enumerate()
             .map(|(i, sums)| {
                 let site = &sites.all()[i];
-                let look = if places.ahead[i] { Look::Few } else { Look::Brief };
                 if dark[i / BLOCK]
                     || !is_wanted()
-                    || !sums.find_points((scene, accel), &atlas, &points, (site, look))
+                    || !sums.find_points((scene, accel), &atlas, &points, (site, Look::Few))
                 {
                     return 0;
                 }

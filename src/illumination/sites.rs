@@ -190,6 +190,9 @@ impl Sites {
                     && near.site != from
                     && near.normal.dot(site.normal) > FLAT
                     && (near.position - site.position).dot(site.normal).abs() < LINKED.1 * site.width
+                    // Other cells share the bucket by chance, and chance knows the size of the scene.
+                    && near.level == level
+                    && cell(near.position, level) == here
                 {
                     (nearest, *least) = (near.site, distance);
                 }
@@ -242,7 +245,7 @@ impl Sites {
                 if distance < least
                     && near.normal.dot(site.normal) > FLAT
                     && (near.position - site.position).dot(site.normal).abs() < BESIDE * site.width
-                    // Other cells share the bucket by chance, and chance knows the size of the scene.
+                    // As there.
                     && near.level == level
                     && cell(near.position, level) == here
                 {

@@ -25,13 +25,13 @@ use crate::transport::gather::{Gather, Trust};
 use crate::transport::light::bright::BrightSurfaces;
 
 /// Texels of the first map.
-const TEXELS: u32 = 32 * 1024;
+const TEXELS: u32 = 16 * 1024;
 /// Columns and rows of looks at what the start view shows.
 const LOOKS: [u32; 2] = [160, 120];
 /// Samples of a place in each round: of one that the start view does not show, and of one that it does. Those of the first round,
 /// whose paths are followed to their end, take three times as long as those of the next ones, which read what the ones before
 /// them found.
-const SAMPLES: [[u32; 2]; 3] = [[2, 2], [6, 12], [4, 8]];
+const SAMPLES: [[u32; 2]; 3] = [[2, 2], [6, 18], [4, 12]];
 /// Sites that share the decision whether light can reach them.
 const BLOCK: usize = 64;
 

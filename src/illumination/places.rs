@@ -9,12 +9,14 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::sites::{NONE, Site, Sites};
 
-/// Sites at which light is gathered, at most.
-const PLACES: usize = 20 * 1024;
+/// As many sites as this have a place each.
+const FEW: usize = 32 * 1024;
+/// Places that more than these share, at most.
+const PLACES: usize = 16 * 1024;
 /// As many times as wide is what a place stands for that the start view does not show.
 const COARSER: f32 = 2.0;
 /// As many sites as this that the start view shows speak for themselves each.
-const OWN: usize = 10 * 1024;
+const OWN: usize = 8 * 1024;
 /// A share of [`PLACES`] that is enough, and how often smaller cells are tried for it.
 const FULL: f32 = 0.75;
 const TRIES: u32 = 4;
@@ -39,10 +41,10 @@ struct Speakers {
 }
 
 impl Places {
-    /// At most [`PLACES`]: one of each cell of space and direction, cells as small as that allows. `ahead`: per site whether the
-    /// start view shows it; others have wider cells.
+    /// A place for each of few sites; else at most [`PLACES`], one of each cell of space and direction, cells as small as that
+    /// allows. `ahead`: per site whether the start view shows it; others have wider cells.
     pub fn among(all: &[Site], ahead: &[bool]) -> Self {
-        if all.len() <= PLACES {
+        if all.len() <= FEW {
             return Self { sites: Sites::of(all.to_vec()), ahead: ahead.to_vec(), speakers: None };
         }
         let mut size = first_size(all, ahead);
@@ -239,7 +241,7 @@ mod tests {
             [(0.0, 1.0), (1e-30, 1.0), (1e30, 1e30), (f32::INFINITY, 1.0), (f32::NAN, f32::NAN)]
         {
             let at = |site: Site| Site { width, position: site.position * scale, ..site };
-            let all: Vec<Site> = floor(160).into_iter().map(at).collect();
+            let all: Vec<Site> = floor(200).into_iter().map(at).collect();
             let places = Places::among(&all, &vec![false; all.len()]);
             assert!((1..=PLACES).contains(&places.sites.all().len()), "{width} {scale}");
         }

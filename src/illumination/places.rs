@@ -36,7 +36,8 @@ pub(super) struct Places {
 struct Speakers {
     /// The one of its cell.
     own: u32,
-    /// Those half a width to its four sides, or [`NONE`]: where cells meet their values are mixed. Who is alone in a cell needs none.
+    /// Those half a width to its four sides, or [`NONE`]: where cells meet their values are mixed. Who is alone in a cell needs
+    /// none.
     around: [u32; 4],
 }
 

@@ -84,7 +84,7 @@ mod tests {
         let accel = Accel::build(&room);
         let atlas = atlas_of(&room, 4000, &|_| true, &|| true).expect("wanted");
         let sites = Sites::new(&atlas, &sides_of(&atlas));
-        let site_of = by_element(sites.all(), atlas.elements.len(), |i| i as u32);
+        let site_of = by_element(sites.all(), atlas.elements.len());
         let first = ahead((&room, &accel), &atlas, &sites, &site_of);
         let frame = room.cameras[0].camera.frame(64, 48);
         let (mut shown, mut hidden) = (0, 0);

@@ -42,7 +42,7 @@ use crate::transport::Indexed;
 use crate::transport::caustic::Sources;
 use crate::transport::light::bright::BrightSurfaces;
 
-/// As many times more take those that the start view shows, in a round before and in all of them.
+/// As many times more take those that the start view shows, in rounds before and in all but the first over all.
 const AHEAD: u32 = 2;
 /// Samples of the back of an element in the first round over all, which tell whether there is any light; and of what was seen
 /// ahead of it.
@@ -202,7 +202,7 @@ impl Baker {
             return None;
         }
         let is_seen = |element: u32| watched[atlas.elements[element as usize].triangle as usize];
-        let site_of = by_element(sites.all(), atlas.elements.len(), |i| i as u32);
+        let site_of = by_element(sites.all(), atlas.elements.len());
         let is_ahead = ahead((scene, indexed.accel), &atlas, &sites, &site_of);
         Some(Self {
             rounds: Rounds::new(&is_ahead),

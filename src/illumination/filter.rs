@@ -492,22 +492,10 @@ impl Sum {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::illumination::sites::Site;
+    use crate::illumination::test_scenes::floor;
     use crate::rng::Stream;
 
     const SIDE: usize = 64;
-
-    /// A square floor of 64 × 64 sites.
-    fn floor() -> Sites {
-        let site = |i: usize| Site {
-            element: i as u32,
-            back: false,
-            position: Vec3::new((i % SIDE) as f32, 0.0, (i / SIDE) as f32),
-            normal: Vec3::Y,
-            width: 1.0,
-        };
-        Sites::of((0..SIDE * SIDE).map(site).collect())
-    }
 
     /// `signal` with noise of this deviation in each half.
     fn noisy(signal: impl Fn(usize, usize) -> f32, deviation: f32, seed: u64) -> Vec<Parts> {
@@ -524,7 +512,7 @@ mod tests {
     /// In pieces, as a walk does it.
     fn filtered(parts: Vec<Parts>) -> Vec<Parts> {
         let known = (0..parts.len() as u32).collect();
-        let mut smoothing = Smoothing::new(&floor(), known, parts);
+        let mut smoothing = Smoothing::new(&Sites::of(floor(SIDE)), known, parts);
         loop {
             if let Some(Smoothed { parts, .. }) = smoothing.step(1000) {
                 return parts;
@@ -649,7 +637,7 @@ mod tests {
         let known: Vec<u32> = (0..(SIDE * SIDE) as u32).filter(|i| !is_hole(*i as usize)).collect();
         let all = noisy(|_, _| 1.0, 0.3, 4);
         let parts = known.iter().map(|i| all[*i as usize]).collect();
-        let mut smoothing = Smoothing::new(&floor(), known.clone(), parts);
+        let mut smoothing = Smoothing::new(&Sites::of(floor(SIDE)), known.clone(), parts);
         let out = loop {
             if let Some(out) = smoothing.step(1000) {
                 break out;

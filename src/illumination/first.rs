@@ -51,7 +51,7 @@ pub fn first_picture_while(
     let atlas = atlas_of(scene, TEXELS, &|t: u32| seen[t as usize], is_wanted)?;
     let points = Points::new(&scene.mesh, &atlas);
     let all = Sites::listed(&atlas, &sides_of(&atlas));
-    let site_of = by_element(&all, atlas.elements.len(), |i| i as u32);
+    let site_of = by_element(&all, atlas.elements.len());
     let mut ahead = vec![false; all.len()];
     met((scene, accel), &atlas, &site_of, LOOKS).into_iter().for_each(|i| ahead[i as usize] = true);
     let places = Places::among(&all, &ahead);

@@ -180,18 +180,7 @@ impl Cells {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// A floor of so many sites along both sides, each a unit wide.
-    fn floor(side: usize) -> Vec<Site> {
-        let site = |i: usize| Site {
-            element: i as u32,
-            back: false,
-            position: Vec3::new((i % side) as f32, 0.0, (i / side) as f32),
-            normal: Vec3::Y,
-            width: 1.0,
-        };
-        (0..side * side).map(site).collect()
-    }
+    use crate::illumination::test_scenes::floor;
 
     #[test]
     fn few_sites_speak_for_themselves() {

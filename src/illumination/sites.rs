@@ -25,11 +25,11 @@ const HALF: f32 = 0.71;
 /// No site.
 pub const NONE: u32 = u32::MAX;
 
-/// Per element the numbers of its front and its back, or [`NONE`]; `number`: what the one of a site is.
-pub fn by_element(sites: &[Site], elements: usize, number: impl Fn(usize) -> u32) -> Vec<[u32; 2]> {
+/// Per element, of so many, the sites of its front and its back, or [`NONE`].
+pub fn by_element(sites: &[Site], elements: usize) -> Vec<[u32; 2]> {
     let mut of = vec![[NONE; 2]; elements];
     for (i, site) in sites.iter().enumerate() {
-        of[site.element as usize][usize::from(site.back)] = number(i);
+        of[site.element as usize][usize::from(site.back)] = i as u32;
     }
     of
 }
@@ -245,7 +245,7 @@ impl Sites {
                 if distance < least
                     && near.normal.dot(site.normal) > FLAT
                     && (near.position - site.position).dot(site.normal).abs() < BESIDE * site.width
-                    // As there.
+                    // As for links: not what shares the bucket by chance.
                     && near.level == level
                     && cell(near.position, level) == here
                 {

@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 
+use super::sites::Site;
 use crate::scene::{
     Camera, Display, Light, Material, MaterialId, Mesh, Model, NamedCamera, Object, Reflectance, Scene,
     SceneParts,
@@ -117,4 +118,16 @@ pub fn scene(mesh: Mesh, materials: Vec<Material>, lights: Vec<Light>) -> Scene 
         files: Vec::new(),
     }
     .with_textures(Vec::new())
+}
+
+/// The sites of a floor, so many along both sides, each a unit wide.
+pub fn floor(side: usize) -> Vec<Site> {
+    let site = |i: usize| Site {
+        element: i as u32,
+        back: false,
+        position: Vec3::new((i % side) as f32, 0.0, (i / side) as f32),
+        normal: Vec3::Y,
+        width: 1.0,
+    };
+    (0..side * side).map(site).collect()
 }

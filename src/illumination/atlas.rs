@@ -3,6 +3,8 @@
 //! Both become [`Element`]s: small pieces of surface with a position, a normal and an area. Particles
 //! are counted per element, irradiance is estimated per element and interpolated between them.
 
+use std::sync::Arc;
+
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -132,7 +134,7 @@ pub struct Atlas {
     /// Texels per scene unit.
     pub texels_per_unit: f32,
     /// Per triangle.
-    pub corners: Vec<Corners>,
+    pub corners: Arc<Vec<Corners>>,
     /// Texels, then vertex elements.
     pub elements: Vec<Element>,
     /// What did not go as asked, for the user.
@@ -265,7 +267,7 @@ impl Atlas {
             self.elements.push(Element::default());
         }
         let mut dense_corners = corner_vertices.into_iter();
-        self.corners = placed
+        let corners = placed
             .iter()
             .enumerate()
             .map(|(t, uv)| match uv {
@@ -276,6 +278,7 @@ impl Atlas {
                 None => Corners::Vertices([nothing; 3]),
             })
             .collect();
+        self.corners = Arc::new(corners);
     }
 
     /// The element that counts what arrives at a point of a triangle.

@@ -415,45 +415,42 @@ impl Baker {
 
     /// The map that smoothed parts make; at other sites what was gathered stands for itself.
     fn stored(&self, smoothed: &Smoothed) -> Illumination {
-        let elements = self.atlas.elements.len();
-        let nothing = |wanted: bool| -> [Vec<Value>; 2] {
-            let of = if wanted { elements } else { 0 };
-            [vec![None; of], vec![None; of]]
-        };
-        let (has_named, has_particles) = (self.has_named, self.particles > 0);
-        let (mut sides, mut named, mut unfound) = (nothing(true), nothing(has_named), nothing(has_particles));
         let mut number = vec![NONE; self.gathered.len()];
         smoothed.known.iter().zip(0..).for_each(|(&i, k)| number[i as usize] = k);
-        let of = |i: usize| smoothed.parts.get(number[i] as usize).copied().unwrap_or_else(|| self.parts(i));
-        let shown: Vec<Parts> = (0..self.gathered.len()).into_par_iter().map(of).collect();
-        let mut totals = Totals::default();
-        // In the order of sites: sums depend on it.
-        for (i, (site, parts)) in self.sites.all().iter().zip(&shown).enumerate() {
-            let gathered = &self.gathered[i];
-            if !gathered.is_open() {
-                continue;
-            }
-            let (side, element) = (usize::from(site.back), site.element as usize);
-            let light: Vec3 = parts.iter().map(Noisy::mean).sum();
+        let parts =
+            |i: usize| smoothed.parts.get(number[i] as usize).copied().unwrap_or_else(|| self.parts(i));
+        let light = |parts: &Parts| {
             let variance = parts.iter().map(|p| 0.5 * p.variance).sum::<f32>();
-            let value = light.extend(variance.sqrt());
-            sides[side][element] = Some(value);
-            let mut straight = Vec4::ZERO;
-            if has_named {
-                // As smoothing: where nobody has come yet what there was stays.
-                let begun = || self.map.named_of(element, site.back);
-                straight = gathered.named().unwrap_or_else(begun).extend(0.0);
-                named[side][element] = Some(straight);
+            parts.iter().map(Noisy::mean).sum::<Vec3>().extend(variance.sqrt())
+        };
+        // As smoothing: where nobody has come yet what there was stays.
+        let straight = |i: usize| {
+            let site = &self.sites.all()[i];
+            let begun = || self.map.named_of(site.element as usize, site.back);
+            self.gathered[i].named().unwrap_or_else(begun).extend(0.0)
+        };
+        let unfound = |i: usize| (parts(i)[2].mean() * self.gathered[i].unfound_share()).extend(0.0);
+        let is_open = |i: usize| self.gathered.get(i).is_some_and(Gathered::is_open);
+        let sides = |value: &(dyn Fn(usize) -> Vec4 + Sync)| {
+            let of = |site: u32| is_open(site as usize).then(|| value(site as usize));
+            [0, 1].map(|side| self.site_of.par_iter().map(|sites| of(sites[side])).collect::<Vec<Value>>())
+        };
+        let total = |i: usize, totals: &mut Totals| {
+            let parts = parts(i);
+            let straight = if self.has_named { straight(i) } else { Vec4::ZERO };
+            let element = &self.atlas.elements[self.sites.all()[i].element as usize];
+            totals.add(element, light(&parts) + straight, &parts, self.seen[i]);
+        };
+        let totals = Totals::over(self.gathered.len(), |i, totals| {
+            if is_open(i) {
+                total(i, totals);
             }
-            if has_particles {
-                unfound[side][element] = Some((parts[2].mean() * gathered.unfound_share()).extend(0.0));
-            }
-            totals.add(&self.atlas.elements[element], value + straight, parts, self.seen[i]);
-        }
-        let [front, back] = sides;
+        });
+        let [front, back] = sides(&|i| light(&parts(i)));
         let map = Illumination::new(&self.atlas, front, back, totals.summary(self));
-        let map = if has_particles { map.with_unfound(&self.atlas, unfound) } else { map };
-        if has_named { map.with_named(&self.atlas, named) } else { map }
+        let has_particles = self.particles > 0;
+        let map = if has_particles { map.with_unfound(&self.atlas, sides(&unfound)) } else { map };
+        if self.has_named { map.with_named(&self.atlas, sides(&straight)) } else { map }
     }
 
     /// What was gathered so far, smoothed: where the round that has begun did not come to, the one before shows.

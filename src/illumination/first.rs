@@ -91,15 +91,22 @@ pub fn first_picture_while(
         dark = gathered.chunks(BLOCK).map(|block| !block.iter().any(Gathered::is_lit)).collect();
         let open: Vec<bool> = gathered.iter().map(Gathered::is_open).collect();
         let mut shown: Vec<Parts> = gathered.iter().map(|g| g.parts(0.0)).collect();
-        if round + 1 == SAMPLES.len() {
+        let is_last = round + 1 == SAMPLES.len();
+        if is_last {
             smooth(sites, &mut shown, |i| open[i] && !dark[i / BLOCK]);
         }
         let light = |i: usize| open[i].then(|| shown[i].iter().map(Noisy::mean).sum::<Vec3>());
         let straight = |i: usize| gathered[i].named().filter(|_| open[i]);
-        let unnamed = places.of_all(all.len(), &light);
-        let named = lights.has_any_named().then(|| places.of_all(all.len(), &straight));
+        let by_site = |light: &(dyn Fn(usize) -> Option<Vec3> + Sync)| -> Vec<Option<Vec3>> {
+            all.par_iter().enumerate().map(|(i, site)| places.light_of(i, site, &light)).collect()
+        };
+        let unnamed = by_site(&light);
+        let named = lights.has_any_named().then(|| by_site(&straight));
         let has_indirect = shown.iter().any(|p| p[1].mean() != Vec3::ZERO);
-        map = stored(&atlas, &all, (&unnamed, named.as_deref()));
+        map = stored(&atlas, &site_of, &unnamed, named.as_deref());
+        if is_last {
+            map.summary.mean = mean(&atlas, &all, &unnamed, named.as_deref());
+        }
         map.summary.particles = paths;
         map.summary.has_indirect = has_indirect;
     }
@@ -126,17 +133,25 @@ fn smooth(sites: &Sites, parts: &mut [Parts], is_known: impl Fn(usize) -> bool) 
 /// The map of light at all sites: what is not named, and what is, where there is any.
 fn stored(
     atlas: &Atlas,
-    all: &[Site],
-    (unnamed, named): (&[Option<Vec3>], Option<&[Option<Vec3>]>),
+    site_of: &[[u32; 2]],
+    unnamed: &[Option<Vec3>],
+    named: Option<&[Option<Vec3>]>,
 ) -> Illumination {
-    let none: Vec<Value> = vec![None; atlas.elements.len()];
     let sides = |light: &[Option<Vec3>]| {
-        let mut sides = [none.clone(), none.clone()];
-        for (site, value) in all.iter().zip(light) {
-            sides[usize::from(site.back)][site.element as usize] = value.map(|v| v.extend(0.0));
-        }
-        sides
+        let value = |site: u32| light.get(site as usize).copied().flatten().map(|light| light.extend(0.0));
+        [0, 1].map(|back| site_of.par_iter().map(|sides| value(sides[back])).collect::<Vec<Value>>())
     };
+    let [front, back] = sides(unnamed);
+    let summary = Summary { relative_error: 1.0, ..Summary::default() };
+    let map = Illumination::new(atlas, front, back, summary);
+    match named {
+        Some(named) => map.with_named(atlas, sides(named)),
+        None => map,
+    }
+}
+
+/// Power that arrives on both sides per area of surface and band, W/m².
+fn mean(atlas: &Atlas, all: &[Site], unnamed: &[Option<Vec3>], named: Option<&[Option<Vec3>]>) -> [f32; 3] {
     let (mut power, mut area) = (Vec3::ZERO, 0.0);
     for (i, site) in all.iter().enumerate() {
         let e = &atlas.elements[site.element as usize];
@@ -144,12 +159,5 @@ fn stored(
         power += [unnamed[i], of_named].into_iter().flatten().sum::<Vec3>() * e.opaque;
         area += 0.5 * e.opaque;
     }
-    let mean = if area > 0.0 { (power / area).to_array() } else { [0.0; 3] };
-    let [front, back] = sides(unnamed);
-    let map =
-        Illumination::new(atlas, front, back, Summary { mean, relative_error: 1.0, ..Summary::default() });
-    match named {
-        Some(named) => map.with_named(atlas, sides(named)),
-        None => map,
-    }
+    if area > 0.0 { (power / area).to_array() } else { [0.0; 3] }
 }

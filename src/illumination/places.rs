@@ -3,11 +3,12 @@
 //! What the start view shows has places of its own or, in dense meshes, of narrow cells; all else shares what is left of them, in
 //! cells that are as wide as that takes.
 
-use glam::{IVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
 
-use super::sites::{NONE, Site, Sites};
+use super::sites::{NONE, Site, Sites, floor};
+use crate::rng::hash;
 
 /// As many sites as this have a place each.
 const FEW: usize = 32 * 1024;
@@ -22,23 +23,28 @@ const FULL: f32 = 0.75;
 const TRIES: u32 = 4;
 /// By so much cells become wider at first where there are too many.
 const WIDER: f32 = 1.2;
+/// Sites whose sizes are summed at once.
+const SUMMED: usize = 4096;
+/// As far as this a place speaks for others, widths: to the far corner of its cell and beyond.
+const REACH: f32 = 1.5;
+/// A place itself, those to its four sides, and those between.
+const AROUND: usize = 9;
 
 /// Sites that speak for others; all speak for themselves where they are few.
 pub(super) struct Places {
     pub sites: Sites,
     /// Per place whether the start view shows it.
     pub ahead: Vec<bool>,
-    /// Per site of the scene, who of them speaks for it, where not each does for itself.
-    speakers: Option<Vec<Speakers>>,
+    /// How others are spoken for, where not each is by itself.
+    shared: Option<Shared>,
 }
 
-/// Who speaks for a site.
-struct Speakers {
-    /// The one of its cell.
-    own: u32,
-    /// Those half a width to its four sides, or [`NONE`]: where cells meet their values are mixed. Who is alone in a cell needs
-    /// none.
-    around: [u32; 4],
+/// Who speaks for whom.
+struct Shared {
+    /// Per site of the scene, the place of its cell.
+    of: Vec<u32>,
+    /// Per place those around it, itself first, or [`NONE`]: none where it has its cell for itself.
+    around: Vec<[u32; AROUND]>,
 }
 
 impl Places {
@@ -46,7 +52,7 @@ impl Places {
     /// allows. `ahead`: per site whether the start view shows it; others have wider cells.
     pub fn among(all: &[Site], ahead: &[bool]) -> Self {
         if all.len() <= FEW {
-            return Self { sites: Sites::of(all.to_vec()), ahead: ahead.to_vec(), speakers: None };
+            return Self { sites: Sites::of(all.to_vec()), ahead: ahead.to_vec(), shared: None };
         }
         let mut size = first_size(all, ahead);
         let mut wider = WIDER;
@@ -68,40 +74,59 @@ impl Places {
             (cells, size) = (more, smaller);
         }
         let Cells { chosen, count, of, ahead } = cells;
-        let wide = |i: usize| match count[of[i] as usize] {
-            1 => all[i],
-            _ => Site { width: all[i].width.max(width_of_cell(size, ahead[i])), ..all[i] },
-        };
-        let sites = Sites::of(chosen.iter().map(|i| wide(*i as usize)).collect());
-        let speakers = |i: usize| {
-            let own = of[i];
-            if count[own as usize] == 1 {
-                return Speakers { own, around: [NONE; 4] };
+        let place = |(&i, &count): (&u32, &u32)| {
+            let site = all[i as usize];
+            match count {
+                1 => site,
+                _ => Site { width: site.width.max(width_of_cell(size, ahead[i as usize])), ..site },
             }
-            let (x, y) = all[i].normal.any_orthonormal_pair();
-            let wide = wide(i);
-            let beside = |way: Vec3| sites.beside(&wide, wide.position + way * (0.5 * wide.width));
-            Speakers { own, around: [x, y, -x, -y].map(|way| beside(way).unwrap_or(NONE)) }
         };
-        let speakers = (0..all.len()).into_par_iter().map(speakers).collect();
+        let sites = Sites::of(chosen.iter().zip(&count).map(place).collect());
+        let around = |(i, &count): (u32, &u32)| if count == 1 { [NONE; AROUND] } else { around(&sites, i) };
+        let around = (0..count.len() as u32).into_par_iter().zip(&count).map(around).collect();
         let ahead = chosen.iter().map(|i| ahead[*i as usize]).collect();
-        Self { sites, ahead, speakers: Some(speakers) }
+        Self { sites, ahead, shared: Some(Shared { of, around }) }
     }
 
-    /// What light at these places is light of all sites, so many; `None` where nothing is known.
-    pub fn of_all(&self, count: usize, light: &(dyn Fn(usize) -> Option<Vec3> + Sync)) -> Vec<Option<Vec3>> {
-        let Some(speakers) = &self.speakers else {
-            return (0..count).into_par_iter().map(light).collect();
-        };
-        let spoken = |Speakers { own, around }: &Speakers| {
-            let around =
-                around.iter().filter(|place| **place != NONE).filter_map(|place| light(*place as usize));
-            let (sum, n) = around.fold((Vec3::ZERO, 0), |(sum, n), found| (sum + found, n + 1));
-            // Where a surface curves too much for neighbours the own cell's is still there.
-            if n > 0 { Some(sum / n as f32) } else { light(*own as usize) }
-        };
-        speakers.par_iter().map(spoken).collect()
+    /// What light at these places is light at a site of the scene, by number; `None` where nothing is known.
+    pub fn light_of(&self, i: usize, site: &Site, light: &impl Fn(usize) -> Option<Vec3>) -> Option<Vec3> {
+        let Some(Shared { of, around }) = &self.shared else { return light(i) };
+        let own = of[i] as usize;
+        let places = self.sites.all();
+        let reach = REACH * places[own].width;
+        // Where cells meet their values are mixed, the nearer the more.
+        let (mut sum, mut whole) = (Vec3::ZERO, 0.0);
+        for &place in around[own].iter().filter(|place| **place != NONE) {
+            let weight = 1.0 - places[place as usize].position.distance(site.position) / reach;
+            if weight > 0.0
+                && let Some(found) = light(place as usize)
+            {
+                (sum, whole) = (sum + weight * found, whole + weight);
+            }
+        }
+        if whole > 0.0 { Some(sum / whole) } else { light(own) }
     }
+}
+
+/// A place, those beside it, and those between, which may lie beyond either of two.
+fn around(sites: &Sites, place: u32) -> [u32; AROUND] {
+    let [right, left, up, down] = sites.links_of(place);
+    let hop = |from: u32, way: usize| if from == NONE { NONE } else { sites.links_of(from)[way] };
+    let between = |a: u32, way_b: usize, b: u32, way_a: usize| match hop(a, way_b) {
+        NONE => hop(b, way_a),
+        found => found,
+    };
+    [
+        place,
+        right,
+        left,
+        up,
+        down,
+        between(right, 2, up, 0),
+        between(right, 3, down, 0),
+        between(left, 2, up, 1),
+        between(left, 3, down, 1),
+    ]
 }
 
 /// Width of the cell of a site, where those that the start view shows have cells of this size.
@@ -118,10 +143,12 @@ fn first_size(all: &[Site], ahead: &[bool]) -> f32 {
             true => 1.0,
             false => (site.width / width_of_cell(size, ahead)).min(1.0).powi(2),
         };
-        all.iter().zip(ahead).map(of).sum::<f32>()
+        let some = |(all, ahead): (&[Site], &[bool])| all.iter().zip(ahead).map(of).sum::<f32>();
+        let sums: Vec<f32> = all.par_chunks(SUMMED).zip(ahead.par_chunks(SUMMED)).map(some).collect();
+        sums.into_iter().sum::<f32>()
     };
     let (mut low, mut high) = (1e-3 * widest, 1e3 * widest);
-    for _ in 0..16 {
+    for _ in 0..10 {
         let middle = (low * high).sqrt();
         *(if count(middle) > FULL * PLACES as f32 { &mut low } else { &mut high }) = middle;
     }
@@ -140,39 +167,45 @@ struct Cells {
     ahead: Vec<bool>,
 }
 
-type Key = (IVec3, usize);
+/// Tells the cell of a site of others, where cells are so wide.
+fn key(site: &Site, width: f32, ahead: bool) -> u64 {
+    let [x, y, z] = (site.position / width).to_array().map(|v| u64::from(floor(v) as u32));
+    let axis = site.normal.abs().max_position();
+    let towards = 2 * axis + usize::from(site.normal[axis] < 0.0);
+    hash(x | y << 32, z | (towards as u64) << 32, u64::from(ahead))
+}
 
 impl Cells {
     /// `None` where they are more than [`PLACES`].
     fn of(all: &[Site], ahead: &[bool], size: f32) -> Option<Self> {
-        let key = |site: &Site, width: f32| -> Key {
-            let axis = site.normal.abs().max_position();
-            let towards = 2 * axis + usize::from(site.normal[axis] < 0.0);
-            ((site.position / width).floor().as_ivec3(), towards)
-        };
-        let wide = width_of_cell(size, false);
-        let shown: FxHashSet<Key> =
-            all.iter().zip(ahead).filter(|(_, ahead)| **ahead).map(|(site, _)| key(site, wide)).collect();
+        let wide = |site: &Site| key(site, width_of_cell(size, false), false);
+        let shown: FxHashSet<u64> =
+            all.iter().zip(ahead).filter(|(_, ahead)| **ahead).map(|(site, _)| wide(site)).collect();
         // What the start view shows and what it does not are in cells apart.
-        let ahead: Vec<bool> = all.par_iter().map(|site| shown.contains(&key(site, wide))).collect();
-        let own = ahead.iter().filter(|ahead| **ahead).count() <= OWN;
-        let keys: Vec<Key> =
-            all.par_iter().zip(&ahead).map(|(site, ahead)| key(site, width_of_cell(size, *ahead))).collect();
-        let mut cells: FxHashMap<(Key, bool), u32> = FxHashMap::default();
+        let keys: Vec<(u64, bool)> = all
+            .par_iter()
+            .map(|site| match wide(site) {
+                wide if !shown.contains(&wide) => (wide, false),
+                _ => (key(site, width_of_cell(size, true), true), true),
+            })
+            .collect();
+        let own = keys.iter().filter(|(_, ahead)| *ahead).count() <= OWN;
+        let mut cells: FxHashMap<u64, u32> = FxHashMap::default();
         let (mut chosen, mut count, mut of) = (Vec::new(), Vec::new(), Vec::with_capacity(all.len()));
-        for (i, (key, &ahead)) in keys.into_iter().zip(&ahead).enumerate() {
+        for (i, &(key, ahead)) in keys.iter().enumerate() {
             let mut begin = || {
                 chosen.push(i as u32);
                 count.push(0);
                 chosen.len() as u32 - 1
             };
-            let cell = if ahead && own { begin() } else { *cells.entry((key, ahead)).or_insert_with(begin) };
+            let cell = if ahead && own { begin() } else { *cells.entry(key).or_insert_with(begin) };
             count[cell as usize] += 1;
             of.push(cell);
             if chosen.len() > PLACES {
                 return None;
             }
         }
+        let ahead = keys.into_iter().map(|(_, ahead)| ahead).collect();
         Some(Self { chosen, count, of, ahead })
     }
 }
@@ -187,8 +220,8 @@ mod tests {
         let all = floor(100);
         let places = Places::among(&all, &vec![false; all.len()]);
         assert_eq!(places.sites.all(), &all);
-        let light = places.of_all(all.len(), &|i| Some(Vec3::splat(i as f32)));
-        assert!(light.iter().enumerate().all(|(i, light)| *light == Some(Vec3::splat(i as f32))));
+        let light = |i: usize| Some(Vec3::splat(i as f32));
+        assert!(all.iter().enumerate().all(|(i, site)| places.light_of(i, site, &light) == light(i)));
     }
 
     /// Of many sites those that are shown stand for themselves, whoever else is there; a slope of light stays one, as steep as
@@ -204,11 +237,11 @@ mod tests {
         assert!((PLACES / 2..=PLACES).contains(&sites.len()), "{}", sites.len());
         assert!(places.ahead.iter().filter(|ahead| **ahead).count() >= 80 * 80);
         let slope = |place: usize| Some(Vec3::splat(sites[place].position.x));
-        for (i, light) in places.of_all(all.len(), &slope).into_iter().enumerate() {
-            let off = light.expect("known").x - all[i].position.x;
+        for (i, site) in all.iter().enumerate() {
+            let off = places.light_of(i, site, &slope).expect("known").x - site.position.x;
             assert!(off.abs() < if is_shown(i) { 1e-6 } else { 8.0 }, "{i}: {off}");
+            assert_eq!(places.light_of(i, site, &|_| None), None);
         }
-        assert!(places.of_all(all.len(), &|_| None).iter().all(Option::is_none));
     }
 
     /// More than may stand for themselves: cells are as many as there is room for, those of what is shown narrower.

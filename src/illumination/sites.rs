@@ -101,7 +101,7 @@ fn per_cell(level: i32) -> f32 {
 }
 
 /// The greatest integer below; beyond what an integer holds cells are shared, no more.
-fn floor(x: f32) -> i32 {
+pub(super) fn floor(x: f32) -> i32 {
     let whole = x as i32;
     whole.saturating_sub(i32::from(whole as f32 > x))
 }
@@ -138,23 +138,31 @@ impl Sites {
     /// These.
     pub fn of(all: Vec<Site>) -> Self {
         let buckets = all.len().next_power_of_two();
-        let at: Vec<usize> =
-            all.iter().map(|s| bucket(cell(s.position, level(s.width)), level(s.width), buckets)).collect();
+        let place = |s: &Site| {
+            let level = level(s.width);
+            (bucket(cell(s.position, level), level, buckets) as u32, level)
+        };
+        let at: Vec<(u32, i32)> = all.par_iter().map(place).collect();
         let mut first = vec![0u32; buckets + 1];
-        at.iter().for_each(|&b| first[b + 1] += 1);
+        let mut sizes = vec![false; (WIDEST - FINEST + 1) as usize];
+        for &(bucket, level) in &at {
+            first[bucket as usize + 1] += 1;
+            sizes[(level - FINEST) as usize] = true;
+        }
         for i in 1..first.len() {
             first[i] += first[i - 1];
         }
         let mut next = first.clone();
-        let mut members =
-            vec![Near { position: Vec3::ZERO, normal: Vec3::ZERO, site: 0, level: 0 }; all.len()];
-        let mut sizes = vec![false; (WIDEST - FINEST + 1) as usize];
-        for (i, (&b, s)) in at.iter().zip(&all).enumerate() {
-            members[next[b] as usize] =
-                Near { position: s.position, normal: s.normal, site: i as u32, level: level(s.width) };
-            next[b] += 1;
-            sizes[(level(s.width) - FINEST) as usize] = true;
+        let mut order = vec![0u32; all.len()];
+        for (i, &(bucket, _)) in at.iter().enumerate() {
+            order[next[bucket as usize] as usize] = i as u32;
+            next[bucket as usize] += 1;
         }
+        let member = |&i: &u32| {
+            let Site { position, normal, .. } = all[i as usize];
+            Near { position, normal, site: i, level: at[i as usize].1 }
+        };
+        let members = order.par_iter().map(member).collect();
         let links = vec![OnceLock::new(); all.len()];
         Self { all, first, members, sizes, links }
     }

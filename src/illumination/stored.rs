@@ -2,6 +2,8 @@
 
 mod plain;
 
+use std::sync::Arc;
+
 use glam::{Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -56,7 +58,7 @@ impl Part {
                 let v = v.unwrap_or_default().truncate();
                 if v.is_finite() { v.max(Vec3::ZERO).to_array() } else { [0.0; 3] }
             };
-            side.iter().map(stored).collect::<Vec<_>>()
+            side.par_iter().map(stored).collect::<Vec<_>>()
         });
         let back = if back.iter().flatten().any(|v| *v > 0.0) { back } else { Vec::new() };
         Self { front, back }
@@ -92,7 +94,8 @@ fn are_sound(values: &[f32]) -> bool {
 pub struct Illumination {
     width: u32,
     height: u32,
-    corners: Vec<Corners>,
+    /// Shared by all maps of an atlas.
+    corners: Arc<Vec<Corners>>,
     /// Per element red, green, blue, and the standard error of the luminance.
     front: Vec<[f32; 4]>,
     /// Per block of elements, the block of `back` that holds its back, or `DARK`.
@@ -145,24 +148,30 @@ impl Illumination {
             let v = v.unwrap_or_default();
             if v.is_finite() { v.max(Vec4::ZERO).to_array() } else { [0.0; 4] }
         };
-        let mut back_blocks = Vec::with_capacity(back.len().div_ceil(BLOCK));
-        let mut lit_back = Vec::new();
-        for block in back.chunks(BLOCK) {
-            if block.iter().any(|v| v.is_some_and(|v| v.truncate().max_element() > 0.0)) {
-                back_blocks.push((lit_back.len() / BLOCK) as u32);
-                lit_back.extend(block.iter().map(stored));
-                lit_back.resize(lit_back.len().next_multiple_of(BLOCK), [0.0; 4]);
+        let is_lit = |v: &Value| v.is_some_and(|v| v.truncate().max_element() > 0.0);
+        let lit: Vec<bool> = back.par_chunks(BLOCK).map(|block| block.iter().any(is_lit)).collect();
+        let mut blocks = 0;
+        let place = |lit: &bool| {
+            if *lit {
+                blocks += 1;
+                blocks - 1
             } else {
-                back_blocks.push(DARK);
+                DARK
             }
-        }
+        };
+        let back_blocks = lit.iter().map(place).collect();
+        let lit_blocks = back.par_chunks(BLOCK).zip(&lit).filter(|(_, lit)| **lit);
+        let lit_back = lit_blocks.flat_map_iter(|(block, _)| {
+            let values = block.iter().map(stored);
+            values.chain(std::iter::repeat_n([0.0; 4], BLOCK - block.len()))
+        });
         Self {
             width: atlas.width,
             height: atlas.height,
-            corners: atlas.corners.clone(),
-            front: front.iter().map(stored).collect(),
+            corners: Arc::clone(&atlas.corners),
+            front: front.par_iter().map(stored).collect(),
             back_blocks,
-            back: lit_back,
+            back: lit_back.collect(),
             named: None,
             unfound: None,
             summary,
@@ -354,10 +363,16 @@ impl Illumination {
         bytes.as_bytes()[..8].iter().fold(0, |sum, &b| sum << 8 | u64::from(b))
     }
 
+    /// Whether both have the same elements.
+    fn fits(&self, other: &Self) -> bool {
+        let same = Arc::ptr_eq(&self.corners, &other.corners) || self.corners == other.corners;
+        same && self.front.len() == other.front.len()
+    }
+
     /// Whether each value of `target` is this one's but for `relative` of it plus `absolute` W/m² in each band. `None` if
     /// they are stored differently.
     pub fn is_near(&self, target: &Self, relative: f32, absolute: f32) -> Option<bool> {
-        let fits = self.corners == target.corners && self.front.len() == target.front.len();
+        let fits = self.fits(target);
         let near = |from: Vec4, to: Vec4| {
             let most = from * relative + absolute;
             (to - from).abs().cmple(most).bitmask() & 0b111 == 0b111
@@ -369,7 +384,7 @@ impl Illumination {
 
     /// Moved towards `target` by a `share` of what is missing, from 0 to 1. `None` if they are stored differently.
     pub fn approached(&self, target: &Self, share: f32) -> Option<Self> {
-        if self.corners != target.corners || self.front.len() != target.front.len() {
+        if !self.fits(target) {
             return None;
         }
         let step = |from: Vec4, to: Vec4| from.lerp(to, share).truncate().extend(to.w).to_array();
@@ -391,7 +406,7 @@ impl Illumination {
         Some(Self {
             width: target.width,
             height: target.height,
-            corners: target.corners.clone(),
+            corners: Arc::clone(&target.corners),
             front,
             back_blocks,
             back,
@@ -578,8 +593,8 @@ mod tests {
             Illumination::new(&atlas, vec![Some(Vec4::ONE); n], vec![Some(Vec4::ONE); n], Summary::default());
         assert!(map.is_sound());
         let broken: [fn(&mut Illumination); 6] = [
-            |m| m.corners[0] = Corners::Vertices([0, 1, m.front.len() as u32]),
-            |m| m.corners[0] = Corners::Texels([Vec2::NAN; 3]),
+            |m| Arc::make_mut(&mut m.corners)[0] = Corners::Vertices([0, 1, m.front.len() as u32]),
+            |m| Arc::make_mut(&mut m.corners)[0] = Corners::Texels([Vec2::NAN; 3]),
             |m| m.front[3][1] = f32::NAN,
             |m| m.back[3][2] = -1.0,
             |m| m.back_blocks[0] = (m.back.len() / BLOCK) as u32,

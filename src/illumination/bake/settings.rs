@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::scene::Scene;
 
 /// Raised with every change of how a map is computed, or of what of it is kept.
-pub const VERSION: u32 = 24;
+pub const VERSION: u32 = 25;
 
 /// What to bake, and when it is good enough.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

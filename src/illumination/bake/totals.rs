@@ -1,6 +1,7 @@
 //! What of a map its summary says: sums over all sites.
 
 use glam::{DVec3, Vec3, Vec4};
+use rayon::prelude::*;
 
 use super::Baker;
 use crate::illumination::atlas::Element;
@@ -19,7 +20,32 @@ pub(super) struct Totals {
     soft: f64,
 }
 
+/// Sites that are summed at once.
+const SUMMED: usize = 4096;
+
 impl Totals {
+    /// Over so many sites, each of which `add` adds; alike for any number of threads.
+    pub fn over(count: usize, add: impl Fn(usize, &mut Self) + Sync) -> Self {
+        let some = |first: usize| {
+            let mut totals = Self::default();
+            (first..(first + SUMMED).min(count)).for_each(|i| add(i, &mut totals));
+            totals
+        };
+        let all: Vec<Self> =
+            (0..count.div_ceil(SUMMED)).into_par_iter().map(|some_of| some(some_of * SUMMED)).collect();
+        all.into_iter().fold(Self::default(), Self::and)
+    }
+
+    fn and(self, other: Self) -> Self {
+        Self {
+            power: self.power + other.power,
+            area: self.area + other.area,
+            squared: self.squared + other.squared,
+            variances: [0, 1].map(|k| self.variances[k] + other.variances[k]),
+            soft: self.soft + other.soft,
+        }
+    }
+
     pub fn add(&mut self, element: &Element, value: Vec4, parts: &Parts, seen: bool) {
         let area = f64::from(element.opaque);
         self.power += value.truncate().as_dvec3() * area;

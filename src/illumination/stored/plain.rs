@@ -87,6 +87,8 @@ impl Illumination {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
     use crate::illumination::atlas::Corners;
     use glam::Vec2;
@@ -97,7 +99,10 @@ mod tests {
         Illumination {
             width: 300,
             height: 2,
-            corners: vec![Corners::Vertices([1, 200, 70_000]), Corners::Texels([Vec2::new(0.5, 1.5); 3])],
+            corners: Arc::new(vec![
+                Corners::Vertices([1, 200, 70_000]),
+                Corners::Texels([Vec2::new(0.5, 1.5); 3]),
+            ]),
             front: values(70),
             back_blocks: vec![0, u32::MAX],
             back: values(64),

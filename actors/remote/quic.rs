@@ -377,7 +377,8 @@ async fn visit(send: SendStream, mut recv: RecvStream, queued: Queued, inbox: &M
                 tokio::time::sleep(FULL).await;
             }
             if inbox.has_ended() {
-                return;
+                // Who hears no more may still have something to say.
+                std::future::pending::<()>().await;
             }
         }
     };
@@ -448,6 +449,22 @@ mod tests {
         drop(listener);
         assert_eq!(told(&mut guest).as_deref(), Some(&b"farewell"[..]));
         assert!((0..500).any(|_| guest.next(Duration::from_millis(10)).is_err()));
+    }
+
+    /// A message that arrives while a guest goes does not cut off what it said before.
+    #[test]
+    fn who_hears_no_more_is_heard_to_the_end() {
+        let key = Key::new().unwrap();
+        let mut listener = Listener::new("127.0.0.1:0", &key).unwrap();
+        let mut guest = Connection::new(&listener.at.to_string(), &key).unwrap();
+        assert_eq!(heard(&mut listener), Event::Opened(0));
+        guest.inbox.end();
+        listener.send(0, b"too late");
+        thread::sleep(Duration::from_millis(100));
+        guest.send(b"last words").unwrap();
+        drop(guest);
+        assert_eq!(heard(&mut listener), Event::Message(0, b"last words".to_vec()));
+        assert_eq!(heard(&mut listener), Event::Closed(0));
     }
 
     #[test]

@@ -34,9 +34,9 @@ use super::first::first_picture_while;
 use super::gathered::Gathered;
 use super::points::Points;
 use super::seen::seen;
-use super::sites::{NONE, Sites, by_element};
+use super::sites::{NONE, Sites, by_element, sides};
 use super::statement::{HeldBack, HeldBackState, Statement};
-use super::stored::{Illumination, Summary, Value};
+use super::stored::{Illumination, Summary};
 use crate::scene::Scene;
 use crate::transport::Indexed;
 use crate::transport::caustic::Sources;
@@ -430,27 +430,22 @@ impl Baker {
             self.gathered[i].named().unwrap_or_else(begun).extend(0.0)
         };
         let unfound = |i: usize| (parts(i)[2].mean() * self.gathered[i].unfound_share()).extend(0.0);
-        let is_open = |i: usize| self.gathered.get(i).is_some_and(Gathered::is_open);
-        let sides = |value: &(dyn Fn(usize) -> Vec4 + Sync)| {
-            let of = |site: u32| is_open(site as usize).then(|| value(site as usize));
-            [0, 1].map(|side| self.site_of.par_iter().map(|sites| of(sites[side])).collect::<Vec<Value>>())
-        };
-        let total = |i: usize, totals: &mut Totals| {
-            let parts = parts(i);
-            let straight = if self.has_named { straight(i) } else { Vec4::ZERO };
-            let element = &self.atlas.elements[self.sites.all()[i].element as usize];
-            totals.add(element, light(&parts) + straight, &parts, self.seen[i]);
+        let by_side = |value: &(dyn Fn(usize) -> Vec4 + Sync)| {
+            sides(&self.site_of, &|i| self.gathered[i].is_open().then(|| value(i)))
         };
         let totals = Totals::over(self.gathered.len(), |i, totals| {
-            if is_open(i) {
-                total(i, totals);
+            if self.gathered[i].is_open() {
+                let parts = parts(i);
+                let straight = if self.has_named { straight(i) } else { Vec4::ZERO };
+                let element = &self.atlas.elements[self.sites.all()[i].element as usize];
+                totals.add(element, light(&parts) + straight, &parts, self.seen[i]);
             }
         });
-        let [front, back] = sides(&|i| light(&parts(i)));
+        let [front, back] = by_side(&|i| light(&parts(i)));
         let map = Illumination::new(&self.atlas, front, back, totals.summary(self));
         let has_particles = self.particles > 0;
-        let map = if has_particles { map.with_unfound(&self.atlas, sides(&unfound)) } else { map };
-        if self.has_named { map.with_named(&self.atlas, sides(&straight)) } else { map }
+        let map = if has_particles { map.with_unfound(&self.atlas, by_side(&unfound)) } else { map };
+        if self.has_named { map.with_named(&self.atlas, by_side(&straight)) } else { map }
     }
 
     /// What was gathered so far, smoothed: where the round that has begun did not come to, the one before shows.

@@ -18,8 +18,8 @@ use super::gathered::Gathered;
 use super::places::Places;
 use super::points::{Look, Points};
 use super::seen::seen;
-use super::sites::{Site, Sites, by_element};
-use super::stored::{Illumination, Summary, Value};
+use super::sites::{Site, Sites, by_element, sides};
+use super::stored::{Illumination, Summary};
 use crate::transport::Indexed;
 use crate::transport::gather::{Gather, Trust};
 use crate::transport::light::bright::BrightSurfaces;
@@ -137,15 +137,12 @@ fn stored(
     unnamed: &[Option<Vec3>],
     named: Option<&[Option<Vec3>]>,
 ) -> Illumination {
-    let sides = |light: &[Option<Vec3>]| {
-        let value = |site: u32| light.get(site as usize).copied().flatten().map(|light| light.extend(0.0));
-        [0, 1].map(|back| site_of.par_iter().map(|sides| value(sides[back])).collect::<Vec<Value>>())
-    };
-    let [front, back] = sides(unnamed);
+    let by_side = |light: &[Option<Vec3>]| sides(site_of, &|i| Some(light[i]?.extend(0.0)));
+    let [front, back] = by_side(unnamed);
     let summary = Summary { relative_error: 1.0, ..Summary::default() };
     let map = Illumination::new(atlas, front, back, summary);
     match named {
-        Some(named) => map.with_named(atlas, sides(named)),
+        Some(named) => map.with_named(atlas, by_side(named)),
         None => map,
     }
 }

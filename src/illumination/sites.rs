@@ -9,6 +9,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::atlas::Atlas;
+use super::stored::Value;
 
 /// Cells are so many widths of a site wide.
 const CELL: f32 = 2.0;
@@ -32,6 +33,12 @@ pub fn by_element(sites: &[Site], elements: usize) -> Vec<[u32; 2]> {
         of[site.element as usize][usize::from(site.back)] = i as u32;
     }
     of
+}
+
+/// What is known of the front and of the back of each element, from that of its sites.
+pub fn sides(site_of: &[[u32; 2]], value: &(dyn Fn(usize) -> Value + Sync)) -> [Vec<Value>; 2] {
+    let of = |site: u32| if site == NONE { None } else { value(site as usize) };
+    [0, 1].map(|side| site_of.par_iter().map(|sites| of(sites[side])).collect())
 }
 
 /// One side of an element.

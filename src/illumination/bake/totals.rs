@@ -31,8 +31,7 @@ impl Totals {
             (first..(first + SUMMED).min(count)).for_each(|i| add(i, &mut totals));
             totals
         };
-        let all: Vec<Self> =
-            (0..count.div_ceil(SUMMED)).into_par_iter().map(|some_of| some(some_of * SUMMED)).collect();
+        let all: Vec<Self> = (0..count).into_par_iter().step_by(SUMMED).map(some).collect();
         all.into_iter().fold(Self::default(), Self::and)
     }
 
